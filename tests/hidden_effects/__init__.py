@@ -1,0 +1,1 @@
+"""An independent little world with hidden effects, its scorer and its peers."""

@@ -1,0 +1,220 @@
+"""The little world: robots whose logs hide a known effect. It shares no code with the product under test.
+
+A case is made fleet-wide from one seed: world (base coefficients 3 % off, smooth ripple), campaign (delay and lag of
+the meter), runs (design, motion, meter, lost rows). ``python -m tests.hidden_effects.world OUT CASE [--seed S]`` writes one
+case as ``OUT/<case>/train/*.csv, heldout/*.csv, answer.json`` in the layout of the practice logs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .meter import Meter, Rows, draw_meter, log_rows, reading, row_times, through
+from .motion import ROBOTS, Array, Motion, Robot, RunDesign, design_runs, drive
+from .plant import OUTSIDE, TWINS, Draw, base_columns, base_power, draw_world, planted, voltage
+
+Log = dict[str, NDArray[np.generic]]
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is asked of the world.
+
+    Attributes
+    ----------
+    hidden
+        Ids of the planted effects: the contract's, or those of :data:`tests.hidden_effects.plant.OUTSIDE`.
+    share
+        Part of the energy of the training runs that each planted effect takes (mean absolute power over mean power).
+    """
+
+    name: str
+    hidden: tuple[str, ...] = ()
+    share: float = 0.0
+    robot: str = "pioneer3dx"
+    design: str = "rich"
+    noise_level: int = 2
+    rate_hz: float = 1.0
+    runs: int = 8
+    heldout: int = 3
+    duration_s: float = 420.0
+    power_format: str = "power"
+    columns: frozenset[str] = frozenset({"accel", "cpu_freq", "access_point"})
+    equivalent: tuple[str, ...] = ()
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class World:
+    """A made case: logs for the user, truth for the scorer. Dictionaries are keyed by run name."""
+
+    case: Case
+    seed: int
+    train: dict[str, Log]
+    heldout: dict[str, Log]
+    answer: dict[str, object]
+    truth: dict[str, dict[str, Array]] = field(repr=False, default_factory=dict)
+    """Per run, at the log's rows: true power of each hidden effect ('hidden:<id>'), unit base columns ('base:<name>'),
+    both as a meter without noise would show them; 'power' = noise-free measured power."""
+
+
+@dataclass(frozen=True)
+class _Run:
+    motion: Motion
+    meter: Meter
+    base_w: Array
+    volt: Array
+    hidden: list[Array]
+    seed: np.random.SeedSequence
+
+
+def make(case: Case, seed: int) -> World:
+    """Make a case; the same case and seed give the same bits on any machine with the same NumPy."""
+    robot = ROBOTS[case.robot]
+    root = np.random.SeedSequence([seed, zlib.crc32(case.name.encode())])
+    world_seed, design_seed, *run_seeds = root.spawn(2 + case.runs + case.heldout)
+    rng = np.random.default_rng(world_seed)
+    world = draw_world(robot, case.noise_level, rng)
+    common = (float(rng.uniform(-0.25, 0.25)), float(rng.uniform(0.1, 0.45)))
+    rng = np.random.default_rng(design_seed)
+    plans = design_runs(case.design, robot, case.runs, case.duration_s, rng)
+    plans += design_runs("rich", robot, case.heldout, case.duration_s, rng)
+    shapes = [_prepare(case, plan, robot, world, common, seq) for plan, seq in zip(plans, run_seeds, strict=True)]
+    strengths = _strengths(case, [s[1] for s in shapes[: case.runs]], [s[0].base_w for s in shapes[: case.runs]])
+    logs: list[Log] = []
+    truth: list[dict[str, Array]] = []
+    for run, effects in shapes:
+        parts = [f(k) for f, k in zip(effects, strengths, strict=True)]
+        log, true = _record(case, run, parts, robot)
+        logs.append(log)
+        truth.append(true)
+    names = [f"run_{i:02d}" for i in range(case.runs)] + [f"held_{i:02d}" for i in range(case.heldout)]
+    answer = _answer(case, seed, world, robot, strengths, dict(zip(names, truth, strict=True)))
+    return World(
+        case,
+        seed,
+        dict(zip(names[: case.runs], logs[: case.runs], strict=True)),
+        dict(zip(names[case.runs :], logs[case.runs :], strict=True)),
+        answer,
+        dict(zip(names, truth, strict=True)),
+    )
+
+
+def _prepare(
+    case: Case, plan: RunDesign, robot: Robot, world: Draw, common: tuple[float, float], seq: np.random.SeedSequence
+) -> tuple[_Run, list[object]]:
+    rng = np.random.default_rng(seq)
+    motion = drive(robot, plan, rng)
+    meter = draw_meter(robot, case.noise_level, common, rng)
+    base_w = base_power(motion, robot, world)
+    volt = voltage(motion, robot, base_w, float(rng.uniform(0.5, 1.0)))
+    effects = [planted(name, motion, robot, world, base_w, volt, rng) for name in case.hidden]
+    return _Run(motion, meter, base_w, volt, [], seq), list(effects)
+
+
+def _strengths(case: Case, effects: list[list[object]], base: list[Array]) -> list[float]:
+    """Strength of each hidden effect so that its mean |power| is ``share`` of the mean total power (fixed point)."""
+    strengths = [1.0] * len(case.hidden)
+    if not case.hidden:
+        return strengths
+    for _ in range(60):
+        parts = [[f(k) for f, k in zip(run, strengths, strict=True)] for run in effects]  # type: ignore[operator]
+        total = float(np.mean([np.mean(b) + sum(np.mean(p) for p in run) for b, run in zip(base, parts, strict=True)]))
+        have = np.array([np.mean([np.mean(np.abs(run[i])) for run in parts]) for i in range(len(case.hidden))]) / total
+        if np.any(have <= 0.0):
+            raise ValueError(f"{case.name}: an effect never acts in these runs")
+        if np.all(np.abs(have / case.share - 1.0) < 1e-6):
+            break
+        strengths = [float(k * case.share / h) for k, h in zip(strengths, have, strict=True)]
+    return strengths
+
+
+def _record(case: Case, run: _Run, parts: list[Array], robot: Robot) -> tuple[Log, dict[str, Array]]:
+    rng = np.random.default_rng(run.seed.spawn(1)[0])
+    total = run.base_w + sum(parts, np.zeros_like(run.base_w))
+    times, keep = row_times(case.duration_s, case.rate_hz, case.noise_level, rng)
+    rows = Rows(times, case.duration_s)
+    shown = reading(run.meter, total, case.noise_level, rng)
+    log = log_rows(run.motion, robot, shown, run.volt, rows, case.noise_level, case.columns, case.power_format, rng)
+    true = {f"hidden:{name}": rows.mean(through(run.meter, p)) for name, p in zip(case.hidden, parts, strict=True)}
+    for name, column in base_columns(run.motion, robot).items():
+        true[f"base:{name}"] = rows.mean(through(run.meter, column))
+    true["power"] = rows.mean(through(run.meter, total))
+    true["measured"] = rows.mean(shown)
+    true["seconds"] = rows.right - rows.left
+    return {k: v[keep] for k, v in log.items()}, {k: v[keep] for k, v in true.items()}
+
+
+def _answer(
+    case: Case, seed: int, world: Draw, robot: Robot, strengths: list[float], truth: dict[str, dict[str, Array]]
+) -> dict[str, object]:
+    """What was hidden, in the layout of the practice answers, plus what the scorer wants to know."""
+    twins: dict[str, float] = {}
+    for name, k in zip(case.hidden, strengths, strict=True):
+        kind, _, part = name.partition(":")
+        if kind in TWINS:  # total shift of the base parameter, drawn and planted together, in prior sds of 3 %
+            key = TWINS[kind]
+            nominal = robot.components[part] if part else getattr(robot, key)
+            drawn = world.components[part] if part else getattr(world, key)
+            twins[name] = float((drawn + k - nominal) / (0.03 * nominal))
+    return {
+        "hidden": list(case.hidden),
+        "share_of_energy": case.share,
+        "noise_level": case.noise_level,
+        "design": case.design,
+        "note": case.note,
+        "robot": case.robot,
+        "seed": seed,
+        "outside": [name for name in case.hidden if name in OUTSIDE],
+        "equivalent": list(case.equivalent),
+        "shift_in_prior_sd": twins,
+        "strength": dict(zip(case.hidden, strengths, strict=True)),
+    }
+
+
+def write(world: World, folder: Path) -> Path:
+    """Write a made case below ``folder``; returns the case's folder."""
+    out = folder / world.case.name
+    for kind, logs in (("train", world.train), ("heldout", world.heldout)):
+        (out / kind).mkdir(parents=True, exist_ok=True)
+        for run, log in logs.items():
+            write_csv(log, out / kind / f"{run}.csv")
+    (out / "answer.json").write_text(json.dumps(world.answer, indent=1) + "\n", encoding="utf-8")
+    return out
+
+
+def write_csv(log: Log, path: Path) -> None:
+    """One run as CSV with a header."""
+    columns = [[str(x) for x in values.tolist()] for values in log.values()]
+    lines = [",".join(log), *(",".join(row) for row in zip(*columns, strict=True))]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write cases as folders."""
+    from .study import ALL_CASES
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("cases", nargs="*", help="names or beginnings of names; none = list them")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    chosen = [c for c in ALL_CASES.values() if any(c.name.startswith(p) for p in options.cases)]
+    if not chosen:
+        print("\n".join(ALL_CASES))
+        return 0 if not options.cases else 2
+    for case in chosen:
+        print(write(make(case, options.seed), options.out))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
