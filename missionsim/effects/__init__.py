@@ -1,0 +1,1 @@
+"""Effects: named power terms in watts, pure functions of covariates and parameters."""

@@ -1,0 +1,116 @@
+"""What an effect is: a declaration (equation, units, source, needs) around one bare function of physics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from missionsim.effects.covariates import Covariates
+
+Parameters = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class ParameterSpec:
+    """Declaration of one parameter of an effect.
+
+    Attributes
+    ----------
+    name, unit, meaning : str
+    default : float
+        Value where none is given; `nan` where the user or a fit must give it.
+    low, high : float
+        Bounds that physics sets.
+    grid : tuple of float
+        For a shape parameter (τ, T₀): the values that a search tries first. Empty for a coefficient.
+    """
+
+    name: str
+    unit: str
+    meaning: str = ""
+    default: float = float("nan")
+    low: float = 0.0
+    high: float = float("inf")
+    grid: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A named power term: a pure function of covariates and parameters, in watts.
+
+    Attributes
+    ----------
+    id : str
+        Name in the library.
+    equation, source, meaning : str
+        For people.
+    parameters : tuple of ParameterSpec
+        The first is the coefficient, in which the term is linear; the others set its shape.
+    needs : tuple of str
+        Covariates without which it cannot be evaluated.
+    component : str
+        Under which component its energy is booked.
+    drive : bool
+        Whether its power is part of the drive's (what braking and going downhill can relieve).
+    recovers : bool
+        Whether it may be negative and is limited by what the drive can give back.
+    of_load : bool
+        Whether it depends on the load of its battery, so that it comes last.
+    execution : bool
+        Whether it changes how a mission is executed (path, speed, dwell) instead of adding power.
+    sign : int
+        +1 where the coefficient cannot be negative, 0 where it may be.
+    power : callable
+        ``(cov, p) -> W``.
+    impulse : callable, optional
+        ``(cov, p) -> J`` delivered at the start of an interval, for events such as a start from rest.
+    memory : tuple of str
+        Derived covariates that grow while time passes (``moving_time_s``, ``on_time_<component>_s``).
+    """
+
+    id: str
+    equation: str
+    source: str
+    meaning: str
+    parameters: tuple[ParameterSpec, ...]
+    needs: tuple[str, ...]
+    power: Callable[[Covariates, Parameters], Any] = field(compare=False)
+    impulse: Callable[[Covariates, Parameters], Any] | None = field(default=None, compare=False)
+    component: str = "motors"
+    drive: bool = False
+    recovers: bool = False
+    of_load: bool = False
+    execution: bool = False
+    sign: int = 1
+    memory: tuple[str, ...] = ()
+    covariate: str = ""
+    """The covariate that it is mostly about, for reports and shifted splits."""
+
+    @property
+    def coefficient(self) -> ParameterSpec:
+        """The parameter in which the power is linear."""
+        return self.parameters[0]
+
+    @property
+    def shape(self) -> tuple[ParameterSpec, ...]:
+        """The parameters that set the form (time constants, reference temperatures)."""
+        return self.parameters[1:]
+
+    @property
+    def stage(self) -> int:
+        """Order of evaluation: drive terms, terms the drive relieves, all other loads, losses of the whole load."""
+        if self.of_load:
+            return 3
+        if self.recovers:
+            return 1
+        return 0 if self.drive else 2
+
+    def renamed(self, **changes: Any) -> Effect:
+        """A copy with some attributes changed."""
+        return replace(self, **changes)
+
+
+def reads(effect: Effect, cov: Covariates) -> tuple[str, ...]:
+    """The covariates that `effect` needs and `cov` lacks."""
+    return tuple(name for name in effect.needs if name not in cov)

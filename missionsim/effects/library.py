@@ -1,0 +1,251 @@
+"""The library of effects, every id of the contract, and the door for effects of other packages.
+
+Coefficients are called ``k`` (``E`` for the start surge); each effect is linear in its first parameter.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from missionsim.effects.base import Effect, ParameterSpec
+from missionsim.effects.covariates import Covariates, label_equals, number
+from missionsim.errors import InputError, did_you_mean
+from missionsim.physics import electrical, motion
+
+ENTRY_POINT_GROUP = "missionsim.effects"
+TAU_GRID_S = (20.0, 60.0, 180.0, 540.0)
+REFERENCE_GRID_C = (25.0,)
+_SPEED = ("speed_m_s",)
+_CONTRACT = "library of effects"
+
+
+def _k(unit: str, meaning: str, high: float = float("inf")) -> ParameterSpec:
+    return ParameterSpec("k", unit, meaning, high=high)
+
+
+def _drive(
+    id: str, equation: str, unit: str, meaning: str, needs: tuple[str, ...], power: Callable[..., Any], **more: Any
+) -> Effect:
+    parameters = (_k(unit, "coefficient"), *more.pop("shape", ()))
+    return Effect(
+        id, equation, more.pop("source", _CONTRACT), meaning, parameters, needs, power, drive=True,
+        covariate=more.pop("covariate", needs[0] if needs else "speed_m_s"), **more,
+    )
+
+
+def _grade(cov: Covariates, p: Mapping[str, Any]) -> Any:
+    lifting = motion.grade_power(cov["speed_m_s"], cov["slope_rad"], number(cov, "mass_kg", 1.0), p["k"])
+    return motion.recovered_power(lifting, number(cov, "drive_w"), number(cov, "regeneration"))
+
+
+_TAU = ParameterSpec("tau", "s", "time constant", low=1.0, high=7200.0, default=120.0, grid=TAU_GRID_S)
+_REFERENCE = ParameterSpec(
+    "T0", "degC", "temperature at which nothing is added", low=-20.0, high=60.0, default=25.0, grid=REFERENCE_GRID_C
+)
+
+_EFFECTS: tuple[Effect, ...] = (
+    _drive("grade", "k·m·g·v·sin θ, never below what the drive can give back", "1",
+           "lifting the robot on a slope", ("slope_rad", "speed_m_s"), _grade, recovers=True),
+    _drive("payload", "k·m_payload·v", "m/s^2", "rolling resistance of the load carried", ("payload_kg", "speed_m_s"),
+           lambda c, p: motion.payload_power(c["speed_m_s"], c["payload_kg"], p["k"])),
+    _drive("acceleration", "k·m·a·v when speeding up", "1", "inertia of the robot when it speeds up",
+           ("speed_m_s", "accel_m_s2"), covariate="accel_m_s2",
+           power=lambda c, p: motion.acceleration_power(
+               c["speed_m_s"], c["accel_m_s2"], number(c, "mass_kg", 1.0), p["k"])),
+    _drive("turning_scrub", "k·|ω|", "W s/rad", "tyres or rollers scrubbing sideways in turns", ("yaw_rate_rad_s",),
+           lambda c, p: motion.turning_power(c["yaw_rate_rad_s"], p["k"])),
+    _drive("rolling_friction", "k·v", "N", "constant friction force", _SPEED,
+           lambda c, p: motion.rolling_power(c["speed_m_s"], p["k"])),
+    _drive("viscous_friction", "k·v²", "N s/m", "friction force that grows with speed", _SPEED,
+           lambda c, p: motion.viscous_power(c["speed_m_s"], p["k"])),
+    _drive("aerodynamic_drag", "k·v³", "kg/m", "air resistance", _SPEED,
+           lambda c, p: motion.drag_power(c["speed_m_s"], p["k"])),
+    _drive("cold_friction", "k·v·exp(−moving time/τ)", "N", "cold grease that warms up as the robot moves",
+           ("speed_m_s", "moving_time_s"), shape=(_TAU,), memory=("moving_time_s",), covariate="moving_time_s",
+           power=lambda c, p: motion.cold_friction_power(c["speed_m_s"], c["moving_time_s"], p["k"], p["tau"])),
+    _drive("temperature_friction", "k·v·(T₀ − T)", "N/K", "friction that falls with the ambient temperature",
+           ("temp_ambient_c", "speed_m_s"), shape=(_REFERENCE,),
+           power=lambda c, p: motion.temperature_friction_power(
+               c["speed_m_s"], c["temp_ambient_c"], p["k"], p["T0"])),
+    Effect("start_surge", "E joules at each start from rest", _CONTRACT, "inrush when the motors start",
+           (ParameterSpec("E", "J", "energy of one start"),), ("speed_m_s", "starts"),
+           power=lambda c, p: p["E"] * number(c, "starts_per_s"),
+           impulse=lambda c, p: p["E"] * c["starts"], drive=True, covariate="starts"),
+    Effect("conversion_loss", "k·P² of the load on that battery", _CONTRACT, "ohmic loss of converters and wiring",
+           (_k("1/W", "coefficient", 1.0),), (), lambda c, p: electrical.conversion_loss(number(c, "load_w"), p["k"]),
+           component="conversion", of_load=True, covariate="load_w"),
+    Effect("standby_load", "k, always", _CONTRACT, "a constant load that nobody listed", (_k("W", "power"),), (),
+           lambda c, p: p["k"] * np.ones_like(number(c, "speed_m_s", 0.0), dtype=float), component="standby",
+           covariate="time_s"),
+    Effect("cpu_load", "k·load", _CONTRACT, "processor power that follows its load", (_k("W", "power at full load"),),
+           ("cpu_load",), lambda c, p: electrical.cpu_load_power(c["cpu_load"], p["k"]), component="cpu",
+           covariate="cpu_load"),
+    Effect("cpu_frequency", "k·load·f³", "library of effects; Jaiem 2021 section 3.2",
+           "dynamic processor power with voltage following frequency", (_k("W/Hz^3", "coefficient"),),
+           ("cpu_load", "cpu_freq_hz"),
+           lambda c, p: electrical.cpu_frequency_power(c["cpu_load"], c["cpu_freq_hz"], p["k"]), component="cpu",
+           covariate="cpu_freq_hz"),
+    Effect("radio_range", "k·d²", _CONTRACT, "radio that sends harder far from its access point",
+           (_k("W/m^2", "coefficient"),), ("access_point_distance_m",),
+           lambda c, p: electrical.radio_power(c["access_point_distance_m"], p["k"]), component="radio",
+           covariate="access_point_distance_m"),
+)
+
+
+def _execution(id: str, equation: str, unit: str, meaning: str) -> Effect:
+    return Effect(id, equation, _CONTRACT, meaning, (ParameterSpec("k", unit, meaning),), ("speed_m_s",),
+                  lambda c, p: 0.0 * number(c, "speed_m_s"), component="motors", execution=True,
+                  covariate="speed_m_s")
+
+
+_EXECUTION: tuple[Effect, ...] = (
+    _execution("path_stretch", "distance driven / distance planned, per scheme", "1", "paths longer than planned"),
+    _execution("speed_tracking", "speed reached / speed asked, per scheme", "1", "speeds lower than asked"),
+    _execution("dwell", "unplanned standing still", "s", "time stood still that no segment plans"),
+)
+
+
+def surface_effect(surface: str) -> Effect:
+    """`surface_rolling_resistance` on one surface: ``k_s |v|`` where the floor is `surface`."""
+    return _drive(
+        f"surface_rolling_resistance:{surface}", f"k·v on surface '{surface}'", "N",
+        f"more rolling resistance on {surface}", ("surface", "speed_m_s"), covariate="surface",
+        power=lambda c, p: motion.rolling_power(c["speed_m_s"], p["k"]) * label_equals(c["surface"], surface),
+    )
+
+
+def surfaces_effect(surfaces: tuple[str, ...]) -> Effect:
+    """`surface_rolling_resistance` on several surfaces at once, one coefficient ``k_<surface>`` each."""
+
+    def power(c: Covariates, p: Mapping[str, Any]) -> Any:
+        total = 0.0 * number(c, "speed_m_s")
+        for name in surfaces:
+            total = total + motion.rolling_power(c["speed_m_s"], p[f"k_{name}"]) * label_equals(c["surface"], name)
+        return total
+
+    return Effect(
+        "surface_rolling_resistance", "k_s·v on surface s", _CONTRACT, "rolling resistance of the floor",
+        tuple(ParameterSpec(f"k_{name}", "N", f"friction force on {name}") for name in surfaces),
+        ("surface", "speed_m_s"), power, drive=True, covariate="surface",
+    )
+
+
+def component_power_effect(component: str) -> Effect:
+    """`component_power:<component>`: ``k`` watts per unit switched on."""
+    column = f"on_{component}"
+    return Effect(
+        f"component_power:{component}", f"k per unit of {component} switched on", "library of effects; Jaiem 2021 Eq. 3",
+        f"{component} draws more than its data sheet says", (_k("W", "power of one unit"),), (column,),
+        lambda c, p: electrical.component_power(c[column], p["k"]), component=component, covariate=column,
+    )
+
+
+def component_warmup_effect(component: str) -> Effect:
+    """`component_warmup:<component>`: ``k exp(−t/τ)`` after it was switched on."""
+    column, clock = f"on_{component}", f"on_time_{component}_s"
+    return Effect(
+        f"component_warmup:{component}", "k·exp(−time since switched on/τ)", _CONTRACT,
+        f"{component} draws more until it is warm", (_k("W", "extra power when switched on"), _TAU), (column, clock),
+        lambda c, p: electrical.warmup_power(c[column], c[clock], p["k"], p["tau"]), component=component,
+        memory=(clock,), covariate=clock,
+    )
+
+
+_FAMILIES: dict[str, Callable[[str], Effect]] = {
+    "component_power": component_power_effect,
+    "component_warmup": component_warmup_effect,
+    "surface_rolling_resistance": surface_effect,
+}
+
+
+def effect_ids() -> tuple[str, ...]:
+    """Every id of the library; families stand as ``component_power:<component>``."""
+    plain = [effect.id for effect in (*_EFFECTS, *_EXECUTION)]
+    return (*plain, "surface_rolling_resistance", "component_power:<component>", "component_warmup:<component>",
+            *sorted(plugins()))
+
+
+def get_effect(id: str, surfaces: tuple[str, ...] = ()) -> Effect:
+    """The effect of an id.
+
+    Parameters
+    ----------
+    id : str
+        ``grade``, ``component_power:kinect``, ``surface_rolling_resistance`` (with `surfaces`),
+        ``surface_rolling_resistance:carpet``, or the name of a plug-in.
+    surfaces : tuple of str
+        The surfaces of a robot's ``surface_rolling_resistance``.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        For an id that the library does not hold, with the closest one.
+    """
+    known = {effect.id: effect for effect in (*_EFFECTS, *_EXECUTION)}
+    if id in known:
+        return known[id]
+    family, _, name = id.partition(":")
+    if family in _FAMILIES and name:
+        return _FAMILIES[family](name)
+    if id == "surface_rolling_resistance":
+        return surfaces_effect(surfaces)
+    others = plugins()
+    if id in others:
+        return others[id]
+    ids = effect_ids()
+    raise InputError.single(
+        f"unknown effect '{id}'", got=id, allowed=", ".join(ids),
+        hint=did_you_mean(family, [i.partition(":")[0] for i in ids]),
+    )
+
+
+def all_effects(components: tuple[str, ...] = (), surfaces: tuple[str, ...] = ()) -> tuple[Effect, ...]:
+    """The whole library for a robot: plain effects, one per surface and two per component, and plug-ins.
+
+    Execution effects are not in it; they need a plan (`execution_effects`).
+    """
+    return (
+        *_EFFECTS,
+        *(surface_effect(name) for name in surfaces),
+        *(component_power_effect(name) for name in components),
+        *(component_warmup_effect(name) for name in components),
+        *(effect for effect in plugins().values() if not effect.execution),
+    )
+
+
+def execution_effects() -> tuple[Effect, ...]:
+    """`path_stretch`, `speed_tracking` and `dwell`."""
+    return _EXECUTION
+
+
+@functools.cache
+def plugins() -> dict[str, Effect]:
+    """Effects that other packages offer under the entry point ``missionsim.effects``.
+
+    An entry point names an `Effect` or a callable without arguments that returns one.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where an entry point does not load or gives something else.
+    """
+    from importlib.metadata import entry_points
+
+    found: dict[str, Effect] = {}
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        try:
+            loaded = point.load()
+            effect = loaded() if callable(loaded) and not isinstance(loaded, Effect) else loaded
+        except Exception as error:
+            raise InputError.single(f"effect plug-in '{point.name}' does not load", got=repr(error)) from error
+        if not isinstance(effect, Effect):
+            raise InputError.single(
+                f"effect plug-in '{point.name}' gives no Effect", got=type(effect).__name__,
+                allowed="a missionsim.effects.base.Effect or a callable that returns one",
+            )
+        found[effect.id] = effect
+    return found

@@ -1,0 +1,107 @@
+"""Faults in the user's input and how they are told: where, what came, what was allowed, what was perhaps meant."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, order=True)
+class Fault:
+    """One fault in a file of the user.
+
+    Attributes
+    ----------
+    file : str
+        Path as the user gave it; empty for the command line itself.
+    line, column : int
+        1-based position; 0 where a file has no such position (a Parquet column, a missing file).
+    message : str
+        What is wrong, in one sentence without a full stop.
+    path : str
+        Dotted path of the value inside the file (``batteries.robot.capacity``); may be empty.
+    got : str
+        What came, as written.
+    allowed : str
+        What would have been accepted.
+    hint : str
+        What was perhaps meant.
+    severity : str
+        ``"error"`` or ``"warning"``; only errors stop a command.
+    """
+
+    file: str
+    line: int
+    column: int
+    message: str
+    path: str = ""
+    got: str = ""
+    allowed: str = ""
+    hint: str = ""
+    severity: str = "error"
+
+    def __str__(self) -> str:
+        where = self.file or "command line"
+        if self.line:
+            where += f":{self.line}:{self.column}" if self.column else f":{self.line}"
+        text = f"{where}: {self.severity}: {self.message}"
+        if self.path:
+            text += f"\n    at: {self.path}"
+        if self.got:
+            text += f"\n    got: {self.got}"
+        if self.allowed:
+            text += f"\n    allowed: {self.allowed}"
+        if self.hint:
+            text += f"\n    did you mean: {self.hint}"
+        return text
+
+
+class MissionsimError(Exception):
+    """Base of all errors that missionsim raises on purpose."""
+
+
+class InputError(MissionsimError):
+    """Faults in the user's input, all of them at once; the command line exits with 2.
+
+    Parameters
+    ----------
+    faults : iterable of Fault
+        At least one.
+    """
+
+    def __init__(self, faults: Iterable[Fault] | Fault) -> None:
+        self.faults: tuple[Fault, ...] = (faults,) if isinstance(faults, Fault) else tuple(sorted(set(faults)))
+        super().__init__("\n".join(str(fault) for fault in self.faults))
+
+    @classmethod
+    def single(
+        cls, message: str, *, file: str = "", got: object = "", allowed: str = "", hint: str = "", path: str = ""
+    ) -> InputError:
+        """One fault without a position in a file."""
+        return cls(Fault(file, 0, 0, message, path, str(got) if got != "" else "", allowed, hint))
+
+
+class MissionsimWarning(UserWarning):
+    """Something in the input that was accepted but that the user should know."""
+
+
+def did_you_mean(word: str, known: Sequence[str] | Iterable[str], cutoff: float = 0.6) -> str:
+    """Closest known name, or an empty string.
+
+    Parameters
+    ----------
+    word : str
+        What came.
+    known : iterable of str
+        What is allowed.
+    cutoff : float
+        Similarity from 0 to 1 below which nothing is suggested.
+    """
+    names = list(known)
+    found = difflib.get_close_matches(word, names, n=1, cutoff=cutoff)
+    if not found:
+        lowered = {name.lower(): name for name in names}
+        close = difflib.get_close_matches(word.lower(), list(lowered), n=1, cutoff=cutoff)
+        found = [lowered[close[0]]] if close else []
+    return found[0] if found else ""

@@ -1,0 +1,230 @@
+"""Safe arithmetic expressions over named numbers: parsed, checked, compiled to closures, never evaluated as Python.
+
+Only what a formula needs is allowed: numbers, names, ``+ - * / // % **``, comparisons, ``and``/``or``/``not``, a
+conditional ``a if c else b``, the functions of `FUNCTIONS`, and comparison of a text column with a quoted word.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from missionsim.errors import Fault, InputError, did_you_mean
+
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "abs": np.abs,
+    "arctan": np.arctan,
+    "arctan2": np.arctan2,
+    "arcsin": np.arcsin,
+    "arccos": np.arccos,
+    "clip": np.clip,
+    "cos": np.cos,
+    "degrees": np.degrees,
+    "exp": np.exp,
+    "floor": np.floor,
+    "hypot": np.hypot,
+    "log": np.log,
+    "max": np.maximum,
+    "maximum": np.maximum,
+    "min": np.minimum,
+    "minimum": np.minimum,
+    "radians": np.radians,
+    "sign": np.sign,
+    "sin": np.sin,
+    "sqrt": np.sqrt,
+    "tan": np.tan,
+    "tanh": np.tanh,
+    "where": np.where,
+}
+_ARGUMENTS = {"arctan2": 2, "clip": 3, "hypot": 2, "max": 2, "maximum": 2, "min": 2, "minimum": 2, "where": 3}
+CONSTANTS: dict[str, float] = {"pi": float(np.pi)}
+_MAX_LENGTH = 2000
+_MAX_NODES = 400
+_MAX_POWER = 64.0
+
+_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: np.add,
+    ast.Sub: np.subtract,
+    ast.Mult: np.multiply,
+    ast.Div: np.divide,
+    ast.FloorDiv: np.floor_divide,
+    ast.Mod: np.mod,
+    ast.Pow: np.power,
+}
+_COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+    ast.Lt: np.less,
+    ast.LtE: np.less_equal,
+    ast.Gt: np.greater,
+    ast.GtE: np.greater_equal,
+    ast.Eq: lambda a, b: _equal(a, b),
+    ast.NotEq: lambda a, b: np.logical_not(_equal(a, b)),
+}
+_Node = Callable[[Mapping[str, Any]], Any]
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A checked formula.
+
+    Attributes
+    ----------
+    source : str
+        The text as written.
+    names : frozenset of str
+        Names it reads.
+    """
+
+    source: str
+    names: frozenset[str]
+    _run: _Node = field(repr=False, compare=False)
+
+    def evaluate(self, values: Mapping[str, Any]) -> Any:
+        """Value of the formula; arrays broadcast as in NumPy, and division by zero gives inf or nan as there."""
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            result = self._run(values)
+        return result + 0.0 if isinstance(result, (bool, np.bool_)) else result
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return compile_expression, (self.source,)
+
+
+def compile_expression(
+    text: str, *, names: Iterable[str] | None = None, file: str = "", line: int = 0, column: int = 0, path: str = ""
+) -> Expression:
+    """Parse and check a formula.
+
+    Parameters
+    ----------
+    text : str
+        The formula, such as ``"k * abs(yaw_rate_rad_s) * payload_kg"``.
+    names : iterable of str, optional
+        The names it may read; any name when not given.
+    file, line, column, path
+        Where the text stands, for messages.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        With every fault of the formula at once.
+    """
+    faults: list[Fault] = []
+
+    def fault(message: str, node: ast.AST | None = None, got: str = "", allowed: str = "", hint: str = "") -> None:
+        offset = getattr(node, "col_offset", 0) if node is not None else 0
+        faults.append(Fault(file, line, column + offset if column else 0, message, path, got, allowed, hint))
+
+    text = str(text)
+    if len(text) > _MAX_LENGTH:
+        fault("formula is too long", got=f"{len(text)} characters", allowed=f"at most {_MAX_LENGTH}")
+        raise InputError(faults)
+    try:
+        tree = ast.parse(text.strip(), mode="eval")
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        fault(
+            "formula cannot be read", got=text, allowed="arithmetic such as 'c2*v**2 + c3*abs(w)'",
+            hint=str(getattr(error, "msg", "")),
+        )
+        raise InputError(faults) from None
+    if sum(1 for _ in ast.walk(tree)) > _MAX_NODES:
+        fault("formula has too many parts", allowed=f"at most {_MAX_NODES}")
+        raise InputError(faults)
+    allowed = None if names is None else frozenset(names)
+    found: set[str] = set()
+    run = _compile(tree.body, allowed, found, fault)
+    if faults:
+        raise InputError(faults)
+    return Expression(text.strip(), frozenset(found), run)
+
+
+def _compile(node: ast.AST, allowed: frozenset[str] | None, found: set[str], fault: Callable[..., None]) -> _Node:
+    def recurse(child: ast.AST) -> _Node:
+        return _compile(child, allowed, found, fault)
+
+    match node:
+        case ast.Constant(value=bool() as flag):
+            return lambda _: float(flag)
+        case ast.Constant(value=int() | float() as number):
+            constant = float(number)
+            return lambda _: constant
+        case ast.Constant(value=str() as word):
+            return lambda _: word
+        case ast.Name(id=name):
+            return _name(node, name, allowed, found, fault)
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
+            if isinstance(op, ast.Pow) and isinstance(right, ast.Constant) and _too_high(right.value):
+                fault("exponent is too large", right, str(right.value), f"at most {_MAX_POWER:g}")
+            a, b, operation = recurse(left), recurse(right), _BINARY[type(op)]
+            return lambda v: operation(a(v), b(v))
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            a = recurse(operand)
+            return lambda v: np.negative(a(v))
+        case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+            return recurse(operand)
+        case ast.UnaryOp(op=ast.Not(), operand=operand):
+            a = recurse(operand)
+            return lambda v: np.logical_not(a(v))
+        case ast.BoolOp(op=op, values=values):
+            parts = [recurse(value) for value in values]
+            both = np.logical_and if isinstance(op, ast.And) else np.logical_or
+            return lambda v: functools.reduce(both, [part(v) for part in parts])
+        case ast.Compare(left=left, ops=ops, comparators=comparators) if all(type(op) in _COMPARE for op in ops):
+            sides = [recurse(side) for side in (left, *comparators)]
+            tests = [_COMPARE[type(op)] for op in ops]
+            return lambda v: functools.reduce(
+                np.logical_and, [test(sides[i](v), sides[i + 1](v)) for i, test in enumerate(tests)]
+            )
+        case ast.IfExp(test=test, body=body, orelse=orelse):
+            c, a, b = recurse(test), recurse(body), recurse(orelse)
+            return lambda v: np.where(c(v), a(v), b(v))
+        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
+            return _call(node, name, args, [recurse(arg) for arg in args], fault)
+    fault(
+        "this is not allowed in a formula", node, ast.unparse(node)[:60],
+        "numbers, names, + - * / // % **, comparisons, and/or/not, 'a if c else b', " + ", ".join(sorted(FUNCTIONS)),
+    )
+    return lambda _: np.nan
+
+
+def _name(
+    node: ast.AST, name: str, allowed: frozenset[str] | None, found: set[str], fault: Callable[..., None]
+) -> _Node:
+    if name in CONSTANTS and (allowed is None or name not in allowed):
+        constant = CONSTANTS[name]
+        return lambda _: constant
+    if allowed is not None and name not in allowed:
+        fault(
+            f"'{name}' is not known here", node, name, ", ".join(sorted(allowed)) or "no names",
+            did_you_mean(name, allowed | FUNCTIONS.keys()),
+        )
+    found.add(name)
+    return lambda v: v[name]
+
+
+def _call(node: ast.AST, name: str, args: list[ast.expr], parts: list[_Node], fault: Callable[..., None]) -> _Node:
+    function = FUNCTIONS.get(name)
+    if function is None:
+        fault(f"unknown function '{name}'", node, name, ", ".join(sorted(FUNCTIONS)), did_you_mean(name, FUNCTIONS))
+        return lambda _: np.nan
+    wanted = _ARGUMENTS.get(name, 1)
+    if len(args) != wanted:
+        if name in ("max", "min", "maximum", "minimum") and len(args) > wanted:
+            return lambda v: functools.reduce(function, [part(v) for part in parts])
+        fault(f"'{name}' takes {wanted} argument{'s' if wanted > 1 else ''}", node, str(len(args)), str(wanted))
+        return lambda _: np.nan
+    return lambda v: function(*(part(v) for part in parts))
+
+
+def _too_high(value: object) -> bool:
+    return isinstance(value, (int, float)) and abs(value) > _MAX_POWER
+
+
+def _equal(a: Any, b: Any) -> Any:
+    for one, other in ((a, b), (b, a)):
+        if isinstance(other, str) and hasattr(one, "equals"):
+            return one.equals(other)
+    return np.equal(a, b) if not (isinstance(a, str) or isinstance(b, str)) else np.asarray(a == b)

@@ -1,0 +1,154 @@
+"""Four-wheel Mecanum robot: wheel speeds of any planar motion, friction of wheels and rollers, copper loss.
+
+After Hou et al. 2019 (Symmetry 11, 1372), Eqs. 3–4 and 12–13 in meaning; their Eqs. 5–13 cannot be evaluated as printed
+(missing values, inconsistent units), so the terms here are the textbook ones: Coulomb friction at wheels and rollers,
+copper loss of the motor currents (force squared), kinetic power M a·v. Scalars or arrays everywhere.
+
+Wheels are ordered front-left, front-right, rear-left, rear-right; x forward, y to the left, yaw anticlockwise; the
+rollers stand at 45°.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from missionsim.physics.arrays import Array, f64
+
+_SIDEWAYS = (-1.0, 1.0, 1.0, -1.0)
+_TURNING = (-1.0, 1.0, -1.0, 1.0)
+_FORE = (1.0, 1.0, -1.0, -1.0)
+
+
+def wheel_speeds(
+    speed_m_s: ArrayLike,
+    lateral_speed_m_s: ArrayLike = 0.0,
+    yaw_rate_rad_s: ArrayLike = 0.0,
+    *,
+    half_sum_m: ArrayLike = 0.0,
+) -> tuple[Array, Array, Array, Array]:
+    """Peripheral speeds u_i of the four wheels, m/s: u_i = v_x ∓ v_y ∓ (l_x + l_y) ω (inverse kinematics).
+
+    Parameters
+    ----------
+    speed_m_s, lateral_speed_m_s, yaw_rate_rad_s : array_like
+        Planar motion of the body's centre.
+    half_sum_m : array_like
+        l_x + l_y, half the wheelbase plus half the track, m.
+
+    Returns
+    -------
+    tuple of four arrays
+        Front-left, front-right, rear-left, rear-right.
+    """
+    forward, left = f64(speed_m_s), f64(lateral_speed_m_s)
+    turning = f64(half_sum_m) * f64(yaw_rate_rad_s)
+    speeds = [forward + s * left + t * turning for s, t in zip(_SIDEWAYS, _TURNING, strict=True)]
+    return speeds[0], speeds[1], speeds[2], speeds[3]
+
+
+def roller_speeds(
+    lateral_speed_m_s: ArrayLike, yaw_rate_rad_s: ArrayLike = 0.0, *, half_wheelbase_m: ArrayLike = 0.0
+) -> tuple[Array, Array, Array, Array]:
+    """Speeds at which the 45° rollers turn, m/s: √2 (v_y ± l_x ω); nought straight ahead."""
+    left = f64(lateral_speed_m_s)
+    turning = f64(half_wheelbase_m) * f64(yaw_rate_rad_s)
+    speeds = [np.sqrt(2.0) * (left + f * turning) for f in _FORE]
+    return speeds[0], speeds[1], speeds[2], speeds[3]
+
+
+def wheel_friction_power(wheels_m_s: tuple[Array, ...], *, friction_n: ArrayLike) -> Array:
+    """Power lost at the wheels' rolling contact and bearings, W: Σ f_w |u_i|, `friction_n` = 4 f_w (all wheels)."""
+    total: Array = sum((np.abs(u) for u in wheels_m_s), start=np.zeros(()))
+    return f64(friction_n) / 4.0 * total
+
+
+def roller_friction_power(rollers_m_s: tuple[Array, ...], *, friction_n: ArrayLike) -> Array:
+    """Power lost in the rollers, W: Σ f_r |roller speed|, `friction_n` = 4 f_r (all rollers in contact)."""
+    total: Array = sum((np.abs(u) for u in rollers_m_s), start=np.zeros(()))
+    return f64(friction_n) / 4.0 * total
+
+
+def kinetic_power(
+    speed_m_s: ArrayLike,
+    accel_m_s2: ArrayLike,
+    lateral_speed_m_s: ArrayLike = 0.0,
+    lateral_accel_m_s2: ArrayLike = 0.0,
+    *,
+    mass_kg: ArrayLike,
+) -> Array:
+    """Rate of the kinetic energy, W: M (a·v) (Hou 2019, derivative of Eq. 4); negative when braking."""
+    along = f64(speed_m_s) * f64(accel_m_s2)
+    across = f64(lateral_speed_m_s) * f64(lateral_accel_m_s2)
+    return f64(mass_kg) * (along + across)
+
+
+def wheel_forces(
+    speed_m_s: ArrayLike,
+    lateral_speed_m_s: ArrayLike = 0.0,
+    accel_m_s2: ArrayLike = 0.0,
+    lateral_accel_m_s2: ArrayLike = 0.0,
+    *,
+    mass_kg: ArrayLike,
+    wheel_friction_n: ArrayLike,
+    roller_friction_n: ArrayLike = 0.0,
+    grade_force_n: ArrayLike = 0.0,
+) -> tuple[Array, Array, Array, Array]:
+    """Force that each motor gives at its wheel's rim, N, by virtual work (the four forces times u_i are the power).
+
+    A wheel at rest is held by static friction and has no friction force of its own; that is what makes driving at
+    exactly 45° (two wheels stopped) cheaper than a degree beside it.
+    """
+    wheels = wheel_speeds(speed_m_s, lateral_speed_m_s)
+    left = np.sign(f64(lateral_speed_m_s))
+    mass = f64(mass_kg)
+    along = mass * f64(accel_m_s2) + f64(grade_force_n)
+    across = mass * f64(lateral_accel_m_s2)
+    wheel, roller = f64(wheel_friction_n) / 4.0, f64(roller_friction_n) / 4.0
+    forces = [
+        wheel * np.sign(np.where(np.abs(u) < 1e-9, 0.0, u))
+        + s * np.sqrt(2.0) * roller * left
+        + (along + s * across) / 4.0
+        for u, s in zip(wheels, _SIDEWAYS, strict=True)
+    ]
+    return forces[0], forces[1], forces[2], forces[3]
+
+
+def copper_loss(forces_n: tuple[Array, ...], *, resistance_w_n2: ArrayLike) -> Array:
+    """Loss in the windings, W: 4 R_c Σ g_i²; straight ahead this is R_c (F + M a)² with the total force (W/N²)."""
+    total: Array = sum((g**2 for g in forces_n), start=np.zeros(()))
+    return 4.0 * f64(resistance_w_n2) * total
+
+
+def direction_of_least_power(angles_rad: ArrayLike, power_w: ArrayLike) -> float:
+    """Angle (rad) on the grid at which the power is least; the first one where several are equal."""
+    return float(f64(angles_rad)[int(np.argmin(f64(power_w)))])
+
+
+def minimum_jerk(time_s: ArrayLike, *, speed_m_s: float, duration_s: float) -> tuple[Array, Array]:
+    """Speed and acceleration of a start along a minimum-jerk curve (quintic position → speed 10τ³−15τ⁴+6τ⁵).
+
+    Parameters
+    ----------
+    time_s : array_like
+        Time from the start, s; after `duration_s` the speed is held.
+    speed_m_s, duration_s : float
+        Final speed and the time to reach it.
+
+    Returns
+    -------
+    tuple of arrays
+        Speed (m/s) and acceleration (m/s²).
+    """
+    tau = np.clip(f64(time_s) / duration_s, 0.0, 1.0)
+    speed = speed_m_s * tau**3 * (10.0 - 15.0 * tau + 6.0 * tau**2)
+    accel = speed_m_s / duration_s * 30.0 * tau**2 * (1.0 - tau) ** 2
+    return speed, accel
+
+
+def linear_ramp(time_s: ArrayLike, *, speed_m_s: float, duration_s: float) -> tuple[Array, Array]:
+    """Speed and acceleration of a start at constant acceleration; from `duration_s` on the speed is held."""
+    time = f64(time_s)
+    speed = speed_m_s * np.clip(time / duration_s, 0.0, 1.0)
+    accel = np.where((time >= 0.0) & (time < duration_s * (1.0 - 1e-12)), speed_m_s / duration_s, 0.0)
+    return speed, accel

@@ -1,0 +1,130 @@
+"""Power that motion takes: base polynomial of a DC-motor drive and the effects that add to it.
+
+All functions take scalars or arrays that broadcast, in SI units, and return watts (or joules where said).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from missionsim.glossary import GRAVITY_M_S2
+
+Value = Any
+
+
+def rolling_power(speed_m_s: Value, k: Value) -> Value:
+    """Power against a constant friction force, ``k |v|`` (Jaiem 2021, Eq. 6, term C3 v; k in N).
+
+    Also `rolling_friction` and, per surface, `surface_rolling_resistance` of the library of effects.
+    """
+    return k * np.abs(speed_m_s)
+
+
+def viscous_power(speed_m_s: Value, k: Value) -> Value:
+    """Power against a force that grows with speed, ``k v²`` (Jaiem 2021, Eq. 6, term C2 v²; k in N s/m)."""
+    return k * np.square(speed_m_s)
+
+
+def drag_power(speed_m_s: Value, k: Value) -> Value:
+    """Aerodynamic drag, ``k |v|³`` with ``k = ½ ρ C_d A`` (rover paper, Eqs. 1 and 5; k in kg/m)."""
+    return k * np.abs(speed_m_s) ** 3
+
+
+def drag_coefficient(density_kg_m3: Value, drag: Value, area_m2: Value) -> Value:
+    """``½ ρ C_d A`` in kg/m (rover paper, Eq. 5)."""
+    return 0.5 * density_kg_m3 * drag * area_m2
+
+
+def kinetic_power(speed_m_s: Value, accel_m_s2: Value, k: Value) -> Value:
+    """Power into kinetic energy, ``k a v`` (Jaiem 2021, Eq. 5, term C6 a v; k in kg); negative when braking."""
+    return k * accel_m_s2 * np.abs(speed_m_s)
+
+
+def acceleration_power(speed_m_s: Value, accel_m_s2: Value, mass_kg: Value, k: Value) -> Value:
+    """Power of speeding up, ``k m max(a, 0) |v|`` (library effect `acceleration`; k without unit).
+
+    `accel_m_s2` is the rate of the speed itself, so for a robot driving backwards ``a v`` counts, not ``a |v|``.
+    """
+    return k * mass_kg * np.maximum(accel_m_s2 * speed_m_s, 0.0)
+
+
+def acceleration_loss(accel_m_s2: Value, k: Value) -> Value:
+    """Copper loss of the accelerating torque, ``k a²`` (Jaiem 2021, Eq. 5, term C1 a²; k in W s⁴/m²)."""
+    return k * np.square(accel_m_s2)
+
+
+def acceleration_linear(accel_m_s2: Value, k: Value) -> Value:
+    """``k a`` (Jaiem 2021, Eq. 5, term C5 a; k in W s²/m)."""
+    return k * accel_m_s2
+
+
+def grade_power(speed_m_s: Value, slope_rad: Value, mass_kg: Value, k: Value) -> Value:
+    """Lifting power ``k m g |v| sin θ``, negative downhill (library effect `grade`; k without unit).
+
+    The slope is the one in the direction of travel, so the speed counts by its magnitude.
+    """
+    return k * mass_kg * GRAVITY_M_S2 * np.abs(speed_m_s) * np.sin(slope_rad)
+
+
+def payload_power(speed_m_s: Value, payload_kg: Value, k: Value) -> Value:
+    """Rolling resistance of the load carried, ``k m_payload |v|`` (library effect `payload`; k in m/s²)."""
+    return k * payload_kg * np.abs(speed_m_s)
+
+
+def turning_power(yaw_rate_rad_s: Value, k: Value) -> Value:
+    """Scrubbing of the tyres in a turn, ``k |ω|`` (library effect `turning_scrub`; k in W s/rad)."""
+    return k * np.abs(yaw_rate_rad_s)
+
+
+def cold_friction_power(speed_m_s: Value, moving_time_s: Value, k: Value, tau_s: Value) -> Value:
+    """Friction of a cold drive that fades as it moves, ``k |v| exp(−t/τ)`` (library effect `cold_friction`; k in N)."""
+    return k * np.abs(speed_m_s) * np.exp(-np.asarray(moving_time_s) / tau_s)
+
+
+def temperature_friction_power(speed_m_s: Value, temp_ambient_c: Value, k: Value, reference_c: Value) -> Value:
+    """Stiffer grease below a reference temperature, ``k |v| (T₀ − T)`` (`temperature_friction`; k in N/K)."""
+    return k * np.abs(speed_m_s) * (reference_c - temp_ambient_c)
+
+
+def recovered_power(power_w: Value, drive_w: Value, regeneration: Value) -> Value:
+    """What a term that may be negative leaves on the battery, given the drive's other power.
+
+    Going downhill or braking first relieves the drive of `drive_w`; of what is beyond, only the fraction
+    `regeneration` returns to the battery and the rest is braked away.
+
+    Parameters
+    ----------
+    power_w : float or ndarray
+        The term, negative when it helps [W].
+    drive_w : float or ndarray
+        The power that the drive takes without it [W].
+    regeneration : float
+        Fraction of the surplus given back, 0 to 1.
+
+    Returns
+    -------
+    float or ndarray
+        The term's part of the battery power [W], never below ``−drive − regeneration · surplus``.
+    """
+    floor = -np.maximum(drive_w, 0.0)
+    return np.maximum(power_w, floor) + regeneration * np.minimum(power_w - floor, 0.0)
+
+
+def polynomial_power(speed_m_s: Value, c2: Value, c3: Value, c4: Value) -> Value:
+    """Power of steady driving, ``C2 v² + C3 v + C4`` (Jaiem 2021, Eq. 6)."""
+    return viscous_power(speed_m_s, c2) + rolling_power(speed_m_s, c3) + c4
+
+
+def travel_energy(distance_m: Value, speed_m_s: Value, c2: Value, c3: Value, c4: Value) -> Value:
+    """Energy in J to drive a distance at constant speed, ``C2 d v + C3 d + C4 d/v`` (Jaiem 2021, Eq. 9)."""
+    return polynomial_power(speed_m_s, c2, c3, c4) * distance_m / speed_m_s
+
+
+def optimal_speed(c2: Value, c4: Value, other_w: Value = 0.0) -> Value:
+    """Speed of least energy per metre, ``sqrt((C4 + P_other)/C2)`` in m/s (Jaiem 2021, Eqs. 10 and 11).
+
+    `other_w` is the constant power of what else is on while driving (sensors) [W].
+    """
+    return np.sqrt((c4 + other_w) / c2)
