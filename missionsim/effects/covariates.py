@@ -38,7 +38,12 @@ def number(cov: Covariates, name: str, default: float = 0.0) -> Any:
 
 
 def is_moving(cov: Covariates) -> Any:
-    """Whether the robot moves: it stands where |v| < 0.005 m/s and |ω| < 0.02 rad/s (contract); sideways counts as v."""
+    """Whether the robot moves: it stands where |v| < 0.005 m/s and |ω| < 0.02 rad/s (contract); sideways counts as v.
+
+    A plan says itself when the robot moves (column ``moving``), so that a ramp from rest is moving from its start.
+    """
+    if "moving" in cov:
+        return np.asarray(cov["moving"]) > 0.0
     speed = np.abs(number(cov, "speed_m_s"))
     if "lateral_speed_m_s" in cov:
         speed = np.hypot(speed, cov["lateral_speed_m_s"])

@@ -1,0 +1,193 @@
+"""Terms of base models: the effects from which robot files build what a robot draws before any finding."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from missionsim.effects.base import Effect, ParameterSpec
+from missionsim.effects.covariates import Covariates, is_moving, label_equals, number
+from missionsim.expressions import Expression
+from missionsim.physics import electrical, motion
+
+Parameters = Mapping[str, Any]
+_EQ5 = "Jaiem 2021, Eqs. 5 and 8"
+
+
+def drive_term(
+    id: str, equation: str, unit: str, power: Callable[[Covariates, Parameters], Any], *,
+    source: str = _EQ5, needs: tuple[str, ...] = ("speed_m_s",), recovers: bool = False, low: float = 0.0,
+) -> Effect:
+    """A one-parameter base term of the drive that acts while the robot moves; `power` takes ``p["k"]``."""
+
+    def moving_power(cov: Covariates, p: Parameters) -> Any:
+        watts = power(cov, p) * is_moving(cov)
+        if not recovers:
+            return watts
+        return motion.recovered_power(watts, number(cov, "drive_w"), number(cov, "regeneration"))
+
+    return Effect(id, equation, source, f"base term {equation}", (ParameterSpec("k", unit, equation, low=low),), needs,
+                  moving_power, drive=True, recovers=recovers, sign=1 if low == 0.0 else 0, covariate=needs[0])
+
+
+def controller_term(two_levels: bool) -> Effect:
+    """Controller boards: ``moving`` watts while the robot moves, ``standing`` at rest (Jaiem 2021, Eq. 8)."""
+
+    def power(cov: Covariates, p: Parameters) -> Any:
+        moving = is_moving(cov)
+        if not two_levels:
+            return p["moving"] * np.ones_like(moving, dtype=float)
+        return np.where(moving, p["moving"], p["standing"])
+
+    specs = (ParameterSpec("moving", "W", "boards while moving"), ParameterSpec("standing", "W", "boards at rest"))
+    return Effect("controller", "C4 while moving, standing power at rest", _EQ5, "controller boards",
+                  specs if two_levels else specs[:1], (), power, component="controller", covariate="speed_m_s")
+
+
+ROLLING = drive_term("rolling", "C3·v", "W s/m", lambda c, p: motion.rolling_power(c["speed_m_s"], p["k"]))
+VISCOUS = drive_term("viscous", "C2·v²", "W s²/m²", lambda c, p: motion.viscous_power(c["speed_m_s"], p["k"]))
+ACCELERATION_LOSS = drive_term(
+    "acceleration_loss", "C1·a²", "W s⁴/m²", lambda c, p: motion.acceleration_loss(c["accel_m_s2"], p["k"]),
+    needs=("speed_m_s", "accel_m_s2"))
+ACCELERATION_LINEAR = drive_term(
+    "acceleration_linear", "C5·a", "W s²/m", lambda c, p: motion.acceleration_linear(c["accel_m_s2"], p["k"]),
+    needs=("speed_m_s", "accel_m_s2"), recovers=True, low=-float("inf"))
+KINETIC = drive_term(
+    "kinetic", "C6·a·v", "kg", lambda c, p: motion.kinetic_power(c["speed_m_s"], c["accel_m_s2"], p["k"]),
+    needs=("speed_m_s", "accel_m_s2"), recovers=True)
+
+
+def component_term(component: str) -> Effect:
+    """Constant power per unit on (Jaiem 2021, Eq. 3); a log without the column counts as off."""
+    column = f"on_{component}"
+
+    def power(cov: Covariates, p: Parameters) -> Any:
+        return electrical.component_power(_units(cov, column), p["power"])
+
+    return Effect("component", "P·units on", "Jaiem 2021, Eq. 3", f"{component}, per unit switched on",
+                  (ParameterSpec("power", "W", "power of one unit"),), (), power, component=component, covariate=column)
+
+
+def always_on_term(component: str) -> Effect:
+    """Constant power of a component that is never switched."""
+    return Effect("always_on", "P", "Jaiem 2021, Eq. 4", f"{component}, always on",
+                  (ParameterSpec("power", "W", "power"),), (), lambda c, p: p["power"] * _ones(c), component=component,
+                  covariate="time_s")
+
+
+def startup_term(component: str) -> Effect:
+    """Power of units that are starting up, before they are on."""
+    column = f"starting_{component}"
+    return Effect("startup", "P·units starting", "data sheet of the component", f"{component} while it starts",
+                  (ParameterSpec("power", "W", "power of one starting unit"),), (),
+                  lambda c, p: electrical.component_power(_units(c, column), p["power"]), component=component,
+                  covariate=column)
+
+
+def law_term(component: str, formula: Expression, specs: tuple[ParameterSpec, ...], fixed: Mapping[str, float],
+             always_on: bool) -> Effect:
+    """Power per unit on by a formula of covariates and parameters (sonar: Jaiem 2021, Eq. 12)."""
+    column = f"on_{component}"
+    own = {spec.name for spec in specs} | fixed.keys()
+    needs = tuple(sorted(name for name in (ALIASES.get(n, n) for n in formula.names - own) if name != "mass_kg"))
+
+    def power(cov: Covariates, p: Parameters) -> Any:
+        units = _ones(cov) if always_on else _units(cov, column)
+        return units * formula.evaluate({**aliased(cov), **fixed, **p})
+
+    return Effect("law", formula.source, "robot file", f"{component}, {formula.source}", specs, needs, power,
+                  component=component, covariate=needs[0] if needs else column)
+
+
+def switchboard_term(name: str, powers: tuple[float, ...], components: tuple[str, ...]) -> Effect:
+    """USB switchboard: power by the number of relays that are closed (Jaiem 2021, Table 3).
+
+    One parameter per number of relays; the relays are those of the units that are on.
+    """
+    specs = tuple(ParameterSpec(f"relays_{i}", "W", f"with {i} relays closed") for i in range(len(powers)))
+
+    def power(cov: Covariates, p: Parameters) -> Any:
+        closed = sum((np.asarray(_units(cov, f"on_{component}")) for component in components), start=np.asarray(0.0))
+        table = [p[spec.name] for spec in specs]
+        result: Any = table[0] * np.ones_like(closed, dtype=float)
+        for i, watts in enumerate(table[1:], start=1):
+            reached = closed >= i
+            result = np.where(reached, watts, result)
+        return result
+
+    return Effect("switchboard", "P(relays closed)", "Jaiem 2021, Table 3", f"switchboard {name}", specs, (), power,
+                  component=name, covariate="time_s")
+
+
+def processor_term(
+    entries: tuple[tuple[str, str, Mapping[str, int], str], ...], columns: tuple[str, ...],
+    default: Callable[[Covariates, Parameters], Any] | None = None, idle: str | None = None,
+) -> Effect:
+    """Processor power by control scheme, navigation and sensor set (Jaiem 2021, Table 4).
+
+    Parameters
+    ----------
+    entries : tuple of (scheme, navigation, sensors, parameter)
+        One row of the table each; an empty navigation fits any.
+    columns : tuple of str
+        The ``on_…`` columns that distinguish configurations.
+    default : callable, optional
+        Power where no row fits.
+    idle : str, optional
+        Parameter that holds where no scheme runs.
+    """
+    specs = tuple(dict.fromkeys(e[3] for e in entries)) + ((idle,) if idle else ())
+
+    def power(cov: Covariates, p: Parameters) -> Any:
+        result: Any = np.asarray(default(cov, p) if default is not None else (p[idle] if idle else np.nan), dtype=float)
+        for scheme, navigation, sensors, name in entries:
+            fits: Any = label_equals(cov["scheme"], scheme)
+            if navigation:
+                fits = fits & label_equals(cov.get("navigation", navigation), navigation)
+            for column in columns:
+                fits = fits & (np.asarray(_units(cov, column)) == sensors.get(column[3:], 0))
+            result = np.where(fits, p[name], result)
+        if idle:
+            result = np.where(label_equals(cov["scheme"], ""), p[idle], result)
+        return result
+
+    return Effect("processor", "P(scheme, navigation, sensors)", "Jaiem 2021, Table 4", "processor",
+                  tuple(ParameterSpec(name, "W", "processor power") for name in specs), ("scheme",), power,
+                  component="processor", covariate="scheme")
+
+
+def expression_term(
+    id: str, formula: Expression, specs: tuple[ParameterSpec, ...], *, component: str = "motors", drive: bool = False,
+    source: str = "robot file",
+) -> Effect:
+    """A user's own formula over covariates and parameters as an effect."""
+    own = {spec.name for spec in specs}
+    needs = tuple(sorted({ALIASES.get(n, n) for n in formula.names - own} - {"mass_kg"}))
+
+    def power(cov: Covariates, p: Parameters) -> Any:
+        return formula.evaluate({**aliased(cov), **p}) * _ones(cov)
+
+    return Effect(id, formula.source, source, formula.source, specs, needs, power, component=component, drive=drive,
+                  sign=1 if specs and specs[0].low >= 0.0 else 0, covariate=needs[0] if needs else "time_s")
+
+
+ALIASES: dict[str, str] = {
+    "v": "speed_m_s", "a": "accel_m_s2", "w": "yaw_rate_rad_s", "u": "lateral_speed_m_s", "theta": "slope_rad",
+    "m": "mass_kg",
+}
+"""Short names that formulas may use."""
+
+
+def aliased(cov: Covariates) -> dict[str, Any]:
+    """Covariates under their glossary names and the short ones."""
+    return {**cov, **{short: cov[name] for short, name in ALIASES.items() if name in cov}}
+
+
+def _units(cov: Covariates, column: str) -> Any:
+    return number(cov, column, 0.0)
+
+
+def _ones(cov: Covariates) -> Any:
+    return np.ones_like(np.asarray(number(cov, "speed_m_s", 0.0)), dtype=float)

@@ -1,0 +1,277 @@
+"""The power model of a robot: a list of terms per battery, evaluated in one place for every use."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from missionsim.effects.base import Effect
+from missionsim.effects.covariates import Covariates, number
+from missionsim.errors import InputError, did_you_mean
+
+DEFAULT_PRIOR_SD = 0.03
+"""Relative standard deviation of a base parameter whose file gives none (contract)."""
+
+
+class TermKey(NamedTuple):
+    """Where a term's energy is booked."""
+
+    battery: str
+    component: str
+    name: str
+
+
+@dataclass(frozen=True)
+class ModelParameter:
+    """One number of the model: value and what is known about it.
+
+    Attributes
+    ----------
+    value : float
+        In the effect's unit.
+    unit : str
+    sd : float, optional
+        Prior standard deviation, absolute; None where the file gives none.
+    low, high : float
+        Bounds.
+    status, source : str
+        ``published``, ``fitted``, ``assumed``, ``measured`` and from where.
+    path : str
+        Where it stands in the robot file (for Monte Carlo and for writing back).
+    distribution : object, optional
+        The distribution given in the file.
+    """
+
+    value: float
+    unit: str = ""
+    sd: float | None = None
+    low: float = -float("inf")
+    high: float = float("inf")
+    status: str = ""
+    source: str = ""
+    path: str = ""
+    distribution: Any = None
+
+    @property
+    def prior_sd(self) -> float:
+        """Prior standard deviation relative to the value."""
+        return DEFAULT_PRIOR_SD if self.sd is None or self.value == 0.0 else abs(self.sd / self.value)
+
+
+@dataclass(frozen=True)
+class Term:
+    """One effect at work on one battery.
+
+    Attributes
+    ----------
+    key : TermKey
+        Battery, component and name.
+    effect : Effect
+    parameters : mapping of str to ModelParameter
+        By the effect's own parameter names.
+    names : mapping of str to str
+        The effect's parameter name → name within the battery (``k`` → ``c3``, ``laser.power``).
+    base : bool
+        Whether it belongs to the base model (its parameters have priors) or was added as a found effect.
+    scale : float
+        Factor from the power at the load to the power at the battery (1/efficiency of a converter).
+    """
+
+    key: TermKey
+    effect: Effect
+    parameters: Mapping[str, ModelParameter]
+    names: Mapping[str, str] = field(default_factory=dict)
+    base: bool = True
+    scale: float = 1.0
+
+    def name_of(self, parameter: str) -> str:
+        """Name of a parameter within its battery."""
+        return self.names.get(parameter, f"{self.key.name}.{parameter}")
+
+
+@dataclass(frozen=True)
+class PowerModel:
+    """All terms of a robot.
+
+    Attributes
+    ----------
+    terms : tuple of Term
+    batteries : tuple of str
+        In the order of the robot file.
+    constants : mapping
+        Covariates that the robot itself gives: ``body_mass_kg``, ``regeneration``.
+    """
+
+    terms: tuple[Term, ...]
+    batteries: tuple[str, ...]
+    constants: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        ordered = tuple(sorted(self.terms, key=lambda term: term.effect.stage))
+        object.__setattr__(self, "terms", ordered)
+
+    def of(self, battery: str) -> tuple[Term, ...]:
+        """The terms of one battery, in order of evaluation."""
+        return tuple(term for term in self.terms if term.key.battery == battery)
+
+    @property
+    def parameters(self) -> dict[str, ModelParameter]:
+        """Every parameter by ``battery/name`` (``robot/c3``, ``laptop/kinect.power``)."""
+        return {
+            f"{term.key.battery}/{term.name_of(name)}": parameter
+            for term in self.terms
+            for name, parameter in term.parameters.items()
+        }
+
+    @property
+    def memory(self) -> frozenset[str]:
+        """Clocks that some term reads."""
+        return frozenset(name for term in self.terms for name in term.effect.memory)
+
+    def missing(self, cov: Covariates, battery: str | None = None) -> dict[str, tuple[str, ...]]:
+        """Covariates that terms need and `cov` lacks, by term name."""
+        terms = self.terms if battery is None else self.of(battery)
+        lacking = {term.key.name: tuple(n for n in term.effect.needs if n not in cov) for term in terms}
+        return {name: needs for name, needs in lacking.items() if needs}
+
+    def evaluate(
+        self,
+        cov: Covariates,
+        values: Mapping[str, Any] | None = None,
+        battery: str | None = None,
+    ) -> dict[str, dict[TermKey, Any]]:
+        """Power of every term in watts.
+
+        Parameters
+        ----------
+        cov : mapping
+            Covariates under glossary names; scalars, ``(intervals,)`` or ``(draws, intervals)``.
+        values : mapping, optional
+            Parameters that differ from the model's, by ``battery/name``; arrays of shape ``(draws, 1)`` broadcast.
+        battery : str, optional
+            Only this battery.
+
+        Returns
+        -------
+        dict
+            Battery → term key → power [W].
+
+        Raises
+        ------
+        missionsim.errors.InputError
+            Where a term needs a covariate that is not there.
+        """
+        full = self.complete(cov)
+        wanted = self.batteries if battery is None else (battery,)
+        return {name: self._evaluate_battery(name, full, values or {}) for name in wanted}
+
+    def complete(self, cov: Covariates) -> dict[str, Any]:
+        """`cov` with the robot's own constants and the total mass."""
+        full = {**self.constants, **cov}
+        if "mass_kg" not in full:
+            full["mass_kg"] = full.get("body_mass_kg", 1.0) + number(full, "payload_kg")
+        return full
+
+    def _evaluate_battery(self, battery: str, cov: dict[str, Any], values: Mapping[str, Any]) -> dict[TermKey, Any]:
+        powers: dict[TermKey, Any] = {}
+        drive: Any = 0.0
+        for term in self.of(battery):
+            effect = term.effect
+            for name in effect.needs:
+                if name not in cov:
+                    raise InputError.single(
+                        f"effect '{effect.id}' needs the column '{name}'", got=", ".join(sorted(cov)), allowed=name,
+                        hint=did_you_mean(name, cov),
+                    )
+            local = cov
+            if effect.recovers:
+                local = {**cov, "drive_w": drive}
+            elif effect.of_load:
+                local = {**cov, "load_w": sum(powers.values(), start=0.0)}
+            power = effect.power(local, self._values(term, values))
+            if term.scale != 1.0:
+                power = power * term.scale
+            powers[term.key] = power
+            if effect.drive:
+                drive = drive + power
+        return powers
+
+    def _values(self, term: Term, values: Mapping[str, Any]) -> dict[str, Any]:
+        if not values:
+            return {name: parameter.value for name, parameter in term.parameters.items()}
+        return {
+            name: values.get(f"{term.key.battery}/{term.name_of(name)}", parameter.value)
+            for name, parameter in term.parameters.items()
+        }
+
+    def total(self, cov: Covariates, battery: str, values: Mapping[str, Any] | None = None) -> Any:
+        """Power of one battery [W], the sum of its terms."""
+        return sum(self.evaluate(cov, values, battery)[battery].values(), start=0.0)
+
+    def impulses(
+        self, cov: Covariates, values: Mapping[str, Any] | None = None
+    ) -> dict[TermKey, Any]:
+        """Energy in J that terms take at the very start of an interval (starts from rest)."""
+        full = self.complete(cov)
+        return {
+            term.key: term.scale * term.effect.impulse(full, self._values(term, values or {}))
+            for term in self.terms
+            if term.effect.impulse is not None and all(name in full for name in term.effect.needs)
+        }
+
+    def gradient(self, cov: Covariates, battery: str, base_only: bool = True) -> dict[str, Any]:
+        """Change of a battery's power with the logarithm of each parameter, ``∂P/∂ln θ`` [W].
+
+        By central differences of 1e-4, exact for the parameters in which the power is linear or quadratic.
+        """
+        step = 1e-4
+        result: dict[str, Any] = {}
+        for term in self.of(battery):
+            if base_only and not term.base:
+                continue
+            for name, parameter in term.parameters.items():
+                short = term.name_of(name)
+                if short in result or parameter.value == 0.0:
+                    continue
+                path = f"{battery}/{short}"
+                up, down = (
+                    self.total(cov, battery, {path: parameter.value * (1.0 + sign * step)}) for sign in (1.0, -1.0)
+                )
+                result[short] = (np.asarray(up) - np.asarray(down)) / (2.0 * step)
+        return result
+
+    def with_term(self, term: Term) -> PowerModel:
+        """A model with one more term (replacing one of the same key)."""
+        kept = tuple(other for other in self.terms if other.key != term.key)
+        return replace(self, terms=(*kept, term))
+
+    def with_values(self, values: Mapping[str, float]) -> PowerModel:
+        """A model with other parameter values, by ``battery/name``.
+
+        Raises
+        ------
+        missionsim.errors.InputError
+            For a name that the model does not have.
+        """
+        known = self.parameters
+        for name in values:
+            if name not in known:
+                raise InputError.single(
+                    f"the robot has no parameter '{name}'", got=name, allowed=", ".join(sorted(known)),
+                    hint=did_you_mean(name, known),
+                )
+        terms = tuple(
+            replace(
+                term,
+                parameters={
+                    name: replace(parameter, value=values.get(f"{term.key.battery}/{term.name_of(name)}",
+                                                              parameter.value))
+                    for name, parameter in term.parameters.items()
+                },
+            )
+            for term in self.terms
+        )
+        return replace(self, terms=terms)

@@ -1,0 +1,89 @@
+"""The interval table: what happened, exactly between events, with covariates that are constant or linear in time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.covariates import Labels, is_text
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Intervals of one run, in order of time.
+
+    Attributes
+    ----------
+    start_s, duration_s : ndarray, shape (..., n)
+        Start and length of each interval.
+    columns : mapping
+        Covariate at the start of each interval: number arrays of shape (..., n) or `Labels` of n.
+    rates : mapping
+        Change per second of a covariate inside the interval (speed in a ramp, ``moving_time_s``); 0 where absent.
+    segment : ndarray of int, shape (n,)
+        Segment of the mission; -1 before and after.
+    constants : mapping
+        Scalars that hold for the whole run (``mass_kg`` of the body alone, ``regeneration``).
+    """
+
+    start_s: NDArray[np.float64]
+    duration_s: NDArray[np.float64]
+    columns: Mapping[str, Any]
+    rates: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    segment: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    constants: Mapping[str, Any] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return int(np.shape(self.duration_s)[-1])
+
+    def covariates(self, index: NDArray[np.intp] | slice | None = None) -> dict[str, Any]:
+        """Covariates at the start of the intervals `index` (all by default)."""
+        if index is None:
+            return {**self.constants, **self.columns}
+        picked = {name: v[index] if is_text(v) else np.asarray(v)[..., index] for name, v in self.columns.items()}
+        return {**self.constants, **picked}
+
+    def at(self, index: NDArray[np.intp], offset_s: NDArray[np.float64]) -> dict[str, Any]:
+        """Covariates of the intervals `index` at times after their start.
+
+        Parameters
+        ----------
+        index : ndarray of int, shape (m,)
+        offset_s : ndarray, shape (m, q)
+            Times after the start of each of them.
+
+        Returns
+        -------
+        dict
+            Arrays of shape (m, q); texts as `Labels` with codes of shape (m, 1).
+        """
+        cov: dict[str, Any] = dict(self.constants)
+        for name, value in self.columns.items():
+            if isinstance(value, Labels):
+                cov[name] = Labels(value.codes[index][:, None], value.names)
+            elif is_text(value):
+                cov[name] = np.asarray(value)[index][:, None]
+            else:
+                column = np.asarray(value, dtype=float)[index][:, None]
+                rate = self.rates.get(name)
+                cov[name] = column if rate is None else column + rate[index][:, None] * offset_s
+        return cov
+
+    def changing(self, memory: frozenset[str]) -> NDArray[np.bool_]:
+        """Intervals in which something that matters changes with time, shape (n,).
+
+        Parameters
+        ----------
+        memory : frozenset of str
+            The clocks (``moving_time_s`` …) that some term of the model reads; the others are ignored.
+        """
+        result = np.zeros(len(self), dtype=bool)
+        for name, rate in self.rates.items():
+            clock = name == "moving_time_s" or name.startswith("on_time_")
+            if not clock or name in memory:
+                result |= np.asarray(rate) != 0.0
+        return result
