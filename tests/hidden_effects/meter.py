@@ -44,7 +44,7 @@ def through(meter: Meter, power_w: Array) -> Array:
 
 
 def reading(meter: Meter, power_w: Array, noise_level: int, rng: np.random.Generator) -> Array:
-    """What the meter shows [W]: lag, clock, gain, offset, and 3 % noise: AR(1), from level 2 also slow, with heavy tails."""
+    """What the meter shows [W]: lag, clock, gain, offset, 3 % noise (AR(1); from level 2 also slow, heavy-tailed)."""
     n, seen = len(power_w), through(meter, power_w)
     tails = None if noise_level == 1 else 5.0
     noise = 0.026 * wander(n, float(rng.uniform(1.0, 4.0)), rng, tails)

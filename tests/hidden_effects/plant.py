@@ -1,7 +1,7 @@
 """Power of the little world: the base robot at wheel level, and the effects that can be hidden in it.
 
 The forms differ on purpose from the ones of the library under test: Coulomb friction saturates as tanh, mechanical
-power passes an efficiency map and a copper-loss cross term, heat is a state with its own lag, radios saturate, and so on.
+power passes an efficiency map and a copper-loss cross term, heat is a state with a lag of its own, radios saturate.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The little world: robots whose logs hide a known effect. It shares no code with the product under test.
 
 A case is made fleet-wide from one seed: world (base coefficients 3 % off, smooth ripple), campaign (delay and lag of
-the meter), runs (design, motion, meter, lost rows). ``python -m tests.hidden_effects.world OUT CASE [--seed S]`` writes one
-case as ``OUT/<case>/train/*.csv, heldout/*.csv, answer.json`` in the layout of the practice logs.
+the meter), runs (design, motion, meter, lost rows). ``python -m tests.hidden_effects.world OUT CASE [--seed S]`` writes
+a case as ``OUT/<case>/train/*.csv, heldout/*.csv, answer.json`` in the layout of the practice logs.
 """
 
 from __future__ import annotations
@@ -158,6 +158,7 @@ def _answer(
 ) -> dict[str, object]:
     """What was hidden, in the layout of the practice answers, plus what the scorer wants to know."""
     twins: dict[str, float] = {}
+    shares = dict.fromkeys(case.hidden, case.share)
     for name, k in zip(case.hidden, strengths, strict=True):
         kind, _, part = name.partition(":")
         if kind in TWINS:  # total shift of the base parameter, drawn and planted together, in prior sds of 3 %
@@ -165,6 +166,7 @@ def _answer(
             nominal = robot.components[part] if part else getattr(robot, key)
             drawn = world.components[part] if part else getattr(world, key)
             twins[name] = float((drawn + k - nominal) / (0.03 * nominal))
+            shares[name] = float(case.share * (drawn + k - nominal) / k)
     return {
         "hidden": list(case.hidden),
         "share_of_energy": case.share,
@@ -176,6 +178,7 @@ def _answer(
         "outside": [name for name in case.hidden if name in OUTSIDE],
         "equivalent": list(case.equivalent),
         "shift_in_prior_sd": twins,
+        "share_true": shares,
         "strength": dict(zip(case.hidden, strengths, strict=True)),
     }
 
