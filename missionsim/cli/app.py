@@ -1,0 +1,96 @@
+"""All commands, loaded when they are called, and one place where faults become messages and exit codes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+from cyclopts import App, CycloptsError
+
+from missionsim.errors import Fault, InputError, did_you_mean
+
+EXIT_FINE, EXIT_NO, EXIT_INPUT, EXIT_OURS = 0, 1, 2, 3
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "run": ("run:run", "Simulate one mission."),
+    "whatif": ("whatif:whatif", "Run alternatives of a mission and print one table of them."),
+    "montecarlo": ("montecarlo:montecarlo", "Draw the uncertain values many times and run the mission with each draw."),
+    "reproduce": ("reproduce:reproduce", "Print every published figure of the four robots beside ours."),
+    "calibrate": ("calibrate:calibrate", "Fit a base model to logs, or refit the parameters of a robot."),
+    "compare": ("compare:compare", "Compare the model with measurements and see where it fails."),
+    "diagnose": ("diagnose:diagnose", "Find which physical effect the model is missing, or say that the data cannot tell."),
+    "add-effect": ("add_effect:add_effect", "Fit an effect and write the robot file that has it."),
+    "improve": ("improve:improve", "Compare, diagnose, add and compare again until nothing is left to find."),
+    "effects": ("effects:app", "Show the library of effects."),
+    "import": ("import_:import_", "Turn a bag, MCAP, ULog or CSV of any layout into a log."),
+    "validate": ("validate:validate", "Check YAML files and logs, all faults at once."),
+    "schema": ("schema:schema", "Write the JSON Schema of each kind of YAML file."),
+    "robots": ("robots:robots", "List the shipped robots."),
+}
+"""Command → (function inside `missionsim.cli`, one line of help); the function is imported when it is called."""
+
+HELP = """Energy that mobile robots spend on missions: simulate, vary, compare with measurements, find what is missing.
+
+Exit codes: 0 fine, 1 the answer is no (infeasible, outside the tolerance), 2 a fault in the input, 3 our own fault."""
+
+
+def build_app() -> App:
+    """The command-line application with every command of `COMMANDS`."""
+    from missionsim import __version__
+
+    app = App(name="missionsim", help=HELP, version=__version__, help_format="plaintext")
+    for name, (target, summary) in COMMANDS.items():
+        app.command(f"missionsim.cli.{target}", name=name, help=summary)
+    return app
+
+
+def run_command(arguments: Sequence[str]) -> int:
+    """Run one command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        Without the program's name.
+
+    Returns
+    -------
+    int
+        Exit code: 0 fine, 1 the answer is "no", 2 a fault in the user's input, 3 our own fault.
+    """
+    word = next(iter(arguments), "")
+    if word and not word.startswith("-") and word not in COMMANDS:
+        print(Fault("", 0, 0, f"there is no command '{word}'", "", word, ", ".join(COMMANDS),
+                    did_you_mean(word, COMMANDS)), file=sys.stderr)
+        return EXIT_INPUT
+    app = build_app()
+    try:
+        result = app(list(arguments), exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
+        return result if isinstance(result, int) and not isinstance(result, bool) else EXIT_FINE
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return EXIT_INPUT
+    except CycloptsError as error:
+        print(f"command line: error: {' '.join(str(error).split())}", file=sys.stderr)
+        print("    see: missionsim --help", file=sys.stderr)
+        return EXIT_INPUT
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # the reader of our output has gone (`| head`); nothing is wrong with the input or with us
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+        return EXIT_FINE
+    except OSError as error:
+        print(f"{error.filename or 'file'}: error: {error.strerror or error}", file=sys.stderr)
+        return EXIT_INPUT
+    except Exception as error:
+        if os.environ.get("MISSIONSIM_DEBUG"):
+            raise
+        print(
+            f"missionsim: our own fault: {type(error).__name__}: {error}\n"
+            "    set MISSIONSIM_DEBUG=1 for the traceback and tell us, please",
+            file=sys.stderr,
+        )
+        return EXIT_OURS

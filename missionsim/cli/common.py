@@ -1,0 +1,95 @@
+"""What the commands share: options, JSON output, tables and progress."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from missionsim.files import write_text
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+JsonOption = Annotated[str | None, Parameter(name="--json")]
+"""Where to write the result as JSON: a file, or - for standard output."""
+QuietOption = Annotated[bool, Parameter(name="--quiet", negative="")]
+"""Print nothing but what was asked for."""
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON knows it: NumPy scalars and arrays become numbers and lists, nan and inf become null."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def to_json(data: Any) -> str:
+    """JSON text of a result, ending with a line feed."""
+    return json.dumps(plain(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def emit_json(data: Any, target: str | None) -> None:
+    """Write a result as JSON to a file (whole or not at all) or to standard output for ``-``; nothing for None."""
+    if target is None:
+        return
+    if target == "-":
+        sys.stdout.write(to_json(data))
+    else:
+        write_text(target, to_json(data))
+
+
+def shows_text(json_target: str | None, quiet: bool) -> bool:
+    """Whether tables are printed: not with ``--quiet``, nor where JSON goes to standard output."""
+    return not quiet and json_target != "-"
+
+
+def console(stderr: bool = False) -> Console:
+    """A terminal for tables and text; at most 100 columns, and 100 where the output is not a terminal."""
+    from rich.console import Console
+
+    terminal = Console(stderr=stderr, highlight=False)
+    if not terminal.is_terminal or terminal.width > 100:
+        terminal = Console(stderr=stderr, highlight=False, width=100)
+    return terminal
+
+
+@contextmanager
+def progress(quiet: bool = False) -> Iterator[Progress]:
+    """A progress bar with rate and time left on standard error; hidden with `quiet` or where it is no terminal."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    terminal = console(stderr=True)
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        TimeRemainingColumn(), console=terminal, transient=True, disable=quiet or not terminal.is_terminal,
+    ) as bar:
+        yield bar
+
+
+def simple_table(title: str, columns: Iterable[str | tuple[str, str]], rows: Iterable[Iterable[Any]]) -> Any:
+    """A rich table; a column is its heading, or (heading, "right" or "left")."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", pad_edge=False)
+    for column in columns:
+        heading, justify = (column, "left") if isinstance(column, str) else column
+        table.add_column(heading, justify=justify)  # type: ignore[arg-type]
+    for row in rows:
+        table.add_row(*(str(cell) for cell in row))
+    return table
