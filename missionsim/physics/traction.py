@@ -108,8 +108,8 @@ def electrical_power(mechanical_w: ArrayLike, *, efficiency: ArrayLike = 1.0, re
 def skid_power(yaw_rate_rad_s: ArrayLike, mass_kg: ArrayLike, *, scrub_moment_m: ArrayLike) -> Array:
     """Power that a skid-steered robot loses sideways when it turns, W: scrub_moment · m g |ω|.
 
-    The tyres slide sideways across the floor; with friction μ and wheelbase b the moment per weight is about μ b / 4 (m).
-    Coulomb friction: linear in the turn rate.
+    The tyres slide sideways across the floor; with friction μ and wheelbase b the moment per weight is about μ b / 4,
+    in m. Coulomb friction: linear in the turn rate.
     """
     weight = f64(mass_kg) * GRAVITY_M_S2
     return f64(scrub_moment_m) * weight * np.abs(f64(yaw_rate_rad_s))
