@@ -1,0 +1,29 @@
+"""Fixtures for all tests."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+SHARED = Path(os.environ.get("MISSIONSIM_SHARED", ROOT.parent / "shared"))
+
+# one thread a process: the suite shares its cores, and sums repeat to the last bit
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+
+@pytest.fixture(scope="session")
+def root() -> Path:
+    """The repository."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of papers, practice logs and measured logs beside the repository; skips where it is absent."""
+    if not (SHARED / "contract.md").is_file():
+        pytest.skip(f"the folder of shared papers and logs is not here ({SHARED})")
+    return SHARED
