@@ -59,6 +59,13 @@ def measured_power(log: Log) -> Array:
     return np.asarray(log["voltage_robot_v"] * log["current_robot_a"], dtype=float)
 
 
+def seconds_of(time_s: Array) -> NDArray[np.int64]:
+    """Index of the 1 s group of each row where the log is faster than 2 Hz, else of the row itself."""
+    if np.median(np.diff(time_s)) < 0.5:
+        return np.asarray(np.unique(np.floor(time_s), return_inverse=True)[1], dtype=np.int64)
+    return np.arange(len(time_s))
+
+
 def table(log: Log, robot_name: str) -> Table:
     """Tabulate one run: features at the log's rate, then averaged over 1 s where the log is faster."""
     robot = ROBOTS[robot_name]
@@ -113,7 +120,7 @@ def table(log: Log, robot_name: str) -> Table:
     raw = {k: x for k, x in raw.items() if not k.startswith(("power_", "energy_", "current_"))}
     if "surface" in log:
         raw["carpet"] = (np.asarray(log["surface"]).astype(str) == "carpet").astype(float)
-    group = np.unique(np.floor(t), return_inverse=True)[1] if np.median(np.diff(t)) < 0.5 else np.arange(n)
+    group = seconds_of(t)
     weight = np.bincount(group, dt)
 
     def mean(x: Array) -> Array:

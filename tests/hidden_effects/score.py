@@ -1,0 +1,197 @@
+"""Score the diagnosis and its peers on the little world or on practice folders, and write the table.
+
+``python -m tests.hidden_effects.score [--practice DIR] [--cases START ...] [--seeds a:b] [--workers N] [--out DIR]``
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+import os
+import sys
+import tempfile
+import traceback
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import features, peers, product
+from .judge import in_library, judge
+from .study import ALL_CASES
+from .table import markdown
+from .world import make, write
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One case to score: made from a seed, or a folder that lies there already."""
+
+    case: str
+    seed: int
+    folder: Path | None = None
+    with_peers: bool = True
+    with_product: bool = True
+
+
+def score_task(task: Task) -> list[Row]:
+    """Rows of one task, one per method; an exception of the product is a row too, never silence."""
+    with tempfile.TemporaryDirectory() as scratch:
+        if task.folder is None:
+            world = make(ALL_CASES[task.case], task.seed)
+            folder = write(world, Path(scratch))
+            answer: dict[str, Any] = dict(world.answer)
+        else:
+            world, folder = None, task.folder
+            answer = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
+        robot = str(answer.get("robot", "pioneer3dx"))
+        logs = {k: [features.read_log(p) for p in sorted((folder / k).glob("*.csv"))] for k in ("train", "heldout")}
+        train, heldout = ([features.table(log, robot) for log in logs[k]] for k in ("train", "heldout"))
+        errors = {"nominal": peers.nominal(heldout)}
+        hidden = _true_columns(world, logs, answer, [*train, *heldout])
+        if hidden is not None:
+            errors["oracle"] = peers.oracle(train, heldout, hidden, robot)
+        rows = []
+        if task.with_product:
+            rows.append(_product_row(task, folder, robot, answer))
+        if task.with_peers:
+            design = peers.stack(train, robot)
+            outcomes = [method(design, heldout, seed=task.seed) for method in peers.NAMING]
+            outcomes.append(peers.boosted_trees(train, heldout, seed=task.seed))
+            rows += [judge(task.case, task.seed, answer, o) for o in outcomes]
+    for row in rows:
+        for kind, (energy, rmse) in errors.items():
+            row[f"{kind}_energy_error_pct"], row[f"{kind}_rmse_w"] = energy, rmse
+    return rows
+
+
+def _product_row(task: Task, folder: Path, robot: str, answer: dict[str, Any]) -> Row:
+    try:
+        outcome, _ = product.diagnose(folder / "train", folder / "heldout", robot)
+    except Exception as error:  # the study goes on, and the table shows the failure
+        failed = peers.Outcome(product.NAME, (), verdict="failed")
+        row = judge(task.case, task.seed, answer, failed)
+        return row | {"failure": f"{error}\n{traceback.format_exc(limit=-3)}"}
+    return judge(task.case, task.seed, answer, outcome)
+
+
+def _true_columns(
+    world: Any, logs: dict[str, list[features.Log]], answer: dict[str, Any], tables: Sequence[features.Table]
+) -> list[list[features.Array]] | None:
+    """True power of the hidden effects at each table's rows; None where it cannot be known (practice, outside)."""
+    names = list(answer["hidden"])
+    if world is None:
+        if not all(in_library(e) for e in names):
+            return None
+        keys = [next(iter(k for k in tables[0].library if features.effect_of(k) == e), "") for e in names]
+        return [[_practice_column(t, e, k) for e, k in zip(names, keys, strict=True)] for t in tables]
+    every = [*logs["train"], *logs["heldout"]]
+    out = []
+    for log, true, table in zip(every, world.truth.values(), tables, strict=True):
+        time_s = np.asarray(log["time_s"], dtype=float)
+        dt = features.windows(time_s)
+        group = features.seconds_of(time_s)
+        parts = [np.bincount(group, true[f"hidden:{e}"] * dt) / np.bincount(group, dt) for e in names]
+        assert all(len(p) == len(table.measured_w) for p in parts)
+        out.append(parts)
+    return out
+
+
+def _practice_column(table: features.Table, effect: str, key: str) -> features.Array:
+    if key:
+        return table.library.get(key, np.zeros_like(table.measured_w))
+    return next(column for name, column in table.base.items() if features.effect_of(name) == effect)
+
+
+def tasks(arguments: argparse.Namespace) -> Iterator[Task]:
+    """The tasks that the command line asks for."""
+    kinds = {"with_peers": not arguments.no_peers, "with_product": not arguments.no_product}
+    if arguments.practice:
+        for folder in sorted(p.parent for p in arguments.practice.glob("*/answer.json")):
+            if not arguments.cases or any(folder.name.startswith(c) for c in arguments.cases):
+                yield Task(folder.name, 0, folder, **kinds)
+        return
+    first, _, last = arguments.seeds.partition(":")
+    for seed in range(int(first), int(last or int(first) + 1)):
+        for name in ALL_CASES:
+            if not arguments.cases or any(name.startswith(c) for c in arguments.cases):
+                yield Task(name, seed, **kinds)
+
+
+def run(todo: Sequence[Task], workers: int, quiet: bool = False) -> list[Row]:
+    """Score all tasks, in parallel; the rows come in the order of the tasks whatever the number of workers."""
+    rows: dict[int, list[Row]] = {}
+    if workers <= 1:
+        for i, task in enumerate(todo):
+            rows[i] = score_task(task)
+            _progress(i + 1, len(todo), quiet)
+    else:
+        with ProcessPoolExecutor(workers) as pool:
+            futures = {pool.submit(score_task, task): i for i, task in enumerate(todo)}
+            for done, future in enumerate(as_completed(futures), start=1):
+                rows[futures[future]] = future.result()
+                _progress(done, len(todo), quiet)
+    return [row for i in sorted(rows) for row in rows[i]]
+
+
+def _progress(done: int, total: int, quiet: bool) -> None:
+    if not quiet and (done % 10 == 0 or done == total):
+        print(f"\r{done}/{total} cases", end="" if done < total else "\n", file=sys.stderr, flush=True)
+
+
+def write_results(rows: Sequence[Row], out: Path, stem: str, heading: str) -> None:
+    """Write the rows as CSV and the table as Markdown, each whole or not at all."""
+    out.mkdir(parents=True, exist_ok=True)
+    keys = list(dict.fromkeys(key for row in rows for key in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, keys, lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({k: f"{v:.5g}" if isinstance(v, float) else v for k, v in row.items()})
+    for path, content in ((out / f"{stem}.csv", text.getvalue()), (out / f"{stem}.md", markdown(rows, heading))):
+        temporary = path.with_suffix(path.suffix + ".part")
+        temporary.write_text(content, encoding="utf-8")
+        os.replace(temporary, path)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--practice", type=Path, help="folder of cases (train/, heldout/, answer.json) to score instead")
+    p.add_argument("--cases", nargs="*", default=[], help="names of cases or their beginnings; none = all")
+    p.add_argument("--seeds", default="1000:1003", help="a:b; 0-99 are for tuning, 1000 and above are untouched")
+    p.add_argument("--workers", type=int, default=1)
+    p.add_argument("--out", type=Path, help="folder for the CSV and the Markdown; none = print only")
+    p.add_argument("--no-peers", action="store_true")
+    p.add_argument("--no-product", action="store_true")
+    p.add_argument("--quiet", action="store_true")
+    return p
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Score and print the table."""
+    options = parser().parse_args(arguments)
+    todo = list(tasks(options))
+    if not todo:
+        print("no such cases", file=sys.stderr)
+        return 2
+    rows = run(todo, options.workers, options.quiet)
+    what = "practice" if options.practice else f"world, seeds {options.seeds}"
+    print(markdown(rows, what))
+    if options.out:
+        write_results(rows, options.out, "practice" if options.practice else "world", what)
+    failures = [row for row in rows if row.get("failure")]
+    for row in failures[:5]:
+        print(f"FAILED {row['case']} seed {row['seed']}: {row['failure']}", file=sys.stderr)
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,107 @@
+"""The table of the study, in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+Row = dict[str, Any]
+
+
+def _rate(rows: Sequence[Row], key: str) -> str:
+    """Share of the rows where the question arises, as 'p % (k/n)'."""
+    asked = [row[key] for row in rows if row.get(key) is not None]
+    if not asked:
+        return "–"
+    return f"{100.0 * sum(asked) / len(asked):.0f} % ({sum(asked)}/{len(asked)})"
+
+
+def _mean(rows: Sequence[Row], key: str, digits: int = 2) -> str:
+    values = np.array([row[key] for row in rows if isinstance(row.get(key), float)], dtype=float)
+    values = values[np.isfinite(values)]
+    return f"{np.mean(values):.{digits}f}" if len(values) else "–"
+
+
+def removed(rows: Sequence[Row], key: str, power: float = 1.0) -> float:
+    """Part of the removable held-out error that is removed: Σ(nominal − method) / Σ(nominal − oracle)."""
+    complete = [r for r in rows if all(np.isfinite(r.get(k, np.nan)) for k in (key, f"nominal_{key}", f"oracle_{key}"))]
+    if not complete:
+        return float("nan")
+    gain = sum(r[f"nominal_{key}"] ** power - r[key] ** power for r in complete)
+    best = sum(r[f"nominal_{key}"] ** power - r[f"oracle_{key}"] ** power for r in complete)
+    return gain / best if best > 0 else float("nan")
+
+
+def _removed(rows: Sequence[Row], key: str, power: float = 1.0) -> str:
+    value = removed(rows, key, power)
+    return f"{100.0 * value:.0f} %" if np.isfinite(value) else "–"
+
+
+def markdown(rows: Sequence[Row], heading: str) -> str:
+    """The whole study as Markdown: one table by group and method, one by effect and share for the product."""
+    lines = [f"# Hidden effects: {heading}", ""]
+    head = (
+        "group", "method", "n", "right name first", "exactly right", "all named", "a wrong name", "truth in the set",
+        "confident wrong name", "cannot tell, kept honest", "outside: says so",
+        "held-out energy error % nominal → method (truth known)", "removed (energy)", "removed (power²)",
+        "interval covers", "s",
+    )  # fmt: skip
+    lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for group in dict.fromkeys(row["group"] for row in rows):
+        for method in dict.fromkeys(row["method"] for row in rows):
+            part = [row for row in rows if row["group"] == group and row["method"] == method]
+            if not part:
+                continue
+            names = method != "boosted trees"
+            intervals = sum(row["intervals"] for row in part)
+            covered = sum(row["covered"] for row in part)
+            errors = (
+                f"{_mean(part, 'nominal_energy_error_pct')} → {_mean(part, 'energy_error_pct')} "
+                f"({_mean(part, 'oracle_energy_error_pct')})"
+            )
+            cells = [group, method, str(len(part))]
+            for key in (
+                "first_right", "exact", "all_named", "any_wrong", "in_set", "confident_wrong", "honest", "outside_said",
+            ):  # fmt: skip
+                cells.append(_rate(part, key) if names else "–")
+            cells += [errors, _removed(part, "energy_error_pct"), _removed(part, "rmse_w", 2.0)]
+            cells.append(f"{100.0 * covered / intervals:.0f} % ({covered}/{intervals})" if intervals else "–")
+            cells.append(_mean(part, "seconds"))
+            lines.append("| " + " | ".join(cells) + " |")
+    lines += ["", *_by_effect(rows), "", *_troubles(rows)]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _by_effect(rows: Sequence[Row]) -> list[str]:
+    """Right name first of missionsim by planted effect and share."""
+    groups = [f"one effect, {s} %" for s in (1, 2, 5, 10)]
+    ours = [r for r in rows if r["method"] == "missionsim" and r["group"] in groups]
+    if not ours:
+        return []
+    effects = dict.fromkeys(r["case"].rsplit("-", 1)[0] for r in ours)
+    lines = ["## Right name first, by effect and share (missionsim)", "", "| effect | 1 % | 2 % | 5 % | 10 % |"]
+    lines.append("|---|---|---|---|---|")
+    for effect in effects:
+        cells = []
+        for g in groups:
+            part = [r for r in ours if r["group"] == g and r["case"].rsplit("-", 1)[0] == effect]
+            note = "recalibrated" if any(r["expected"] == "recalibration" for r in part) else ""
+            cells.append(" ".join(x for x in (_rate(part, "first_right"), note) if x and x != "–") or "–")
+        lines.append(f"| {effect} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def _troubles(rows: Sequence[Row]) -> list[str]:
+    """Every case where missionsim was not right, so that nobody has to dig."""
+    lines = ["## Where missionsim was not right", ""]
+    for row in rows:
+        if row["method"] != "missionsim":
+            continue
+        bad = row.get("failure") or row["confident_wrong"] or row["exact"] is False or row["honest"] is False
+        if bad:
+            what = "failed" if row.get("failure") else f"named: {row['named'] or 'nothing'}"
+            sets = f" · cannot tell: {row['sets']}" if row["sets"] else ""
+            lines.append(f"- {row['case']} seed {row['seed']}: {what} · {row['verdict']}{sets}")
+    return lines if len(lines) > 2 else []
