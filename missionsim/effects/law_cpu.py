@@ -1,6 +1,6 @@
 """Law ``multicore_cpu`` of a component: an on-board computer at a clock, loaded by what it must process.
 
-Rover paper, Eq. 6, with the loop time of `missionsim.physics.processor`. Covariates: ``cpu_freq_hz``, and either
+Rover paper, Eq. 6, with the loop time of `missionsim.physics.processor`. Covariates: ``cpu_freq_hz`` (the highest clock where absent), and either
 ``cpu_load`` (measured or given) or ``speed_m_s`` and ``complexity`` (work relative to the hardest environment), from
 which the load follows as the time that one batch takes times the rate at which batches come.
 """
@@ -30,7 +30,12 @@ PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec("cycles", "1", "cycles per batch at rest", default=0.0),
     ParameterSpec("cycles_per_speed", "s/m", "more cycles per batch and m/s", default=0.0),
 )
-NEEDS = ("cpu_freq_hz", "speed_m_s")
+NEEDS = ("speed_m_s",)
+
+
+def clock(cov: Covariates, p: Mapping[str, Any]) -> Any:
+    """Clock [Hz]: ``cpu_freq_hz`` where it is known, else the highest."""
+    return number(cov, "cpu_freq_hz", p["high_freq"])
 
 
 def load(cov: Covariates, p: Mapping[str, Any]) -> Any:
@@ -43,7 +48,7 @@ def load(cov: Covariates, p: Mapping[str, Any]) -> Any:
 def loop_time(cov: Covariates, p: Mapping[str, Any]) -> Any:
     """Time per batch (PLPT) [s]."""
     return processor.loop_time(
-        cov["cpu_freq_hz"], cov["speed_m_s"], number(cov, "complexity", 1.0), fixed_s=p["fixed_time"],
+        clock(cov, p), cov["speed_m_s"], number(cov, "complexity", 1.0), fixed_s=p["fixed_time"],
         cycles=p["cycles"], cycles_per_speed=p["cycles_per_speed"],
     )
 
@@ -51,7 +56,7 @@ def loop_time(cov: Covariates, p: Mapping[str, Any]) -> Any:
 def power(cov: Covariates, p: Mapping[str, Any]) -> Any:
     """Power of one board that is on [W]."""
     return processor.multicore_power(
-        cov["cpu_freq_hz"], load(cov, p), board_idle_w=p["board_idle"], core_work_w=p["core_work"],
+        clock(cov, p), load(cov, p), board_idle_w=p["board_idle"], core_work_w=p["core_work"],
         core_idle_w=p["core_idle"], core_idle_floor_w=p["core_idle_floor"], cores=p["cores"],
         cores_busy=p["cores_busy"], low_hz=p["low_freq"], high_hz=p["high_freq"], low_v=p["low_voltage"],
         high_v=p["high_voltage"],

@@ -52,4 +52,9 @@ EFFECTS: tuple[Effect, ...] = (
 )
 """Terms in order of evaluation."""
 
-LINEAR_PAYLOAD = register(MotionModel("linear_payload", "C_v·v + C_mp·m_p + C_I while moving", _SOURCE, parameters_of(EFFECTS), builder(EFFECTS)))
+LINEAR_PAYLOAD = register(
+    MotionModel(
+        "linear_payload", "C_v·v + C_mp·m_p + C_I while moving", _SOURCE, parameters_of(EFFECTS), builder(EFFECTS)
+    )
+)
+"""For robots of a kilogramme or so."""

@@ -94,7 +94,7 @@ EFFECTS: tuple[Effect, ...] = (
            (ParameterSpec("grade", "1", "share of the weight that counts", default=1.0),), ("speed_m_s",), _lifting,
            drive=True, recovers=True, covariate="slope_rad"),
     Effect("control_pulse", "P while speeding up or braking", "Hou et al. 2019, section 2.2 and Fig. 12",
-           "control system sends pulses", (ParameterSpec("control_pulse", "W", "extra control power", default=0.0),), (),
+           "control system sends pulses", (ParameterSpec("control_pulse", "W", "control power", default=0.0),), (),
            _pulse, component="control", covariate="accel_m_s2"),
     Effect("electronics", "P always", "Hou et al. 2019, sections 2.2–2.4", "control, sensors and communication",
            (ParameterSpec("electronics", "W", "constant load", default=0.0),), ("speed_m_s",), _electronics,
@@ -102,4 +102,13 @@ EFFECTS: tuple[Effect, ...] = (
 )
 """Terms in order of evaluation; parameters of the same name are one number of the robot file."""
 
-MECANUM = register(MotionModel("mecanum", "friction of wheels and rollers, copper loss, kinetic power, control pulses", _SOURCE, parameters_of(EFFECTS), builder(EFFECTS)))
+MECANUM = register(
+    MotionModel(
+        "mecanum",
+        "friction of wheels and rollers, copper loss, kinetic power, control pulses",
+        _SOURCE,
+        parameters_of(EFFECTS),
+        builder(EFFECTS),
+    )
+)
+"""For robots with four Mecanum wheels."""

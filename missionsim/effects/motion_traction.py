@@ -95,4 +95,13 @@ EFFECTS: tuple[Effect, ...] = (
 )
 """Terms in order of evaluation; parameters of the same name are one number of the robot file."""
 
-TRACTION = register(MotionModel("traction", "F·v, F = m·a + (C_r + C_v·v)·m·g·cos θ + ½·ρ·C_d·A_f·v² + m·g·sin θ", _SOURCE, parameters_of(EFFECTS), builder(EFFECTS)))
+TRACTION = register(
+    MotionModel(
+        "traction",
+        "F·v, F = m·a + (C_r + C_v·v)·m·g·cos θ + ½·ρ·C_d·A_f·v² + m·g·sin θ",
+        _SOURCE,
+        parameters_of(EFFECTS),
+        builder(EFFECTS),
+    )
+)
+"""For any wheeled robot whose mass and coefficients are known."""
