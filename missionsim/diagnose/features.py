@@ -1,0 +1,300 @@
+"""From logs, a power model and the library of effects to the arrays of the identification (step 0).
+
+Everything is evaluated at the raw rate of the log; the identification averages afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.diagnose.covariates import Run, run_covariates, shared_names, texts, watched
+from missionsim.diagnose.gradient import gradient
+from missionsim.effects.base import Effect
+from missionsim.effects.library import all_effects, execution_effects, get_effect
+from missionsim.effects.model import ModelParameter, PowerModel
+from missionsim.errors import InputError
+from missionsim.identify.data import Candidate, RunData
+
+Array = NDArray[np.float64]
+SURFACE = "surface_rolling_resistance"
+_TWIN_FAMILIES = ("rolling_friction", "viscous_friction", "standby_load", "component_power")
+_DERIVED_FROM = {"moving_time_s": "speed_m_s", "starts": "speed_m_s", "accel_m_s2": "speed_m_s"}
+
+
+@dataclass(frozen=True)
+class Features:
+    """What the identification of one battery reads.
+
+    Attributes
+    ----------
+    battery : str
+    runs : tuple of RunData
+    candidates : tuple of Candidate
+    prior_sd : mapping
+        Relative standard deviation of each base parameter.
+    parameters : mapping of str to ModelParameter
+        Base parameters by their name within the battery.
+    effects : mapping of str to Effect
+        The library's effect behind each candidate; surfaces are one effect with a coefficient each.
+    untestable : mapping of str to tuple of str
+        Effects that cannot be tested and the log columns they lack.
+    remarks : tuple of str
+        What was assumed or left out, in words.
+    covariates : tuple of mapping
+        Covariates of each run at its raw rate, with what follows from them.
+    """
+
+    battery: str
+    runs: tuple[RunData, ...]
+    candidates: tuple[Candidate, ...]
+    prior_sd: Mapping[str, float]
+    parameters: Mapping[str, ModelParameter]
+    effects: Mapping[str, Effect]
+    untestable: Mapping[str, tuple[str, ...]]
+    remarks: tuple[str, ...]
+    covariates: tuple[Mapping[str, Any], ...]
+
+    def select(self, names: Sequence[str]) -> Features:
+        """The same features of some of the runs, by name."""
+        keep = [i for i, run in enumerate(self.runs) if run.run in set(names)]
+        candidates = tuple(_restricted(candidate, keep) for candidate in self.candidates)
+        return replace(
+            self, runs=tuple(self.runs[i] for i in keep), covariates=tuple(self.covariates[i] for i in keep),
+            candidates=candidates,
+        )  # fmt: skip
+
+
+def make_features(
+    model: PowerModel, logs: Sequence[Any], battery: str, own: Sequence[Effect] = (), *,
+    switchable: Sequence[str] = (), skip: Sequence[str] = (),
+) -> Features:
+    """Evaluate base model, its gradient and every effect of the library that the logs allow.
+
+    Parameters
+    ----------
+    model : PowerModel
+        The robot, effects already found included.
+    logs : sequence of LogTable
+        One a run; those that do not measure `battery` are left out.
+    battery : str
+    own : sequence of Effect
+        The user's own candidates beside the library.
+    switchable : sequence of str
+        Components of the robot that can be switched.
+    skip : sequence of str
+        Ids of effects that the robot file already holds on this battery.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where the base model needs a column that the logs lack, or no log measures the battery.
+    """
+    tables = [log for log in logs if battery in log.power_w]
+    if not tables:
+        raise InputError.single(f"no log measures the battery '{battery}'", allowed=f"power_{battery}_w")
+    remarks: list[str] = []
+    runs = [run_covariates(model, log, battery, remarks) for log in tables]
+    names = shared_names(runs, remarks)
+    lacking = model.missing({name: 0.0 for name in names}, battery)
+    if lacking:
+        needed = sorted({name for columns in lacking.values() for name in columns})
+        raise InputError.single(
+            f"the base model of battery '{battery}' needs columns that the logs lack", got=", ".join(sorted(names)),
+            allowed=", ".join(needed),
+        )
+    known = texts(runs, names)
+    surfaces = known.get("surface", ())
+    components = _components(runs, names, switchable)
+    effects, untestable = _testable(names, surfaces, components, own, {*skip, *_held(model, battery)}, remarks)
+    base = [_base(model, run, battery) for run in runs]
+    gradients = [gradient(model, run.cov, battery) for run in runs]
+    columns: list[dict[str, Array]] = [{} for _ in runs]
+    candidates: list[Candidate] = []
+    for effect in effects.values():
+        candidate = _add_columns(effect, runs, columns)
+        if candidate.covariate not in names or candidate.covariate.startswith(("on_time_", "starts")):
+            candidate = replace(candidate, covariate=_logged_name(candidate.covariate))
+        candidates.append(_with_twin(candidate, columns, gradients))
+    data = tuple(
+        _run_data(run, base[i], gradients[i], columns[i], watched(run, names, known), remarks) for i, run in enumerate(runs)
+    )
+    parameters = _parameters(model, battery)
+    return Features(
+        battery, data, tuple(candidates), {name: p.prior_sd for name, p in parameters.items()}, parameters, effects,
+        untestable, tuple(dict.fromkeys(remarks)), tuple(run.cov for run in runs),
+    )  # fmt: skip
+
+
+def effect_columns(
+    effects: Mapping[str, Effect], candidates: Sequence[Candidate], cov: Mapping[str, Any]
+) -> dict[str, Array]:
+    """Every candidate column for given covariates, such as those of a scripted manoeuvre; power for coefficient 1 [W]."""
+    found: dict[str, Array] = {}
+    for candidate in candidates:
+        effect = effects[candidate.effect]
+        for i, name in enumerate(candidate.columns):
+            shape = candidate.shape[i] if candidate.shape else {}
+            level = candidate.levels[i] if candidate.levels else ""
+            found[name] = _column(effect, cov, shape, level)
+    return found
+
+
+def _held(model: PowerModel, battery: str) -> set[str]:
+    held = {term.effect.id for term in model.of(battery) if not term.base}
+    return held | {id.partition(":")[0] for id in held if id.startswith(SURFACE)}
+
+
+def _components(runs: Sequence[Run], names: set[str], switchable: Sequence[str]) -> dict[str, bool]:
+    """Components to test and whether their ``on_`` column is logged."""
+    logged = sorted(name[3:] for name in names if name.startswith("on_") and not name.startswith("on_time_"))
+    return {**dict.fromkeys(switchable, False), **dict.fromkeys(logged, True)}
+
+
+def _testable(
+    names: set[str], surfaces: tuple[str, ...], components: Mapping[str, bool], own: Sequence[Effect], skip: set[str],
+    remarks: list[str],
+) -> tuple[dict[str, Effect], dict[str, tuple[str, ...]]]:
+    untestable: dict[str, tuple[str, ...]] = {}
+    effects: dict[str, Effect] = {}
+    surface_effects = [get_effect(SURFACE, surfaces)] if len(surfaces) > 1 else []
+    if len(surfaces) == 1:
+        remarks.append(f"all runs are on one surface ({surfaces[0]}): its rolling resistance is part of rolling friction")
+    for effect in (*all_effects(tuple(components)), *surface_effects, *own):
+        if effect.id in skip or effect.execution:
+            continue
+        lacking = tuple(dict.fromkeys(_logged_name(name) for name in effect.needs if name not in names))
+        if lacking:
+            untestable[effect.id] = lacking
+        else:
+            effects[effect.id] = effect
+    if not surfaces and SURFACE not in skip:
+        untestable[SURFACE] = tuple(name for name in ("surface", "speed_m_s") if name not in names)
+    for effect in execution_effects():
+        untestable[effect.id] = ("mission", *(name for name in effect.needs if name not in names))
+    return effects, untestable
+
+
+def _logged_name(name: str) -> str:
+    if name.startswith("on_time_"):
+        return f"on_{name.removeprefix('on_time_').removesuffix('_s')}"
+    return _DERIVED_FROM.get(name, name)
+
+
+def _add_columns(effect: Effect, runs: Sequence[Run], columns: list[dict[str, Array]]) -> Candidate:
+    """Evaluate an effect on every run; a grid of shape values or of surfaces gives one column each."""
+    shape: tuple[dict[str, float], ...] = ()
+    levels: tuple[str, ...] = ()
+    if effect.id == SURFACE:
+        levels = tuple(spec.name.removeprefix("k_") for spec in effect.parameters)
+        names = tuple(f"{effect.id}|{level}" for level in levels)
+    elif effect.shape:
+        shape = tuple(_grid(effect))
+        names = tuple(f"{effect.id}|{i}" for i in range(len(shape)))
+    else:
+        names = (effect.id,)
+    for run, held in zip(runs, columns, strict=True):
+        for i, name in enumerate(names):
+            held[name] = _column(effect, run.cov, shape[i] if shape else {}, levels[i] if levels else "")
+    refit: Callable[[Mapping[str, float]], list[Array]] | None = None
+    if shape:
+        covariates = [run.cov for run in runs]
+
+        def refit(values: Mapping[str, float]) -> list[Array]:
+            return [_column(effect, cov, values, "") for cov in covariates]
+
+    return Candidate(
+        effect.id, names, effect.sign, effect.coefficient.unit, effect.coefficient.name, shape, None, refit,
+        effect.covariate, levels, {spec.name: (spec.low, spec.high) for spec in effect.shape},
+    )  # fmt: skip
+
+
+def _grid(effect: Effect) -> list[dict[str, float]]:
+    """All combinations of the grids of an effect's shape parameters."""
+    from itertools import product
+
+    axes = [spec.grid or _default_grid(spec.low, spec.high, spec.default) for spec in effect.shape]
+    return [dict(zip((spec.name for spec in effect.shape), values, strict=True)) for values in product(*axes)]
+
+
+def _default_grid(low: float, high: float, default: float) -> tuple[float, ...]:
+    if np.isfinite(low) and np.isfinite(high):
+        if low > 0.0 and high / low > 10.0:
+            return tuple(float(x) for x in np.geomspace(low, high, 5)[1:-1])
+        return tuple(float(x) for x in np.linspace(low, high, 5)[1:-1])
+    return (default if np.isfinite(default) else 1.0,)
+
+
+def _column(effect: Effect, cov: Mapping[str, Any], shape: Mapping[str, float], level: str) -> Array:
+    rows = len(cov["time_s"])
+    if level:
+        values: dict[str, float] = {spec.name: float(spec.name == f"k_{level}") for spec in effect.parameters}
+    else:
+        values = {effect.coefficient.name: 1.0, **{s.name: s.default for s in effect.shape}, **shape}
+    power = np.broadcast_to(np.asarray(effect.power(cov, values), dtype=float), (rows,))
+    return np.ascontiguousarray(np.nan_to_num(power, nan=0.0, posinf=0.0, neginf=0.0))
+
+
+def _restricted(candidate: Candidate, keep: Sequence[int]) -> Candidate:
+    whole = candidate.refit
+    if whole is None:
+        return candidate
+
+    def refit(values: Mapping[str, float]) -> list[Array]:
+        every = whole(values)
+        return [np.asarray(every[i]) for i in keep]
+
+    return replace(candidate, refit=refit)
+
+
+def _with_twin(
+    candidate: Candidate, columns: Sequence[Mapping[str, Array]], gradients: Sequence[Mapping[str, Array]]
+) -> Candidate:
+    """Mark an effect that a shift of base parameters would imitate exactly; its sign is then free."""
+    if candidate.effect.partition(":")[0] not in _TWIN_FAMILIES or len(candidate.columns) != 1:
+        return candidate
+    names = [name for name in gradients[0] if any(np.any(g[name]) for g in gradients)]
+    y = np.concatenate([c[candidate.columns[0]] for c in columns])
+    if not names or not np.any(y):
+        return candidate
+    x = np.column_stack([np.concatenate([g[name] for g in gradients]) for name in names])
+    size = np.linalg.norm(x, axis=0)
+    coefficients, *_ = np.linalg.lstsq(x / size, y, rcond=1e-9)
+    left = y - (x / size) @ coefficients
+    if float(left @ left) > 1e-6 * float(y @ y):
+        return candidate
+    return replace(candidate, prior=names[int(np.argmax(np.abs(coefficients)))], sign=0)
+
+
+def _base(model: PowerModel, run: Run, battery: str) -> Array:
+    total = np.asarray(model.total(run.cov, battery), dtype=float)
+    return np.ascontiguousarray(np.broadcast_to(total, run.time_s.shape))
+
+
+def _run_data(
+    run: Run, base_w: Array, gradients: Mapping[str, Array], columns: Mapping[str, Array],
+    covariates: Mapping[str, Array], remarks: list[str],
+) -> RunData:
+    broken = ~np.isfinite(base_w)
+    for values in gradients.values():
+        broken |= ~np.isfinite(values)
+    measured = run.measured_w
+    if broken.any():
+        remarks.append(f"{run.name}: the base model has no value in {int(broken.sum())} rows; they are left out")
+        measured = np.where(broken, np.nan, measured)
+        base_w = np.where(broken, 0.0, base_w)
+        gradients = {name: np.where(broken, 0.0, values) for name, values in gradients.items()}
+    return RunData(
+        run.name, run.time_s, run.dt_s, measured, base_w, gradients, columns, covariates, run.fresh,
+    )  # fmt: skip
+
+
+def _parameters(model: PowerModel, battery: str) -> dict[str, ModelParameter]:
+    return {
+        term.name_of(name): parameter for term in model.of(battery) for name, parameter in term.parameters.items()
+    }
+

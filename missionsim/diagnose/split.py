@@ -1,0 +1,145 @@
+"""Which runs are fitted and which are held out: the last quarter, a fraction, names, a condition, or other files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from missionsim.errors import InputError, did_you_mean
+from missionsim.expressions import compile_expression
+from missionsim.labels import Labels
+
+FEWEST_RUNS = 4
+"""With fewer runs none is held out unless the user says so."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """Runs to fit and runs to test on.
+
+    Attributes
+    ----------
+    train, heldout : tuple of LogTable
+    how : str
+        How the held-out runs were chosen, in words; says why where there are none.
+    shifted : bool
+        Whether they were chosen by a condition, so that they differ in kind.
+    """
+
+    train: tuple[Any, ...]
+    heldout: tuple[Any, ...]
+    how: str
+    shifted: bool = False
+
+
+def choose_split(logs: Sequence[Any], holdout: str | Sequence[str | Path] | None = None) -> Split:
+    """Split runs into those that are fitted and those that are held out.
+
+    Parameters
+    ----------
+    logs : sequence of LogTable
+    holdout : str or sequence, optional
+        A fraction (``"0.25"``, ``"25 %"``; ``"0"`` or ``"none"`` for none), names of runs (``"run_06,run_07"``), a
+        condition over columns (``"surface == 'carpet'"``: runs in which it holds at least half of the time), or files
+        and folders of other logs. By default the last quarter of four or more runs.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        For a value that is none of these, a condition that no run or every run meets, unknown runs.
+    """
+    logs = tuple(logs)
+    if holdout is None:
+        if len(logs) < FEWEST_RUNS:
+            return Split(logs, (), f"{len(logs)} run{'s' * (len(logs) != 1)} only: none held out, so nothing shows how "
+                                   "the model does on runs that were not used")  # fmt: skip
+        return _last(logs, 0.25)
+    parts = [str(holdout)] if isinstance(holdout, (str, Path)) else [str(item) for item in holdout]
+    if all(Path(part).exists() for part in parts):
+        return _files(logs, parts)
+    text = ",".join(parts)
+    fraction = _fraction(text)
+    if fraction is not None:
+        if not 0.0 <= fraction < 1.0:
+            raise InputError.single("--holdout as a fraction must be below 1", got=text, allowed="0 to 0.9")
+        return _last(logs, fraction)
+    if any(sign in text for sign in "=<>(") or any(word in text.split() for word in ("and", "or", "not")):
+        return _condition(logs, text)
+    return _named(logs, text)
+
+
+def _fraction(text: str) -> float | None:
+    if text.strip().lower() == "none":
+        return 0.0
+    number = text.strip()
+    try:
+        return float(number[:-1]) / 100.0 if number.endswith("%") else float(number)
+    except ValueError:
+        return None
+
+
+def _last(logs: tuple[Any, ...], fraction: float) -> Split:
+    if fraction == 0.0:
+        return Split(logs, (), "none held out, as asked")
+    count = max(1, math.floor(fraction * len(logs) + 1e-9))
+    if count >= len(logs):
+        raise InputError.single("too few runs to hold some out", got=f"{len(logs)} run", allowed="at least 2 runs")
+    what = "run" if count == 1 else f"{count} runs"
+    return Split(logs[:-count], logs[-count:], f"the last {what} of {len(logs)}")
+
+
+def _files(logs: tuple[Any, ...], parts: list[str]) -> Split:
+    from missionsim.logs import read_logs
+
+    held = tuple(read_logs(parts))
+    same = {log.sha256 for log in held if log.sha256} & {log.sha256 for log in logs}
+    train = tuple(log for log in logs if not (log.sha256 and log.sha256 in same))
+    if not train:
+        raise InputError.single("every run is held out; nothing is left to fit", got=", ".join(parts))
+    return Split(train, held, f"{len(held)} run{'s' * (len(held) != 1)} from {', '.join(Path(p).name for p in parts)}")
+
+
+def _named(logs: tuple[Any, ...], text: str) -> Split:
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    known = [log.run for log in logs]
+    for name in names:
+        if name not in known:
+            raise InputError.single(
+                f"--holdout: there is no run '{name}'", got=name,
+                allowed="a fraction, a condition such as \"surface == 'carpet'\", files, or of the runs "
+                + ", ".join(known), hint=did_you_mean(name, known),
+            )
+    held = tuple(log for log in logs if log.run in names)
+    train = tuple(log for log in logs if log.run not in names)
+    if not train:
+        raise InputError.single("every run is held out; nothing is left to fit", got=text)
+    return Split(train, held, f"runs {', '.join(names)}")
+
+
+def _condition(logs: tuple[Any, ...], text: str) -> Split:
+    known = sorted(set.intersection(*(set(log.columns) for log in logs)))
+    condition = compile_expression(text, names=known, file="--holdout")
+    held, train = [], []
+    for log in logs:
+        meets = np.broadcast_to(np.asarray(condition.evaluate(log.columns), dtype=float), (len(log),))
+        share = float(np.nansum(meets * log.dt_s) / np.sum(log.dt_s))
+        (held if share >= 0.5 else train).append(log)
+    if not held or not train:
+        which = "no run" if not held else "every run"
+        raise InputError.single(f"--holdout: {which} meets the condition at least half of the time", got=text)
+    return Split(tuple(train), tuple(held), f"the {len(held)} runs with {text}", shifted=True)
+
+
+def typical(logs: Sequence[Any], name: str) -> Any:
+    """Median of a numeric column over the runs, or the most common text."""
+    values = [log.columns[name] for log in logs if name in log.columns]
+    if isinstance(values[0], Labels):
+        texts = np.concatenate([v.texts() for v in values])
+        found, counts = np.unique(texts.astype(str), return_counts=True)
+        return str(found[int(np.argmax(counts))])
+    return float(np.nanmedian(np.concatenate([np.asarray(v, dtype=float) for v in values])))

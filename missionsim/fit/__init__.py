@@ -1,0 +1,1 @@
+"""Fitting base models and parameters to logs."""
