@@ -1,0 +1,52 @@
+"""Text columns as codes; shared by logs, effects and expressions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Labels:
+    """A text column as integer codes, so that comparisons cost as much as for numbers.
+
+    Attributes
+    ----------
+    codes : ndarray of int, shape (n,)
+        Index into `names`; -1 where the text is missing.
+    names : tuple of str
+        The distinct texts.
+    """
+
+    codes: NDArray[np.int64]
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, texts: Iterable[Any]) -> Labels:
+        """Labels of a sequence of texts; None, NaN and empty texts are missing."""
+        known: dict[str, int] = {}
+        codes = [
+            -1 if text is None or text == "" or text != text else known.setdefault(str(text), len(known))
+            for text in texts
+        ]
+        return cls(np.asarray(codes, dtype=np.int64), tuple(known))
+
+    def equals(self, name: str) -> NDArray[np.bool_]:
+        """Where the text is `name`, shape (n,)."""
+        if name not in self.names:
+            return np.zeros(self.codes.shape, dtype=bool)
+        return np.asarray(self.codes == self.names.index(name))
+
+    def texts(self) -> NDArray[np.object_]:
+        """The texts themselves, shape (n,); the missing ones are empty."""
+        return np.array([*self.names, ""], dtype=object)[self.codes]
+
+    def __len__(self) -> int:
+        return len(self.codes)
+
+    def __getitem__(self, index: Any) -> Labels:
+        return Labels(np.atleast_1d(self.codes[index]), self.names)

@@ -1,0 +1,17 @@
+"""Measured logs: read, checked, told what is wrong with them, frozen as `LogTable` in glossary columns."""
+
+from missionsim.logs.read import check_log, describe, find_logs, iter_blocks, read_log, read_logs
+from missionsim.logs.remarks import Remark
+from missionsim.logs.table import LogTable, row_durations
+
+__all__ = [
+    "LogTable",
+    "Remark",
+    "check_log",
+    "describe",
+    "find_logs",
+    "iter_blocks",
+    "read_log",
+    "read_logs",
+    "row_durations",
+]

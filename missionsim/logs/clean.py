@@ -1,0 +1,354 @@
+"""Repairs that keep a log usable: time put in order, missing values filled where that is safe; each one is told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.errors import Fault, InputError
+from missionsim.glossary import column_of
+from missionsim.labels import Labels
+from missionsim.logs.raw import ColumnData, RawTable
+from missionsim.logs.remarks import Remark
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_SLOW_QUANTITIES = ("temp_ambient_c", "temp_motor_c", "payload_kg", "access_point_distance_m", "cpu_freq_hz")
+_SPARSE = 0.5
+"""A column missing in more than this share of rows comes from a slower topic written without repeats."""
+_OUTLIER_SHARE = 0.05
+"""Fewer values than this share out of range are single bad readings; more are a wrong unit."""
+_REORDER_S = 2.0
+"""Rows out of order by less than this are sorted; more means that the clock was set or that runs were joined."""
+
+
+@dataclass
+class Rows:
+    """A table under repair: columns, the row of the file that each row came from, and the remarks so far."""
+
+    raw: RawTable
+    columns: dict[str, ColumnData]
+    row: NDArray[np.int64]
+    remarks: list[Remark]
+    dt: Floats | None = None
+    """Time that each row stands for [s], once time is in order."""
+
+    @property
+    def time(self) -> Floats:
+        """Time of the rows [s]."""
+        return np.asarray(self.columns["time_s"])
+
+    def take(self, chosen: Bools | NDArray[np.int64]) -> None:
+        """Keep or reorder rows."""
+        self.columns = {name: data[chosen] for name, data in self.columns.items()}
+        self.row = self.row[chosen]
+        if self.dt is not None:
+            self.dt = self.dt[chosen]
+
+    def remark(
+        self,
+        kind: str,
+        column: str,
+        message: str,
+        action: str,
+        severity: str = "warning",
+        at: int | None = None,
+        count: int = 0,
+    ) -> None:
+        """Add a remark; `at` is the row (of this table) where it begins."""
+        line = self.raw.line(int(self.row[at])) if at is not None and len(self.row) else 0
+        self.remarks.append(Remark(kind, column, message, action, severity, line, count))
+
+
+def order_time(rows: Rows) -> None:
+    """Make time finite, increasing and counted from the start of the run.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Fewer than two rows; a time that restarts; a unit that is plainly not the second.
+    """
+    file = rows.raw.file
+    finite = np.isfinite(rows.time)
+    if not finite.all():
+        bad = int((~finite).sum())
+        rows.remark(
+            "missing", "time_s", f"{bad} rows have no time", "they were left out", "error", int(np.argmin(finite)), bad
+        )
+        rows.take(finite)
+    if len(rows.time) < 2:
+        raise InputError(Fault(file, 0, 0, f"the log has {len(rows.time)} rows with a time", allowed="at least two"))
+    _epoch(rows)
+    step = np.diff(rows.time)
+    back = step < 0
+    if back.any():
+        _sort(rows, step, back)
+    if (np.diff(rows.time) == 0).any():
+        _merge_duplicates(rows)
+    if len(rows.time) < 2:
+        raise InputError(Fault(file, 0, 0, "all rows have the same time", path="time_s", allowed="at least two times"))
+    _gaps(rows)
+
+
+def _epoch(rows: Rows) -> None:
+    start = float(rows.time[0])
+    for limit, factor, unit in ((1e17, 1e9, "nanoseconds"), (1e14, 1e6, "microseconds"), (1e11, 1e3, "milliseconds")):
+        if start > limit:
+            raise InputError(
+                Fault(
+                    rows.raw.file,
+                    rows.raw.line(int(rows.row[0])),
+                    0,
+                    f"the times look like {unit} since 1970",
+                    "time_s",
+                    f"{start:.0f}",
+                    "seconds from the start of the run",
+                    f"a map with time_s: time_s / {factor:g}",
+                )
+            )
+    if start > 1e8:
+        rows.columns["time_s"] = rows.time - start
+        rows.remark(
+            "unit",
+            "time_s",
+            f"the times are clock times (first {start:.3f})",
+            "the start was moved to zero",
+            "warning",
+            0,
+        )
+
+
+def _sort(rows: Rows, step: Floats, back: Bools) -> None:
+    count = int(back.sum())
+    at = int(np.argmax(back)) + 1
+    jump = float(-step[back].min())
+    typical = float(np.median(np.abs(step)))
+    if jump > max(_REORDER_S, 20 * typical):
+        worst = int(np.argmin(step)) + 1
+        line = rows.raw.line(int(rows.row[worst]))
+        raise InputError(
+            Fault(
+                rows.raw.file,
+                line,
+                0,
+                f"time runs backwards by {jump:.6g} s, from {rows.time[worst - 1]:.6g} s to {rows.time[worst]:.6g} s",
+                "time_s",
+                f"{rows.time[worst]:.6g} after {rows.time[worst - 1]:.6g}"
+                + (f", {count} such places" if count > 1 else ""),
+                "increasing times, one run a file",
+                "two runs in one file are split by a map with runs: {restart: true}",
+            )
+        )
+    rows.remark(
+        "time_backwards",
+        "time_s",
+        f"time runs backwards in {count} places, by up to {jump:.3g} s",
+        "the rows were sorted by time",
+        "error",
+        at,
+        count,
+    )
+    rows.take(np.argsort(rows.time, kind="stable"))
+
+
+def _merge_duplicates(rows: Rows) -> None:
+    first = np.r_[True, np.diff(rows.time) > 0]
+    extra = int((~first).sum())
+    starts = np.flatnonzero(first)
+    group = np.cumsum(first) - 1
+    same = True
+    merged: dict[str, ColumnData] = {}
+    for name, data in rows.columns.items():
+        if isinstance(data, Labels):
+            same = same and bool((data.codes == data.codes[starts][group]).all())
+            merged[name] = data[starts]
+            continue
+        known = np.isfinite(data)
+        number = np.add.reduceat(known.astype(float), starts)
+        total = np.add.reduceat(np.where(known, data, 0.0), starts)
+        same = same and bool(np.all((data == data[starts][group]) | ~known))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = total / number
+        merged[name] = np.where(np.diff(np.r_[starts, len(data)]) == 1, data[starts], mean)
+    at = int(np.argmin(first))
+    rows.remark(
+        "duplicate",
+        "time_s",
+        f"{extra} rows repeat the time of the row before" + ("" if same else ", with other values"),
+        "one row was kept for each time" + ("" if same else ", with the mean of the values"),
+        "warning" if same else "error",
+        at,
+        extra,
+    )
+    rows.columns, rows.row = merged, rows.row[starts]
+
+
+def _gaps(rows: Rows) -> None:
+    step = np.diff(rows.time)
+    typical = float(np.median(step))
+    wide = step > max(5 * typical, typical + 0.5)
+    if wide.any():
+        longest = int(np.argmax(step))
+        count = int(wide.sum())
+        rows.remark(
+            "gap",
+            "time_s",
+            f"{count} gap{'s' if count > 1 else ''}, the longest {step[longest]:.3g} s after "
+            f"{rows.time[longest]:.6g} s (usual step {typical:.3g} s)",
+            "the rows on both sides stand for the time between them",
+            "warning",
+            longest + 1,
+            count,
+        )
+
+
+def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:
+    """Fill single missing values, hold slower topics, leave out what cannot be filled.
+
+    Parameters
+    ----------
+    rows : Rows
+    required : set of str
+        Columns that the batteries' power comes from.
+
+    Returns
+    -------
+    dict
+        Column that was held from a slower topic → rows where it was really written.
+    """
+    held: dict[str, Bools] = {}
+    for name in list(rows.columns):
+        data = rows.columns[name]
+        if name == "time_s":
+            continue
+        if isinstance(data, Labels):
+            gone = int((data.codes < 0).sum())
+            if gone:
+                rows.remark(
+                    "missing",
+                    name,
+                    f"{gone} rows have no text",
+                    "they count as a name of their own",
+                    "note",
+                    int(np.argmax(data.codes < 0)),
+                    gone,
+                )
+            continue
+        known = _known(rows, name, data)
+        if known is None:
+            continue
+        if not known.any():
+            rows.remark(
+                "missing",
+                name,
+                "no row has a value",
+                "the column was left out",
+                "warning" if name not in required else "error",
+            )
+            del rows.columns[name]
+            continue
+        if known.mean() <= 1 - _SPARSE:
+            held[name] = known
+        rows.columns[name] = _filled(rows, name, np.asarray(rows.columns[name]), known, name in held)
+    _leave_out(rows, held)
+    return held
+
+
+def _known(rows: Rows, name: str, data: Floats) -> Bools | None:
+    """Rows with a usable value; None where all are. Single readings out of range count as missing."""
+    low, high = float(data.min()), float(data.max())
+    found = column_of(name)
+    limits = (found[0].low, found[0].high) if found is not None and found[0].kind != "text" else (-np.inf, np.inf)
+    if np.isfinite(low) and np.isfinite(high) and limits[0] <= low and high <= limits[1]:
+        return None
+    known = np.isfinite(data)
+    gone = int((~known).sum())
+    if gone and known.any():
+        action = "held from a slower topic" if known.mean() <= 1 - _SPARSE else "filled where neighbours are near"
+        rows.remark(
+            "missing",
+            name,
+            f"{gone} of {len(data)} values are missing",
+            action,
+            "note" if known.mean() <= 1 - _SPARSE else "warning",
+            int(np.argmin(known)),
+            gone,
+        )
+    with np.errstate(invalid="ignore"):
+        out = known & ((data < limits[0]) | (data > limits[1]))
+    count = int(out.sum())
+    if count:
+        at = int(np.argmax(out))
+        single = count < _OUTLIER_SHARE * len(data)
+        unit = found[0].unit if found is not None else ""
+        rows.remark(
+            "range",
+            name,
+            f"{count} values outside {limits[0]:g} … {limits[1]:g} {unit}, first {data[at]:.6g}",
+            "they count as missing" if single else "left as they are: a wrong unit? (a map converts it)",
+            "error",
+            at,
+            count,
+        )
+        if single:
+            known &= ~out
+    return known if not known.all() else None
+
+
+def _filled(rows: Rows, name: str, data: Floats, known: Bools, sparse: bool) -> Floats:
+    time, at = rows.time, np.flatnonzero(known)
+    found = column_of(name)
+    stays = (found is not None and (found[0].kind == "count" or name in _SLOW_QUANTITIES)) or (
+        sparse and not name.startswith("energy_")
+    )
+    before = np.maximum.accumulate(np.where(known, np.arange(len(data)), -1))
+    after = np.minimum.accumulate(np.where(known, np.arange(len(data)), len(data))[::-1])[::-1]
+    values = data[np.clip(before, at[0], at[-1])] if stays else np.interp(time, time[at], data[at])
+    if found is None or (stays and not sparse):
+        return np.where(known, data, values)
+    period = float(np.median(np.diff(time[at]))) if len(at) > 1 else np.inf
+    limit = max(1.0, 3 * float(np.median(np.diff(time))), 3 * period)
+    inside = (before >= 0) & (after < len(data))
+    near = inside & (time[np.clip(after, 0, len(data) - 1)] - time[np.clip(before, 0, None)] <= limit)
+    edge = ~inside & (np.abs(time - time[np.clip(np.where(before < 0, after, before), 0, len(data) - 1)]) <= limit)
+    return np.where(known, data, np.where(near | edge, values, np.nan))
+
+
+def _leave_out(rows: Rows, held: dict[str, Bools]) -> None:
+    """Drop columns that are missing too long too often, then the rows that still have holes."""
+    n = len(rows.row)
+    measured = {name for name in rows.columns if name.startswith(("power_", "voltage_", "current_", "energy_"))}
+    for name in [name for name, data in rows.columns.items() if not isinstance(data, Labels) and name not in measured]:
+        holes = int(np.isnan(np.asarray(rows.columns[name])).sum())
+        if holes > 0.2 * n:
+            rows.remark(
+                "missing",
+                name,
+                f"{holes} of {n} rows have no value near",
+                "the column was left out",
+                "warning",
+                None,
+                holes,
+            )
+            del rows.columns[name]
+    whole = np.ones(n, dtype=bool)
+    for data in rows.columns.values():
+        if not isinstance(data, Labels) and np.isnan(data.sum()):
+            whole &= ~np.isnan(data)
+    if not whole.all():
+        count = int((~whole).sum())
+        rows.remark(
+            "missing",
+            "",
+            f"{count} of {n} rows lack a value with no other near",
+            "these rows were left out",
+            "warning",
+            int(np.argmin(whole)),
+            count,
+        )
+        rows.take(whole)
+        for name in held:
+            held[name] = held[name][whole]

@@ -1,0 +1,199 @@
+"""Measured power of each battery, from power, voltage × current or cumulative energy, and which rows are refreshes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.errors import Fault, did_you_mean
+from missionsim.glossary import COLUMNS, column_of
+from missionsim.logs.raw import ColumnData
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_SLOW_SHARE = 0.3
+"""Share of repeated neighbours above which a column may come from a slower topic."""
+_SLOWEST_S = 15.0
+"""A refresh slower than this is not a topic's rate but a value that stays."""
+
+
+def measured_batteries(names: Iterable[str]) -> dict[str, str]:
+    """Battery → what its power comes from: ``power``, ``voltage*current`` or ``energy``, in column order."""
+    kinds: dict[str, set[str]] = {}
+    for name in names:
+        found = column_of(name)
+        if found is not None and "<battery>" in found[0].name:
+            kinds.setdefault(found[1], set()).add(found[0].name.split("_")[0])
+    chosen: dict[str, str] = {}
+    for battery, have in kinds.items():
+        if "power" in have:
+            chosen[battery] = "power"
+        elif {"voltage", "current"} <= have:
+            chosen[battery] = "voltage*current"
+        elif "energy" in have:
+            chosen[battery] = "energy"
+    return chosen
+
+
+def missing_columns(names: Iterable[str], file: str, header_line: int) -> list[Fault]:
+    """Faults for the columns that every log has to have."""
+    names = list(names)
+    faults = []
+    known = [column.name.replace("<battery>", "robot") for column in COLUMNS if "<component>" not in column.name]
+    if "time_s" not in names:
+        near = did_you_mean("time_s", names, 0.4)
+        faults.append(
+            Fault(
+                file,
+                header_line,
+                0,
+                "the column 'time_s' is missing",
+                "time_s",
+                ", ".join(names)[:200],
+                "time in seconds from the start of the run",
+                f"rename '{near}' or use a map" if near else "",
+            )
+        )
+    if not measured_batteries(names):
+        allowed = "power_<battery>_w, or voltage_<battery>_v and current_<battery>_a, or energy_<battery>_wh"
+        hint = _half_a_pair(names)
+        if not hint:
+            for name in names:
+                if column_of(name) is None and name.startswith(
+                    ("power", "volt", "curr", "energy", "battery", "watt", "p_")
+                ):
+                    near = did_you_mean(name, known, 0.5)
+                    hint = f"'{name}' as {near or 'power_robot_w'} (rename it, or use a map)"
+                    break
+        faults.append(
+            Fault(
+                file,
+                header_line,
+                0,
+                "no battery is measured",
+                "power_<battery>_w",
+                ", ".join(names)[:200],
+                allowed,
+                hint,
+            )
+        )
+    return faults
+
+
+def _half_a_pair(names: list[str]) -> str:
+    for name in names:
+        found = column_of(name)
+        if found and found[0].name == "voltage_<battery>_v":
+            return f"'current_{found[1]}_a' beside '{name}'"
+        if found and found[0].name == "current_<battery>_a":
+            return f"'voltage_{found[1]}_v' beside '{name}'"
+    return ""
+
+
+@dataclass(frozen=True)
+class Refresh:
+    """How often a column really changes.
+
+    Attributes
+    ----------
+    fresh : ndarray of bool, shape (n,)
+        Rows with a new value.
+    period_s : float
+        Typical time between them [s].
+    """
+
+    fresh: Bools
+    period_s: float
+
+
+def refreshes(values: Floats, time_s: Floats) -> Refresh | None:
+    """Find out whether a column repeats the values of a slower topic.
+
+    Parameters
+    ----------
+    values, time_s : ndarray, shape (n,)
+
+    Returns
+    -------
+    Refresh or None
+        None where the column changes in most rows, or stays for other reasons: at a plateau, or standing still.
+
+    Notes
+    -----
+    A slower topic shows as runs of equal values of nearly equal length whose values hardly ever come back; a coarse
+    meter or a robot that stands still gives runs of every length, or few distinct values.
+    """
+    n = len(values)
+    if n < 20:
+        return None
+    change = np.r_[True, values[1:] != values[:-1]]
+    starts = np.flatnonzero(change)
+    if len(starts) < 5 or len(starts) > (1 - _SLOW_SHARE) * n:
+        return None
+    lengths = np.diff(np.r_[starts, n])[1:-1]
+    alive = values[starts][1:-1] != 0.0
+    if alive.sum() < 4:
+        return None
+    lengths = lengths[alive]
+    typical = float(np.median(lengths))
+    step_s = float(np.median(np.diff(time_s[: min(n, 20000)])))
+    distinct = len(np.unique(values[starts[:2000]])) / min(len(starts), 2000)
+    regular = float(np.mean(np.abs(lengths - typical) <= max(1.0, 0.35 * typical)))
+    if typical < 2 or typical * step_s > _SLOWEST_S or distinct < 0.25 or regular < 0.6:
+        return None
+    return Refresh(change, typical * step_s)
+
+
+def power_from_energy(energy_wh: Floats, time_s: Floats) -> tuple[Floats, Bools | None]:
+    """Mean power around each row from a cumulative energy.
+
+    Parameters
+    ----------
+    energy_wh : ndarray, shape (n,)
+        Cumulative energy at each row [Wh].
+    time_s : ndarray, shape (n,)
+        [s].
+
+    Returns
+    -------
+    power_w : ndarray, shape (n,)
+        [W]. Where the counter moves in most rows: the energy between the half-way points to the neighbours, over that
+        time. Where it moves in fewer rows: its increment over the time since it moved before.
+    fresh : ndarray of bool or None
+        Rows in which the counter moved; None for the first case.
+    """
+    n = len(time_s)
+    moved = np.flatnonzero(np.diff(energy_wh) != 0.0) + 1
+    if n < 3 or len(moved) >= 0.8 * (n - 1):
+        if n == 2:
+            slope = (energy_wh[1] - energy_wh[0]) / (time_s[1] - time_s[0])
+            return np.full(2, slope * 3600.0), None
+        inner = (energy_wh[2:] - energy_wh[:-2]) / (time_s[2:] - time_s[:-2])
+        first = (energy_wh[1] - energy_wh[0]) / (time_s[1] - time_s[0])
+        last = (energy_wh[-1] - energy_wh[-2]) / (time_s[-1] - time_s[-2])
+        return np.r_[first, inner, last] * 3600.0, None
+    if not len(moved):
+        return np.zeros(n), None
+    edges = np.r_[0, moved]
+    mean_w = np.diff(energy_wh[edges]) / np.diff(time_s[edges]) * 3600.0
+    counts = np.diff(edges)
+    power = np.empty(n)
+    power[0] = mean_w[0]
+    power[1 : edges[-1] + 1] = np.repeat(mean_w, counts)
+    power[edges[-1] + 1 :] = mean_w[-1]
+    fresh = np.zeros(n, dtype=bool)
+    fresh[moved] = True
+    return power, fresh
+
+
+def battery_power(columns: Mapping[str, ColumnData], battery: str, kind: str) -> tuple[Floats, Bools | None]:
+    """Power of one battery [W], shape (n,), and its refresh mask where the kind of column gives one."""
+    if kind == "power":
+        return np.array(columns[f"power_{battery}_w"], dtype=np.float64), None
+    if kind == "voltage*current":
+        return np.asarray(columns[f"voltage_{battery}_v"]) * np.asarray(columns[f"current_{battery}_a"]), None
+    return power_from_energy(np.asarray(columns[f"energy_{battery}_wh"]), np.asarray(columns["time_s"]))

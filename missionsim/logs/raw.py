@@ -1,0 +1,187 @@
+"""A table as it stands in a file: numbers as float64, text as `Labels`, and the line each row came from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.glossary import column_of
+from missionsim.labels import Labels
+from missionsim.logs.remarks import Remark
+
+ColumnData = NDArray[np.float64] | Labels
+_SWITCH_WORDS = {"on": 1.0, "off": 0.0, "true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
+_MOSTLY_NUMBERS = 0.9
+
+
+@dataclass
+class RawTable:
+    """Columns of one file before any check of their values.
+
+    Attributes
+    ----------
+    file : str
+        The path as the user gave it.
+    columns : dict
+        Name → array of float64 of shape (n,), missing values NaN; or `Labels`.
+    lines : callable
+        Row number (0-based) → line of a text file (1-based); 0 for formats without lines.
+    remarks : list of Remark
+        What the reader of the format found.
+    first_row : int
+        Row number in the file of the first row of this table (blocks of a long file).
+    """
+
+    file: str
+    columns: dict[str, ColumnData]
+    lines: Callable[[int], int] = lambda _row: 0
+    remarks: list[Remark] = field(default_factory=list)
+    first_row: int = 0
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(next(iter(self.columns.values()))) if self.columns else 0
+
+    def line(self, row: int) -> int:
+        """Line of a row of this table in its file, 0 where the format has no lines."""
+        return self.lines(self.first_row + int(row))
+
+
+def wanted_kind(name: str) -> str:
+    """``number``, ``text`` or ``any``: what a column of this name has to be."""
+    found = column_of(name)
+    if found is None:
+        return "any"
+    return {"number": "number", "text": "text"}.get(found[0].kind, "any")
+
+
+def from_arrow(table: Any, file: str, lines: Callable[[int], int], first_row: int = 0) -> RawTable:
+    """Columns of a pyarrow table or record batch, numbers as float64 and text as codes.
+
+    Parameters
+    ----------
+    table : pyarrow.Table or pyarrow.RecordBatch
+    file : str
+        For messages.
+    lines : callable
+        See `RawTable`.
+    first_row : int
+        Row number of the first row in the file.
+    """
+    raw = RawTable(file, {}, lines, [], first_row)
+    for name in table.schema.names:
+        raw.columns[name] = _column(table.column(name), name, raw)
+    return raw
+
+
+def _column(data: Any, name: str, raw: RawTable) -> ColumnData:
+    import pyarrow as pa
+
+    kind = data.type
+    if pa.types.is_null(kind):
+        return np.full(len(data), np.nan)
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+        stamps = _floats(data.cast(pa.int64()))
+        raw.remarks.append(Remark("format", name, "a timestamp, not a number", f"read as seconds ({kind})", "note"))
+        return np.asarray(stamps, dtype=np.float64) * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
+    if pa.types.is_boolean(kind):
+        data = data.cast(pa.int8())
+        kind = data.type
+    number = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)
+    if number and wanted_kind(name) != "text":
+        return _floats(data)
+    if not (number or _is_text(kind)) and not pa.types.is_temporal(kind):
+        raw.remarks.append(
+            Remark("format", name, f"holds {kind}, neither numbers nor text", "the column was left out", "error")
+        )
+        return np.full(len(data), np.nan)
+    labels = _labels(data)
+    return labels if wanted_kind(name) == "text" else _maybe_numbers(labels, name, raw)
+
+
+def _floats(data: Any) -> NDArray[np.float64]:
+    """Numbers of an Arrow column; missing ones NaN. Reads the buffers, because Arrow's own way imports pandas."""
+    import pyarrow as pa
+
+    data = data.cast(pa.float64(), safe=False)
+    parts = []
+    for chunk in data.chunks if isinstance(data, pa.ChunkedArray) else [data]:
+        validity, values = chunk.buffers()
+        if not len(chunk):
+            continue
+        part = np.frombuffer(values, dtype=np.float64)[chunk.offset : chunk.offset + len(chunk)]
+        if chunk.null_count:
+            known = np.unpackbits(np.frombuffer(validity, dtype=np.uint8), bitorder="little")
+            part = np.where(known[chunk.offset : chunk.offset + len(chunk)] == 1, part, np.nan)
+        parts.append(part)
+    return np.concatenate(parts) if len(parts) > 1 else (parts[0] if parts else np.empty(0))
+
+
+def _is_text(kind: Any) -> bool:
+    import pyarrow as pa
+
+    if pa.types.is_dictionary(kind):
+        kind = kind.value_type
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+
+
+def _labels(data: Any) -> Labels:
+    import pyarrow as pa
+
+    if not _is_text(data.type):
+        data = data.cast(pa.string())
+    if isinstance(data, pa.ChunkedArray):
+        data = data.combine_chunks()
+    if not pa.types.is_dictionary(data.type):
+        data = data.dictionary_encode()
+    floats = _floats(data.indices)
+    names = ["" if name is None else str(name) for name in data.dictionary.to_pylist()]
+    codes = np.asarray(np.where(np.isnan(floats), -1.0, floats), dtype=np.int64)
+    if "" in names:
+        empty = names.index("")
+        codes = np.asarray(np.where(codes == empty, -1, codes - (codes > empty)), dtype=np.int64)
+        names.pop(empty)
+    return Labels(codes, tuple(names))
+
+
+def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
+    """Text that is nearly always a number, or on and off, becomes numbers, and the odd cells are told."""
+    if not labels.names:
+        return np.full(len(labels), np.nan)
+    if all(word.strip().lower() in _SWITCH_WORDS for word in labels.names):
+        values = np.array([*(_SWITCH_WORDS[word.strip().lower()] for word in labels.names), np.nan])
+        raw.remarks.append(Remark("format", name, "words on/off or true/false", "read as 1 and 0", "note"))
+        return np.asarray(values[labels.codes])
+    values = np.array([*(_number(word) for word in labels.names), np.nan])
+    numbers = np.asarray(values[labels.codes])
+    written = labels.codes >= 0
+    bad = written & np.isnan(numbers)
+    if not bad.any():
+        return numbers
+    if bad.sum() > (1 - _MOSTLY_NUMBERS) * written.sum():
+        return labels
+    row = int(np.argmax(bad))
+    raw.remarks.append(
+        Remark(
+            "format",
+            name,
+            f"{int(bad.sum())} of {len(numbers)} cells are not numbers, first '{labels.names[labels.codes[row]][:40]}'",
+            "read as missing",
+            "warning",
+            raw.line(row),
+            int(bad.sum()),
+        )
+    )
+    return numbers
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return float("nan")

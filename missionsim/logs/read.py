@@ -1,0 +1,423 @@
+"""Logs in: find the format, read, check, repair what is safe, and freeze as `LogTable`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.labels import Labels
+from missionsim.logs import suspect
+from missionsim.logs.clean import Rows, fill_missing, order_time
+from missionsim.logs.clock import clock_delay
+from missionsim.logs.csvfile import iter_csv, read_csv
+from missionsim.logs.parquetfile import MAGIC, iter_parquet, read_parquet
+from missionsim.logs.power import battery_power, measured_batteries, missing_columns
+from missionsim.logs.raw import RawTable
+from missionsim.logs.remarks import Remark, merge
+from missionsim.logs.table import LogTable, row_durations
+
+if TYPE_CHECKING:
+    from missionsim.spec import RobotSpec
+
+PathLike = str | os.PathLike[str]
+LOG_SUFFIXES = (".csv", ".parquet")
+_OTHER_MAGIC = {b"#ROSBAG": "a ROS 1 bag", b"ULog": "a PX4 ULog", b"\x89MCAP": "an MCAP bag", b"SQLite": "a ROS 2 bag"}
+
+
+def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> LogTable:
+    """Read one measured log (CSV or Parquet) and check it.
+
+    Parameters
+    ----------
+    path : path-like
+        A CSV file with a header, or a Parquet file, with the columns of the glossary.
+    robot : RobotSpec, optional
+        The robot that drove; its batteries, components and top speed sharpen the checks.
+
+    Returns
+    -------
+    LogTable
+        With `remarks` that say what was wrong and what was done.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        The file cannot be read, a required column is missing, a cell is not a number, or time restarts.
+    """
+    return make_log(read_raw(path), Path(path).stem, robot=robot)
+
+
+def read_logs(paths: Iterable[PathLike] | PathLike, *, robot: RobotSpec | None = None) -> list[LogTable]:
+    """Read several logs; a folder stands for every ``.csv`` and ``.parquet`` in it, by name.
+
+    Runs of the same name (from two folders) get the folder's name in front.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        With the faults of all files at once.
+    """
+    logs: list[LogTable] = []
+    faults: list[Fault] = []
+    for path in find_logs(paths):
+        try:
+            logs.append(read_log(path, robot=robot))
+        except InputError as error:
+            faults.extend(error.faults)
+    if faults:
+        raise InputError(faults)
+    names = [log.run for log in logs]
+    return [
+        replace(log, run=f"{Path(log.source).resolve().parent.name}/{log.run}") if names.count(log.run) > 1 else log
+        for log in logs
+    ]
+
+
+def find_logs(paths: Iterable[PathLike] | PathLike) -> list[Path]:
+    """The files that a list of files and folders stands for, each once.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        A path that does not exist, or a folder without logs.
+    """
+    given = [paths] if isinstance(paths, (str, os.PathLike)) else list(paths)
+    files: dict[Path, None] = {}
+    faults = []
+    for item in map(Path, given):
+        if item.is_dir():
+            inside = sorted(
+                p for p in item.iterdir() if p.suffix.lower() in LOG_SUFFIXES and not p.name.startswith(".")
+            )
+            if not inside:
+                faults.append(
+                    Fault(str(item), 0, 0, "the folder holds no log", allowed="files named *.csv or *.parquet")
+                )
+            files.update(dict.fromkeys(inside))
+        elif item.exists():
+            files[item] = None
+        else:
+            faults.append(_not_there(item))
+    if not given:
+        faults.append(Fault("", 0, 0, "no log was given", allowed="files or folders"))
+    if faults:
+        raise InputError(faults)
+    return list(files)
+
+
+def _not_there(path: Path) -> Fault:
+    near = did_you_mean(path.name, [p.name for p in path.parent.iterdir()]) if path.parent.is_dir() else ""
+    return Fault(str(path), 0, 0, "there is no such file", hint=near)
+
+
+def read_raw(path: PathLike) -> RawTable:
+    """A CSV or Parquet file as it stands, without checks of its values; the content decides, not the name.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        The file cannot be read as a table.
+    """
+    path = Path(path)
+    return read_parquet(path, str(path)) if _is_parquet(path) else read_csv(path, str(path))
+
+
+def _is_parquet(path: Path) -> bool:
+    if path.is_dir():
+        raise InputError(Fault(str(path), 0, 0, "this is a folder, not a log"))
+    try:
+        with open(path, "rb") as handle:
+            head = handle.read(8)
+    except FileNotFoundError:
+        raise InputError(_not_there(path)) from None
+    except OSError as error:
+        raise InputError(Fault(str(path), 0, 0, f"the file cannot be opened: {error.strerror}")) from None
+    for magic, kind in _OTHER_MAGIC.items():
+        if head.startswith(magic):
+            raise InputError(
+                Fault(
+                    str(path),
+                    0,
+                    0,
+                    f"this is {kind}, not a table",
+                    allowed="CSV or Parquet",
+                    hint="missionsim import SOURCE --map MAP.yaml --out LOG.parquet",
+                )
+            )
+    return head.startswith(MAGIC) or path.suffix.lower() == ".parquet"
+
+
+def make_log(
+    raw: RawTable,
+    run: str,
+    *,
+    robot: RobotSpec | None = None,
+    own: tuple[int, int] | None = None,
+    statistics: bool = True,
+) -> LogTable:
+    """Check, repair and freeze a table whose columns already have glossary names.
+
+    Parameters
+    ----------
+    raw : RawTable
+    run : str
+        Name of the run.
+    robot : RobotSpec, optional
+        See `read_log`.
+    own : (int, int), optional
+        Rows of `raw` that belong to the result; the others are neighbours (blocks of a long file).
+    statistics : bool
+        Whether to run the checks that look at the values as a whole (units, frozen sensors, clock).
+    """
+    faults = missing_columns(raw.columns, raw.file, raw.line(0) - 1 if raw.line(0) else 0)
+    texts = [name for name in raw.columns if _must_be_number(name) and isinstance(raw.columns[name], Labels)]
+    faults += [Fault(raw.file, raw.line(0), 0, "this column holds text, not numbers", name) for name in texts]
+    if raw.rows == 0:
+        faults.append(Fault(raw.file, 0, 0, "there is a header but no rows", allowed="at least two rows"))
+    if faults:
+        raise InputError(faults)
+    rows = Rows(raw, dict(raw.columns), np.arange(raw.rows), list(raw.remarks))
+    order_time(rows)
+    rows.dt = row_durations(rows.time)
+    kinds = measured_batteries(rows.columns)
+    held = fill_missing(
+        rows, {name for name in rows.columns if name.startswith(("power_", "voltage_", "current_", "energy_"))}
+    )
+    kinds = measured_batteries(rows.columns)
+    if not kinds or len(rows.row) < 2:
+        raise InputError(Fault(raw.file, 0, 0, "no battery has values in two rows or more", path="power_<battery>_w"))
+    return _freeze(rows, run, kinds, held, robot, own, statistics)
+
+
+def _freeze(
+    rows: Rows,
+    run: str,
+    kinds: dict[str, str],
+    held: dict[str, NDArray[np.bool_]],
+    robot: RobotSpec | None,
+    own: tuple[int, int] | None,
+    statistics: bool,
+) -> LogTable:
+    repeated = dict(held)
+    if statistics:
+        batteries, components = (tuple(robot.batteries), tuple(robot.components)) if robot is not None else ((), ())
+        suspect.check_names(rows, batteries, components)
+        limit = robot.body.max_speed if robot is not None else None
+        suspect.check_magnitudes(rows, None if limit is None else float(limit))
+        suspect.check_agreement(rows, kinds)
+    repeated |= suspect.check_frozen(rows, held.__contains__)
+    power, fresh = {}, {}
+    for battery, kind in kinds.items():
+        power[battery], mask = battery_power(rows.columns, battery, kind)
+        names = {
+            "power": ["power_{}_w"],
+            "voltage*current": ["voltage_{}_v", "current_{}_a"],
+            "energy": ["energy_{}_wh"],
+        }[kind]
+        masks = [repeated[name.format(battery)] for name in names if name.format(battery) in repeated]
+        if kind == "energy" and mask is not None:
+            rows.remark(
+                "repeated",
+                f"energy_{battery}_wh",
+                f"the counter moves in {int(mask.sum())} of {len(mask)} rows",
+                "power is its increment over the time since it moved before",
+                "note",
+                None,
+                int((~mask).sum()),
+            )
+        if masks and (len(masks) == len(names) or kind == "power"):
+            mask = np.logical_or.reduce(masks)
+        fresh[battery] = mask
+    if statistics and "speed_m_s" in rows.columns:
+        _clock(rows, power)
+    assert rows.dt is not None
+    log = LogTable(run, rows.columns, rows.dt, power, fresh, kinds, rows.raw.file, tuple(rows.remarks))
+    if own is not None:
+        log = log.rows_where((rows.row >= own[0]) & (rows.row < own[1]))
+    return log
+
+
+def _must_be_number(name: str) -> bool:
+    from missionsim.glossary import column_of
+
+    found = column_of(name)
+    return found is not None and found[0].kind != "text"
+
+
+def _clock(rows: Rows, power: dict[str, NDArray[np.float64]]) -> None:
+    part = slice(0, 200_000)
+    yaw = rows.columns.get("yaw_rate_rad_s")
+    for battery, watt in power.items():
+        found = clock_delay(
+            rows.time[part],
+            watt[part],
+            np.asarray(rows.columns["speed_m_s"])[part],
+            None if yaw is None else np.asarray(yaw)[part],
+        )
+        if found is None or found.correlation < found.correlation_at_zero + 0.05:
+            continue
+        if abs(found.delay_s) >= max(0.15, 0.3 * found.resolution_s):
+            later = "later" if found.delay_s > 0 else "earlier"
+            rows.remark(
+                "clock",
+                f"power_{battery}_w",
+                f"power changes about {abs(found.delay_s):.2g} s {later} than the motion "
+                f"(correlation {found.correlation:.2f}, at no shift {found.correlation_at_zero:.2f})",
+                "left as it is; the diagnosis aligns the clocks, a map can shift them (lag)",
+                "note",
+            )
+
+
+def iter_blocks(
+    path: PathLike, *, rows: int = 500_000, columns: Sequence[str] | None = None, robot: RobotSpec | None = None
+) -> Iterator[LogTable]:
+    """Read a long log in blocks, in bounded memory: each block is a `LogTable`, together they are the whole log.
+
+    Parameters
+    ----------
+    path : path-like
+    rows : int
+        Rows of a block (CSV: at least; the last block may be shorter).
+    columns : sequence of str, optional
+        Parquet columns to read; all by default. `time_s` and the batteries' columns are always read.
+    robot : RobotSpec, optional
+        See `read_log`.
+
+    Yields
+    ------
+    LogTable
+        Time, durations and energy differences at the edges take the neighbouring rows into account. Checks of units
+        and clocks look at the first block only.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        As `read_log`; time that runs backwards from one block to the next.
+    """
+    path = Path(path)
+    wanted = None if columns is None else {"time_s", *columns}
+    if _is_parquet(path):
+        from missionsim.logs.parquetfile import parquet_names
+
+        if wanted is not None:
+            wanted |= {name for name in parquet_names(path, str(path)) if measured_batteries([name, _partner(name)])}
+        blocks = iter_parquet(path, str(path), rows, sorted(wanted) if wanted is not None else None)
+    else:
+        blocks = iter_csv(path, str(path), rows)
+    before: RawTable | None = None
+    current = next(blocks, None)
+    if current is None:
+        raise InputError(Fault(str(path), 0, 0, "there is a header but no rows", allowed="at least two rows"))
+    while current is not None:
+        after = next(blocks, None)
+        yield _block(path, before, current, after, robot)
+        before, current = current, after
+
+
+def _partner(name: str) -> str:
+    if name.startswith("voltage_"):
+        return "current_" + name[len("voltage_") : -1] + "a"
+    return "voltage_" + name[len("current_") : -1] + "v" if name.startswith("current_") else name
+
+
+_EDGE = 64
+"""Rows taken from the neighbouring blocks: enough to see a refresh and the step of time."""
+
+
+def _block(
+    path: Path, before: RawTable | None, current: RawTable, after: RawTable | None, robot: RobotSpec | None
+) -> LogTable:
+    parts = [current]
+    lead = 0
+    if before is not None:
+        lead = min(_EDGE, before.rows)
+        parts.insert(0, _cut(before, slice(before.rows - lead, None)))
+        _check_order(before, current)
+    if after is not None:
+        parts.append(_cut(after, slice(0, _EDGE)))
+    joined = RawTable(
+        current.file,
+        {name: _join([part.columns[name] for part in parts]) for name in current.columns},
+        current.lines,
+        current.remarks,
+        current.first_row - lead,
+    )
+    return make_log(joined, path.stem, robot=robot, own=(lead, lead + current.rows), statistics=before is None)
+
+
+def _check_order(before: RawTable, current: RawTable) -> None:
+    ends, starts = before.columns.get("time_s"), current.columns.get("time_s")
+    if ends is None or starts is None or isinstance(ends, Labels) or isinstance(starts, Labels):
+        return
+    if np.nanmax(ends) > np.nanmax(starts):
+        raise InputError(
+            Fault(
+                current.file,
+                current.line(0),
+                0,
+                f"time runs backwards, from {np.nanmax(ends):.6g} s to {starts[0]:.6g} s",
+                "time_s",
+                allowed="increasing times, one run a file",
+            )
+        )
+
+
+def _cut(raw: RawTable, part: slice) -> RawTable:
+    return RawTable(raw.file, {name: data[part] for name, data in raw.columns.items()})
+
+
+def _join(parts: list[NDArray[np.float64] | Labels]) -> NDArray[np.float64] | Labels:
+    if not any(isinstance(part, Labels) for part in parts):
+        return np.concatenate([part for part in parts if not isinstance(part, Labels)])
+    texts = [part if isinstance(part, Labels) else Labels.of([None] * len(part)) for part in parts]
+    names: dict[str, int] = {}
+    codes = []
+    for part in texts:
+        table = np.array([*(names.setdefault(name, len(names)) for name in part.names), -1], dtype=np.int64)
+        codes.append(table[part.codes])
+    return Labels(np.concatenate(codes), tuple(names))
+
+
+def check_log(path: PathLike, *, robot: RobotSpec | None = None) -> list[Fault]:
+    """All faults of a log, for ``missionsim validate``: what stops a reading, and what the checks find.
+
+    Returns
+    -------
+    list of Fault
+        Severity ``error`` where the log is against the contract of the columns, ``warning`` where it is doubtful.
+    """
+    path = Path(path)
+    try:
+        remarks = read_log(path, robot=robot).remarks
+    except InputError as error:
+        return list(error.faults)
+    return [remark.fault(str(path)) for remark in merge(remarks) if remark.severity != "note"]
+
+
+def describe(logs: Sequence[LogTable], *, notes: bool = False) -> list[str]:
+    """The remarks of several logs in words, one line each, the same remark of many runs joined.
+
+    Parameters
+    ----------
+    logs : sequence of LogTable
+    notes : bool
+        Whether to tell the harmless ones too.
+    """
+    found: dict[tuple[str, str, str], list[tuple[str, Remark]]] = {}
+    for log in logs:
+        for remark in merge(log.remarks):
+            if notes or remark.severity != "note":
+                found.setdefault((remark.kind, remark.column, remark.action), []).append((log.run, remark))
+    lines = []
+    for group in found.values():
+        run, remark = group[0]
+        others = f" (and {len(group) - 1} more runs)" if len(group) > 1 else ""
+        lines.append(f"{remark.severity}: {run}: {remark}{others}")
+    return lines

@@ -1,0 +1,61 @@
+"""Remarks: what was wrong with a log, and what was done about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from missionsim.errors import Fault
+
+
+@dataclass(frozen=True)
+class Remark:
+    """One finding of the log checks.
+
+    Attributes
+    ----------
+    kind : str
+        Short name of the check: ``time_backwards``, ``duplicate``, ``gap``, ``missing``, ``repeated``, ``frozen``,
+        ``range``, ``unit``, ``sign``, ``clock``, ``name``, ``format``, ``disagreement``, ``reset``.
+    column : str
+        The column it is about; empty for the whole file.
+    message : str
+        What is wrong, with numbers.
+    action : str
+        What was done: nothing is dropped or changed without saying so here.
+    severity : str
+        ``note`` (good to know), ``warning`` (doubtful), ``error`` (against the contract of the columns; the log is
+        still read, but ``missionsim validate`` refuses it).
+    line : int
+        Line of the first occurrence in a text file (1-based), 0 where there is none.
+    count : int
+        Rows concerned.
+    """
+
+    kind: str
+    column: str
+    message: str
+    action: str
+    severity: str = "warning"
+    line: int = 0
+    count: int = 0
+
+    def __str__(self) -> str:
+        where = f" (line {self.line})" if self.line else ""
+        about = f"{self.column}: " if self.column else ""
+        return f"{about}{self.message}{where}; {self.action}"
+
+    def fault(self, file: str) -> Fault:
+        """The remark as a fault of `file`, for ``missionsim validate``."""
+        severity = "error" if self.severity == "error" else "warning"
+        return Fault(file, self.line, 0, f"{self.message}; {self.action}", path=self.column, severity=severity)
+
+
+def merge(remarks: Iterable[Remark]) -> list[Remark]:
+    """Join the remarks of several blocks: same check, column and action count as one, the first message stays."""
+    joined: dict[tuple[str, str, str], Remark] = {}
+    for remark in remarks:
+        key = (remark.kind, remark.column, remark.action)
+        seen = joined.get(key)
+        joined[key] = remark if seen is None else replace(seen, count=seen.count + remark.count)
+    return list(joined.values())

@@ -1,0 +1,264 @@
+"""Doubts about a log that is well formed: wrong units and signs, columns that disagree, sensors that stand still.
+
+Nothing is converted here: a value off by a thousand is told, and the user's map converts it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.glossary import COLUMNS, column_of
+from missionsim.labels import Labels
+from missionsim.logs.clean import Rows
+from missionsim.logs.power import refreshes
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_SAMPLE = 100_000
+"""Rows that the statistical checks look at: one stretch from the start of the table."""
+_LEFT = "left as it is; a map converts it"
+
+_LARGE: dict[str, tuple[float, str]] = {
+    "speed_m_s": (15.0, "faster than a mobile robot drives: km/h or mm/s"),
+    "lateral_speed_m_s": (15.0, "faster than a mobile robot drives: km/h or mm/s"),
+    "accel_m_s2": (30.0, "mm/s² or a raw accelerometer"),
+    "yaw_rate_rad_s": (8.0, "degrees per second"),
+    "slope_rad": (0.7, "degrees or per cent"),
+    "temp_ambient_c": (70.0, "kelvin or fahrenheit"),
+    "temp_motor_c": (200.0, "kelvin or fahrenheit"),
+    "cpu_load": (1.01, "per cent"),
+    "payload_kg": (5000.0, "grams"),
+    "heading_rad": (200.0, "degrees"),
+    "voltage_<battery>_v": (1000.0, "millivolts"),
+    "current_<battery>_a": (400.0, "milliamperes"),
+    "power_<battery>_w": (30000.0, "milliwatts"),
+}
+"""Glossary column → a magnitude that its 95 % point hardly exceeds in a mobile robot, and what it then may be."""
+_RATIOS: tuple[tuple[float, str], ...] = (
+    (1000.0, "1,000"),
+    (1e-3, "1/1,000"),
+    (1e6, "1,000,000"),
+    (1e-6, "1/1,000,000"),
+    (3600.0, "3,600"),
+    (1 / 3600.0, "1/3,600"),
+    (3.6, "3.6 (km/h)"),
+    (1 / 3.6, "1/3.6"),
+    (180 / np.pi, "57.3 (degrees)"),
+    (np.pi / 180, "1/57.3"),
+    (-1.0, "−1 (the sign)"),
+    (60.0, "60"),
+    (100.0, "100"),
+)
+
+
+def check_names(rows: Rows, known_batteries: tuple[str, ...] = (), known_components: tuple[str, ...] = ()) -> None:
+    """Tell names that nearly are a glossary name, and batteries or components that the robot does not have."""
+    from missionsim.errors import did_you_mean
+
+    plain = [column.name for column in COLUMNS if "<" not in column.name]
+    for name in rows.columns:
+        found = column_of(name)
+        if found is None:
+            near = did_you_mean(name, plain, 0.75)
+            if near and near not in rows.columns:
+                rows.remark(
+                    "name", name, f"not a name of the glossary; did you mean {near}?", "kept as a column of its own"
+                )
+        elif known_batteries and "<battery>" in found[0].name and found[1] not in known_batteries:
+            near = did_you_mean(found[1], known_batteries)
+            rows.remark(
+                "name",
+                name,
+                f"the robot has no battery '{found[1]}' (it has {', '.join(known_batteries)})"
+                + (f"; did you mean {near}?" if near else ""),
+                "kept, not compared",
+            )
+        elif known_components and "<component>" in found[0].name and found[1] not in known_components:
+            near = did_you_mean(found[1], known_components)
+            rows.remark(
+                "name",
+                name,
+                f"the robot has no component '{found[1]}'" + (f"; did you mean {near}?" if near else ""),
+                "kept as a column of its own",
+            )
+
+
+def check_magnitudes(rows: Rows, max_speed_m_s: float | None = None) -> None:
+    """Tell columns whose magnitude suggests another unit."""
+    for name, data in rows.columns.items():
+        if isinstance(data, Labels) or any(r.kind == "range" and r.column == name for r in rows.remarks):
+            continue
+        found = column_of(name)
+        if found is None:
+            continue
+        sample = np.abs(data[:_SAMPLE])
+        large = float(np.quantile(sample, 0.95))
+        limit, perhaps = _LARGE.get(found[0].name, (np.inf, ""))
+        if name == "speed_m_s" and max_speed_m_s:
+            limit, perhaps = 2.0 * max_speed_m_s, f"the robot drives {max_speed_m_s:g} m/s at most: km/h or mm/s"
+        if large > limit:
+            rows.remark("unit", name, f"the values reach {large:.4g} {found[0].unit}; perhaps {perhaps}", _LEFT)
+        if name == "cpu_freq_hz" and 0 < large < 1e6:
+            rows.remark("unit", name, f"the values reach only {large:.4g} Hz; perhaps MHz or GHz", _LEFT)
+        if found[0].name == "voltage_<battery>_v" and 0 < large < 0.5:
+            rows.remark(
+                "unit", name, f"the values reach only {large:.4g} V; perhaps kilovolts or a wrong column", _LEFT
+            )
+
+
+def check_agreement(rows: Rows, batteries: Mapping[str, str]) -> None:
+    """Compare what is said twice: power, V·I, energy; speed, path, acceleration; heading, yaw rate."""
+    number = {name: data[:_SAMPLE] for name, data in rows.columns.items() if not isinstance(data, Labels)}
+    time = number["time_s"]
+    for battery in batteries:
+        power, energy = number.get(f"power_{battery}_w"), number.get(f"energy_{battery}_wh")
+        volt, ampere = number.get(f"voltage_{battery}_v"), number.get(f"current_{battery}_a")
+        product = volt * ampere if volt is not None and ampere is not None else None
+        if power is not None and product is not None:
+            _ratio(rows, f"power_{battery}_w", "voltage × current", _mean(power), _mean(product))
+        if energy is not None and (power is not None or product is not None):
+            watt = power if power is not None else product
+            assert watt is not None
+            span = (energy[-1] - energy[0]) * 3600.0 / (time[-1] - time[0])
+            _ratio(rows, f"energy_{battery}_wh", "the sum of power", float(span), _mean(watt))
+        _sign(rows, battery, power, product, energy, ampere)
+    speed = number.get("speed_m_s")
+    if speed is not None and {"x_m", "y_m"} <= number.keys():
+        stride = max(1, round(1.0 / max(float(np.median(np.diff(time))), 1e-6)))
+        path = float(np.hypot(np.diff(number["x_m"][::stride]), np.diff(number["y_m"][::stride])).sum())
+        _ratio(rows, "speed_m_s", "the path of x_m, y_m", float(np.trapezoid(np.abs(speed), time)), path, loose=True)
+    yaw, heading = number.get("yaw_rate_rad_s"), number.get("heading_rad")
+    if yaw is not None and heading is not None:
+        full = 360.0 if float(np.ptp(heading)) > 4 * np.pi and float(np.abs(heading).max()) <= 360.0 else 2 * np.pi
+        turned = float(np.abs(np.diff(np.unwrap(heading, period=full))).sum())
+        _ratio(
+            rows,
+            "yaw_rate_rad_s",
+            "the changes of heading_rad",
+            float(np.trapezoid(np.abs(yaw), time)),
+            turned,
+            loose=True,
+        )
+    accel = number.get("accel_m_s2")
+    if accel is not None and speed is not None and len(time) > 50:
+        slope = np.gradient(speed, time)
+        if (strength := float(slope @ slope)) > 0:
+            _ratio(rows, "accel_m_s2", "the changes of speed_m_s", float(accel @ slope) / strength, 1.0, loose=True)
+
+
+def _mean(values: Floats) -> float:
+    return float(values.mean())
+
+
+def _ratio(rows: Rows, name: str, other: str, value: float, reference: float, loose: bool = False) -> None:
+    if not (np.isfinite(value) and np.isfinite(reference)) or abs(reference) < 1e-9 or abs(value) < 1e-12:
+        return
+    ratio = value / reference
+    spread = 1.35 if loose else 1.15
+    for factor, words in _RATIOS:
+        if factor * ratio > 0 and 1 / spread < ratio / factor < spread:
+            rows.remark("unit", name, f"{words} times {other}: another unit or sign?", _LEFT, "error")
+            return
+    if not loose and not 0.8 < ratio < 1.25:
+        rows.remark("disagreement", name, f"{ratio:.3g} times {other}", "left as it is")
+
+
+def _sign(
+    rows: Rows, battery: str, power: Floats | None, product: Floats | None, energy: Floats | None, ampere: Floats | None
+) -> None:
+    watt, name = (power, f"power_{battery}_w") if power is not None else (product, f"current_{battery}_a")
+    if watt is not None and float(np.median(watt)) < 0 and _mean(watt) < 0:
+        rows.remark(
+            "sign",
+            name,
+            f"the battery seems to be charged all the time (mean {_mean(watt):.4g} W); what it delivers is positive",
+            _LEFT,
+            "error",
+        )
+    if watt is None and energy is not None and energy[-1] < energy[0]:
+        rows.remark(
+            "sign",
+            f"energy_{battery}_wh",
+            "the energy falls: it should be what was delivered so far, not what is left",
+            _LEFT,
+            "error",
+        )
+
+
+def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools]:
+    """Tell numeric columns that hang at one value, and columns repeated from a slower topic.
+
+    Parameters
+    ----------
+    rows : Rows
+    fresh_of : callable
+        Whether a column is already known to be held from a slower topic.
+
+    Returns
+    -------
+    dict
+        Column → rows where it has a new value, for columns that repeat or hang.
+    """
+    result: dict[str, Bools] = {}
+    time = rows.time
+    for name, data in rows.columns.items():
+        found = column_of(name)
+        if isinstance(data, Labels) or name == "time_s" or found is None or found[0].kind != "number" or fresh_of(name):
+            continue
+        if name in ("payload_kg", "temp_ambient_c", "access_point_distance_m", "cpu_freq_hz") or len(data) < 20:
+            continue
+        if name.startswith("energy_"):
+            continue
+        slow = refreshes(data, time)
+        if slow is not None:
+            step = float(np.median(np.diff(time[:_SAMPLE])))
+            count = len(data) - int(slow.fresh.sum())
+            rows.remark(
+                "repeated",
+                name,
+                f"values repeat: about {1 / slow.period_s:.2g} Hz in rows of {1 / step:.3g} Hz",
+                "kept; each refresh counts once",
+                "note",
+                None,
+                count,
+            )
+            result[name] = slow.fresh
+            continue
+        hung = _hung(name, data, time)
+        if hung is not None:
+            first, last, fresh = hung
+            rows.remark(
+                "frozen",
+                name,
+                f"stands at {data[first]:.6g} for {time[last] - time[first]:.3g} s "
+                f"from {time[first]:.6g} s, although it changes in most other rows",
+                "kept; counted once",
+                "warning",
+                first,
+                last - first,
+            )
+            result[name] = fresh
+    return result
+
+
+def _hung(name: str, data: Floats, time: Floats) -> tuple[int, int, Bools] | None:
+    change = np.r_[True, data[1:] != data[:-1]]
+    starts = np.flatnonzero(change)
+    if len(starts) < 10:
+        return None
+    lengths = np.diff(np.r_[starts, len(data)])
+    if float(np.median(lengths)) > 1:
+        return None
+    motion = name.endswith(("_m_s", "_m_s2", "_rad_s"))
+    longest = int(np.argmax(np.where((data[starts] == 0.0) & motion, 0, lengths)))
+    first = int(starts[longest])
+    last = first + int(lengths[longest]) - 1
+    if lengths[longest] < 20 or time[last] - time[first] < 5.0 or (motion and data[first] == 0.0):
+        return None
+    fresh = np.ones(len(data), dtype=bool)
+    fresh[first + 1 : last + 1] = False
+    return first, last, fresh

@@ -1,0 +1,227 @@
+"""`LogTable`: one run's measured log under glossary names, checked and frozen."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.files import sha256
+from missionsim.glossary import column_of
+from missionsim.labels import Labels
+from missionsim.logs.raw import ColumnData
+from missionsim.logs.remarks import Remark
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class LogTable:
+    """A measured log of one run; all arrays have shape (n,) and are read-only.
+
+    Attributes
+    ----------
+    run : str
+        Name of the run: the file's name without its suffix.
+    columns : mapping
+        Glossary name (and any further name of the file) → float64 array in SI units, or `Labels` for text.
+    dt_s : ndarray
+        Time that each row stands for [s]: half-way to its neighbours (contract). The end rows reach as far outwards
+        as inwards, but not before time zero. Computed before rows were left out, so a row's time stays its own.
+    power_w : mapping
+        Battery → mean power around each row [W], from its power, voltage × current, or differenced energy.
+    fresh : mapping
+        Battery → True in the rows where the power was really refreshed; None where every row is.
+    power_from : mapping
+        Battery → ``power``, ``voltage*current`` or ``energy``.
+    source : str
+        The file as the user gave it.
+    remarks : tuple of Remark
+        What was wrong, and what was done.
+    """
+
+    run: str
+    columns: Mapping[str, ColumnData]
+    dt_s: Floats
+    power_w: Mapping[str, Floats]
+    fresh: Mapping[str, Bools | None]
+    power_from: Mapping[str, str]
+    source: str = ""
+    remarks: tuple[Remark, ...] = field(default=(), compare=False)
+
+    def __post_init__(self) -> None:
+        for name in ("columns", "power_w", "fresh", "power_from"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        held = [*self.columns.values(), *self.power_w.values(), *self.fresh.values(), self.dt_s]
+        for data in held:
+            array = data.codes if isinstance(data, Labels) else data
+            if array is not None:
+                array.flags.writeable = False
+
+    @property
+    def time_s(self) -> Floats:
+        """Time from the start of the run [s]."""
+        return self.number("time_s")
+
+    @property
+    def batteries(self) -> tuple[str, ...]:
+        """Names of the batteries that were measured."""
+        return tuple(self.power_w)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.dt_s)
+
+    @property
+    def duration_s(self) -> float:
+        """Time that the rows stand for, together [s]."""
+        return float(self.dt_s.sum())
+
+    def __len__(self) -> int:
+        return self.rows
+
+    @functools.cached_property
+    def sha256(self) -> str:
+        """SHA-256 of the source file; empty for a table made in memory."""
+        return sha256(self.source) if self.source else ""
+
+    def number(self, name: str) -> Floats:
+        """A numeric column, shape (n,); KeyError where it is not there."""
+        data = self.columns[name]
+        if isinstance(data, Labels):
+            raise KeyError(f"{name} is text")
+        return data
+
+    def energy_wh(self, battery: str) -> float:
+        """Energy that a battery delivered over the rows of the log [Wh]."""
+        return float(self.power_w[battery] @ self.dt_s) / 3600.0
+
+    def covariates(self) -> dict[str, ColumnData]:
+        """Columns that a model may depend on: all but time and the batteries' power, current and energy."""
+        return {name: data for name, data in self.columns.items() if not _is_measurement(name)}
+
+    def refresh_rows(self, battery: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Row ranges that each refresh of the power stands for: rows ``start[i]:stop[i]``, the last one is the refresh.
+
+        A value that appears in row k was measured over the time since the refresh before, so the range reaches from
+        the row after that to k. Where every row is fresh, each row is its own range.
+        """
+        fresh = self.fresh[battery]
+        if fresh is None:
+            return np.arange(self.rows), np.arange(1, self.rows + 1)
+        at = np.flatnonzero(fresh)
+        if len(at) and at[0] == 0 and len(at) > 1:
+            at = at[1:]
+            return np.r_[1, at[:-1] + 1], at + 1
+        return np.r_[0, at[:-1] + 1][: len(at)], at + 1
+
+    def at_refresh(self, battery: str) -> LogTable:
+        """One row per refresh of a battery's power, the other columns averaged over the time since the refresh before.
+
+        Text takes its last value. Other batteries are averaged as well. Without repeated values the log itself.
+        """
+        if self.fresh[battery] is None:
+            return self
+        start, stop = self.refresh_rows(battery)
+        if not len(start):
+            return self
+        keep = np.zeros(self.rows, dtype=bool)
+        keep[start[0] : stop[-1]] = True
+        edges = start - start[0]
+        weight = np.where(self.dt_s > 0, self.dt_s, 1e-12)[keep]
+        total = np.add.reduceat(weight, edges)
+
+        def mean(values: Floats) -> Floats:
+            return np.asarray(np.add.reduceat(values[keep] * weight, edges) / total)
+
+        columns: dict[str, ColumnData] = {
+            name: data[stop - 1] if isinstance(data, Labels) else mean(data) for name, data in self.columns.items()
+        }
+        power = {
+            name: self.power_w[name][stop - 1] if name == battery else mean(self.power_w[name])
+            for name in self.batteries
+        }
+        for name in self.batteries:
+            if f"power_{name}_w" in columns:
+                columns[f"power_{name}_w"] = power[name].copy()
+        note = Remark(
+            "repeated",
+            "",
+            f"{self.rows} rows, {len(start)} refreshes of battery {battery}",
+            "one row kept per refresh, motion averaged over the time before it",
+            "note",
+            0,
+            self.rows - len(start),
+        )
+        return LogTable(
+            self.run,
+            columns,
+            total,
+            power,
+            dict.fromkeys(self.batteries),
+            self.power_from,
+            self.source,
+            (*self.remarks, note),
+        )
+
+    def rows_where(self, keep: NDArray[np.bool_] | slice) -> LogTable:
+        """The same log with only the chosen rows; each keeps the time that it stood for."""
+        return LogTable(
+            self.run,
+            {name: data[keep] for name, data in self.columns.items()},
+            self.dt_s[keep].copy(),
+            {name: power[keep].copy() for name, power in self.power_w.items()},
+            {name: None if fresh is None else fresh[keep].copy() for name, fresh in self.fresh.items()},
+            self.power_from,
+            self.source,
+            self.remarks,
+        )
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The columns as a pandas DataFrame, text as strings."""
+        import pandas as pd
+
+        return pd.DataFrame(
+            {name: data.texts() if isinstance(data, Labels) else data.copy() for name, data in self.columns.items()}
+        )
+
+
+def _is_measurement(name: str) -> bool:
+    found = column_of(name)
+    return found is not None and found[0].name in {
+        "time_s",
+        "power_<battery>_w",
+        "current_<battery>_a",
+        "energy_<battery>_wh",
+    }
+
+
+def row_durations(time_s: Floats) -> Floats:
+    """Time that each row stands for: half-way to its neighbours, the end rows symmetric but not before time zero.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Increasing, n ≥ 2 [s].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        [s]; for evenly spaced rows that start half a step after zero the sum is n steps.
+    """
+    middle = 0.5 * (time_s[1:] + time_s[:-1])
+    first = time_s[0] - (middle[0] - time_s[0])
+    if time_s[0] >= 0:
+        first = max(first, 0.0)
+    last = time_s[-1] + (time_s[-1] - middle[-1])
+    return np.diff(np.r_[first, middle, last])
