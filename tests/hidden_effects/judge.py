@@ -47,7 +47,7 @@ def group(case: str) -> str:
         return "nothing, 1 % model discrepancy" if case.endswith("level3") else "nothing hidden"
     if case.startswith("two-"):
         return "two effects"
-    for start in ("outside", "confounded"):
+    for start in ("outside", "confounded", "execution"):
         if case.startswith(start):
             return start
     found = re.search(r"-(\d+)pct(?:-(.*))?$", case)

@@ -140,7 +140,6 @@ class Motion:
     y: Array
     heading: Array
     on: dict[str, Array]
-    starts: Array
     segment: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
@@ -217,124 +216,12 @@ def wander(n: int, tau_s: float, rng: np.random.Generator, tails: float | None =
     return np.asarray(out)
 
 
-def drive(robot: Robot, plan: RunDesign, rng: np.random.Generator) -> Motion:
-    """Drive one run: legs of cruising, turning and waiting, then the wheels with lag and noise."""
-    n = round(plan.duration_s / STEP_S)
-    t = (np.arange(n) + 0.5) * STEP_S
-    tv, vv, tw, ww = [0.0], [0.0], [0.0], [0.0]
-    edges: list[tuple[float, float, int]] = []  # start, slope, surface
-    now, speed = 0.0, 0.0
-    lo, hi = robot.speed_m_s
-    acc = robot.accel_m_s2
-
-    def go(target: float) -> None:
-        nonlocal now, speed
-        rate = acc * rng.uniform(0.6, 1.05)
-        ramp = max(abs(target - speed) / rate, STEP_S)
-        tv.extend([now, now + ramp])
-        vv.extend([speed, target])
-        now, speed = now + ramp, target
-
-    def turn(rate: float, seconds: float) -> None:
-        nonlocal now
-        rise = max(abs(rate) / 2.0, STEP_S)
-        tw.extend([now, now + rise, now + rise + seconds, now + 2.0 * rise + seconds])
-        ww.extend([0.0, rate, rate, 0.0])
-        now += 2.0 * rise + seconds
-
-    surface = 1 if plan.surface == "carpet" else int(plan.surface == "mixed" and rng.random() < 0.5)
-    climb = 0.05
-    while now < plan.duration_s:
-        kind = rng.random()
-        if kind < 0.70:
-            slope = 0.0
-            if plan.hills == "ramps" and rng.random() < 0.6:
-                slope = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.02, 0.1))
-            elif plan.hills == "climb":
-                slope = climb
-            if plan.surface == "mixed" and rng.random() < 0.4:
-                surface = 1 - surface
-            edges.append((now, slope, surface))
-            go(plan.one_speed if plan.one_speed is not None else float(rng.uniform(lo, hi)))
-            for _ in range(int(rng.integers(1, 4))):
-                now += float(rng.uniform(3.0, 14.0))
-                if rng.random() < 0.45:
-                    turn(float(rng.choice([-1.0, 1.0]) * rng.uniform(0.08, 0.45)), float(rng.uniform(1.5, 6.0)))
-            now += float(rng.uniform(2.0, 8.0))
-        elif kind < 0.86:
-            go(0.0)
-            now += float(rng.uniform(0.5, 2.0))
-            turn(float(rng.choice([-1.0, 1.0]) * rng.uniform(0.35, 1.2)), float(rng.uniform(2.0, 9.0)))
-        else:
-            go(0.0)
-            now += float(rng.uniform(4.0, 18.0))
-    tv.append(now + 1.0)
-    vv.append(speed)
-    tw.append(now + 1.0)
-    ww.append(0.0)
-    v_set, w_set = np.interp(t, tv, vv), np.interp(t, tw, ww)
-    lag = float(rng.uniform(0.06, 0.15))
-    half = 0.5 * robot.track_m
-
-    def wheel(set_point: Array) -> Array:
-        real = smooth(set_point, lag)
-        return real * (1.0 + 0.006 * wander(n, 0.5, rng))
-
-    left, right = wheel(v_set - w_set * half), wheel(v_set + w_set * half)
-    v, w = 0.5 * (left + right), (right - left) / robot.track_m
-    v = np.where(np.abs(v) < 1e-4, 0.0, v)
-    index = np.clip(np.searchsorted([e[0] for e in edges], t, side="right") - 1, 0, None)
-    table = edges or [(0.0, 0.0, surface)]
-    slope_rad = smooth(np.array([e[1] for e in table])[index], 0.4)
-    floor = np.array([e[2] for e in table], dtype=np.int64)[index]
-    payload = np.full(n, plan.payload_kg)
-    if plan.pick_up:
-        payload[t < plan.duration_s * rng.uniform(0.3, 0.7)] = 0.0
-    heading = np.cumsum(w) * STEP_S + rng.uniform(-np.pi, np.pi)
-    x, y = np.cumsum(v * np.cos(heading)) * STEP_S, np.cumsum(v * np.sin(heading)) * STEP_S
-    ap = rng.uniform(-25.0, 25.0, 2) * hi
-    moving = (np.abs(v) > 0.01) | (np.abs(w) > 0.02)
-    stopped_before = np.concatenate([[True], ~moving[:-1]])
-    return Motion(
-        time_s=t,
-        speed=v,
-        accel=np.gradient(smooth(v, 0.1), STEP_S),
-        yaw=w,
-        wheel_left=left,
-        wheel_right=right,
-        slope=slope_rad,
-        payload=payload,
-        surface=floor,
-        temp=plan.temp_c + 0.3 * wander(n, 200.0, rng),
-        cpu=np.clip(rng.uniform(0.4, 0.65) + 0.12 * wander(n, 15.0, rng) + 0.15 * _blocks(t, 20.0, 60.0, rng), 0, 1),
-        freq_hz=1e9 * np.array([0.8, 1.2, 1.6, 2.0])[_levels(t, 15.0, 60.0, 4, rng)],
-        distance_ap_m=np.hypot(x - ap[0], y - ap[1]) + 1.0,
-        x=x,
-        y=y,
-        heading=heading,
-        on=_components(robot, plan, t, rng),
-        starts=(moving & stopped_before).astype(float),
-        segment=index,
-    )
-
-
-def _levels(t: Array, low_s: float, high_s: float, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+def levels(t: Array, low_s: float, high_s: float, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Random piecewise-constant levels 0..count-1, each held for low_s..high_s."""
     edges = np.cumsum(rng.uniform(low_s, high_s, int(t[-1] / low_s) + 2))
     return np.asarray(rng.integers(0, count, len(edges) + 1)[np.searchsorted(edges, t)], dtype=np.int64)
 
 
-def _blocks(t: Array, low_s: float, high_s: float, rng: np.random.Generator) -> Array:
+def blocks(t: Array, low_s: float, high_s: float, rng: np.random.Generator) -> Array:
     """Random piecewise-constant signal of -1, 0, 1."""
-    return _levels(t, low_s, high_s, 3, rng).astype(float) - 1.0
-
-
-def _components(robot: Robot, plan: RunDesign, t: Array, rng: np.random.Generator) -> dict[str, Array]:
-    main = _levels(t, 20.0, 80.0, 2, rng).astype(float)
-    if plan.switching != "toggle":
-        main = np.full(len(t), 1.0 if plan.switching == "on" else 0.0)
-    second = np.ones(len(t))
-    if plan.mostly_on == "mostly" and rng.random() < 0.6:
-        start = rng.uniform(0.0, 0.8) * t[-1]
-        second[(t >= start) & (t < start + rng.uniform(25.0, 70.0))] = 0.0
-    return {robot.mostly_on: second, robot.switching: main}
+    return levels(t, low_s, high_s, 3, rng).astype(float) - 1.0

@@ -23,6 +23,7 @@ import numpy as np
 
 from . import features, peers, product
 from .judge import in_library, judge
+from .planned import EXECUTION
 from .study import ALL_CASES
 from .table import markdown
 from .world import make, write
@@ -56,12 +57,13 @@ def score_task(task: Task) -> list[Row]:
         train, heldout = ([features.table(log, robot) for log in logs[k]] for k in ("train", "heldout"))
         errors = {"nominal": peers.nominal(heldout)}
         hidden = _true_columns(world, logs, answer, [*train, *heldout])
-        if hidden is not None:
+        planned = (folder / "mission.yaml").exists()
+        if hidden is not None and not planned:
             errors["oracle"] = peers.oracle(train, heldout, hidden, robot)
         rows = []
         if task.with_product:
             rows.append(_product_row(task, folder, robot, answer))
-        if task.with_peers:
+        if task.with_peers and not planned:  # the peers know no missions
             design = peers.stack(train, robot)
             outcomes = [method(design, heldout, seed=task.seed) for method in peers.NAMING]
             outcomes.append(peers.boosted_trees(train, heldout, seed=task.seed))
@@ -74,7 +76,9 @@ def score_task(task: Task) -> list[Row]:
 
 def _product_row(task: Task, folder: Path, robot: str, answer: dict[str, Any]) -> Row:
     try:
-        outcome, _ = product.diagnose(folder / "train", folder / "heldout", robot)
+        mission = folder / "mission.yaml"
+        given = mission if mission.exists() else None
+        outcome, _ = product.diagnose(folder / "train", folder / "heldout", robot, given)
     except Exception as error:  # the study goes on, and the table shows the failure
         failed = peers.Outcome(product.NAME, (), verdict="failed")
         row = judge(task.case, task.seed, answer, failed)
@@ -86,7 +90,7 @@ def _true_columns(
     world: Any, logs: dict[str, list[features.Log]], answer: dict[str, Any], tables: Sequence[features.Table]
 ) -> list[list[features.Array]] | None:
     """True power of the hidden effects at each table's rows; None where it cannot be known (practice, outside)."""
-    names = list(answer["hidden"])
+    names = [e for e in answer["hidden"] if e not in EXECUTION]
     if world is None:
         if not all(in_library(e) for e in names):
             return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from .motion import ROBOTS
+from .planned import EXECUTION
 from .plant import INSIDE, OUTSIDE
 from .world import Case
 
@@ -70,6 +71,11 @@ def _build() -> dict[str, Case]:
         cases.append(
             Case(f"confounded-{design}-{truth.replace(':', '-')}", (truth,), share, design=design, equivalent=same)
         )
+    cases.append(Case("nothing-planned", robot="husky_like", design="planned"))
+    for name in EXECUTION:
+        for share in (0.03, 0.08):
+            stem = f"execution-{name}-{_percent(share)}"
+            cases.append(Case(stem, (name,), share, robot="husky_like", design="planned"))
     return {case.name: case for case in cases}
 
 

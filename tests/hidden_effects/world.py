@@ -9,17 +9,22 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
 import zlib
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .meter import Meter, Rows, draw_meter, log_rows, reading, row_times, through
-from .motion import ROBOTS, Array, Motion, Robot, RunDesign, design_runs, drive
+from .motion import ROBOTS, STEP_S, Array, Motion, Robot, RunDesign, design_runs
+from .planned import EXECUTION, SCHEME, Leg, behaviour_of, follow, mission_yaml, plan_mission
 from .plant import OUTSIDE, TWINS, Draw, base_columns, base_power, draw_world, planted, voltage
+from .track import drive, manoeuvre
 
 Log = dict[str, NDArray[np.generic]]
 
@@ -53,6 +58,16 @@ class Case:
 
 
 @dataclass(frozen=True)
+class Secrets:
+    """What stays the same when the same robot drives one more run."""
+
+    draw: Draw
+    common: tuple[float, float]
+    strengths: tuple[float, ...]
+    legs: tuple[Leg, ...] = ()
+
+
+@dataclass(frozen=True)
 class World:
     """A made case: logs for the user, truth for the scorer. Dictionaries are keyed by run name."""
 
@@ -61,9 +76,17 @@ class World:
     train: dict[str, Log]
     heldout: dict[str, Log]
     answer: dict[str, object]
+    secrets: Secrets = field(repr=False)
     truth: dict[str, dict[str, Array]] = field(repr=False, default_factory=dict)
     """Per run, at the log's rows: true power of each hidden effect ('hidden:<id>'), unit base columns ('base:<name>'),
     both as a meter without noise would show them; 'power' = noise-free measured power."""
+
+    @property
+    def mission(self) -> str | None:
+        """The mission as YAML, where the runs follow one."""
+        robot = ROBOTS[self.case.robot]
+        parts = (robot.mostly_on, robot.switching)
+        return mission_yaml(self.secrets.legs, f"{self.case.robot}.yaml", parts) if self.secrets.legs else None
 
 
 @dataclass(frozen=True)
@@ -72,7 +95,8 @@ class _Run:
     meter: Meter
     base_w: Array
     volt: Array
-    hidden: list[Array]
+    effects: list[Callable[[float], Array]]
+    segments: list[str] | None
     seed: np.random.SeedSequence
 
 
@@ -85,50 +109,64 @@ def make(case: Case, seed: int) -> World:
     world = draw_world(robot, case.noise_level, rng)
     common = (float(rng.uniform(-0.25, 0.25)), float(rng.uniform(0.1, 0.45)))
     rng = np.random.default_rng(design_seed)
-    plans = design_runs(case.design, robot, case.runs, case.duration_s, rng)
-    plans += design_runs("rich", robot, case.heldout, case.duration_s, rng)
-    shapes = [_prepare(case, plan, robot, world, common, seq) for plan, seq in zip(plans, run_seeds, strict=True)]
-    strengths = _strengths(case, [s[1] for s in shapes[: case.runs]], [s[0].base_w for s in shapes[: case.runs]])
-    logs: list[Log] = []
-    truth: list[dict[str, Array]] = []
-    for run, effects in shapes:
-        parts = [f(k) for f, k in zip(effects, strengths, strict=True)]
-        log, true = _record(case, run, parts, robot)
-        logs.append(log)
-        truth.append(true)
+    legs: tuple[Leg, ...] = ()
+    plans: list[RunDesign | None] = [None] * (case.runs + case.heldout)
+    if case.design == "planned":
+        legs = plan_mission(robot, case.duration_s, rng)
+    else:
+        plans = [*design_runs(case.design, robot, case.runs, case.duration_s, rng)]
+        plans += design_runs("rich", robot, case.heldout, case.duration_s, rng)
+    secrets = Secrets(world, common, (), legs)
+    runs = [_prepare(case, plan, robot, secrets, seq) for plan, seq in zip(plans, run_seeds, strict=True)]
+    training = runs[: case.runs]
+    strengths = _strengths(case, [r.effects for r in training], [r.base_w for r in training])
+    secrets = replace(secrets, strengths=tuple(strengths))
+    recorded = [_record(case, run, secrets, robot) for run in runs]
     names = [f"run_{i:02d}" for i in range(case.runs)] + [f"held_{i:02d}" for i in range(case.heldout)]
-    answer = _answer(case, seed, world, robot, strengths, dict(zip(names, truth, strict=True)))
-    return World(
-        case,
-        seed,
-        dict(zip(names[: case.runs], logs[: case.runs], strict=True)),
-        dict(zip(names[case.runs :], logs[case.runs :], strict=True)),
-        answer,
-        dict(zip(names, truth, strict=True)),
-    )
+    logs = {name: log for name, (log, _) in zip(names, recorded, strict=True)}
+    truth = {name: true for name, (_, true) in zip(names, recorded, strict=True)}
+    train, heldout = ({n: logs[n] for n in part} for part in (names[: case.runs], names[case.runs :]))
+    return World(case, seed, train, heldout, _answer(case, seed, secrets, robot), secrets, truth)
+
+
+def experiment(world: World, parts: Sequence[Mapping[str, Any]], number: int = 0) -> Log:
+    """One more run of the same robot with the same meter: a scripted manoeuvre (see :func:`track.manoeuvre`)."""
+    case, robot = world.case, ROBOTS[world.case.robot]
+    seq = np.random.SeedSequence([world.seed, zlib.crc32(case.name.encode()), 77, number])
+    motion = manoeuvre(robot, parts, np.random.default_rng(seq.spawn(1)[0]))
+    return _record(case, _prepare(case, None, robot, world.secrets, seq, motion), world.secrets, robot)[0]
 
 
 def _prepare(
-    case: Case, plan: RunDesign, robot: Robot, world: Draw, common: tuple[float, float], seq: np.random.SeedSequence
-) -> tuple[_Run, list[object]]:
+    case: Case,
+    plan: RunDesign | None,
+    robot: Robot,
+    secrets: Secrets,
+    seq: np.random.SeedSequence,
+    motion: Motion | None = None,
+) -> _Run:
     rng = np.random.default_rng(seq)
-    motion = drive(robot, plan, rng)
-    meter = draw_meter(robot, case.noise_level, common, rng)
-    base_w = base_power(motion, robot, world)
+    segments: list[str] | None = None
+    if motion is None and plan is not None:
+        motion = drive(robot, plan, rng)
+    elif motion is None:
+        motion, segments = follow(robot, secrets.legs, behaviour_of(case.hidden, case.share), rng)
+    meter = draw_meter(robot, case.noise_level, secrets.common, rng)
+    base_w = base_power(motion, robot, secrets.draw)
     volt = voltage(motion, robot, base_w, float(rng.uniform(0.5, 1.0)))
-    effects = [planted(name, motion, robot, world, base_w, volt, rng) for name in case.hidden]
-    return _Run(motion, meter, base_w, volt, [], seq), list(effects)
+    powers = [name for name in case.hidden if name not in EXECUTION]
+    effects = [planted(name, motion, robot, secrets.draw, base_w, volt, rng) for name in powers]
+    return _Run(motion, meter, base_w, volt, effects, segments, seq)
 
 
-def _strengths(case: Case, effects: list[list[object]], base: list[Array]) -> list[float]:
+def _strengths(case: Case, effects: list[list[Callable[[float], Array]]], base: list[Array]) -> list[float]:
     """Strength of each hidden effect so that its mean |power| is ``share`` of the mean total power (fixed point)."""
-    strengths = [1.0] * len(case.hidden)
-    if not case.hidden:
-        return strengths
-    for _ in range(60):
-        parts = [[f(k) for f, k in zip(run, strengths, strict=True)] for run in effects]  # type: ignore[operator]
+    count = len(effects[0])
+    strengths = [1.0] * count
+    for _ in range(60 if count else 0):
+        parts = [[f(k) for f, k in zip(run, strengths, strict=True)] for run in effects]
         total = float(np.mean([np.mean(b) + sum(np.mean(p) for p in run) for b, run in zip(base, parts, strict=True)]))
-        have = np.array([np.mean([np.mean(np.abs(run[i])) for run in parts]) for i in range(len(case.hidden))]) / total
+        have = np.array([np.mean([np.mean(np.abs(run[i])) for run in parts]) for i in range(count)]) / total
         if np.any(have <= 0.0):
             raise ValueError(f"{case.name}: an effect never acts in these runs")
         if np.all(np.abs(have / case.share - 1.0) < 1e-6):
@@ -137,14 +175,20 @@ def _strengths(case: Case, effects: list[list[object]], base: list[Array]) -> li
     return strengths
 
 
-def _record(case: Case, run: _Run, parts: list[Array], robot: Robot) -> tuple[Log, dict[str, Array]]:
+def _record(case: Case, run: _Run, secrets: Secrets, robot: Robot) -> tuple[Log, dict[str, Array]]:
     rng = np.random.default_rng(run.seed.spawn(1)[0])
+    parts = [f(k) for f, k in zip(run.effects, secrets.strengths, strict=True)]
     total = run.base_w + sum(parts, np.zeros_like(run.base_w))
-    times, keep = row_times(case.duration_s, case.rate_hz, case.noise_level, rng)
-    rows = Rows(times, case.duration_s)
+    duration = len(run.base_w) * STEP_S
+    times, keep = row_times(duration, case.rate_hz, case.noise_level, rng)
+    rows = Rows(times, duration)
     shown = reading(run.meter, total, case.noise_level, rng)
     log = log_rows(run.motion, robot, shown, run.volt, rows, case.noise_level, case.columns, case.power_format, rng)
-    true = {f"hidden:{name}": rows.mean(through(run.meter, p)) for name, p in zip(case.hidden, parts, strict=True)}
+    if run.segments is not None:
+        log["scheme"] = np.full(len(times), SCHEME)
+        log["segment"] = rows.nearest(np.array(run.segments))
+    powers = [name for name in case.hidden if name not in EXECUTION]
+    true = {f"hidden:{name}": rows.mean(through(run.meter, p)) for name, p in zip(powers, parts, strict=True)}
     for name, column in base_columns(run.motion, robot).items():
         true[f"base:{name}"] = rows.mean(through(run.meter, column))
     true["power"] = rows.mean(through(run.meter, total))
@@ -153,20 +197,20 @@ def _record(case: Case, run: _Run, parts: list[Array], robot: Robot) -> tuple[Lo
     return {k: v[keep] for k, v in log.items()}, {k: v[keep] for k, v in true.items()}
 
 
-def _answer(
-    case: Case, seed: int, world: Draw, robot: Robot, strengths: list[float], truth: dict[str, dict[str, Array]]
-) -> dict[str, object]:
+def _answer(case: Case, seed: int, secrets: Secrets, robot: Robot) -> dict[str, object]:
     """What was hidden, in the layout of the practice answers, plus what the scorer wants to know."""
+    powers = [name for name in case.hidden if name not in EXECUTION]
+    strength = dict(zip(powers, secrets.strengths, strict=True))
     twins: dict[str, float] = {}
     shares = dict.fromkeys(case.hidden, case.share)
-    for name, k in zip(case.hidden, strengths, strict=True):
+    for name, k in strength.items():
         kind, _, part = name.partition(":")
         if kind in TWINS:  # total shift of the base parameter, drawn and planted together, in prior sds of 3 %
-            key = TWINS[kind]
-            nominal = robot.components[part] if part else getattr(robot, key)
-            drawn = world.components[part] if part else getattr(world, key)
+            nominal = robot.components[part] if part else getattr(robot, TWINS[kind])
+            drawn = secrets.draw.components[part] if part else getattr(secrets.draw, TWINS[kind])
             twins[name] = float((drawn + k - nominal) / (0.03 * nominal))
             shares[name] = float(case.share * (drawn + k - nominal) / k)
+    how = behaviour_of(case.hidden, case.share)
     return {
         "hidden": list(case.hidden),
         "share_of_energy": case.share,
@@ -179,7 +223,7 @@ def _answer(
         "equivalent": list(case.equivalent),
         "shift_in_prior_sd": twins,
         "share_true": shares,
-        "strength": dict(zip(case.hidden, strengths, strict=True)),
+        "strength": strength | {name: float(getattr(how, name)) for name in case.hidden if name in EXECUTION},
     }
 
 
@@ -190,6 +234,11 @@ def write(world: World, folder: Path) -> Path:
         (out / kind).mkdir(parents=True, exist_ok=True)
         for run, log in logs.items():
             write_csv(log, out / kind / f"{run}.csv")
+    if world.mission is not None:
+        robot_file = Path(__file__).parent / "robots" / f"{world.case.robot}.yaml"
+        if robot_file.exists():
+            shutil.copy(robot_file, out / robot_file.name)
+        (out / "mission.yaml").write_text(world.mission, encoding="utf-8")
     (out / "answer.json").write_text(json.dumps(world.answer, indent=1) + "\n", encoding="utf-8")
     return out
 
