@@ -1,0 +1,33 @@
+"""YAML in, checked: robots, environments, missions and studies as frozen models.
+
+Shipped names: `load_robot`, `load_environment`, `load_mission`, `load_study`, `shipped_robots`, `check_files`, `schema`.
+"""
+
+from missionsim.spec.distributions import Distribution
+from missionsim.spec.environment import EnvironmentSpec
+from missionsim.spec.loading import (
+    check_files,
+    load_environment,
+    load_mission,
+    load_robot,
+    load_study,
+    shipped_robots,
+)
+from missionsim.spec.mission import MissionSpec, StudySpec
+from missionsim.spec.robot import RobotSpec
+from missionsim.spec.values import Parameter
+
+__all__ = [
+    "Distribution",
+    "EnvironmentSpec",
+    "MissionSpec",
+    "Parameter",
+    "RobotSpec",
+    "StudySpec",
+    "check_files",
+    "load_environment",
+    "load_mission",
+    "load_robot",
+    "load_study",
+    "shipped_robots",
+]

@@ -1,0 +1,142 @@
+"""Distributions of uncertain numbers: named, frozen, with mean, standard deviation and quantile function."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+KINDS = ("normal", "truncated_normal", "lognormal", "uniform", "triangular", "discrete", "empirical")
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """Distribution of one value, all numbers in the value's SI unit.
+
+    Attributes
+    ----------
+    kind : str
+        ``normal`` (mean, sd), ``truncated_normal`` (mean and sd of the untruncated, low, high), ``lognormal``
+        (arithmetic mean and sd), ``uniform`` (low, high), ``triangular`` (low, mode, high), ``discrete`` (values,
+        weights), ``empirical`` (values; resampled).
+    mean_, sd_, low, high, mode : float or None
+    values, weights : tuple of float
+        Of ``discrete`` and ``empirical``; weights add up to 1.
+    """
+
+    kind: str
+    mean_: float | None = None
+    sd_: float | None = None
+    low: float | None = None
+    high: float | None = None
+    mode: float | None = None
+    values: tuple[float, ...] = ()
+    weights: tuple[float, ...] = ()
+
+    @property
+    def mean(self) -> float:
+        """Mean, SI."""
+        match self.kind:
+            case "normal" | "lognormal":
+                return float(self.mean_ or 0.0)
+            case "uniform":
+                return (self._low + self._high) / 2
+            case "triangular":
+                return (self._low + self._high + float(self.mode or 0.0)) / 3
+            case "truncated_normal":
+                return self._truncated_moments()[0]
+        return float(np.dot(self.values, self.weights))
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation, SI."""
+        match self.kind:
+            case "normal" | "lognormal":
+                return float(self.sd_ or 0.0)
+            case "uniform":
+                return (self._high - self._low) / math.sqrt(12.0)
+            case "triangular":
+                a, b, c = self._low, self._high, float(self.mode or 0.0)
+                return math.sqrt((a * a + b * b + c * c - a * b - a * c - b * c) / 18)
+            case "truncated_normal":
+                return self._truncated_moments()[1]
+        mean = self.mean
+        return math.sqrt(float(np.dot((np.asarray(self.values) - mean) ** 2, self.weights)))
+
+    def quantile(self, probability: ArrayLike) -> NDArray[np.float64]:
+        """Values at the probabilities (any shape, 0 to 1 exclusive for unbounded kinds); SI."""
+        u = np.asarray(probability, dtype=float)
+        match self.kind:
+            case "uniform":
+                return np.asarray(self._low + u * (self._high - self._low))
+            case "triangular":
+                a, b, c = self._low, self._high, float(self.mode or 0.0)
+                if b == a:
+                    return np.full(u.shape, a)
+                split = (c - a) / (b - a)
+                left = a + np.sqrt(np.maximum(u * (b - a) * (c - a), 0.0))
+                right = b - np.sqrt(np.maximum((1 - u) * (b - a) * (b - c), 0.0))
+                return np.where(u < split, left, right)
+            case "discrete" | "empirical":
+                steps = np.cumsum(self.weights)
+                index = np.searchsorted(steps, u * steps[-1], side="left")
+                return np.asarray(self.values)[np.minimum(index, len(self.values) - 1)]
+        from scipy.special import log_ndtr, ndtr, ndtri, ndtri_exp
+
+        mean, sd = float(self.mean_ or 0.0), float(self.sd_ or 0.0)
+        if self.kind == "normal" or sd == 0.0:
+            return np.asarray(mean + sd * ndtri(u)) if sd else np.full(u.shape, mean)
+        if self.kind == "lognormal":
+            sigma2 = math.log1p((sd / mean) ** 2)
+            return np.asarray(np.exp(math.log(mean) - sigma2 / 2 + math.sqrt(sigma2) * ndtri(u)))
+        a, b = (self._low - mean) / sd, (self._high - mean) / sd
+        if a > 0:  # mirror, so that the upper tail keeps its digits
+            log_low, log_high = log_ndtr(-b), log_ndtr(-a)
+            z = -ndtri_exp(log_low + np.log1p((1 - u) * np.expm1(log_high - log_low)))
+        elif b < 0:
+            log_low, log_high = log_ndtr(a), log_ndtr(b)
+            z = ndtri_exp(log_low + np.log1p(u * np.expm1(log_high - log_low)))
+        else:
+            z = ndtri(ndtr(a) + u * (ndtr(b) - ndtr(a)))
+        return np.asarray(np.clip(mean + sd * z, self._low, self._high))
+
+    def sample(self, rng: np.random.Generator, size: int | tuple[int, ...] | None = None) -> NDArray[np.float64]:
+        """Independent draws; SI."""
+        return self.quantile(rng.uniform(size=size))
+
+    def scaled(self, factor: float) -> Distribution:
+        """The distribution of `factor` times the value (factor > 0)."""
+
+        def times(number: float | None) -> float | None:
+            return None if number is None else number * factor
+
+        return Distribution(self.kind, times(self.mean_), times(self.sd_), times(self.low), times(self.high),
+                            times(self.mode), tuple(value * factor for value in self.values), self.weights)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Kind and numbers that are set."""
+        named = {"mean": self.mean_, "sd": self.sd_, "low": self.low, "high": self.high, "mode": self.mode}
+        result: dict[str, Any] = {"kind": self.kind} | {key: value for key, value in named.items() if value is not None}
+        if self.values:
+            result |= {"values": list(self.values), "weights": list(self.weights)}
+        return result
+
+    @property
+    def _low(self) -> float:
+        return -math.inf if self.low is None else self.low
+
+    @property
+    def _high(self) -> float:
+        return math.inf if self.high is None else self.high
+
+    def _truncated_moments(self) -> tuple[float, float]:
+        mean, sd = float(self.mean_ or 0.0), float(self.sd_ or 0.0)
+        if sd == 0.0:
+            return min(max(mean, self._low), self._high), 0.0
+        from scipy.stats import truncnorm
+
+        first, second = truncnorm.stats((self._low - mean) / sd, (self._high - mean) / sd, mean, sd, moments="mv")
+        return float(first), math.sqrt(float(second))

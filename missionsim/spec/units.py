@@ -1,0 +1,257 @@
+"""Units in text (``14.8 V``, ``10 min``, ``2200 mAh``) to SI floats, with the dimension checked.
+
+The units that robot files use are in a small table, since loading pint costs more than a whole `missionsim validate`;
+any other unit goes to pint, which is loaded then.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """A kind of quantity: its SI unit inside, the unit of a plain number in YAML, an example for messages."""
+
+    name: str
+    si: str
+    plain: str
+    example: str
+    pint: str
+
+
+DIMENSIONS: dict[str, Dimension] = {
+    item.name: item
+    for item in (
+        Dimension("length", "m", "m", "50 m", "meter"),
+        Dimension("speed", "m/s", "m/s", "0.5 m/s", "meter/second"),
+        Dimension("acceleration", "m/s^2", "m/s^2", "0.3 m/s^2", "meter/second**2"),
+        Dimension("angle", "rad", "rad", "90 deg", "radian"),
+        Dimension("yaw rate", "rad/s", "rad/s", "30 deg/s", "radian/second"),
+        Dimension("yaw acceleration", "rad/s^2", "rad/s^2", "1 rad/s^2", "radian/second**2"),
+        Dimension("mass", "kg", "kg", "2.5 kg", "kilogram"),
+        Dimension("power", "W", "W", "2.34 W", "watt"),
+        Dimension("energy", "J", "Wh", "259 Wh", "joule"),
+        Dimension("charge", "C", "Ah", "7.2 Ah", "coulomb"),
+        Dimension("voltage", "V", "V", "14.8 V", "volt"),
+        Dimension("current", "A", "A", "1.2 A", "ampere"),
+        Dimension("resistance", "ohm", "ohm", "0.05 ohm", "ohm"),
+        Dimension("duration", "s", "s", "10 min", "second"),
+        Dimension("frequency", "Hz", "Hz", "25 Hz", "hertz"),
+        Dimension("temperature", "degC", "degC", "20 degC", "degC"),
+        Dimension("fraction", "1", "1", "15 % or 0.15", "dimensionless"),
+        Dimension("number", "1", "1", "1.2", "dimensionless"),
+    )
+}
+
+_FACTORS: dict[str, dict[str, float]] = {
+    "length": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "in": 0.0254},
+    "speed": {"m/s": 1.0, "km/h": 1 / 3.6, "cm/s": 1e-2, "mm/s": 1e-3, "m/min": 1 / 60},
+    "acceleration": {"m/s^2": 1.0, "m/s2": 1.0, "m/s²": 1.0, "m/s**2": 1.0, "cm/s^2": 1e-2},
+    "angle": {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180, "mrad": 1e-3, "turn": 2 * math.pi},
+    "yaw rate": {"rad/s": 1.0, "deg/s": math.pi / 180, "°/s": math.pi / 180, "rpm": math.pi / 30},
+    "yaw acceleration": {"rad/s^2": 1.0, "rad/s2": 1.0, "rad/s²": 1.0, "rad/s**2": 1.0, "deg/s^2": math.pi / 180},
+    "mass": {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": 0.45359237},
+    "power": {"W": 1.0, "mW": 1e-3, "kW": 1e3, "uW": 1e-6, "µW": 1e-6, "J/s": 1.0, "hp": 745.6998715822702},
+    "energy": {"J": 1.0, "kJ": 1e3, "MJ": 1e6, "Wh": 3600.0, "mWh": 3.6, "kWh": 3.6e6, "W h": 3600.0, "W s": 1.0},
+    "charge": {"C": 1.0, "Ah": 3600.0, "mAh": 3.6, "A h": 3600.0, "A s": 1.0},
+    "voltage": {"V": 1.0, "mV": 1e-3, "kV": 1e3},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "resistance": {"ohm": 1.0, "mohm": 1e-3, "Ω": 1.0, "mΩ": 1e-3, "Ohm": 1.0},
+    "duration": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86400.0, "hours": 3600.0, "minutes": 60.0},
+    "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "GHz": 1e9, "1/s": 1.0},
+    "temperature": {"degC": 1.0, "°C": 1.0, "celsius": 1.0},
+    "fraction": {"": 1.0, "%": 0.01},
+    "number": {"": 1.0, "%": 0.01},
+}
+_PLAIN = {name: _FACTORS[name].get("" if item.plain == "1" else item.plain, 1.0) for name, item in DIMENSIONS.items()}
+_DIMENSION_OF = {unit: name for name, table in reversed(_FACTORS.items()) for unit in table if unit}
+
+
+class UnitError(ValueError):
+    """A text that is not a quantity of the wanted dimension; `allowed` says what is."""
+
+    def __init__(self, message: str, got: str, allowed: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.message, self.got, self.allowed, self.hint = message, got, allowed, hint
+
+
+def allowed_text(dimension: str) -> str:
+    """``a length such as 50 m``."""
+    article = "an" if dimension[0] in "aeiou" else "a"
+    return f"{article} {dimension} such as {DIMENSIONS[dimension].example}"
+
+
+def plain_to_si(number: float, dimension: str) -> float:
+    """A plain YAML number in the field's plain unit to SI (Wh to J, Ah to C; others unchanged)."""
+    return number * _PLAIN[dimension]
+
+
+def split(text: str) -> tuple[float, str] | None:
+    """``"14.8 V"`` to ``(14.8, "V")``, or None where the text does not begin with a number."""
+    match = _NUMBER.match(text)
+    if match is None:
+        return None
+    unit = " ".join(match.group(2).split())
+    return float(match.group(1)), unit
+
+
+def unit_factor(unit: str, dimension: str) -> tuple[float, float]:
+    """Factor and offset to SI (``si = factor * number + offset``) of a unit of the wanted dimension.
+
+    Raises
+    ------
+    UnitError
+        Unknown unit, or a unit of another dimension.
+    """
+    factor = _FACTORS[dimension].get(unit)
+    if factor is not None:
+        return factor, 0.0
+    other = _DIMENSION_OF.get(unit)
+    if other is None:
+        return _by_pint(unit, dimension)
+    raise UnitError("wrong unit", unit, allowed_text(dimension), f"'{unit}' is a unit of {other}")
+
+
+def parse_quantity(text: str, dimension: str) -> float:
+    """Text with a unit to an SI float.
+
+    Parameters
+    ----------
+    text : str
+        ``"14.8 V"``; without a unit the number is in the field's plain unit.
+    dimension : str
+        Key of `DIMENSIONS`.
+
+    Returns
+    -------
+    float
+        In `DIMENSIONS[dimension].si`.
+
+    Raises
+    ------
+    UnitError
+        Not a number with a unit of that dimension.
+    """
+    parts = split(text)
+    if parts is None:
+        raise UnitError("not a number with a unit", repr(text)[:60], allowed_text(dimension))
+    number, unit = parts
+    if unit == "":
+        return plain_to_si(number, dimension)
+    try:
+        factor, offset = unit_factor(unit, dimension)
+    except UnitError as problem:
+        raise UnitError(problem.message, text[:60], problem.allowed, problem.hint) from None
+    return number * factor + offset
+
+
+def parse_any(text: str) -> tuple[float, str]:
+    """Text with any unit to a number in coherent SI units and the unit's name (for parameters of effects).
+
+    Raises
+    ------
+    UnitError
+        Not a number, or an unknown unit.
+    """
+    parts = split(text)
+    if parts is None:
+        raise UnitError("not a number with a unit", repr(text)[:60], "a number, with a unit or without")
+    number, unit = parts
+    if not unit:
+        return number, ""
+    factor, si = any_unit(unit)
+    return number * factor, si
+
+
+def any_unit(unit: str) -> tuple[float, str]:
+    """Factor to coherent SI of any unit, and the SI unit's name (the unit itself where the factor is 1).
+
+    Raises
+    ------
+    UnitError
+        Unknown unit, or one with an offset (degC inside a product).
+    """
+    if unit == "%":
+        return 0.01, "1"
+    name = _DIMENSION_OF.get(unit)
+    if name is not None:
+        return _FACTORS[name][unit], DIMENSIONS[name].si
+    factor = _compound(unit)
+    if factor is not None and factor == 1.0:
+        return 1.0, unit
+    allowed = "a unit such as W s/m"
+    quantity = _pint_unit(unit, allowed)
+    try:
+        base = quantity.to_base_units()  # type: ignore[attr-defined]
+    except Exception:
+        raise UnitError("unit with an offset", repr(unit), "K for differences of temperature") from None
+    size = float(base.magnitude)
+    return size, unit if math.isclose(size, 1.0) else f"{base.units:~}"
+
+
+def _compound(unit: str) -> float | None:
+    """Factor of a product of known units (``W s^2/m^2``, ``W/(m/s)^2``), or None where pint has to read it."""
+    flat = re.sub(r"\(m/s\)\^(\d)", r"m^\1 s^-\1", unit.replace("**", "^").replace("*", " ").replace("·", " "))
+    factor = 1.0
+    parts = flat.split("/")
+    if "(" in flat:
+        return None
+    for index, part in enumerate(parts):
+        # in W/m^2 s^-2 only what follows the first slash up to the next belongs below
+        for token in part.split():
+            match = re.fullmatch(r"([A-Za-zΩµ°%1]+)(?:\^(-?\d))?", token)
+            if match is None:
+                return None
+            base = 1.0 if match.group(1) in ("1", "K") else next(
+                (table[match.group(1)] for table in _FACTORS.values() if match.group(1) in table), None)
+            if base is None or match.group(1) in _FACTORS["temperature"]:
+                return None
+            power = int(match.group(2) or 1)
+            factor *= base ** (power if index == 0 else -power)
+    return factor
+
+
+def _pint_unit(unit: str, allowed: str) -> object:
+    if len(unit) > 60 or not re.fullmatch(r"[A-Za-zµμΩ°/*^. ()0-9²³·-]+", unit) or re.search(r"\d{3}|[\^*]\s*\d{2}", unit):
+        raise UnitError("unknown unit", repr(unit)[:60], allowed)
+    import pint
+
+    registry = _registry()
+    try:
+        quantity = registry.Quantity(1.0, unit.replace("²", "**2").replace("³", "**3").replace("·", "*"))
+    except pint.OffsetUnitCalculusError:
+        raise UnitError("unit with an offset", repr(unit), allowed) from None
+    except Exception:  # pint raises whatever its tokenizer meets (TypeError, AttributeError, TokenError…)
+        known = [name for table in _FACTORS.values() for name in table if name]
+        from missionsim.errors import did_you_mean
+
+        raise UnitError("unknown unit", repr(unit)[:60], allowed, did_you_mean(unit, known, 0.5)) from None
+    return quantity
+
+
+def _by_pint(unit: str, dimension: str) -> tuple[float, float]:
+    allowed = allowed_text(dimension)
+    quantity = _pint_unit(unit, allowed)
+    try:
+        target = DIMENSIONS[dimension].pint
+        zero = (0.0 * quantity.units).to(target) if dimension != "temperature" else _registry().Quantity(0.0, quantity.units).to(target)  # type: ignore[attr-defined]
+        one = _registry().Quantity(1.0, quantity.units).to(target)  # type: ignore[attr-defined]
+    except Exception:
+        raise UnitError("wrong unit", repr(unit)[:60], allowed) from None
+    return float(one.magnitude - zero.magnitude), float(zero.magnitude)
+
+
+_cache: list[object] = []
+
+
+def _registry() -> object:
+    if not _cache:
+        import pint
+
+        _cache.append(pint.UnitRegistry())
+    return _cache[0]
