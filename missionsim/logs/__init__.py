@@ -1,6 +1,7 @@
 """Measured logs: read, checked, told what is wrong with them, frozen as `LogTable` in glossary columns."""
 
-from missionsim.logs.read import check_log, describe, find_logs, iter_blocks, read_log, read_logs
+from missionsim.logs.blocks import iter_blocks
+from missionsim.logs.read import check_log, describe, find_logs, read_log, read_logs
 from missionsim.logs.remarks import Remark
 from missionsim.logs.table import LogTable, row_durations
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,8 +16,8 @@ from missionsim.labels import Labels
 from missionsim.logs import suspect
 from missionsim.logs.clean import Rows, fill_missing, order_time
 from missionsim.logs.clock import clock_delay
-from missionsim.logs.csvfile import iter_csv, read_csv
-from missionsim.logs.parquetfile import MAGIC, iter_parquet, read_parquet
+from missionsim.logs.csvfile import read_csv
+from missionsim.logs.parquetfile import MAGIC, read_parquet
 from missionsim.logs.power import battery_power, measured_batteries, missing_columns
 from missionsim.logs.raw import RawTable
 from missionsim.logs.remarks import Remark, merge
@@ -126,10 +126,11 @@ def read_raw(path: PathLike) -> RawTable:
         The file cannot be read as a table.
     """
     path = Path(path)
-    return read_parquet(path, str(path)) if _is_parquet(path) else read_csv(path, str(path))
+    return read_parquet(path, str(path)) if is_parquet(path) else read_csv(path, str(path))
 
 
-def _is_parquet(path: Path) -> bool:
+def is_parquet(path: Path) -> bool:
+    """Whether a file is Parquet, by its content; InputError where it cannot be opened or is a bag."""
     if path.is_dir():
         raise InputError(Fault(str(path), 0, 0, "this is a folder, not a log"))
     try:
@@ -240,7 +241,9 @@ def _freeze(
     assert rows.dt is not None
     log = LogTable(run, rows.columns, rows.dt, power, fresh, kinds, rows.raw.file, tuple(rows.remarks))
     if own is not None:
-        log = log.rows_where((rows.row >= own[0]) & (rows.row < own[1]))
+        inside = np.flatnonzero((rows.row >= own[0]) & (rows.row < own[1]))
+        together = len(inside) and inside[-1] - inside[0] == len(inside) - 1
+        log = log.rows_where(slice(inside[0], inside[-1] + 1) if together else np.isin(np.arange(log.rows), inside))
     return log
 
 
@@ -273,116 +276,6 @@ def _clock(rows: Rows, power: dict[str, NDArray[np.float64]]) -> None:
                 "left as it is; the diagnosis aligns the clocks, a map can shift them (lag)",
                 "note",
             )
-
-
-def iter_blocks(
-    path: PathLike, *, rows: int = 500_000, columns: Sequence[str] | None = None, robot: RobotSpec | None = None
-) -> Iterator[LogTable]:
-    """Read a long log in blocks, in bounded memory: each block is a `LogTable`, together they are the whole log.
-
-    Parameters
-    ----------
-    path : path-like
-    rows : int
-        Rows of a block (CSV: at least; the last block may be shorter).
-    columns : sequence of str, optional
-        Parquet columns to read; all by default. `time_s` and the batteries' columns are always read.
-    robot : RobotSpec, optional
-        See `read_log`.
-
-    Yields
-    ------
-    LogTable
-        Time, durations and energy differences at the edges take the neighbouring rows into account. Checks of units
-        and clocks look at the first block only.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        As `read_log`; time that runs backwards from one block to the next.
-    """
-    path = Path(path)
-    wanted = None if columns is None else {"time_s", *columns}
-    if _is_parquet(path):
-        from missionsim.logs.parquetfile import parquet_names
-
-        if wanted is not None:
-            wanted |= {name for name in parquet_names(path, str(path)) if measured_batteries([name, _partner(name)])}
-        blocks = iter_parquet(path, str(path), rows, sorted(wanted) if wanted is not None else None)
-    else:
-        blocks = iter_csv(path, str(path), rows)
-    before: RawTable | None = None
-    current = next(blocks, None)
-    if current is None:
-        raise InputError(Fault(str(path), 0, 0, "there is a header but no rows", allowed="at least two rows"))
-    while current is not None:
-        after = next(blocks, None)
-        yield _block(path, before, current, after, robot)
-        before, current = current, after
-
-
-def _partner(name: str) -> str:
-    if name.startswith("voltage_"):
-        return "current_" + name[len("voltage_") : -1] + "a"
-    return "voltage_" + name[len("current_") : -1] + "v" if name.startswith("current_") else name
-
-
-_EDGE = 64
-"""Rows taken from the neighbouring blocks: enough to see a refresh and the step of time."""
-
-
-def _block(
-    path: Path, before: RawTable | None, current: RawTable, after: RawTable | None, robot: RobotSpec | None
-) -> LogTable:
-    parts = [current]
-    lead = 0
-    if before is not None:
-        lead = min(_EDGE, before.rows)
-        parts.insert(0, _cut(before, slice(before.rows - lead, None)))
-        _check_order(before, current)
-    if after is not None:
-        parts.append(_cut(after, slice(0, _EDGE)))
-    joined = RawTable(
-        current.file,
-        {name: _join([part.columns[name] for part in parts]) for name in current.columns},
-        current.lines,
-        current.remarks,
-        current.first_row - lead,
-    )
-    return make_log(joined, path.stem, robot=robot, own=(lead, lead + current.rows), statistics=before is None)
-
-
-def _check_order(before: RawTable, current: RawTable) -> None:
-    ends, starts = before.columns.get("time_s"), current.columns.get("time_s")
-    if ends is None or starts is None or isinstance(ends, Labels) or isinstance(starts, Labels):
-        return
-    if np.nanmax(ends) > np.nanmax(starts):
-        raise InputError(
-            Fault(
-                current.file,
-                current.line(0),
-                0,
-                f"time runs backwards, from {np.nanmax(ends):.6g} s to {starts[0]:.6g} s",
-                "time_s",
-                allowed="increasing times, one run a file",
-            )
-        )
-
-
-def _cut(raw: RawTable, part: slice) -> RawTable:
-    return RawTable(raw.file, {name: data[part] for name, data in raw.columns.items()})
-
-
-def _join(parts: list[NDArray[np.float64] | Labels]) -> NDArray[np.float64] | Labels:
-    if not any(isinstance(part, Labels) for part in parts):
-        return np.concatenate([part for part in parts if not isinstance(part, Labels)])
-    texts = [part if isinstance(part, Labels) else Labels.of([None] * len(part)) for part in parts]
-    names: dict[str, int] = {}
-    codes = []
-    for part in texts:
-        table = np.array([*(names.setdefault(name, len(names)) for name in part.names), -1], dtype=np.int64)
-        codes.append(table[part.codes])
-    return Labels(np.concatenate(codes), tuple(names))
 
 
 def check_log(path: PathLike, *, robot: RobotSpec | None = None) -> list[Fault]:

@@ -179,9 +179,9 @@ class LogTable:
         return LogTable(
             self.run,
             {name: data[keep] for name, data in self.columns.items()},
-            self.dt_s[keep].copy(),
-            {name: power[keep].copy() for name, power in self.power_w.items()},
-            {name: None if fresh is None else fresh[keep].copy() for name, fresh in self.fresh.items()},
+            self.dt_s[keep],
+            {name: power[keep] for name, power in self.power_w.items()},
+            {name: None if fresh is None else fresh[keep] for name, fresh in self.fresh.items()},
             self.power_from,
             self.source,
             self.remarks,

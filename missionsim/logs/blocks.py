@@ -1,0 +1,130 @@
+"""Logs of any length in bounded memory: block by block, each checked like a whole log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.errors import Fault, InputError
+from missionsim.labels import Labels
+from missionsim.logs.csvfile import iter_csv
+from missionsim.logs.parquetfile import iter_parquet, parquet_names
+from missionsim.logs.power import measured_batteries
+from missionsim.logs.raw import RawTable
+from missionsim.logs.read import PathLike, is_parquet, make_log
+from missionsim.logs.table import LogTable
+
+if TYPE_CHECKING:
+    from missionsim.spec import RobotSpec
+
+
+def iter_blocks(
+    path: PathLike, *, rows: int = 500_000, columns: Sequence[str] | None = None, robot: RobotSpec | None = None
+) -> Iterator[LogTable]:
+    """Read a long log in blocks, in bounded memory: each block is a `LogTable`, together they are the whole log.
+
+    Parameters
+    ----------
+    path : path-like
+    rows : int
+        Rows of a block (CSV: at least; the last block may be shorter).
+    columns : sequence of str, optional
+        Parquet columns to read; all by default. `time_s` and the batteries' columns are always read.
+    robot : RobotSpec, optional
+        See `read_log`.
+
+    Yields
+    ------
+    LogTable
+        Time, durations and energy differences at the edges take the neighbouring rows into account. Checks of units
+        and clocks look at the first block only.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        As `read_log`; time that runs backwards from one block to the next.
+    """
+    path = Path(path)
+    wanted = None if columns is None else {"time_s", *columns}
+    if is_parquet(path):
+        if wanted is not None:
+            wanted |= {name for name in parquet_names(path, str(path)) if measured_batteries([name, _partner(name)])}
+        blocks = iter_parquet(path, str(path), rows, sorted(wanted) if wanted is not None else None)
+    else:
+        blocks = iter_csv(path, str(path), rows)
+    before: RawTable | None = None
+    current = next(blocks, None)
+    if current is None:
+        raise InputError(Fault(str(path), 0, 0, "there is a header but no rows", allowed="at least two rows"))
+    while current is not None:
+        after = next(blocks, None)
+        yield _block(path, before, current, after, robot)
+        before, current = current, after
+
+
+def _partner(name: str) -> str:
+    if name.startswith("voltage_"):
+        return "current_" + name[len("voltage_") : -1] + "a"
+    return "voltage_" + name[len("current_") : -1] + "v" if name.startswith("current_") else name
+
+
+_EDGE = 64
+"""Rows taken from the neighbouring blocks: enough to see a refresh and the step of time."""
+
+
+def _block(
+    path: Path, before: RawTable | None, current: RawTable, after: RawTable | None, robot: RobotSpec | None
+) -> LogTable:
+    parts = [current]
+    lead = 0
+    if before is not None:
+        lead = min(_EDGE, before.rows)
+        parts.insert(0, _cut(before, slice(before.rows - lead, None)))
+        _check_order(before, current)
+    if after is not None:
+        parts.append(_cut(after, slice(0, _EDGE)))
+    joined = RawTable(
+        current.file,
+        {name: _join([part.columns[name] for part in parts]) for name in current.columns},
+        current.lines,
+        current.remarks,
+        current.first_row - lead,
+    )
+    return make_log(joined, path.stem, robot=robot, own=(lead, lead + current.rows), statistics=before is None)
+
+
+def _check_order(before: RawTable, current: RawTable) -> None:
+    ends, starts = before.columns.get("time_s"), current.columns.get("time_s")
+    if ends is None or starts is None or isinstance(ends, Labels) or isinstance(starts, Labels):
+        return
+    if np.nanmax(ends) > np.nanmax(starts):
+        raise InputError(
+            Fault(
+                current.file,
+                current.line(0),
+                0,
+                f"time runs backwards, from {np.nanmax(ends):.6g} s to {starts[0]:.6g} s",
+                "time_s",
+                allowed="increasing times, one run a file",
+            )
+        )
+
+
+def _cut(raw: RawTable, part: slice) -> RawTable:
+    return RawTable(raw.file, {name: data[part] for name, data in raw.columns.items()})
+
+
+def _join(parts: list[NDArray[np.float64] | Labels]) -> NDArray[np.float64] | Labels:
+    if not any(isinstance(part, Labels) for part in parts):
+        return np.concatenate([part for part in parts if not isinstance(part, Labels)])
+    texts = [part if isinstance(part, Labels) else Labels.of([None] * len(part)) for part in parts]
+    names: dict[str, int] = {}
+    codes = []
+    for part in texts:
+        table = np.array([*(names.setdefault(name, len(names)) for name in part.names), -1], dtype=np.int64)
+        codes.append(table[part.codes])
+    return Labels(np.concatenate(codes), tuple(names))
