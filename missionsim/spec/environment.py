@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from missionsim.spec.base import FileModel, Identifier, Model, Name, Text
 from missionsim.spec.robot import _wrong
-from missionsim.spec.values import Angle, Coordinate, Distance, Efficiency, Length, Parameter, Power, Slope, Speed, Temperature
-
-from typing import Literal  # isort: skip
+from missionsim.spec.values import (
+    Angle,
+    Condition,
+    Coordinate,
+    Distance,
+    Efficiency,
+    Length,
+    Parameter,
+    Power,
+    Slope,
+    Speed,
+    Temperature,
+)
 
 
 class ChargerSpec(Model):
@@ -57,6 +67,7 @@ class EdgeSpec(Model):
     max_speed: Speed | None = None
     temperature: Temperature | None = None
     access_point_distance: Length | None = None
+    conditions: dict[Identifier, Condition] = Field(default_factory=dict)
 
 
 class AmbientSpec(Model):
@@ -65,6 +76,7 @@ class AmbientSpec(Model):
     temperature: Temperature | None = None
     surface: Name | None = None
     access_point_distance: Length | None = None
+    conditions: dict[Identifier, Condition] = Field(default_factory=dict)
 
 
 class AccessPointSpec(Model):

@@ -13,6 +13,7 @@ from missionsim.spec.environment import EnvironmentSpec
 from missionsim.spec.robot import BehaviourSpec, Count, RobotSpec, Sensors, _wrong
 from missionsim.spec.values import (
     Angle,
+    Condition,
     Distance,
     Duration,
     Fraction,
@@ -44,6 +45,7 @@ class Settings(Model):
     cpu_load: Fraction | None = None
     cpu_frequency: Frequency | None = None
     access_point_distance: Length | None = None
+    conditions: dict[Identifier, Condition] = Field(default_factory=dict)
     behaviour: BehaviourSpec | None = None
 
 
@@ -294,6 +296,7 @@ class MissionSpec(FileModel):
     environment_ref: Annotated[Text, Field(min_length=1)] | None = Field(default=None, alias="environment")
     start: Name | None = None
     start_heading: Angle | None = None
+    initial_charge: dict[Identifier, Fraction] = Field(default_factory=dict)
     defaults: DefaultSpec = DefaultSpec()
     policy: PolicySpec = PolicySpec()
     segments: Annotated[tuple[Segment, ...], Field(min_length=1)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, JsonValue, StringConstraints, model_validator
@@ -14,8 +15,8 @@ from missionsim.spec.values import (
     Acceleration,
     AnyNumber,
     Duration,
-    Efficiency,
     EffectNumber,
+    Efficiency,
     Fraction,
     Frequency,
     Issue,
@@ -161,11 +162,20 @@ class BatterySpec(Model):
 
 
 class LawSpec(Model):
-    """Power that depends on a rate, the speed, a load…: an expression over parameters and glossary columns."""
+    """Power that depends on a rate, the speed, a load…: an expression over parameters and glossary columns (`power`),
+    or a registered law (`model`)."""
 
-    power: Expression
+    power: Expression | None = None
+    model: Identifier | None = None
     rate: Frequency | None = None
     parameters: dict[ParameterName, AnyNumber] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _one(self) -> LawSpec:
+        if (self.power is None) == (self.model is None):
+            raise _wrong("a law has either a power or a model", "both" if self.power else "neither",
+                         "power: \"k*rate\", or model: multicore_cpu")
+        return self
 
 
 class LoadSpec(Model):
@@ -239,6 +249,11 @@ class ProcessorRow(Model):
     source: Text = ""
     status: Literal["", "published", "fitted", "assumed", "measured"] = ""
 
+    @property
+    def known_power(self) -> Parameter:
+        """The power with the row's status and source where it has none of its own."""
+        return replace(self.power, status=self.power.status or self.status, source=self.power.source or self.source)
+
 
 class SensorRules(Model):
     """Sensors that a scheme needs, and those that it may use, with units."""
@@ -304,7 +319,10 @@ class MotionSpec(Model):
 
 
 class EffectSpec(Model):
-    """An added effect: one of the library (`effect`), or the user's own (`name` and `power`)."""
+    """An added effect: one of the library (`effect`), or the user's own (`name` and `power`).
+
+    With `candidate` it is no part of the power model, only one more thing that a diagnosis may find.
+    """
 
     effect: Name | None = None
     name: Identifier | None = None
@@ -313,6 +331,7 @@ class EffectSpec(Model):
     component: Identifier | None = None
     parameters: dict[ParameterName, EffectNumber] = Field(default_factory=dict)
     options: dict[Identifier, JsonValue] = Field(default_factory=dict)
+    candidate: bool = False
     origin: dict[str, JsonValue] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -396,12 +415,10 @@ class RobotSpec(FileModel):
 
         best = min(rows, key=lambda row: (differing(row), row.navigation is None, -row.power.value))
         if differing(best) == 0:
-            return best.power
+            return best.known_power
         if self.processor.fallback == "refuse":
             raise KeyError(f"no processor power for {scheme}, {nav or 'no navigation'}, {wanted or 'no sensors'}")
-        from dataclasses import replace
-
-        return replace(best.power, status="assumed", note=f"nearest row: {best.navigation or scheme} with {dict(best.sensors)}")
+        return replace(best.known_power, status="assumed", note=f"nearest row: {best.navigation or scheme} with {dict(best.sensors)}")
 
 
 def _wrong(message: str, got: object, allowed: str, *at: str) -> PydanticCustomError:

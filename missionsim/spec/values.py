@@ -391,6 +391,16 @@ class QuantityOf:
                 return
 
 
+@dataclass(frozen=True)
+class _ConditionOf(QuantityOf):
+    """A free covariate: number, text with a unit, mapping, or (text that does not begin with a number) a word."""
+
+    def _validate(self, raw: Any, info: core_schema.ValidationInfo) -> Parameter | str:  # type: ignore[override]
+        if isinstance(raw, str) and units.split(raw) is None and 0 < len(raw) <= 200:
+            return raw
+        return super()._validate(raw, info)
+
+
 def quantity(dimension: str, low: float = -math.inf, high: float = math.inf, *, strict: bool = False) -> QuantityOf:
     """Shorthand for the annotations in the models."""
     return QuantityOf(dimension, low, high, strict)
@@ -465,4 +475,5 @@ Efficiency = Annotated[Parameter, quantity("fraction", 0.0, 1.0, strict=True)]
 Ratio = Annotated[Parameter, quantity("number", 0.0, 100.0, strict=True)]
 Peukert = Annotated[Parameter, quantity("number", 1.0, 2.0)]
 AnyNumber = Annotated[Parameter, QuantityOf("")]
+Condition = Annotated[Parameter | str, _ConditionOf("")]
 EffectNumber = Annotated[Parameter, QuantityOf("", bounds=True)]
