@@ -1,0 +1,284 @@
+"""Axes along which the error is looked at: sums of time, energy gap and squared error per bin, in one pass.
+
+Numbers are counted on a decimal grid that grows as the data come, so a log of any length is read once and in blocks;
+the bins shown at the end are made of whole cells of that grid.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.labels import Labels
+
+MAX_CELLS = 400
+"""Cells of a numeric axis before the grid is made ten times coarser."""
+WANTED_BINS = 8
+THIN_SHARE = 0.005
+"""Bins at the ends with less than this share of the time are joined to their neighbour."""
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Error within one value or range of a covariate.
+
+    Attributes
+    ----------
+    value : str
+        Name of the value or range.
+    low, high : float or None
+        Ends of a range, in the axis' unit.
+    seconds : float
+    gap_j : float
+        Measured minus modelled energy [J].
+    square_w2s : float
+        Integral of the squared power error [W² s].
+    """
+
+    value: str
+    low: float | None
+    high: float | None
+    seconds: float
+    gap_j: float
+    square_w2s: float
+
+    @property
+    def bias_w(self) -> float:
+        """Mean of model minus measured power [W]."""
+        return -self.gap_j / self.seconds if self.seconds > 0.0 else 0.0
+
+    @property
+    def spread_w(self) -> float:
+        """Standard deviation of the power error within the bin [W]."""
+        return math.sqrt(max(self.square_w2s / self.seconds - self.bias_w**2, 0.0)) if self.seconds > 0.0 else 0.0
+
+
+class NumberAxis:
+    """A numeric covariate on a decimal grid.
+
+    Parameters
+    ----------
+    name : str
+        Glossary name of the covariate.
+    title, unit : str
+        For people.
+    factor : float
+        From the glossary's unit to `unit` (180/π for angles).
+    magnitude : bool
+        Whether its absolute value is taken.
+    """
+
+    def __init__(self, name: str, title: str, unit: str, factor: float = 1.0, magnitude: bool = False) -> None:
+        self.name, self.title, self.unit = name, title, unit
+        self._factor, self._magnitude = factor, magnitude
+        self._exponent: int | None = None
+        self._first = 0
+        self._size = 0
+        self._sums: dict[str, NDArray[np.float64]] = {}
+
+    def place(self, column: Any) -> NDArray[np.int64] | None:
+        """Cell of each row, counted from the axis' first cell (widened if need be), shape (n,); -1 for NaN.
+
+        Returns None where no row has a number.
+        """
+        values = np.abs(column) if self._magnitude else np.asarray(column)
+        if self._factor != 1.0:
+            values = values * self._factor
+        low, high = float(np.min(values)), float(np.max(values))
+        known = None
+        if not (math.isfinite(low) and math.isfinite(high)):
+            known = np.isfinite(values)
+            if not known.any():
+                return None
+            low, high = float(values[known].min()), float(values[known].max())
+            values = np.where(known, values, low)
+        if self._exponent is None:
+            span = high - low
+            self._exponent = math.floor(math.log10(span / 20.0)) if span > 0.0 else _exponent_of(low)
+            self._first = math.floor(_cells(low, self._exponent))
+        while _cells(max(high, self._high()) - min(low, self._low()), self._exponent) > MAX_CELLS:
+            self._coarsen()
+        scale = 10.0**-self._exponent if self._exponent <= 0 else 1.0 / 10.0**self._exponent
+        # a value on a cell's edge, such as 0.3, must not fall below it by rounding
+        cells = np.floor(values * scale + 1e-9).astype(np.int64)
+        self._widen(math.floor(low * scale + 1e-9), math.floor(high * scale + 1e-9))
+        cells -= self._first
+        if known is not None:
+            cells[~known] = -1
+        return cells
+
+    def add(self, cells: NDArray[np.int64], key: str, weights: NDArray[np.float64]) -> None:
+        """Add `weights` to the sum `key` of the cells given by `place` for the same rows."""
+        known = cells >= 0
+        if not known.all():
+            cells, weights = cells[known], weights[known]
+        found = _sums_by(cells, weights)
+        sums = self._array(key)
+        sums[: len(found)] += found
+
+    def bins(self, seconds: str, gap: str, square: str, wanted: int = WANTED_BINS) -> list[Bin]:
+        """Bins of a round width, at most about `wanted`, in increasing order; empty ones are left out."""
+        if self._exponent is None:
+            return []
+        time = self._array(seconds)
+        filled = np.flatnonzero(time > 0.0)
+        if filled.size == 0:
+            return []
+        lowest, highest = self._first + int(filled[0]), self._first + int(filled[-1])
+        multiple = next(m for m in _round_multiples() if highest // m - lowest // m + 1 <= wanted)
+        index = (np.arange(self._size) + self._first) // multiple
+        start = int(index[0])
+        totals = [_sums_by(index - start, self._array(key)) for key in (seconds, gap, square)]
+        groups = _join_thin_ends(totals[0])
+        width = multiple * 10.0**self._exponent
+        result = []
+        for members in groups:
+            sums = [float(total[members].sum()) for total in totals]
+            if sums[0] > 0.0:
+                low, high = (start + members[0]) * width, (start + members[-1] + 1) * width
+                result.append(Bin(f"{tidy(low)} to {tidy(high)}", _rounded(low), _rounded(high), *sums))
+        return result
+
+    def _array(self, key: str) -> NDArray[np.float64]:
+        return self._sums.setdefault(key, np.zeros(self._size))
+
+    def _low(self) -> float:
+        assert self._exponent is not None
+        return self._first * 10.0**self._exponent if self._size else math.inf
+
+    def _high(self) -> float:
+        assert self._exponent is not None
+        return (self._first + self._size) * 10.0**self._exponent if self._size else -math.inf
+
+    def _coarsen(self) -> None:
+        assert self._exponent is not None
+        self._exponent += 1
+        first = self._first // 10
+        index = (np.arange(self._size) + self._first) // 10 - first
+        self._sums = {key: _sums_by(index, sums) for key, sums in self._sums.items()}
+        self._size = int(index[-1]) + 1 if self._size else 0
+        self._first = first
+
+    def _widen(self, low: int, high: int) -> None:
+        if not self._size:
+            self._first, self._size = low, high - low + 1
+            return
+        before, after = max(0, self._first - low), max(0, high - (self._first + self._size - 1))
+        if before or after:
+            self._sums = {key: np.pad(sums, (before, after)) for key, sums in self._sums.items()}
+            self._first -= before
+            self._size += before + after
+
+
+class LabelAxis:
+    """A covariate with names or counts for values (surface, scheme, units switched on, run)."""
+
+    def __init__(self, name: str, title: str, suffix: str = "") -> None:
+        self.name, self.title, self.unit = name, title, ""
+        self._suffix = suffix
+        self._codes: dict[str, int] = {}
+        self._sums: dict[str, NDArray[np.float64]] = {}
+
+    def place(self, column: Any) -> NDArray[np.int64] | None:
+        """Code of each row's value, shape (n,); -1 where it is missing."""
+        if isinstance(column, Labels):
+            table = np.array([self._code(name) for name in column.names] + [-1], dtype=np.int64)
+            return table[column.codes]
+        values = np.asarray(column, dtype=float)
+        known = np.isfinite(values)
+        whole = np.round(np.where(known, values, 0.0)).astype(np.int64)
+        low, high = int(whole.min()), int(whole.max())
+        if high - low > 1000:
+            return None
+        present = np.flatnonzero(np.bincount(whole - low)) + low
+        table = np.full(high - low + 1, -1, dtype=np.int64)
+        for value in present:
+            table[value - low] = self._code(str(value))
+        codes = table[whole - low]
+        if not known.all():
+            codes[~known] = -1
+        return codes
+
+    def add(self, cells: NDArray[np.int64], key: str, weights: NDArray[np.float64]) -> None:
+        """Add `weights` to the sum `key` of the codes given by `place` for the same rows."""
+        known = cells >= 0
+        if not known.all():
+            cells, weights = cells[known], weights[known]
+        found = _sums_by(cells, weights, len(self._codes))
+        old = self._sums.get(key, np.zeros(0))
+        self._sums[key] = found + np.pad(old, (0, len(found) - len(old)))
+
+    def bins(self, seconds: str, gap: str, square: str, wanted: int = WANTED_BINS) -> list[Bin]:
+        """One bin per value, in order of appearance (numbers in increasing order)."""
+        size = len(self._codes)
+        found = [self._sums.get(key, np.zeros(0)) for key in (seconds, gap, square)]
+        totals = [np.pad(sums, (0, size - len(sums))) for sums in found]
+        names = sorted(self._codes, key=_natural)
+        return [
+            Bin(name + self._suffix, None, None, *(float(total[self._codes[name]]) for total in totals))
+            for name in names if totals[0][self._codes[name]] > 0.0
+        ]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The values seen, by code."""
+        return tuple(self._codes)
+
+    def _code(self, name: str) -> int:
+        return self._codes.setdefault(name, len(self._codes))
+
+
+Axis = NumberAxis | LabelAxis
+
+
+def tidy(number: float) -> str:
+    """A bin's end as text, free of rounding noise."""
+    return f"{_rounded(number):.10g}".replace("-", "−")
+
+
+def _sums_by(index: NDArray[np.int64], weights: NDArray[np.float64], size: int = 0) -> NDArray[np.float64]:
+    return np.asarray(np.bincount(index, weights, minlength=size), dtype=np.float64)
+
+
+def _rounded(number: float) -> float:
+    return float(f"{number:.10g}") + 0.0
+
+
+def _cells(length: float, exponent: int) -> float:
+    return length / 10.0**exponent if math.isfinite(length) else 0.0
+
+
+def _exponent_of(value: float) -> int:
+    return math.floor(math.log10(abs(value))) - 1 if value else 0
+
+
+def _round_multiples() -> Any:
+    for power in range(0, 20):
+        for step in (1, 2, 5):
+            yield step * 10**power
+
+
+def _join_thin_ends(seconds: NDArray[np.float64]) -> list[list[int]]:
+    """Groups of neighbouring bins: thin ones at either end go to their neighbour."""
+    filled = np.flatnonzero(seconds > 0.0)
+    order = list(range(int(filled[0]), int(filled[-1]) + 1))
+    limit = THIN_SHARE * float(seconds.sum())
+    first, last = 0, len(order) - 1
+    while first < last and seconds[order[: first + 1]].sum() < limit:
+        first += 1
+    while last > first and seconds[order[last:]].sum() < limit:
+        last -= 1
+    if first == last:
+        return [order]
+    return [order[: first + 1], *([k] for k in order[first + 1 : last]), order[last:]]
+
+
+def _natural(name: str) -> tuple[int, float, str]:
+    try:
+        return (0, float(name), name)
+    except ValueError:
+        return (1, 0.0, "")

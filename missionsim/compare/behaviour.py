@@ -1,0 +1,167 @@
+"""Behaviour's part of the gap between plan and log: longer, slower, waiting, per control scheme, adding up exactly.
+
+The plan's interval table is changed step by step into what the robot did – the path it drove, then the speed it
+reached, then the time it stood – and the energy of the same power model is taken after each step. The differences
+telescope, so together with what is left (turns, ramps and switching otherwise than planned) they are the whole
+difference between replay and simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.compare.stages import Driven, Stages, ratio, scheme_codes
+from missionsim.compare.statistics import ErrorStatistics
+from missionsim.effects.model import PowerModel
+from missionsim.effects.timeline import Timeline
+
+PARTS = ("path_stretch", "speed_tracking", "dwell", "other")
+
+
+@dataclass(frozen=True)
+class SchemeGap:
+    """Plan and log of one control scheme; totals over all runs.
+
+    Attributes
+    ----------
+    scheme : str
+    path_stretch : float or None
+        Distance driven over distance planned; None where nothing was planned.
+    speed_tracking : float or None
+        Mean speed reached over mean speed planned, while driving.
+    dwell_s : float
+        Time at rest beyond the plan.
+    planned_m, driven_m, planned_s, driven_s : float
+        Distance and time.
+    wh : mapping of battery to mapping of part to float
+        Energy of each of `PARTS` [Wh].
+    """
+
+    scheme: str
+    path_stretch: float | None
+    speed_tracking: float | None
+    dwell_s: float
+    planned_m: float
+    driven_m: float
+    planned_s: float
+    driven_s: float
+    wh: Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class MissionGap:
+    """One battery: measured against simulated mission.
+
+    Attributes
+    ----------
+    battery : str
+    runs : int
+        Logged runs, each compared with one simulation.
+    energy_simulated_wh : float
+        Of all runs.
+    behaviour_wh : float
+        Replayed minus simulated energy.
+    schemes : tuple of SchemeGap
+    error_statistics, error_statistics_predicted : ErrorStatistics
+        Of the *simulated* energy against the measured one at equal progress of the mission.
+    """
+
+    battery: str
+    runs: int
+    energy_simulated_wh: float
+    behaviour_wh: float
+    schemes: tuple[SchemeGap, ...]
+    error_statistics: ErrorStatistics
+    error_statistics_predicted: ErrorStatistics
+
+    def part_wh(self, part: str) -> float:
+        """Energy of one of `PARTS` over all schemes [Wh]."""
+        return sum(scheme.wh[self.battery][part] for scheme in self.schemes)
+
+    @property
+    def words(self) -> list[str]:
+        """The split in a sentence or two."""
+        names = {"path_stretch": "the way", "speed_tracking": "the speed", "dwell": "standing", "other": "the rest"}
+        parts = ", ".join(f"{names[part]} {self.part_wh(part):+.3g} Wh" for part in PARTS)
+        first = (f"What the robot did otherwise than planned takes {self.behaviour_wh:+.3g} Wh of battery "
+                 f"{self.battery} ({parts}).")
+        told = [
+            f"{one.scheme or 'no scheme'}: {one.path_stretch:.2f} times the planned way at {one.speed_tracking:.2f} "
+            f"times the planned speed, {one.dwell_s:+.0f} s at rest"
+            for one in self.schemes if one.path_stretch is not None and one.speed_tracking is not None
+        ]
+        return [text.replace("-", "−") for text in [first, *(f"{line}." for line in told)]]
+
+    def to_json(self) -> dict[str, Any]:
+        """Numbers beside the contract's ``gap_wh``."""
+        return {
+            "energy_simulated_wh": self.energy_simulated_wh, "runs": self.runs,
+            "behaviour_wh": {part: self.part_wh(part) for part in PARTS},
+            "by_scheme": [
+                {"scheme": one.scheme, "path_stretch": one.path_stretch, "speed_tracking": one.speed_tracking,
+                 "dwell_s": one.dwell_s, "planned_m": one.planned_m, "driven_m": one.driven_m,
+                 "planned_s": one.planned_s, "driven_s": one.driven_s, "wh": dict(one.wh[self.battery])}
+                for one in self.schemes
+            ],
+            "error_statistics": self.error_statistics.to_json(),
+            "error_statistics_relative_to_predicted": self.error_statistics_predicted.to_json(),
+        }
+
+
+def split_behaviour(
+    model: PowerModel, timeline: Timeline, driven: Mapping[str, Driven], runs: int, batteries: Sequence[str]
+) -> tuple[SchemeGap, ...]:
+    """Split replayed minus simulated energy of several runs of one mission.
+
+    Parameters
+    ----------
+    model : PowerModel
+    timeline : Timeline
+        The simulated mission.
+    driven : mapping of scheme to Driven
+        Sums over all runs; a log without schemes has one entry under ``""``, which is held against the whole plan.
+    runs : int
+        Number of logged runs.
+    batteries : sequence of str
+
+    Returns
+    -------
+    tuple of SchemeGap
+        The parts of all schemes add up to replayed minus ``runs`` times simulated energy.
+    """
+    codes, names = scheme_codes(timeline, ignore=set(driven) == {""})
+    present = [name for code, name in enumerate(names) if np.any(codes == code)]
+    gaps = []
+    stages = Stages(model, timeline, batteries)
+    for name in [*present, *(name for name in driven if name not in present)]:
+        members = codes == names.index(name) if name in present else np.zeros(len(timeline), dtype=bool)
+        gaps.append(_scheme_gap(name, stages, members, driven.get(name, Driven()), runs))
+    return tuple(gaps)
+
+
+def _scheme_gap(name: str, stages: Stages, members: NDArray[np.bool_], done: Driven, runs: int) -> SchemeGap:
+    planned = stages.plan(members)
+    way, speed = done.distance_m / runs, ratio(done.distance_m, done.driving_s)
+    steps = [stages.energy(members)]
+    stretched = stages.stretched(members, way)
+    steps.append(stretched.energy(members))
+    tracked = stretched.at_speed(members, speed)
+    steps.append(tracked.energy(members))
+    steps.append(tracked.standing_for(members, done.standing_s / runs))
+    wh: dict[str, dict[str, float]] = {}
+    for battery in stages.batteries:
+        at = [runs * step[battery] for step in steps] + [done.energy_j.get(battery, 0.0)]
+        wh[battery] = {part: (at[i + 1] - at[i]) / 3600.0 for i, part in enumerate(PARTS)}
+    planned_speed = ratio(planned.distance_m, planned.driving_s)
+    return SchemeGap(
+        name, way / planned.distance_m if planned.distance_m > 0.0 else None,
+        speed / planned_speed if planned_speed and speed else None,
+        done.standing_s - runs * planned.standing_s, runs * planned.distance_m, done.distance_m,
+        runs * (planned.driving_s + planned.turning_s + planned.standing_s),
+        done.driving_s + done.turning_s + done.standing_s, wh,
+    )

@@ -1,0 +1,236 @@
+"""The result of a comparison: numbers per battery and run, where the error arises, and the contract's JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.compare.behaviour import MissionGap
+from missionsim.compare.place import PlaceCell
+from missionsim.compare.recorder import Series
+from missionsim.compare.statistics import ErrorStatistics, relative_error_pct
+from missionsim.compare.where import Dependence, Where, in_words, ranked
+from missionsim.effects.model import TermKey
+
+SCHEMA = "missionsim.comparison/1"
+WHERE_IN_JSON = 200
+"""Values listed in the JSON, those that explain most first."""
+
+
+@dataclass(frozen=True)
+class RunComparison:
+    """One battery over one run.
+
+    Attributes
+    ----------
+    run, battery : str
+    seconds : float
+        Time that the rows stand for.
+    energy_measured_wh, energy_model_wh : float
+    power_rmse_w, power_bias_w : float
+        Root mean square and mean of model minus measured power, weighted by time.
+    error_statistics : ErrorStatistics
+        Of the energy error over the run's progress (share of its time).
+    series : Series
+        Power over time.
+    by_component_wh : mapping of str to float
+        Modelled energy.
+    """
+
+    run: str
+    battery: str
+    seconds: float
+    energy_measured_wh: float
+    energy_model_wh: float
+    power_rmse_w: float
+    power_bias_w: float
+    error_statistics: ErrorStatistics
+    series: Series = field(repr=False)
+    by_term_wh: Mapping[TermKey, float] = field(repr=False)
+
+    @property
+    def energy_error_pct(self) -> float:
+        """``100 (model − measured) / measured`` [%]."""
+        return relative_error_pct(self.energy_model_wh, self.energy_measured_wh)
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's fields and ours beside them."""
+        return {
+            "run": self.run, "energy_error_pct": self.energy_error_pct, "power_rmse_w": self.power_rmse_w,
+            "power_bias_w": self.power_bias_w, "seconds": self.seconds,
+            "energy_measured_wh": self.energy_measured_wh, "energy_model_wh": self.energy_model_wh,
+            "error_statistics": self.error_statistics.to_json(),
+        }
+
+
+@dataclass(frozen=True)
+class BatteryComparison:
+    """One battery over all runs.
+
+    Attributes
+    ----------
+    battery : str
+    runs : tuple of RunComparison
+    error_statistics, error_statistics_predicted : ErrorStatistics
+        Of the energy error of all runs together at equal progress, relative to measured and to predicted energy.
+    progress, error_curve_pct : ndarray, shape (m,)
+        The signed error over progress, relative to measured.
+    dependences : tuple of Dependence
+        Along what the error varies, strongest first.
+    places : tuple of PlaceCell
+        Sums per cell of the map; empty without a pose.
+    mission : MissionGap or None
+        The gap between measured and simulated mission, split.
+    """
+
+    battery: str
+    runs: tuple[RunComparison, ...]
+    error_statistics: ErrorStatistics
+    error_statistics_predicted: ErrorStatistics
+    progress: NDArray[np.float64] = field(repr=False)
+    error_curve_pct: NDArray[np.float64] = field(repr=False)
+    dependences: tuple[Dependence, ...] = field(repr=False)
+    places: tuple[PlaceCell, ...] = field(default=(), repr=False)
+    mission: MissionGap | None = None
+
+    @property
+    def seconds(self) -> float:
+        """Time of all runs [s]."""
+        return sum(run.seconds for run in self.runs)
+
+    @property
+    def energy_measured_wh(self) -> float:
+        """Measured energy of all runs [Wh]."""
+        return sum(run.energy_measured_wh for run in self.runs)
+
+    @property
+    def energy_model_wh(self) -> float:
+        """Energy of the model driven by the logs [Wh]."""
+        return sum(run.energy_model_wh for run in self.runs)
+
+    @property
+    def energy_error_pct(self) -> float:
+        """``100 (model − measured) / measured`` over all runs [%]."""
+        return relative_error_pct(self.energy_model_wh, self.energy_measured_wh)
+
+    @property
+    def power_rmse_w(self) -> float:
+        """Root mean square of the power error, weighted by time [W]."""
+        return math.sqrt(sum(run.seconds * run.power_rmse_w**2 for run in self.runs) / self.seconds)
+
+    @property
+    def power_bias_w(self) -> float:
+        """Mean of model minus measured power [W]."""
+        return sum(run.seconds * run.power_bias_w for run in self.runs) / self.seconds
+
+    @property
+    def by_component_wh(self) -> dict[str, float]:
+        """Modelled energy by component, largest first [Wh]."""
+        totals: dict[str, float] = {}
+        for run in self.runs:
+            for key, energy in run.by_term_wh.items():
+                totals[key.component] = totals.get(key.component, 0.0) + energy
+        return dict(sorted(totals.items(), key=lambda item: -abs(item[1])))
+
+    @property
+    def by_term_wh(self) -> dict[str, float]:
+        """Modelled energy by term, largest first [Wh]."""
+        totals: dict[str, float] = {}
+        for run in self.runs:
+            for key, energy in run.by_term_wh.items():
+                name = f"{key.component}.{key.name}"
+                totals[name] = totals.get(name, 0.0) + energy
+        return dict(sorted(totals.items(), key=lambda item: -abs(item[1])))
+
+    @property
+    def where(self) -> list[Where]:
+        """Values of covariates, those that explain most of the error first."""
+        return ranked(self.dependences)
+
+    @property
+    def gap_wh(self) -> dict[str, float | None]:
+        """Measured minus simulated energy (measured minus replayed without a mission), and its two parts [Wh]."""
+        power_model = self.energy_measured_wh - self.energy_model_wh
+        if self.mission is None:
+            return {"total": power_model, "behaviour": None, "power_model": power_model}
+        behaviour = self.mission.behaviour_wh
+        return {"total": power_model + behaviour, "behaviour": behaviour, "power_model": power_model}
+
+    @property
+    def words(self) -> list[str]:
+        """The verdict in sentences."""
+        error = self.energy_error_pct
+        if math.isfinite(error):
+            way = "more" if error > 0.0 else "less"
+            count = f"{len(self.runs)} runs" if len(self.runs) > 1 else "one run"
+            first = (f"Over {count} the model gives {abs(error):.1f} % {way} energy than was measured on battery "
+                     f"{self.battery}; its power is off by "
+                     f"{self.power_rmse_w:.2f} W (root mean square), {self.power_bias_w:+.2f} W on average.")
+        else:
+            first = f"No energy was measured on battery {self.battery}."
+        middle = [] if self.mission is None else self.mission.words
+        return [first.replace("-", "−"), *middle, *in_words(self.dependences)]
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's fields and ours beside them."""
+        data: dict[str, Any] = {
+            "energy_measured_wh": self.energy_measured_wh, "energy_model_wh": self.energy_model_wh,
+            "energy_error_pct": self.energy_error_pct, "power_rmse_w": self.power_rmse_w,
+            "power_bias_w": self.power_bias_w, "gap_wh": self.gap_wh,
+            "error_statistics": self.error_statistics.to_json(),
+            "error_statistics_relative_to_predicted": self.error_statistics_predicted.to_json(),
+            "per_run": [run.to_json() for run in self.runs],
+            "where": [where.to_json() for where in self.where[:WHERE_IN_JSON]],
+            "depends_on": [
+                {"by": one.by, "explains": one.explained} for one in self.dependences if one.explained > 0.0
+            ],
+            "model_by_component_wh": self.by_component_wh, "model_by_term_wh": self.by_term_wh, "words": self.words,
+        }
+        if self.mission is not None:
+            data["mission"] = self.mission.to_json()
+        return data
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Model against measurements.
+
+    Attributes
+    ----------
+    robot : str
+    runs : tuple of str
+    batteries : mapping of str to BatteryComparison
+    notes : tuple of str
+        What was assumed, left out or skipped, and the remarks of the log checks.
+    logs : tuple of (run, source file, SHA-256)
+    rows : int
+        Rows of all logs.
+    mission : str
+        Name of the mission, empty without one.
+    """
+
+    robot: str
+    runs: tuple[str, ...]
+    batteries: Mapping[str, BatteryComparison]
+    notes: tuple[str, ...] = ()
+    logs: tuple[tuple[str, str, str], ...] = ()
+    rows: int = 0
+    mission: str = ""
+
+    def within(self, tolerance_pct: float) -> bool:
+        """Whether the energy error of every battery is within ± `tolerance_pct`."""
+        return all(abs(one.energy_error_pct) <= tolerance_pct for one in self.batteries.values())
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's ``missionsim.comparison/1``."""
+        return {
+            "schema": SCHEMA, "robot": self.robot, "mission": self.mission or None, "runs": list(self.runs),
+            "batteries": {name: one.to_json() for name, one in self.batteries.items()},
+            "notes": list(self.notes), "rows": self.rows,
+            "logs": [{"run": run, "file": source, "sha256": digest} for run, source, digest in self.logs],
+        }

@@ -1,0 +1,237 @@
+"""Comparison of a robot's model with measured logs, from files to the result."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import chain
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.compare.accumulate import Accumulator, RunSums
+from missionsim.compare.behaviour import MissionGap, split_behaviour
+from missionsim.compare.comparison import BatteryComparison, Comparison, RunComparison
+from missionsim.compare.progress import mission_progress, simulated_energy
+from missionsim.compare.replay import plan_replay, replay_blocks
+from missionsim.compare.statistics import cumulative_at, error_curve, error_statistics, progress_grid
+from missionsim.compare.where import dependences
+from missionsim.effects.model import PowerModel
+from missionsim.errors import InputError
+from missionsim.logs.table import LogTable
+
+if TYPE_CHECKING:
+    from missionsim.effects.timeline import Timeline
+
+LARGE_FILE_BYTES = 32_000_000
+"""Files from this size on are read in blocks, so that memory stays bounded."""
+BLOCK_ROWS = 65_536
+PathLike = str | os.PathLike[str]
+
+
+def compare(
+    model: PowerModel,
+    logs: Iterable[LogTable | PathLike] | PathLike,
+    *,
+    robot: Any = None,
+    plan: Timeline | None = None,
+    segments: Sequence[str] = (),
+    mission: str = "",
+    by: Iterable[str] = (),
+    on_run: Callable[[str], None] | None = None,
+) -> Comparison:
+    """Replay logs through a model and compare with what was measured.
+
+    Parameters
+    ----------
+    model : PowerModel
+    logs : LogTables, files or folders
+        One run each; large files are read in blocks.
+    robot : RobotSpec, optional
+        Sharpens the checks of the logs and names the robot in the result.
+    plan : Timeline, optional
+        The simulated mission that every log is a run of.
+    segments : sequence of str
+        Names of the plan's segments, for logs that name them.
+    mission : str
+        The mission's name.
+    by : iterable of str
+        Further log columns along which the error is looked at.
+    on_run : callable, optional
+        Called with the name of each run when it is done.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Faults of the logs, or nothing to compare.
+    """
+    sums = Accumulator(by, behaviour=plan is not None)
+    notes: dict[str, list[str]] = {}
+    sources: list[tuple[str, str, str]] = []
+    wanted = tuple(by)
+    for run, source, digest, blocks in _runs(logs, robot):
+        first = next(blocks, None)
+        if first is None:
+            raise InputError.single("the log has no rows", file=source)
+        _check_by(wanted, first)
+        replay = plan_replay(model, first.columns, first.batteries, source=source or run)
+        for note in replay.notes:
+            notes.setdefault(note, []).append(run)
+        remarks: dict[str, None] = {}
+        for block in replay_blocks(replay, _noting(chain([first], blocks), remarks)):
+            sums.add(run, block)
+        for remark in remarks:
+            notes.setdefault(remark, []).append(run)
+        sources.append((run, source, digest))
+        if on_run is not None:
+            on_run(run)
+    batteries = [name for name in model.batteries if any(name in run for run in sums.runs.values())]
+    return Comparison(
+        getattr(robot, "name", ""), tuple(run for run, _, _ in sources),
+        {name: _battery(name, sums, model, plan, segments, batteries) for name in batteries},
+        tuple(_told(note, runs, len(sources)) for note, runs in notes.items()), tuple(sources), sums.rows, mission,
+    )
+
+
+def compare_files(
+    robot: Any, logs: Sequence[PathLike] | PathLike, *, mission: PathLike | None = None, by: Iterable[str] = (),
+    on_run: Callable[[str], None] | None = None,
+) -> Comparison:
+    """Compare a robot (name, path or `RobotSpec`) with logs, and with a simulated mission if one is given.
+
+    Parameters
+    ----------
+    robot : str, path-like or RobotSpec
+    logs : files or folders
+    mission : path-like, optional
+        Mission file that every log is a run of; it is simulated with `robot`.
+    by, on_run
+        See `compare`.
+    """
+    from missionsim.effects.build import build_power_model
+    from missionsim.spec import load_robot
+
+    spec = load_robot(robot) if isinstance(robot, (str, os.PathLike)) else robot
+    model = build_power_model(spec)
+    if mission is None:
+        return compare(model, logs, robot=spec, by=by, on_run=on_run)
+    from missionsim.engine.simulate import simulate
+    from missionsim.spec import load_mission
+
+    loaded = load_mission(mission, robot=robot if isinstance(robot, (str, os.PathLike)) else spec)
+    result = simulate(loaded)
+    return compare(model, logs, robot=spec, plan=result.timeline, segments=_segment_names(result), mission=loaded.name,
+                   by=by, on_run=on_run)
+
+
+def _segment_names(result: Any) -> tuple[str, ...]:
+    return tuple(str(name) for name in getattr(result, "segment_names", ()))
+
+
+def _runs(
+    logs: Iterable[LogTable | PathLike] | PathLike, robot: Any
+) -> Iterator[tuple[str, str, str, Iterator[LogTable]]]:
+    """Name, source, hash and blocks of each run; small files are read, and their faults told, all at once."""
+    from missionsim.files import sha256
+    from missionsim.logs import find_logs, iter_blocks, read_logs
+
+    given: list[Any] = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)
+    paths = [item for item in given if not isinstance(item, LogTable)]
+    tables = [item for item in given if isinstance(item, LogTable)]
+    files = find_logs(paths) if paths or not given else []
+    large = [path for path in files if path.stat().st_size >= LARGE_FILE_BYTES]
+    small = [path for path in files if path not in large]
+    for table in [*tables, *(read_logs(small, robot=robot) if small else [])]:
+        yield table.run, table.source, table.sha256, iter([table])
+    for path in large:
+        yield path.stem, str(path), sha256(path), iter(iter_blocks(path, rows=BLOCK_ROWS, robot=robot))
+
+
+def _noting(blocks: Iterable[LogTable], remarks: dict[str, None]) -> Iterator[LogTable]:
+    """The same blocks; what the checks say of them is kept in `remarks`, each sentence once."""
+    for block in blocks:
+        for remark in block.remarks:
+            remarks.setdefault(str(replace(remark, line=0)))
+        yield block
+
+
+def _check_by(by: Sequence[str], log: LogTable) -> None:
+    from missionsim.errors import did_you_mean
+
+    for name in by:
+        if name not in log.columns:
+            raise InputError.single(
+                f"the log has no column '{name}'", file=log.source, got=name, allowed=", ".join(log.columns),
+                hint=did_you_mean(name, log.columns),
+            )
+
+
+def _told(note: str, runs: list[str], all_runs: int) -> str:
+    if len(runs) == all_runs and all_runs > 1:
+        return note
+    return f"{runs[0]}: {note}" if len(runs) == 1 else f"{runs[0]} and {len(runs) - 1} more: {note}"
+
+
+def _battery(
+    battery: str, sums: Accumulator, model: PowerModel, plan: Timeline | None, segments: Sequence[str],
+    batteries: Sequence[str],
+) -> BatteryComparison:
+    found = {run: of[battery] for run, of in sums.runs.items() if battery in of}
+    grid = progress_grid()
+    curves = [_cumulative(one, one.series.progress, grid) for one in found.values()]
+    measured, predicted = (np.sum([curve[i] for curve in curves], axis=0) for i in (0, 1))
+    curve = error_curve(measured, predicted)
+    return BatteryComparison(
+        battery,
+        tuple(_run(run, battery, found[run], error_curve(*own)) for run, own in zip(found, curves, strict=True)),
+        error_statistics(curve),
+        error_statistics(error_curve(measured, predicted, "predicted"), "predicted"),
+        grid, curve, tuple(dependences(sums, battery)), tuple(sums.places.cells(battery)),
+        None if plan is None else _mission(battery, sums, model, plan, segments, found, batteries),
+    )
+
+
+def _cumulative(
+    one: RunSums, progress: NDArray[np.float64], grid: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    columns = one.series.columns
+    return cumulative_at(progress, columns["measured_j"], grid), cumulative_at(progress, columns["model_j"], grid)
+
+
+def _run(run: str, battery: str, one: RunSums, curve: NDArray[np.float64]) -> RunComparison:
+    return RunComparison(
+        run, battery, one.seconds, one.measured_j / 3600.0, one.model_j / 3600.0,
+        math.sqrt(max(one.square_w2s, 0.0) / one.seconds), (one.model_j - one.measured_j) / one.seconds,
+        error_statistics(curve), one.series, {key: joules / 3600.0 for key, joules in one.terms.items()},
+    )
+
+
+def _mission(
+    battery: str, sums: Accumulator, model: PowerModel, plan: Timeline, segments: Sequence[str],
+    found: dict[str, RunSums], batteries: Sequence[str],
+) -> MissionGap:
+    driven = sums.driven or {}
+    schemes = split_behaviour(model, plan, driven, len(found), batteries)
+    simulated = simulated_energy(model, plan, battery)
+    grid = progress_grid()
+    names = sums.segment_names()
+    measured = np.zeros(len(grid))
+    for one in found.values():
+        progress = mission_progress(one.series, names, plan, segments)
+        measured += cumulative_at(progress, one.series.columns["measured_j"], grid)
+    spent = np.cumsum(plan.duration_s)
+    predicted = len(found) * cumulative_at(spent / spent[-1], simulated, grid)
+    replayed = sum(one.model_j for one in found.values())
+    total = len(found) * float(simulated.sum())
+    return MissionGap(
+        battery, len(found), total / 3600.0, (replayed - total) / 3600.0, schemes,
+        error_statistics(error_curve(measured, predicted)),
+        error_statistics(error_curve(measured, predicted, "predicted"), "predicted"),
+    )

@@ -1,0 +1,267 @@
+"""A measured log drives the power model directly, without simulation: modelled beside measured power, row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.covariates import is_moving
+from missionsim.effects.derive import SMOOTHING_S, acceleration, derive
+from missionsim.effects.model import PowerModel, TermKey
+from missionsim.errors import InputError
+from missionsim.logs.table import LogTable
+
+ASSUMED_ZERO = {
+    "yaw_rate_rad_s": "the robot drives straight",
+    "lateral_speed_m_s": "the robot does not move sideways",
+    "slope_rad": "the ground is level",
+    "payload_kg": "nothing is carried",
+}
+"""Columns that count as zero where a log lacks them, and what that means."""
+
+
+@dataclass(frozen=True)
+class ReplayPlan:
+    """What of a model a log with certain columns can drive.
+
+    Attributes
+    ----------
+    model : PowerModel
+        The terms that can be evaluated.
+    batteries : tuple of str
+        Measured and modelled.
+    assumed : mapping of str to float
+        Columns filled in.
+    notes : tuple of str
+        What was assumed, left out or skipped, in words.
+    """
+
+    model: PowerModel
+    batteries: tuple[str, ...]
+    assumed: Mapping[str, float]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ReplayBlock:
+    """Rows of a log with modelled power.
+
+    Attributes
+    ----------
+    time_s, dt_s : ndarray, shape (n,)
+        Time since the start of the run and the time that each row stands for.
+    covariates : mapping
+        Columns of the log and what follows from them.
+    measured_w, model_w : mapping of battery to ndarray, shape (n,)
+        Where the meter is slower than the rows, the model is averaged over each reading, which then counts once.
+    terms : mapping of battery to mapping of TermKey to ndarray or float
+        Modelled power by term, at the rate of the rows.
+    assumed : frozenset of str
+        Covariates that were filled in, not logged.
+    """
+
+    time_s: NDArray[np.float64]
+    dt_s: NDArray[np.float64]
+    covariates: Mapping[str, Any]
+    measured_w: Mapping[str, NDArray[np.float64]]
+    model_w: Mapping[str, NDArray[np.float64]]
+    terms: Mapping[str, Mapping[TermKey, Any]]
+    assumed: frozenset[str] = frozenset()
+
+
+def plan_replay(model: PowerModel, columns: Iterable[str], measured: Iterable[str], *, source: str = "") -> ReplayPlan:
+    """Decide what a log can drive: fill what has a plain meaning, leave out or skip the rest, and say so.
+
+    Parameters
+    ----------
+    model : PowerModel
+    columns : iterable of str
+        Columns of the log.
+    measured : iterable of str
+        Batteries whose power was measured.
+    source : str
+        Name of the log for the message.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where no battery is both measured and modelled.
+    """
+    have = set(columns) | {"mass_kg", "moving_time_s", "starts", "starts_per_s", "time_s"}
+    if "speed_m_s" in have:
+        have.add("accel_m_s2")
+    have |= {f"on_time_{name[3:]}_s" for name in have if name.startswith("on_")}
+    notes: list[str] = []
+    assumed: dict[str, float] = {}
+    kept = model.terms
+    batteries: list[str] = []
+    reasons: list[str] = []
+    measured = list(measured)
+    for battery in measured:
+        if battery not in model.batteries:
+            reasons.append(f"battery '{battery}' was measured but the robot has none of that name")
+            continue
+        own_assumed: dict[str, float] = {}
+        skip = ""
+        for term in model.of(battery):
+            lacking = [name for name in term.effect.needs if name not in have]
+            own_assumed |= {name: 0.0 for name in lacking if name in ASSUMED_ZERO or name.startswith("on_")}
+            unknown = [name for name in lacking if name not in own_assumed and not _follows(name, own_assumed)]
+            if unknown and term.base:
+                skip = f"its {term.key.component} ({term.key.name}) needs the column {_listed(unknown)}"
+                break
+            if unknown:
+                kept = tuple(other for other in kept if other.key != term.key)
+                notes.append(f"{battery}: the effect {term.key.name} is left out: the log has no {_listed(unknown)}")
+        if skip:
+            reasons.append(f"battery '{battery}' is skipped: {skip}, which the log lacks")
+        else:
+            batteries.append(battery)
+            assumed |= own_assumed
+    if not batteries:
+        raise InputError.single(
+            "nothing to compare: " + ("; ".join(reasons) or "no power was measured"), file=source,
+            got=", ".join(measured), allowed=", ".join(model.batteries),
+        )
+    used = {name for battery in batteries for term in model.of(battery) for name in (term.effect.covariate,)}
+    for name in sorted(name for name in used if name.startswith("on_") and name not in have):
+        notes.append(f"no column {name}: {name[3:]} counts as switched off")
+    notes += [f"no column {name}: {ASSUMED_ZERO[name]}" for name in assumed if name in ASSUMED_ZERO]
+    clocks = {f"on_time_{name[3:]}_s": 0.0 for name in assumed if name.startswith("on_")}
+    return ReplayPlan(replace(model, terms=kept), tuple(batteries), {**assumed, **clocks}, (*reasons, *notes))
+
+
+def replay_blocks(plan: ReplayPlan, blocks: Iterable[LogTable]) -> Iterator[ReplayBlock]:
+    """Replay one run that comes in blocks, with the memory of the model carried from block to block.
+
+    Parameters
+    ----------
+    plan : ReplayPlan
+    blocks : iterable of LogTable
+        Consecutive pieces of one run; a whole run is one piece.
+    """
+    carry = _Carry(plan)
+    for block, before, after in _with_neighbours(blocks):
+        yield _replay_block(plan, block, carry.derive(block, before, after))
+
+
+def _replay_block(plan: ReplayPlan, block: LogTable, cov: dict[str, Any]) -> ReplayBlock:
+    measured, modelled, terms = {}, {}, {}
+    for battery in plan.batteries:
+        parts = plan.model.evaluate(cov, battery=battery)[battery]
+        total = np.broadcast_to(np.asarray(sum(parts.values(), start=0.0), dtype=float), block.time_s.shape)
+        fresh = block.fresh.get(battery)
+        measured[battery], modelled[battery] = block.power_w[battery], total
+        if fresh is not None:
+            measured[battery], modelled[battery] = _per_reading(block.power_w[battery], total, block.dt_s, fresh)
+        terms[battery] = parts
+    filled = frozenset(plan.assumed) - set(block.columns)
+    return ReplayBlock(cov["time_s"], block.dt_s, cov, measured, modelled, terms, filled)
+
+
+def _per_reading(
+    measured_w: NDArray[np.float64], model_w: NDArray[np.float64], dt_s: NDArray[np.float64], fresh: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Measured and modelled power where the meter is slower than the rows, each of shape (n,).
+
+    A value that appears in a row was measured over the time since the one before, so it belongs to the rows since
+    then; the model is averaged over them. Rows after the last reading keep it.
+    """
+    readings = np.flatnonzero(fresh)
+    reading: NDArray[np.int64] = np.cumsum(fresh) - fresh.astype(np.int64)
+    last = np.append(readings, len(fresh) - 1)[reading]
+    seconds = np.bincount(reading, dt_s)
+    joules = np.bincount(reading, model_w * dt_s)
+    return measured_w[last], np.asarray((joules / np.maximum(seconds, 1e-12))[reading])
+
+
+class _Carry:
+    """What a block must know of the rows before it: clocks, whether the robot moved, the start of the run."""
+
+    def __init__(self, plan: ReplayPlan) -> None:
+        self._plan = plan
+        self._start_s: float | None = None
+        self._clocks: dict[str, float] = {}
+        self._on: dict[str, bool] = {}
+        self._moving = True
+
+    def derive(self, block: LogTable, before: LogTable | None, after: LogTable | None) -> dict[str, Any]:
+        """Covariates of `block`; its neighbours only serve to smooth the speed across the seams."""
+        if self._start_s is None:
+            self._start_s = float(block.time_s[0])
+        columns: dict[str, Any] = dict(block.covariates())
+        if "speed_m_s" in columns and "accel_m_s2" not in columns:
+            columns["accel_m_s2"] = _acceleration(block, before, after)
+        for name, value in self._plan.assumed.items():
+            columns.setdefault(name, np.full(block.time_s.shape, value))
+        cov = derive(columns, block.time_s, block.dt_s)
+        cov["time_s"] = block.time_s - self._start_s
+        if "moving_time_s" in cov:
+            moving = (_moves(cov, 0), _moves(cov, -1))
+            cov["moving_time_s"] = cov["moving_time_s"] + self._clocks.get("moving_time_s", 0.0)
+            rest = 0.5 * float(block.dt_s[-1]) if moving[1] else 0.0
+            self._clocks["moving_time_s"] = float(cov["moving_time_s"][-1]) + rest
+            if moving[0] and not self._moving:
+                cov["starts"][0] = 1.0
+                cov["starts_per_s"][0] = 1.0 / max(float(block.dt_s[0]), 1e-9)
+            self._moving = moving[1]
+        for name in [name for name in block.columns if name.startswith("on_")]:
+            self._carry_component(name, cov, block)
+        return cov
+
+    def _carry_component(self, name: str, cov: dict[str, Any], block: LogTable) -> None:
+        clock = f"on_time_{name[3:]}_s"
+        on = np.asarray(block.columns[name]) > 0.0
+        if clock in block.columns or clock not in cov:
+            return
+        if on[0] and self._on.get(name, False):
+            stretch = int(np.argmin(on)) if not on.all() else len(on)
+            cov[clock][:stretch] += self._clocks[clock]
+        self._on[name] = bool(on[-1])
+        self._clocks[clock] = float(cov[clock][-1] + 0.5 * block.dt_s[-1]) if on[-1] else 0.0
+
+
+def _moves(cov: Mapping[str, Any], row: int) -> bool:
+    """Whether the robot moves in one row."""
+    motion = ("moving", "speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s")
+    return bool(is_moving({name: np.asarray(cov[name])[row] for name in motion if name in cov}))
+
+
+def _acceleration(block: LogTable, before: LogTable | None, after: LogTable | None) -> NDArray[np.float64]:
+    rows = 2 * max(2, int(SMOOTHING_S / max(float(np.median(block.dt_s)), 1e-6)) + 1)
+    tables = [(before, slice(-rows, None)), (block, slice(None)), (after, slice(0, rows))]
+    parts = [(table.time_s[cut], table.columns["speed_m_s"][cut]) for table, cut in tables if table is not None]
+    time_s = np.concatenate([part[0] for part in parts])
+    speed_m_s = np.concatenate([np.asarray(part[1], dtype=float) for part in parts])
+    skipped = 0 if before is None else len(before.time_s[-rows:])
+    return acceleration(speed_m_s, time_s)[skipped : skipped + len(block.time_s)]
+
+
+def _with_neighbours(
+    blocks: Iterable[LogTable],
+) -> Iterator[tuple[LogTable, LogTable | None, LogTable | None]]:
+    previous: LogTable | None = None
+    current: LogTable | None = None
+    for block in blocks:
+        if len(block.time_s) == 0:
+            continue
+        if current is not None:
+            yield current, previous, block
+            previous = current
+        current = block
+    if current is not None:
+        yield current, previous, None
+
+
+def _follows(name: str, assumed: Mapping[str, float]) -> bool:
+    """Whether a clock follows from a component that counts as off."""
+    return name.startswith("on_time_") and f"on_{name[8:-2]}" in assumed
+
+
+def _listed(names: list[str]) -> str:
+    return " and ".join(names)
+

@@ -1,0 +1,145 @@
+"""One self-contained interactive HTML page: opens from disk, asks the network for nothing, reads well on paper."""
+
+from __future__ import annotations
+
+import functools
+import html as html_lib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from missionsim.report.blocks import Bullets, Chart, Choice, Details, Paragraph, Section, Table, Tiles, Verdict
+
+MARKS = {"good": ("✓", "Good"), "warn": ("!", "Attention"), "bad": ("✗", "Wrong"), "neutral": ("i", "Result")}
+AXIS = {"gridcolor": "#e5e8ec", "zerolinecolor": "#aab2bd", "linecolor": "#aab2bd", "ticks": "outside",
+        "tickcolor": "#aab2bd", "automargin": True}
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f3c8d", "#666666")
+"""Okabe and Ito's colours, told apart with any colour vision, and two more."""
+HOUSE_LAYOUT: dict[str, Any] = {
+    "font": {"family": "system-ui, 'DejaVu Sans', Arial, sans-serif", "size": 13, "color": "#1f2933"},
+    "paper_bgcolor": "#ffffff", "plot_bgcolor": "#ffffff", "margin": {"l": 64, "r": 16, "t": 12, "b": 48},
+    "hovermode": "x unified", "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"},
+    "hoverlabel": {"namelength": -1}, "colorway": list(COLOURS),
+}
+
+
+def page(title: str, sections: Sequence[Section], *, subtitle: str = "", footer: str = "") -> str:
+    """The whole page as text, UTF-8.
+
+    Parameters
+    ----------
+    title, subtitle, footer : str
+        Plain text; escaped.
+    sections : sequence of Section
+        What the page shows, in order.
+
+    Returns
+    -------
+    str
+        HTML with scripts, styles and data inside it; a content policy in its head forbids any request.
+    """
+    charts: list[dict[str, Any]] = []
+    environment = _environment()
+    environment.globals["kind"] = lambda block: type(block).__name__
+    environment.globals["mark"] = lambda tone: MARKS[tone]
+    numbers: dict[str, int] = {"choice": 0}
+
+    def chart_id(block: Chart) -> str:
+        charts.append(_chart(block))
+        return f"chart-{len(charts) - 1}"
+
+    def choice_id() -> str:
+        numbers["choice"] += 1
+        return f"choice-{numbers['choice']}"
+
+    body = environment.get_template("page.html.j2")
+    # the template draws the blocks first and asks for the charts' data at its end
+    return str(body.render(
+        title=title, subtitle=subtitle, footer=footer, sections=sections, chart_id=chart_id, choice_id=choice_id,
+        cell=format_cell, is_number=_is_number, charts_json=lambda: _script_json(charts), plotly_js=_plotly_js,
+    ))
+
+
+def format_cell(value: Any, digits: int = 4) -> str:
+    """A cell as text: numbers with `digits` significant digits, without exponent where readable; None as a dash."""
+    if value is None:
+        return "–"
+    if isinstance(value, (bool, np.bool_)):
+        return "yes" if value else "no"
+    if _is_number(value):
+        number = float(value)
+        if not math.isfinite(number):
+            return "–"
+        if isinstance(value, (int, np.integer)):
+            return f"{value:,}"
+        if number == 0:
+            return "0"
+        magnitude = math.floor(math.log10(abs(number)))
+        if magnitude < -4 or magnitude > 8:
+            return f"{number:.{digits - 1}e}"
+        return f"{number:,.{max(0, digits - 1 - magnitude)}f}".replace("-", "−")
+    return str(value)
+
+
+def plain(data: Any) -> Any:
+    """NumPy arrays and numbers as JSON values; floats at six significant digits, non-finite ones as null."""
+    if isinstance(data, Mapping):
+        return {str(key): plain(value) for key, value in data.items()}
+    if isinstance(data, np.ndarray):
+        return [plain(item) for item in data.tolist()]
+    if isinstance(data, (list, tuple)):
+        return [plain(item) for item in data]
+    if isinstance(data, np.generic):
+        return plain(data.item())
+    if isinstance(data, float):
+        return float(f"{data:.6g}") if math.isfinite(data) else None
+    return data
+
+
+def label(text: object) -> str:
+    """Text of the user for a place in a chart where Plotly reads tags: escaped."""
+    return html_lib.escape(str(text), quote=False)
+
+
+def _chart(block: Chart) -> dict[str, Any]:
+    layout: dict[str, Any] = {**HOUSE_LAYOUT, "height": block.height, **block.layout}
+    for key in [*layout, "xaxis", "yaxis"]:
+        if key.startswith(("xaxis", "yaxis")):
+            layout[key] = {**AXIS, **layout.get(key, {})}
+    return {"data": plain(list(block.traces)), "layout": plain(layout)}
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+
+
+def _script_json(data: Any) -> str:
+    """JSON that cannot end the script element it stands in."""
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    for sign in "<>&\u2028\u2029":
+        text = text.replace(sign, f"\\u{ord(sign):04x}")
+    return text
+
+
+@functools.cache
+def _plotly_js() -> str:
+    from plotly.offline import get_plotlyjs
+
+    return str(get_plotlyjs()).replace("</script", "<\\/script")
+
+
+@functools.cache
+def _environment() -> Any:
+    import jinja2
+
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("missionsim.report"), autoescape=True, trim_blocks=True, lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+
+
+__all__ = ["COLOURS", "Bullets", "Chart", "Choice", "Details", "Paragraph", "Section", "Table", "Tiles", "Verdict",
+           "format_cell", "label", "page", "plain"]
