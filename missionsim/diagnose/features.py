@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.diagnose.covariates import Run, run_covariates, shared_names, texts, watched
-from missionsim.diagnose.gradient import gradient
 from missionsim.effects.base import Effect
 from missionsim.effects.library import all_effects, execution_effects, get_effect
 from missionsim.effects.model import ModelParameter, PowerModel
-from missionsim.errors import InputError
+from missionsim.fit.covariates import Run
+from missionsim.fit.prepare import prepare
 from missionsim.identify.data import Candidate, RunData
 
 Array = NDArray[np.float64]
@@ -59,9 +58,8 @@ class Features:
     remarks: tuple[str, ...]
     covariates: tuple[Mapping[str, Any], ...]
 
-    def select(self, names: Sequence[str]) -> Features:
-        """The same features of some of the runs, by name."""
-        keep = [i for i, run in enumerate(self.runs) if run.run in set(names)]
+    def select(self, keep: Sequence[int]) -> Features:
+        """The same features of some of the runs, by number."""
         candidates = tuple(_restricted(candidate, keep) for candidate in self.candidates)
         return replace(
             self, runs=tuple(self.runs[i] for i in keep), covariates=tuple(self.covariates[i] for i in keep),
@@ -94,46 +92,31 @@ def make_features(
     missionsim.errors.InputError
         Where the base model needs a column that the logs lack, or no log measures the battery.
     """
-    tables = [log for log in logs if battery in log.power_w]
-    if not tables:
-        raise InputError.single(f"no log measures the battery '{battery}'", allowed=f"power_{battery}_w")
-    remarks: list[str] = []
-    runs = [run_covariates(model, log, battery, remarks) for log in tables]
-    names = shared_names(runs, remarks)
-    lacking = model.missing({name: 0.0 for name in names}, battery)
-    if lacking:
-        needed = sorted({name for columns in lacking.values() for name in columns})
-        raise InputError.single(
-            f"the base model of battery '{battery}' needs columns that the logs lack", got=", ".join(sorted(names)),
-            allowed=", ".join(needed),
-        )
-    known = texts(runs, names)
-    surfaces = known.get("surface", ())
-    components = _components(runs, names, switchable)
-    effects, untestable = _testable(names, surfaces, components, own, {*skip, *_held(model, battery)}, remarks)
-    base = [_base(model, run, battery) for run in runs]
-    gradients = [gradient(model, run.cov, battery) for run in runs]
-    columns: list[dict[str, Array]] = [{} for _ in runs]
+    ready = prepare(model, logs, battery)
+    surfaces = ready.texts.get("surface", ())
+    names = set(ready.names)
+    components = _components(names, switchable)
+    held = {*skip, *_held(model, battery)}
+    effects, untestable = _testable(names, surfaces, components, own, held, ready.remarks)
+    columns: list[dict[str, Array]] = [{} for _ in ready.runs]
     candidates: list[Candidate] = []
     for effect in effects.values():
-        candidate = _add_columns(effect, runs, columns)
+        candidate = _add_columns(effect, ready.runs, columns)
         if candidate.covariate not in names or candidate.covariate.startswith(("on_time_", "starts")):
             candidate = replace(candidate, covariate=_logged_name(candidate.covariate))
-        candidates.append(_with_twin(candidate, columns, gradients))
-    data = tuple(
-        _run_data(run, base[i], gradients[i], columns[i], watched(run, names, known), remarks) for i, run in enumerate(runs)
-    )
-    parameters = _parameters(model, battery)
+        candidates.append(_with_twin(candidate, columns, ready.gradients))
+    data = ready.data(columns)
     return Features(
-        battery, data, tuple(candidates), {name: p.prior_sd for name, p in parameters.items()}, parameters, effects,
-        untestable, tuple(dict.fromkeys(remarks)), tuple(run.cov for run in runs),
+        battery, data, tuple(candidates), {name: p.prior_sd for name, p in ready.parameters.items()},
+        ready.parameters, effects, untestable, tuple(dict.fromkeys(ready.remarks)),
+        tuple(run.cov for run in ready.runs),
     )  # fmt: skip
 
 
 def effect_columns(
     effects: Mapping[str, Effect], candidates: Sequence[Candidate], cov: Mapping[str, Any]
 ) -> dict[str, Array]:
-    """Every candidate column for given covariates, such as those of a scripted manoeuvre; power for coefficient 1 [W]."""
+    """Every candidate column for given covariates, such as those of a manoeuvre; power for coefficient 1 [W]."""
     found: dict[str, Array] = {}
     for candidate in candidates:
         effect = effects[candidate.effect]
@@ -149,7 +132,7 @@ def _held(model: PowerModel, battery: str) -> set[str]:
     return held | {id.partition(":")[0] for id in held if id.startswith(SURFACE)}
 
 
-def _components(runs: Sequence[Run], names: set[str], switchable: Sequence[str]) -> dict[str, bool]:
+def _components(names: set[str], switchable: Sequence[str]) -> dict[str, bool]:
     """Components to test and whether their ``on_`` column is logged."""
     logged = sorted(name[3:] for name in names if name.startswith("on_") and not name.startswith("on_time_"))
     return {**dict.fromkeys(switchable, False), **dict.fromkeys(logged, True)}
@@ -163,7 +146,7 @@ def _testable(
     effects: dict[str, Effect] = {}
     surface_effects = [get_effect(SURFACE, surfaces)] if len(surfaces) > 1 else []
     if len(surfaces) == 1:
-        remarks.append(f"all runs are on one surface ({surfaces[0]}): its rolling resistance is part of rolling friction")
+        remarks.append(f"all runs are on one surface ({surfaces[0]}): its resistance is part of rolling friction")
     for effect in (*all_effects(tuple(components)), *surface_effects, *own):
         if effect.id in skip or effect.execution:
             continue
@@ -268,33 +251,3 @@ def _with_twin(
     if float(left @ left) > 1e-6 * float(y @ y):
         return candidate
     return replace(candidate, prior=names[int(np.argmax(np.abs(coefficients)))], sign=0)
-
-
-def _base(model: PowerModel, run: Run, battery: str) -> Array:
-    total = np.asarray(model.total(run.cov, battery), dtype=float)
-    return np.ascontiguousarray(np.broadcast_to(total, run.time_s.shape))
-
-
-def _run_data(
-    run: Run, base_w: Array, gradients: Mapping[str, Array], columns: Mapping[str, Array],
-    covariates: Mapping[str, Array], remarks: list[str],
-) -> RunData:
-    broken = ~np.isfinite(base_w)
-    for values in gradients.values():
-        broken |= ~np.isfinite(values)
-    measured = run.measured_w
-    if broken.any():
-        remarks.append(f"{run.name}: the base model has no value in {int(broken.sum())} rows; they are left out")
-        measured = np.where(broken, np.nan, measured)
-        base_w = np.where(broken, 0.0, base_w)
-        gradients = {name: np.where(broken, 0.0, values) for name, values in gradients.items()}
-    return RunData(
-        run.name, run.time_s, run.dt_s, measured, base_w, gradients, columns, covariates, run.fresh,
-    )  # fmt: skip
-
-
-def _parameters(model: PowerModel, battery: str) -> dict[str, ModelParameter]:
-    return {
-        term.name_of(name): parameter for term in model.of(battery) for name, parameter in term.parameters.items()
-    }
-

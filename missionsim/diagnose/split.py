@@ -12,7 +12,6 @@ import numpy as np
 
 from missionsim.errors import InputError, did_you_mean
 from missionsim.expressions import compile_expression
-from missionsim.labels import Labels
 
 FEWEST_RUNS = 4
 """With fewer runs none is held out unless the user says so."""
@@ -124,7 +123,8 @@ def _named(logs: tuple[Any, ...], text: str) -> Split:
 def _condition(logs: tuple[Any, ...], text: str) -> Split:
     known = sorted(set.intersection(*(set(log.columns) for log in logs)))
     condition = compile_expression(text, names=known, file="--holdout")
-    held, train = [], []
+    held: list[Any] = []
+    train: list[Any] = []
     for log in logs:
         meets = np.broadcast_to(np.asarray(condition.evaluate(log.columns), dtype=float), (len(log),))
         share = float(np.nansum(meets * log.dt_s) / np.sum(log.dt_s))
@@ -134,12 +134,3 @@ def _condition(logs: tuple[Any, ...], text: str) -> Split:
         raise InputError.single(f"--holdout: {which} meets the condition at least half of the time", got=text)
     return Split(tuple(train), tuple(held), f"the {len(held)} runs with {text}", shifted=True)
 
-
-def typical(logs: Sequence[Any], name: str) -> Any:
-    """Median of a numeric column over the runs, or the most common text."""
-    values = [log.columns[name] for log in logs if name in log.columns]
-    if isinstance(values[0], Labels):
-        texts = np.concatenate([v.texts() for v in values])
-        found, counts = np.unique(texts.astype(str), return_counts=True)
-        return str(found[int(np.argmax(counts))])
-    return float(np.nanmedian(np.concatenate([np.asarray(v, dtype=float) for v in values])))
