@@ -72,7 +72,14 @@ def console(stderr: bool = False) -> Console:
 @contextmanager
 def progress(quiet: bool = False) -> Iterator[Progress]:
     """A progress bar with rate and time left on standard error; hidden with `quiet` or where it is no terminal."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     terminal = console(stderr=True)
     with Progress(

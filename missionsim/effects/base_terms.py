@@ -9,6 +9,7 @@ import numpy as np
 
 from missionsim.effects.base import Effect, ParameterSpec
 from missionsim.effects.covariates import Covariates, is_moving, label_equals, number
+from missionsim.errors import InputError
 from missionsim.expressions import Expression
 from missionsim.physics import electrical, motion
 
@@ -101,12 +102,26 @@ def law_term(component: str, formula: Expression, specs: tuple[ParameterSpec, ..
                   component=component, covariate=needs[0] if needs else column)
 
 
-def switchboard_term(name: str, powers: tuple[float, ...], components: tuple[str, ...]) -> Effect:
+def law_model_term(
+    component: str, specs: tuple[ParameterSpec, ...], needs: tuple[str, ...],
+    unit_power: Callable[[Covariates, Parameters], Any], always_on: bool,
+) -> Effect:
+    """Power per unit on by a registered law (`missionsim.effects.law_models`)."""
+    column = f"on_{component}"
+
+    def power(cov: Covariates, p: Parameters) -> Any:
+        return unit_power(cov, p) * (_ones(cov) if always_on else _units(cov, column))
+
+    return Effect("law", "law of the component", "robot file", f"{component}, by its law", specs, needs, power,
+                  component=component, covariate=needs[0] if needs else column)
+
+
+def switchboard_term(name: str, levels: int, components: tuple[str, ...]) -> Effect:
     """USB switchboard: power by the number of relays that are closed (Jaiem 2021, Table 3).
 
     One parameter per number of relays; the relays are those of the units that are on.
     """
-    specs = tuple(ParameterSpec(f"relays_{i}", "W", f"with {i} relays closed") for i in range(len(powers)))
+    specs = tuple(ParameterSpec(f"relays_{i}", "W", f"with {i} relays closed") for i in range(levels))
 
     def power(cov: Covariates, p: Parameters) -> Any:
         closed = sum((np.asarray(_units(cov, f"on_{component}")) for component in components), start=np.asarray(0.0))
@@ -122,40 +137,93 @@ def switchboard_term(name: str, powers: tuple[float, ...], components: tuple[str
 
 
 def processor_term(
-    entries: tuple[tuple[str, str, Mapping[str, int], str], ...], columns: tuple[str, ...],
-    default: Callable[[Covariates, Parameters], Any] | None = None, idle: str | None = None,
+    entries: tuple[tuple[str, str, Mapping[str, int], str], ...], columns: tuple[str, ...], idle: str | None = None,
+    exact: bool = False,
 ) -> Effect:
     """Processor power by control scheme, navigation and sensor set (Jaiem 2021, Table 4).
+
+    A configuration that no row names takes the row of its scheme with the fewest units differing (another navigation
+    counts as half a unit). Where no scheme runs, or one without any row, the power is `idle`.
 
     Parameters
     ----------
     entries : tuple of (scheme, navigation, sensors, parameter)
-        One row of the table each; an empty navigation fits any.
+        One row of the table each, the larger power first among equals; an empty navigation fits any.
     columns : tuple of str
         The ``on_…`` columns that distinguish configurations.
-    default : callable, optional
-        Power where no row fits.
     idle : str, optional
-        Parameter that holds where no scheme runs.
+        Parameter that holds where no scheme runs; 0 W without it.
+    exact : bool
+        Whether a configuration that no row names is a fault instead.
     """
-    specs = tuple(dict.fromkeys(e[3] for e in entries)) + ((idle,) if idle else ())
+    names = tuple(dict.fromkeys(entry[3] for entry in entries))
+    specs = tuple(ParameterSpec(name, "W", "processor power") for name in (*names, *((idle,) if idle else ())))
 
     def power(cov: Covariates, p: Parameters) -> Any:
-        result: Any = np.asarray(default(cov, p) if default is not None else (p[idle] if idle else np.nan), dtype=float)
+        units = {column: np.asarray(_units(cov, column), dtype=float) for column in columns}
+        nearest: Any = np.full(np.shape(np.asarray(number(cov, "speed_m_s"))), np.inf)
+        result: Any = p[idle] if idle else 0.0
         for scheme, navigation, sensors, name in entries:
-            fits: Any = label_equals(cov["scheme"], scheme)
+            distance = sum((np.abs(units[column] - sensors.get(column[3:], 0)) for column in columns), start=0.0)
             if navigation:
-                fits = fits & label_equals(cov.get("navigation", navigation), navigation)
-            for column in columns:
-                fits = fits & (np.asarray(_units(cov, column)) == sensors.get(column[3:], 0))
-            result = np.where(fits, p[name], result)
-        if idle:
-            result = np.where(label_equals(cov["scheme"], ""), p[idle], result)
+                distance = distance + 0.5 * ~np.asarray(label_equals(cov.get("navigation", navigation), navigation))
+            distance = np.where(label_equals(cov["scheme"], scheme), distance, np.inf)
+            closer = distance < nearest
+            nearest = np.where(closer, distance, nearest)
+            result = np.where(closer, p[name], result)
+        if exact and np.any(np.isfinite(nearest) & (nearest > 0.0)):
+            raise InputError.single(
+                "the processor's table has no row for a set of sensors that was used",
+                allowed="a row under schemes.<scheme>.processor for it, or processor.fallback: nearest",
+            )
         return result
 
-    return Effect("processor", "P(scheme, navigation, sensors)", "Jaiem 2021, Table 4", "processor",
-                  tuple(ParameterSpec(name, "W", "processor power") for name in specs), ("scheme",), power,
-                  component="processor", covariate="scheme")
+    return Effect("processor", "P(scheme, navigation, sensors)", "Jaiem 2021, Table 4", "processor", specs, ("scheme",),
+                  power, component="processor", covariate="scheme")
+
+
+_MOTION = ("speed_m_s", "lateral_speed_m_s", "accel_m_s2", "yaw_rate_rad_s")
+
+
+def motion_expression_terms(
+    formula: Expression, standing: Expression | None, parameters: tuple[str, ...]
+) -> tuple[Effect, Effect]:
+    """A user's base formula as two terms: what motion adds, and what is left when nothing moves.
+
+    At rest the power is `standing`, or the formula at zero speed where that is not given.
+
+    Returns
+    -------
+    tuple of Effect
+        ``motion`` (of the drive) and ``electronics``.
+    """
+    used = tuple(name for name in parameters if name in formula.names)
+    rest = tuple(name for name in parameters if name in formula.names | (standing.names if standing else frozenset()))
+    own = frozenset(parameters)
+    needs = tuple(sorted({ALIASES.get(n, n) for n in formula.names - own} - {"mass_kg"}))
+
+    def at_rest(cov: Covariates, p: Parameters) -> Any:
+        still = {**cov, **{name: 0.0 * np.asarray(cov[name]) for name in _MOTION if name in cov}}
+        return formula.evaluate({**aliased(still), **p})
+
+    def drive(cov: Covariates, p: Parameters) -> Any:
+        return (formula.evaluate({**aliased(cov), **p}) - at_rest(cov, p)) * is_moving(cov)
+
+    def electronics(cov: Covariates, p: Parameters) -> Any:
+        moving = at_rest(cov, p) * _ones(cov)
+        if standing is None:
+            return moving
+        return np.where(is_moving(cov), moving, standing.evaluate({**aliased(cov), **p}))
+
+    def specs(names: tuple[str, ...]) -> tuple[ParameterSpec, ...]:
+        return tuple(ParameterSpec(name, "", "base parameter", low=-float("inf")) for name in names)
+
+    return (
+        Effect("motion", formula.source, "robot file", "base power of moving", specs(used), needs, drive, drive=True,
+               covariate=needs[0] if needs else "speed_m_s"),
+        Effect("electronics", formula.source, "robot file", "power when nothing moves", specs(rest), needs, electronics,
+               component="controller", covariate="time_s"),
+    )
 
 
 def expression_term(

@@ -138,7 +138,7 @@ def component_power_effect(component: str) -> Effect:
     """`component_power:<component>`: ``k`` watts per unit switched on."""
     column = f"on_{component}"
     return Effect(
-        f"component_power:{component}", f"k per unit of {component} switched on", "library of effects; Jaiem 2021 Eq. 3",
+        f"component_power:{component}", f"k per unit of {component} switched on", "Jaiem 2021, Eq. 3",
         f"{component} draws more than its data sheet says", (_k("W", "power of one unit"),), (column,),
         lambda c, p: electrical.component_power(c[column], p["k"]), component=component, covariate=column,
     )
