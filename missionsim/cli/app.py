@@ -19,7 +19,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "reproduce": ("reproduce:reproduce", "Print every published figure of the four robots beside ours."),
     "calibrate": ("calibrate:calibrate", "Fit a base model to logs, or refit the parameters of a robot."),
     "compare": ("compare:compare", "Compare the model with measurements and see where it fails."),
-    "diagnose": ("diagnose:diagnose", "Find which physical effect the model is missing, or say that the data cannot tell."),
+    "diagnose": ("diagnose:diagnose", "Find which physical effect is missing, or say that the data cannot tell."),
     "add-effect": ("add_effect:add_effect", "Fit an effect and write the robot file that has it."),
     "improve": ("improve:improve", "Compare, diagnose, add and compare again until nothing is left to find."),
     "effects": ("effects:app", "Show the library of effects."),
