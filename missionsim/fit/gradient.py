@@ -29,7 +29,10 @@ def gradient(model: PowerModel, cov: Mapping[str, Any], battery: str) -> dict[st
     battery : str
     """
     rows = len(cov["time_s"])
-    coupled = any(term.effect.recovers or term.effect.of_load for term in model.of(battery))
+    coupled = any(
+        (term.effect.recovers or term.effect.of_load) and any(p.value != 0.0 for p in term.parameters.values())
+        for term in model.of(battery)
+    )
     whole = model.gradient(cov, battery, base_only=False) if coupled else {}
     found: dict[str, Array] = {
         name: np.ascontiguousarray(np.broadcast_to(np.asarray(values, dtype=float), (rows,)))

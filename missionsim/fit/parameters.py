@@ -1,0 +1,197 @@
+"""Fit the parameters of a model to logs by generalised least squares, with or without prior knowledge of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from missionsim.effects.model import PowerModel
+from missionsim.fit.prepare import Prepared, prepare
+from missionsim.identify.data import Settings
+from missionsim.identify.design import make_source
+from missionsim.identify.model import Model, fit_model
+
+FREE_SD = 100.0
+"""Relative prior standard deviation that leaves a parameter to the data."""
+ROUNDS = 8
+Z95 = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class FittedParameter:
+    """One fitted parameter, in its own unit.
+
+    Attributes
+    ----------
+    name, unit : str
+    value, sd : float
+    low, high : float
+        95 % interval.
+    before : float
+        Value that the model had.
+    seen : bool
+        Whether the logs say anything about it; where not, value and sd are those of the prior.
+    """
+
+    name: str
+    unit: str
+    value: float
+    sd: float
+    low: float
+    high: float
+    before: float
+    seen: bool = True
+
+
+@dataclass(frozen=True)
+class ModelFit:
+    """A model fitted to logs.
+
+    Attributes
+    ----------
+    battery : str
+    model : PowerModel
+        With the fitted values.
+    parameters : mapping of str to FittedParameter
+    delay_s, lag_s : float
+        How far the meter is behind the motion.
+    noise_w : float
+        Standard deviation of what is left, at the analysis rate.
+    rmse_before_w, rmse_w : float
+        Power error before and after, at the analysis rate, clocks aligned.
+    explained : float
+        Share of the variance of the measured power that the model explains (R²).
+    runs : tuple of str
+    seconds : float
+    remarks : tuple of str
+    """
+
+    battery: str
+    model: PowerModel
+    parameters: Mapping[str, FittedParameter]
+    delay_s: float
+    lag_s: float
+    noise_w: float
+    rmse_before_w: float
+    rmse_w: float
+    explained: float
+    runs: tuple[str, ...]
+    seconds: float
+    remarks: tuple[str, ...]
+
+
+def fit_parameters(
+    model: PowerModel, logs: Sequence[Any], battery: str, *, free: bool = False, settings: Settings | None = None
+) -> ModelFit:
+    """Fit every parameter of one battery's model to logs.
+
+    Generalised least squares with AR noise, offset and gain of the meter differing between runs, and clocks aligned
+    (the identification's own noise model); parameters in which the model is not linear by Gauss-Newton.
+
+    Parameters
+    ----------
+    model : PowerModel
+        Start values, units, priors.
+    logs : sequence of LogTable
+    battery : str
+    free : bool
+        Ignore the priors, for a model whose values are only start values.
+    settings : Settings, optional
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where the model needs a column that the logs lack, or no log measures the battery.
+    """
+    settings = settings or Settings()
+    ready = prepare(model, logs, battery)
+    before = ready
+    if free:
+        model = _least_squares_start(model, ready)
+        ready = prepare(model, logs, battery)
+    known = {name: p for name, p in ready.parameters.items() if p.value != 0.0}
+    prior_sd = {name: FREE_SD if free else p.prior_sd for name, p in known.items()}
+    prior_value = {name: p.value for name, p in known.items()}
+    for step in range(ROUNDS):
+        # the prior stays where it was while the point of linearisation moves
+        ready = prepare(model, logs, battery) if step else ready
+        fitted = fit_model(make_source(ready.data(), [], prior_sd, settings), ())
+        shift, covariance = fitted.gram.shifts(())
+        names = fitted.design.layout.parameters
+        moved = {name: float(np.clip(s, -0.9, 9.0)) for name, s in zip(names, shift, strict=False)}
+        if not free or not _worth_another(moved):
+            break
+        model = _moved(model, battery, moved)
+    final = _moved(model, battery, moved)
+    sd = {name: float(np.sqrt(covariance[i, i])) for i, name in enumerate(names)}
+    parameters = {
+        name: _fitted(name, p.unit, p.value, moved.get(name), sd.get(name), prior_sd[name], prior_value[name], free)
+        for name, p in ((n, ready.parameters[n]) for n in known)
+    }
+    errors = _errors(fitted, before, ready, moved)
+    return ModelFit(
+        battery, final, parameters, fitted.clock.delay_s, fitted.clock.lag_s, fitted.noise.total_sd_w, *errors,
+        tuple(run.name for run in ready.runs), float(sum(np.sum(run.dt_s) for run in ready.runs)),
+        tuple(dict.fromkeys(before.remarks)),
+    )  # fmt: skip
+
+
+def _worth_another(moved: Mapping[str, float]) -> bool:
+    return max((abs(value) for value in moved.values()), default=0.0) > 1e-3
+
+
+def _moved(model: PowerModel, battery: str, moved: Mapping[str, float]) -> PowerModel:
+    values = {f"{battery}/{name}": model.parameters[f"{battery}/{name}"].value * (1.0 + s) for name, s in moved.items()}
+    return model.with_values(values)
+
+
+def _fitted(
+    name: str, unit: str, value: float, moved: float | None, sd: float | None, prior_sd: float, before: float, free: bool
+) -> FittedParameter:
+    if moved is None or sd is None:
+        absolute = abs(value) * prior_sd
+        return FittedParameter(name, unit, value, absolute, value - Z95 * absolute, value + Z95 * absolute, before, False)
+    new = value * (1.0 + moved)
+    absolute = abs(value) * sd
+    seen = not free or sd < 0.5 * FREE_SD
+    return FittedParameter(name, unit, new, absolute, new - Z95 * absolute, new + Z95 * absolute, before, seen)
+
+
+def _least_squares_start(model: PowerModel, ready: Prepared) -> PowerModel:
+    """Ordinary least squares on the gradient, from the start values; rows count by the time that they stand for."""
+    names = [name for name in ready.gradients[0] if any(np.any(g[name]) for g in ready.gradients)]
+    if not names:
+        return model
+    weight = np.concatenate([np.sqrt(run.dt_s) for run in ready.runs])
+    y = np.concatenate([run.measured_w - base for run, base in zip(ready.runs, ready.base_w, strict=True)])
+    x = np.column_stack([np.concatenate([g[name] for g in ready.gradients]) for name in names])
+    usable = np.isfinite(y) & np.all(np.isfinite(x), axis=1)
+    size = np.linalg.norm(x[usable], axis=0)
+    shift, *_ = np.linalg.lstsq(x[usable] / size * weight[usable, None], y[usable] * weight[usable], rcond=1e-9)
+    shift = shift / size
+    values = {}
+    for name, move in zip(names, shift, strict=True):
+        start = ready.parameters[name].value
+        value = start * (1.0 + float(move))
+        # a parameter at nought has no logarithm; a small one can still grow
+        values[f"{ready.battery}/{name}"] = value if abs(value) > 1e-6 * abs(start) else 1e-3 * start
+    return model.with_values(values)
+
+
+def _errors(fitted: Model, before: Prepared, ready: Prepared, moved: Mapping[str, float]) -> tuple[float, float, float]:
+    """RMSE before and after [W] and the share of the variance explained, at the analysis rate."""
+    design = fitted.design
+    seconds = design.duration_s
+    first = fitted.source.averaged([base[None, :] for base in before.base_w], fitted.clock)[0]
+    now = design.base + sum(
+        (shift * row for shift, row in zip(moved.values(), design.gradient, strict=False)), start=np.zeros_like(seconds)
+    )
+    total = float(np.sum(seconds))
+    mean = float(np.sum(design.y * seconds) / total)
+    spread = float(np.sum((design.y - mean) ** 2 * seconds) / total)
+    square = float(np.sum((design.y - now) ** 2 * seconds) / total)
+    start = float(np.sum((design.y - first) ** 2 * seconds) / total)
+    return float(np.sqrt(start)), float(np.sqrt(square)), 1.0 - square / spread if spread > 0 else 0.0
