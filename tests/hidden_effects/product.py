@@ -1,13 +1,9 @@
-"""The product under test, called through its public commands only (the names of the contract)."""
+"""The product under test, called as a user calls it: files in, the contract's JSON out."""
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
-import tempfile
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,42 +19,14 @@ def robot_argument(robot: str) -> str:
     return str(path) if path.exists() else robot
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Run one missionsim command in this process, silently; returns its exit code."""
-    from missionsim.cli import main
-
-    noise = io.StringIO()
-    with contextlib.redirect_stdout(noise), contextlib.redirect_stderr(noise):
-        try:
-            code = main(list(arguments))
-        except SystemExit as end:
-            code = end.code if isinstance(end.code, int) else 1
-    if code not in (0, 1):
-        raise RuntimeError(f"missionsim {' '.join(arguments)} ended with {code}:\n{noise.getvalue()[-2000:]}")
-    return int(code or 0)
-
-
 def diagnose(train: Path, heldout: Path, robot: str, mission: Path | None = None) -> tuple[Outcome, dict[str, Any]]:
-    """Diagnose a folder of runs; held-out errors come from the folder of held-out runs."""
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "diagnosis.json"
-        arguments = [
-            "diagnose",
-            "--robot",
-            robot_argument(robot),
-            "--holdout",
-            str(heldout),
-            "--json",
-            str(out),
-            "--quiet",
-        ]
-        if mission is not None:
-            arguments += ["--mission", str(mission)]
-        start = time.perf_counter()
-        command([*arguments, str(train)])
-        seconds = time.perf_counter() - start
-        report = json.loads(out.read_text(encoding="utf-8"))
-    return outcome(report, seconds), report
+    """Diagnose a folder of runs; the held-out errors come from the folder of held-out runs."""
+    from missionsim.diagnose import diagnose_files
+
+    start = time.perf_counter()
+    diagnosis = diagnose_files(robot_argument(robot), [train], holdout=[heldout], mission=mission)
+    report = json.loads(json.dumps(diagnosis.to_json()))
+    return outcome(report, time.perf_counter() - start), report
 
 
 def outcome(report: dict[str, Any], seconds: float) -> Outcome:

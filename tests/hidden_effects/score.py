@@ -26,7 +26,7 @@ from .judge import in_library, judge
 from .planned import EXECUTION
 from .study import ALL_CASES
 from .table import markdown
-from .world import make, write
+from .world import World, experiment, make, write, write_csv
 
 Row = dict[str, Any]
 
@@ -46,7 +46,7 @@ def score_task(task: Task) -> list[Row]:
     """Rows of one task, one per method; an exception of the product is a row too, never silence."""
     with tempfile.TemporaryDirectory() as scratch:
         if task.folder is None:
-            world = make(ALL_CASES[task.case], task.seed)
+            world: World | None = make(ALL_CASES[task.case], task.seed)
             folder = write(world, Path(scratch))
             answer: dict[str, Any] = dict(world.answer)
         else:
@@ -62,7 +62,7 @@ def score_task(task: Task) -> list[Row]:
             errors["oracle"] = peers.oracle(train, heldout, hidden, robot)
         rows = []
         if task.with_product:
-            rows.append(_product_row(task, folder, robot, answer))
+            rows.append(_product_row(task, folder, robot, answer, world))
         if task.with_peers and not planned:  # the peers know no missions
             design = peers.stack(train, robot)
             outcomes = [method(design, heldout, seed=task.seed) for method in peers.NAMING]
@@ -74,16 +74,42 @@ def score_task(task: Task) -> list[Row]:
     return rows
 
 
-def _product_row(task: Task, folder: Path, robot: str, answer: dict[str, Any]) -> Row:
+def _product_row(task: Task, folder: Path, robot: str, answer: dict[str, Any], world: World | None) -> Row:
+    mission = folder / "mission.yaml"
+    given = mission if mission.exists() else None
     try:
-        mission = folder / "mission.yaml"
-        given = mission if mission.exists() else None
-        outcome, _ = product.diagnose(folder / "train", folder / "heldout", robot, given)
+        outcome, report = product.diagnose(folder / "train", folder / "heldout", robot, given)
+        row = judge(task.case, task.seed, answer, outcome)
+        if world is not None and row["honest"] is not None and len(outcome.names) > 0:
+            row |= _experiment(task, world, folder, robot, answer, report)
     except Exception as error:  # the study goes on, and the table shows the failure
         failed = peers.Outcome(product.NAME, (), verdict="failed")
         row = judge(task.case, task.seed, answer, failed)
         return row | {"failure": f"{error}\n{traceback.format_exc(limit=-3)}"}
-    return judge(task.case, task.seed, answer, outcome)
+    return row
+
+
+def _experiment(
+    task: Task, world: World, folder: Path, robot: str, answer: dict[str, Any], report: dict[str, Any]
+) -> Row:
+    """Drive what the diagnosis proposes (at most two manoeuvres) and diagnose again with these runs added."""
+    row: Row = {"resolved_by_one": None, "resolved_by_two": None, "misled": None}
+    for number, key in enumerate(("resolved_by_one", "resolved_by_two")):
+        proposals = report["batteries"]["robot"].get("next_experiment", [])
+        if not proposals or "manoeuvre" not in proposals[0]:
+            row[key] = row[key] or False
+            return row
+        row[f"driven_{number + 1}"] = proposals[0]["do"]
+        log = experiment(world, proposals[0]["manoeuvre"], number)
+        write_csv(log, folder / "train" / f"experiment_{number}.csv")
+        outcome, report = product.diagnose(folder / "train", folder / "heldout", robot)
+        after = judge(task.case, task.seed, answer, outcome)
+        row[key] = bool(after["first_right"] and not outcome.sets.get(outcome.names[0]))
+        row["misled"], row[f"named_{number + 1}"] = after["confident_wrong"], after["named"]
+        if row[key] or after["confident_wrong"]:
+            row["resolved_by_two"] = row[key]
+            return row
+    return row
 
 
 def _true_columns(

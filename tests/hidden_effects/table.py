@@ -44,7 +44,8 @@ def markdown(rows: Sequence[Row], heading: str) -> str:
     lines = [f"# Hidden effects: {heading}", ""]
     head = (
         "group", "method", "n", "right name first", "exactly right", "all named", "a wrong name", "truth in the set",
-        "confident wrong name", "cannot tell, kept honest", "outside: says so",
+        "confident wrong name", "cannot tell, kept honest", "resolved by one / two proposed experiments",
+        "outside: says so",
         "held-out energy error % nominal → method (truth known)", "removed (energy)", "removed (power²)",
         "interval covers", "s",
     )  # fmt: skip
@@ -62,10 +63,10 @@ def markdown(rows: Sequence[Row], heading: str) -> str:
                 f"({_mean(part, 'oracle_energy_error_pct')})"
             )
             cells = [group, method, str(len(part))]
-            for key in (
-                "first_right", "exact", "all_named", "any_wrong", "in_set", "confident_wrong", "honest", "outside_said",
-            ):  # fmt: skip
+            for key in ("first_right", "exact", "all_named", "any_wrong", "in_set", "confident_wrong", "honest"):
                 cells.append(_rate(part, key) if names else "–")
+            resolved = [_rate(part, key) for key in ("resolved_by_one", "resolved_by_two")]
+            cells += [" / ".join(resolved) if resolved[0] != "–" else "–", _rate(part, "outside_said")]
             cells += [errors, _removed(part, "energy_error_pct"), _removed(part, "rmse_w", 2.0)]
             cells.append(f"{100.0 * covered / intervals:.0f} % ({covered}/{intervals})" if intervals else "–")
             cells.append(_mean(part, "seconds"))

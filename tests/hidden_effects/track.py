@@ -135,43 +135,58 @@ def manoeuvre(robot: Robot, parts: Sequence[Mapping[str, Any]], rng: np.random.G
     Parameters
     ----------
     parts
-        Parts driven one after the other. Keys, all optional: seconds, speeds_m_s (driven in turn), yaw_rate_rad_s (a
-        turn on the spot in every speed's place where the speed is 0, else arcs), stops, slope_rad, payload_kg, surface,
-        temp_ambient_c, cpu_load, on (component to units). What is missing keeps the robot's usual value.
+        Parts driven one after the other. Keys, all optional: seconds, speeds_m_s (driven in turn; empty = stand),
+        yaw_rates_rad_s or yaw_rate_rad_s (in turn; on the spot while standing, else circles), stops, slope_rad (up and
+        down in turn, 15 s each), payload_kg, surface, temp_ambient_c, cpu_load, cpu_freq_hz, access_point_distance_m,
+        on (component to units). What is missing keeps the robot's usual value.
     """
     track = Track(robot.accel_m_s2, rng)
     starts: list[float] = []
     for part in parts:
-        begin, seconds = track.now, float(part.get("seconds", 180.0))
-        starts.append(begin)
-        surface = SURFACES.index(part["surface"]) if part.get("surface") in SURFACES else 0
-        track.edges.append((begin, float(part.get("slope_rad", 0.0)), surface))
-        speeds = [float(v) for v in part.get("speeds_m_s", [0.6 * robot.speed_m_s[1]])]
-        yaw, stops = float(part.get("yaw_rate_rad_s", 0.0)), int(part.get("stops", 0))
-        legs = max(len(speeds), stops + 1)
-        for leg in range(legs):
-            end = begin + seconds * (leg + 1) / legs
-            track.go(min(speeds[leg % len(speeds)], robot.speed_m_s[1]))
-            while yaw and track.now + 8.0 < end:
-                track.turn(yaw, 3.0)
-                track.now += 3.0
-            if leg < stops:
-                track.now = max(track.now, end - 4.0)
-                track.go(0.0)
-            track.now = max(track.now, end)
-    total = track.now
-    motion = realise(track, robot, RunDesign(total, surface="tile"), rng)
+        starts.append(track.now)
+        _drive_part(track, part, robot)
+    motion = realise(track, robot, RunDesign(round(track.now, 1), surface="tile"), rng)
     index = np.clip(np.searchsorted(starts, motion.time_s, side="right") - 1, 0, None)
 
-    def each(key: str, usual: Array) -> Array:
-        values = np.array([float(part[key]) if part.get(key) is not None else np.nan for part in parts])[index]
-        return np.where(np.isnan(values), usual, values)
+    def each(values: list[Any], usual: Array) -> Array:
+        chosen = np.array([np.nan if value is None else float(value) for value in values])[index]
+        return np.where(np.isnan(chosen), usual, chosen)
 
-    on = {}
-    for name, usual in motion.on.items():
-        units = np.array([float((part.get("on") or {}).get(name, np.nan)) for part in parts])[index]
-        on[name] = np.where(np.isnan(units), usual, units)
-    temp = each("temp_ambient_c", motion.temp)
+    def column(key: str, usual: Array) -> Array:
+        return each([part.get(key) for part in parts], usual)
+
+    on = {name: each([(part.get("on") or {}).get(name) for part in parts], usual) for name, usual in motion.on.items()}
     return replace(
-        motion, payload=each("payload_kg", motion.payload), temp=temp, cpu=each("cpu_load", motion.cpu), on=on
+        motion,
+        payload=column("payload_kg", motion.payload),
+        temp=column("temp_ambient_c", motion.temp),
+        cpu=column("cpu_load", motion.cpu),
+        freq_hz=column("cpu_freq_hz", motion.freq_hz),
+        distance_ap_m=column("access_point_distance_m", motion.distance_ap_m),
+        on=on,
     )
+
+
+def _drive_part(track: Track, part: Mapping[str, Any], robot: Robot) -> None:
+    begin, seconds = track.now, float(part.get("seconds", 180.0))
+    surface = SURFACES.index(part["surface"]) if part.get("surface") in SURFACES else 0
+    slope = float(part.get("slope_rad") or 0.0)
+    for k in range(int(np.ceil(seconds / 15.0)) if slope else 1):
+        track.edges.append((begin + 15.0 * k, slope * (-1.0) ** k, surface))
+    speeds = [min(float(v), robot.speed_m_s[1]) for v in part.get("speeds_m_s", [0.6 * robot.speed_m_s[1]])] or [0.0]
+    rates = [float(w) for w in part.get("yaw_rates_rad_s", [part.get("yaw_rate_rad_s") or 0.0])]
+    stops = int(part.get("stops", 0))
+    for k, rate in enumerate(rates):
+        if rate:
+            first, last = begin + seconds * k / len(rates), begin + seconds * (k + 1) / len(rates)
+            rise = abs(rate) / 2.0
+            times = (first, first + rise, last - rise, last)
+            track.yaw_points += list(zip(times, (0.0, rate, rate, 0.0), strict=True))
+    legs = max(len(speeds), stops + 1)
+    for leg in range(legs):
+        end = begin + seconds * (leg + 1) / legs
+        track.go(speeds[leg * len(speeds) // legs])
+        if leg < stops or leg == legs - 1:  # at rest in good time, so that the part is as long as was asked
+            track.now = max(track.now, end - 2.0 - track.speed / (0.6 * track.accel_m_s2))
+            track.go(0.0)
+        track.now = max(track.now, end)

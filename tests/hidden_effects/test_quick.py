@@ -1,0 +1,115 @@
+"""A quick subset of the study for CI, on tuning seeds; the full study has its own command (see score.py)."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from .judge import judge
+from .product import diagnose
+from .score import Task, parser, run, score_task, tasks, write_results
+from .study import ALL_CASES, UNTOUCHED_SEEDS
+from .world import make, write
+
+
+@cache
+def row(case: str, seed: int = 1) -> dict:
+    """missionsim's row of one case; a failure fails the test with its traceback."""
+    result = score_task(Task(case, seed, with_peers=False))[0]
+    assert not result.get("failure"), result["failure"]
+    return result
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("robot", ["pioneer3dx", "husky_like", "small_rover"])
+def test_nothing_hidden_names_nothing(robot, seed):
+    result = row(f"nothing-{robot}-level2", seed)
+    assert result["named"] == ""
+    assert result["verdict"] == "nothing_missing"
+
+
+@pytest.mark.parametrize(
+    "effect",
+    ["grade", "payload", "acceleration", "turning_scrub", "surface_rolling_resistance", "cpu_load"],
+)
+def test_five_percent_of_the_energy_is_found_and_the_heldout_error_falls(effect):
+    result = row(f"{effect}-5pct")
+    assert result["first_right"], result
+    assert not result["confident_wrong"], result
+    removable = result["nominal_rmse_w"] ** 2 - result["oracle_rmse_w"] ** 2
+    assert result["nominal_rmse_w"] ** 2 - result["rmse_w"] ** 2 > 0.9 * removable
+
+
+def test_two_effects_are_both_named():
+    result = row("two-turning_scrub-surface_rolling_resistance")
+    assert result["all_named"], result
+    assert not result["confident_wrong"], result
+
+
+@pytest.mark.parametrize("truth", ["payload", "surface_rolling_resistance"])
+def test_payload_only_on_carpet_cannot_be_told_apart_until_the_proposed_experiment_is_driven(truth):
+    result = row(f"confounded-carpet_payload-{truth}")
+    assert result["honest"], result
+    assert result["verdict"] == "ambiguous"
+    assert result["resolved_by_two"], result
+
+
+@pytest.mark.parametrize("what", ["fan", "skid", "highspeed"])
+def test_what_no_library_holds_is_not_named(what):
+    result = row(f"outside-{what}")
+    assert not result["confident_wrong"], result
+
+
+@pytest.mark.parametrize("variant", ["10hz", "energy", "two-runs", "husky_like", "small_rover"])
+def test_other_rates_meters_robots_and_few_runs(variant):
+    result = row(f"turning_scrub-5pct-{variant}")
+    assert result["first_right"], result
+    assert not result["confident_wrong"], result
+
+
+@pytest.mark.parametrize("name", ["path_stretch", "speed_tracking", "dwell"])
+def test_behaviour_effects_are_found_from_the_plan_and_the_motion(name):
+    result = row(f"execution-{name}-8pct")
+    assert name in result["named"].split(), result
+    assert not result["confident_wrong"], result
+
+
+def test_nothing_planned_names_no_behaviour():
+    assert row("nothing-planned")["named"] == ""
+
+
+def test_the_same_case_twice_gives_the_same_report(tmp_path):
+    folder = write(make(ALL_CASES["grade-5pct"], 2), tmp_path)
+    first, second = (diagnose(folder / "train", folder / "heldout", "pioneer3dx")[1] for _ in range(2))
+    assert first == second
+
+
+def test_table_is_written_whole(tmp_path):
+    rows = [row("nothing-pioneer3dx-level2"), row("grade-5pct")]
+    write_results(rows, tmp_path, "world", "two cases")
+    text = (tmp_path / "world.md").read_text()
+    assert "nothing hidden" in text
+    assert "one effect, 5 %" in text
+    assert (tmp_path / "world.csv").read_text().count("\n") == 3
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_practice_folders_are_scored_by_the_same_command(shared: Path):
+    options = parser().parse_args(["--practice", str(shared / "practice"), "--cases", "grade-5pct", "nothing-1"])
+    found = {r["case"]: r for r in run(list(tasks(options)), 1, quiet=True) if r["method"] == "missionsim"}
+    assert not any(r.get("failure") for r in found.values()), found
+    assert found["grade-5pct"]["first_right"]
+    assert found["nothing-1"]["named"] == ""
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("name", ALL_CASES)
+def test_study_no_confident_wrong_name_on_an_untouched_seed(name, tmp_path):
+    world = make(ALL_CASES[name], UNTOUCHED_SEEDS[0])
+    folder = write(world, tmp_path)
+    mission = folder / "mission.yaml"
+    given = mission if mission.exists() else None
+    outcome, _ = diagnose(folder / "train", folder / "heldout", world.case.robot, given)
+    assert not judge(name, world.seed, world.answer, outcome)["confident_wrong"], outcome
