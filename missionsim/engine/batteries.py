@@ -1,0 +1,267 @@
+"""Batteries: charge over time, exactly, with the instant at which a threshold is reached.
+
+Charge is never clamped: a battery that gives more than it holds goes below zero, and by how much is the deficit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.engine.solve import adaptive_runge_kutta, root
+
+Array = NDArray[np.float64]
+CHARGING, HELD = 1, 2
+
+
+@dataclass(frozen=True)
+class Loads:
+    """What one battery had to deliver in some intervals.
+
+    Attributes
+    ----------
+    duration_s, energy_j : ndarray, shape (n,)
+        Length of each interval and the energy of all terms in it.
+    charging : ndarray of int, shape (n,)
+        0 alone, 1 charging, 2 held at its level by the charger.
+    changing : ndarray of bool, shape (n,)
+        Whether the power changes within the interval (or an impulse begins it).
+    charger_w : ndarray, shape (n,)
+        Power of the charger while charging.
+    energy_until : callable
+        ``(interval, seconds) -> J`` from the start of an interval.
+    power_at : callable
+        ``(interval, seconds array) -> W array``, without impulses.
+    """
+
+    duration_s: Array
+    energy_j: Array
+    charging: NDArray[np.int64]
+    changing: NDArray[np.bool_]
+    charger_w: Array
+    energy_until: Callable[[int, float], float]
+    power_at: Callable[[int, Array], Array]
+
+    @property
+    def charged_j(self) -> Array:
+        """Energy that the charger gives in each interval, shape (n,)."""
+        full = self.charger_w * self.duration_s
+        return np.where(self.charging == CHARGING, full, np.where(self.charging == HELD, self.energy_j, 0.0))
+
+
+class Battery(Protocol):
+    """What the engine asks of a battery; the state is a fraction-like or energy-like number of its own."""
+
+    name: str
+    capacity_j: float
+    initial: float
+
+    def after(self, state: float, loads: Loads) -> Array:
+        """State at the end of each interval, shape (n,)."""
+        ...
+
+    def charge_j(self, state: Array | float) -> Array:
+        """Energy left [J] of a state; negative is a deficit."""
+        ...
+
+    def state_of(self, fraction: float) -> float:
+        """State at a fraction of the capacity."""
+        ...
+
+    def reach(self, state: float, loads: Loads, interval: int, level: float, horizon_s: float) -> float | None:
+        """Time within an interval [s] at which the state comes to `level`, or None if not before the horizon."""
+        ...
+
+    def empty_in(self, state: float, loads: Loads, interval: int) -> float | None:
+        """Time within an interval [s] at which the battery can give no more, or None."""
+        ...
+
+    def suspects(self, before: Array, after: Array, loads: Loads) -> NDArray[np.intp]:
+        """Intervals in which it might become empty, in order, from the states at their borders."""
+        ...
+
+
+@dataclass(frozen=True)
+class ConstantEnergy:
+    """A store of energy, as the papers take it (Parasuraman 2012, Eq. 11: ``E_r = E_a − E_c``).
+
+    The state is the energy left in J.
+    """
+
+    name: str
+    capacity_j: float
+    initial: float
+
+    def after(self, state: float, loads: Loads) -> Array:
+        """Energy left at the end of each interval [J]."""
+        net = loads.energy_j - loads.charged_j
+        return np.asarray(state - np.cumsum(net))
+
+    def charge_j(self, state: Array | float) -> Array:
+        """The state itself."""
+        return np.asarray(state, dtype=float)
+
+    def state_of(self, fraction: float) -> float:
+        """Energy at a fraction of the capacity [J]."""
+        return fraction * self.capacity_j
+
+    def reach(self, state: float, loads: Loads, interval: int, level: float, horizon_s: float) -> float | None:
+        """Time at which the energy left comes to `level`, in closed form where power is constant."""
+        if loads.charging[interval] == HELD:
+            return None
+        extra_w = loads.charger_w[interval] if loads.charging[interval] == CHARGING else 0.0
+        if not loads.changing[interval]:
+            power = loads.energy_j[interval] / loads.duration_s[interval] - extra_w
+            if power == 0.0:
+                return None
+            time = (state - level) / power
+            return float(time) if 0.0 <= time <= horizon_s else None
+
+        def left(seconds: float) -> float:
+            return state - level - loads.energy_until(interval, seconds) + extra_w * seconds
+
+        at_start, at_end = left(0.0), left(horizon_s)
+        if at_start == 0.0 or (at_start > 0.0) == (at_end > 0.0):
+            return 0.0 if at_start == 0.0 else None
+        return root(left, 0.0, horizon_s, at_start, at_end)
+
+    def suspects(self, before: Array, after: Array, loads: Loads) -> NDArray[np.intp]:
+        """Intervals that end below zero."""
+        return np.flatnonzero(after < 0.0)
+
+    def empty_in(self, state: float, loads: Loads, interval: int) -> float | None:
+        """Time at which the energy left comes to zero from above."""
+        if state < 0.0:
+            return 0.0
+        return self.reach(state, loads, interval, 0.0, float(loads.duration_s[interval]))
+
+
+@dataclass(frozen=True)
+class EquivalentCircuit:
+    """Open-circuit voltage over state of charge behind an internal resistance; the state is the state of charge.
+
+    The current solves ``P = U(s) I − R I²``. Charge leaves as ``ds/dt = −I (I / I_rated)^(k−1) / Q`` when
+    discharging (Peukert 1897; ``I_rated = Q / rated time``) and as ``−I / Q`` when charging, with ``Q`` the capacity
+    times the ageing factor. Empty is where the charge ends, the voltage falls below the cut-off, or the asked power
+    is more than the cell can give at any current.
+
+    Attributes
+    ----------
+    charge_c : float
+        Capacity, aged, in coulomb.
+    curve : (ndarray, ndarray)
+        States of charge, rising, and their open-circuit voltages; linear between, straight on beyond.
+    resistance_ohm, peukert, rated_time_s, cut_off_v : float
+    """
+
+    name: str
+    capacity_j: float
+    initial: float
+    charge_c: float
+    curve: tuple[Array, Array]
+    resistance_ohm: float
+    peukert: float = 1.0
+    rated_time_s: float = 72000.0
+    cut_off_v: float = 0.0
+
+    def voltage(self, state: float) -> float:
+        """Open-circuit voltage [V]."""
+        states, volts = self.curve
+        return float(np.interp(state, states, volts))
+
+    def current(self, state: float, power_w: float) -> float:
+        """Current [A] that delivers `power_w`; beyond the greatest possible power, the current of that greatest power."""
+        volts, ohm = self.voltage(state), self.resistance_ohm
+        if ohm == 0.0:
+            return power_w / volts
+        inside = volts * volts - 4.0 * ohm * power_w
+        return 2.0 * power_w / (volts + inside**0.5) if inside > 0.0 else volts / (2.0 * ohm)
+
+    def margin(self, state: float, power_w: float) -> float:
+        """Negative where the battery can give no more: the least of charge, volts over cut-off and power in reserve."""
+        volts = self.voltage(state)
+        spare = 1.0
+        if self.resistance_ohm > 0.0 and power_w > 0.0:
+            spare = volts * volts / (4.0 * self.resistance_ohm * power_w) - 1.0
+        terminal = volts - self.resistance_ohm * self.current(state, power_w)
+        return min(state, terminal - self.cut_off_v, spare)
+
+    def rate(self, state: float, power_w: float) -> float:
+        """Change of the state of charge [1/s]."""
+        current = self.current(state, power_w)
+        if current > 0.0 and self.peukert != 1.0:
+            current *= (current * self.rated_time_s / self.charge_c) ** (self.peukert - 1.0)
+        return -current / self.charge_c
+
+    def charge_j(self, state: Array | float) -> Array:
+        """Energy between a state and empty at no load, relative to the whole, times the capacity [J]."""
+        return np.asarray(state, dtype=float) * self.capacity_j
+
+    def state_of(self, fraction: float) -> float:
+        """The fraction itself."""
+        return fraction
+
+    def after(self, state: float, loads: Loads) -> Array:
+        """State of charge at the end of each interval."""
+        states = np.empty(len(loads.duration_s))
+        for i in range(len(states)):
+            state = self._walk(state, loads, i, float(loads.duration_s[i]))[-1][1]
+            states[i] = state
+        return states
+
+    def reach(self, state: float, loads: Loads, interval: int, level: float, horizon_s: float) -> float | None:
+        """Time at which the state of charge comes to `level`."""
+        return self._first(state, loads, interval, horizon_s, lambda s, _: s - level)
+
+    def suspects(self, before: Array, after: Array, loads: Loads) -> NDArray[np.intp]:
+        """All intervals: the voltage may fall below its cut-off long before the charge ends."""
+        return np.flatnonzero(loads.charging == 0)
+
+    def empty_in(self, state: float, loads: Loads, interval: int) -> float | None:
+        """Time at which the margin is used up."""
+        if loads.charging[interval]:
+            return None
+        return self._first(state, loads, interval, float(loads.duration_s[interval]), self.margin)
+
+    def _net(self, loads: Loads, interval: int) -> Callable[[float], float]:
+        """Power at the terminals as a function of the time in an interval."""
+        if loads.charging[interval] == HELD:
+            return lambda _: 0.0
+        extra = float(loads.charger_w[interval]) if loads.charging[interval] == CHARGING else 0.0
+        if not loads.changing[interval]:
+            constant = float(loads.power_at(interval, np.zeros(1))[0]) - extra
+            return lambda _: constant
+        return lambda seconds: float(loads.power_at(interval, np.array([seconds]))[0]) - extra
+
+    def _walk(self, state: float, loads: Loads, interval: int, horizon_s: float) -> list[tuple[float, float]]:
+        """Steps (time, state) of an interval whose error is under control."""
+        power = self._net(loads, interval)
+        if loads.changing[interval] and loads.charging[interval] != HELD:
+            impulse_j = loads.energy_until(interval, 0.0)
+            if impulse_j:
+                state -= impulse_j / (self.voltage(state) * self.charge_c)
+        return adaptive_runge_kutta(lambda t, s: self.rate(s, power(t)), state, horizon_s)
+
+    def _first(
+        self, state: float, loads: Loads, interval: int, horizon_s: float, measure: Callable[[float, float], float]
+    ) -> float | None:
+        power = self._net(loads, interval)
+        steps = self._walk(state, loads, interval, horizon_s)
+        rising = measure(steps[0][1], power(0.0)) < 0.0
+        if rising and measure == self.margin:
+            return 0.0
+        for (t0, s0), (t1, s1) in zip(steps, steps[1:], strict=False):
+            before, after = measure(s0, power(t0)), measure(s1, power(t1))
+            if (before < 0.0) == (after < 0.0):
+                continue
+
+            def at(t: float, t0: float = t0, s0: float = s0) -> float:
+                end = adaptive_runge_kutta(lambda u, s: self.rate(s, power(t0 + u)), s0, t - t0)[-1][1]
+                return measure(end, power(t))
+
+            return root(at, t0, t1, before, after)
+        return None

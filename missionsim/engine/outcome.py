@@ -1,0 +1,198 @@
+"""The result of a run: interval table, energy of every term, batteries, and whether the mission is feasible."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.model import TermKey
+from missionsim.effects.timeline import Timeline
+from missionsim.plan.legs import SegmentInfo
+
+Array = NDArray[np.float64]
+J_PER_WH = 3600.0
+SCHEMA = "missionsim.run/1"
+
+
+@dataclass(frozen=True)
+class BatteryResult:
+    """What a run did to one battery.
+
+    Attributes
+    ----------
+    name : str
+    energy_wh : float
+        Delivered, the sum of all terms.
+    mean_power_w : float
+    capacity_wh, initial_wh : float
+        Full, and at the start.
+    charged_wh : float
+        Received from chargers.
+    charge_left_wh, charge_left_fraction : float
+        At the end; below zero where more was asked than there was.
+    internal_loss_wh : float
+        Lost inside the battery beyond what it delivered (0 for `constant_energy`).
+    reserve_required_wh : float
+        What the mission's policy (or the robot file) wants left at the end.
+    home_wh : float or None
+        Energy from the mission's end to the dock by the shortest way at the same settings (Parasuraman 2012, Eq. 12);
+        None where the place or the way is not known.
+    reserve_wh : float
+        Charge left after coming home (Eq. 13): ``charge_left_wh − home_wh``, or the charge left where no way is known.
+    empty_at_s : float or None
+    empty_in_segment : str
+    deficit_wh : float
+        By how much the whole mission, driven to its end, overdraws the battery; 0 where it does not.
+    audit_relative_error : float
+        Difference between the table's cells and the meter, relative to the energy.
+    """
+
+    name: str
+    energy_wh: float
+    mean_power_w: float
+    capacity_wh: float
+    initial_wh: float
+    charged_wh: float
+    charge_left_wh: float
+    charge_left_fraction: float
+    internal_loss_wh: float
+    reserve_required_wh: float
+    home_wh: float | None
+    reserve_wh: float
+    empty_at_s: float | None
+    empty_in_segment: str
+    deficit_wh: float
+    audit_relative_error: float
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """One simulated mission.
+
+    Attributes
+    ----------
+    mission, robot : str
+        Names.
+    feasible : bool
+        The whole mission is done, no battery was ever empty, and at the end every battery holds its required reserve
+        and, where a dock is known, enough to come home to it.
+    completed : bool
+        Every segment was executed.
+    reason : str
+        Why it is not feasible; empty where it is.
+    duration_s, distance_m : float
+    timeline : Timeline
+        Intervals with their covariates.
+    energies : mapping
+        Battery → term key → energy in each interval [J], shape (n,).
+    charge_wh : mapping of str to ndarray, shape (n,)
+        Charge at the end of each interval.
+    segments : tuple of SegmentInfo
+        As executed, repeats one by one; a detour to the dock is one more at the end.
+    segment_end_s : mapping of int to float
+        When each executed segment ended.
+    batteries : mapping of str to BatteryResult
+    """
+
+    mission: str
+    robot: str
+    feasible: bool
+    completed: bool
+    reason: str
+    duration_s: float
+    distance_m: float
+    timeline: Timeline
+    energies: Mapping[str, Mapping[TermKey, Array]]
+    charge_wh: Mapping[str, Array]
+    segments: tuple[SegmentInfo, ...]
+    segment_end_s: Mapping[int, float]
+    batteries: Mapping[str, BatteryResult]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    home: Callable[[], list[dict[str, float | None]]] | None = field(default=None, repr=False, compare=False)
+
+    def home_energy(self) -> list[dict[str, float | None]]:
+        """Energy in Wh to come home from the end of each segment, by battery; None where no way is known.
+
+        Computed when asked for: a mission has as many ways home as segments.
+        """
+        return self.home() if self.home is not None else [{} for _ in self.segments]
+
+    @property
+    def energy_j(self) -> dict[str, dict[str, dict[str, Array]]]:
+        """Battery → component → term → energy in each interval [J]; terms of one name on one component are added."""
+        result: dict[str, dict[str, dict[str, Array]]] = {}
+        for battery, terms in self.energies.items():
+            components = result.setdefault(battery, {})
+            for key, joules in terms.items():
+                cells = components.setdefault(key.component, {})
+                cells[key.name] = cells[key.name] + joules if key.name in cells else joules
+        return result
+
+    def cells_wh(self, battery: str) -> dict[TermKey, Array]:
+        """Energy of each term by segment [Wh], shape (segments,)."""
+        index, count = self.timeline.segment, len(self.segments)
+        return {
+            key: np.bincount(index, weights=joules, minlength=count) / J_PER_WH
+            for key, joules in self.energies[battery].items()
+        }
+
+    def by_segment_wh(self, battery: str) -> Array:
+        """Energy of each segment [Wh], shape (segments,)."""
+        cells = self.cells_wh(battery)
+        return np.sum(list(cells.values()), axis=0) if cells else np.zeros(len(self.segments))
+
+    def by_component_wh(self, battery: str) -> dict[str, float]:
+        """Energy of each component [Wh]."""
+        return _totals(self.energies[battery], lambda key: key.component)
+
+    def by_term_wh(self, battery: str) -> dict[str, float]:
+        """Energy of each physical term [Wh], over all components."""
+        return _totals(self.energies[battery], lambda key: key.name)
+
+    def power_w(self, battery: str) -> Array:
+        """Mean power of each interval [W], shape (n,)."""
+        total = np.sum(list(self.energies[battery].values()), axis=0)
+        return np.asarray(total / self.timeline.duration_s)
+
+    def summary(self) -> dict[str, Any]:
+        """The run as the JSON of the command line (schema ``missionsim.run/1``)."""
+        batteries = {}
+        for name, battery in self.batteries.items():
+            batteries[name] = {
+                "energy_wh": battery.energy_wh,
+                "mean_power_w": battery.mean_power_w,
+                "charge_left_wh": battery.charge_left_wh,
+                "charge_left_fraction": battery.charge_left_fraction,
+                "reserve_wh": battery.reserve_wh,
+                "reserve_required_wh": battery.reserve_required_wh,
+                "home_wh": battery.home_wh,
+                "empty_at_s": battery.empty_at_s,
+                "empty_in_segment": battery.empty_in_segment or None,
+                "deficit_wh": battery.deficit_wh,
+                "charged_wh": battery.charged_wh,
+                "capacity_wh": battery.capacity_wh,
+                "initial_wh": battery.initial_wh,
+                "internal_loss_wh": battery.internal_loss_wh,
+                "by_component_wh": self.by_component_wh(name),
+                "by_term_wh": self.by_term_wh(name),
+                "by_segment_wh": self.by_segment_wh(name).tolist(),
+                "audit_relative_error": battery.audit_relative_error,
+            }
+        return {
+            "schema": SCHEMA, "mission": self.mission, "robot": self.robot, "feasible": self.feasible,
+            "completed": self.completed, "reason": self.reason or None, "duration_s": self.duration_s,
+            "distance_m": self.distance_m, "segments": [segment.name for segment in self.segments],
+            "batteries": batteries, "provenance": dict(self.provenance),
+        }
+
+
+def _totals(terms: Mapping[TermKey, Array], name_of: Callable[[TermKey], str]) -> dict[str, float]:
+    totals: dict[str, list[float]] = {}
+    for key, joules in terms.items():
+        totals.setdefault(name_of(key), []).append(float(np.sum(joules)))
+    return {name: math.fsum(parts) / J_PER_WH for name, parts in totals.items()}

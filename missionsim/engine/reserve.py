@@ -1,0 +1,122 @@
+"""Energy to come home from where segments end (Parasuraman 2012, Eqs. 11–13)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from missionsim.effects.integrate import integrate
+from missionsim.effects.model import PowerModel
+from missionsim.engine.recorder import Row, timeline
+from missionsim.plan.homing import Homing, last_driven
+from missionsim.plan.legs import Leg
+from missionsim.plan.steps import group
+
+if TYPE_CHECKING:
+    from missionsim.engine.world import World
+
+
+def home_energies(
+    world: World, homing: Homing, model: PowerModel, values: Mapping[str, Any] | None = None, only_last: bool = False
+) -> list[dict[str, float | None]]:
+    """Energy in Wh to come home from the end of each segment, by battery.
+
+    Parameters
+    ----------
+    world : World
+        After its execution.
+    homing : Homing
+    model : PowerModel
+    values : mapping, optional
+        Parameters that differ from the model's.
+    only_last : bool
+        Only from where the robot is at the end; the list then has one entry.
+
+    Returns
+    -------
+    list of dict
+        One entry a segment; values are None where no way home is known.
+
+    Notes
+    -----
+    The way is driven at once (nothing to wait for), with the components of the last leg that drove and what is
+    always on; activities beside the mission are taken as over.
+    """
+    legs: list[Leg] = []
+    rows: list[Row] = []
+    states: dict[tuple[float, ...], int] = {}
+    owner: list[int] = []
+    ends = [-1] * len(world.segments)
+    for index, leg in enumerate(world.legs):
+        if leg.last:
+            ends[leg.settings.segment] = index
+    wanted = list(range(len(world.segments)))
+    if only_last:
+        wanted = [world.legs[world.recorder.rows[-1].leg].settings.segment] if world.recorder.rows else []
+    moved = _moving_times(world)
+    known: list[bool] = []
+    cache: dict[Any, int] = {}
+    same: list[int] = []
+    for position, segment in enumerate(wanted):
+        end = ends[segment]
+        if only_last and world.recorder.rows and not world.completed and not world.returned:
+            end = world.recorder.rows[-1].leg
+        driven = last_driven(world.legs, end) or next((leg for leg in world.legs if leg.kind == "roll"), None)
+        way = None
+        if end >= 0 and segment in world.ends_s | {} and driven is not None:
+            way = homing.from_place(world.legs[end].place, driven)
+        known.append(way is not None)
+        clock = moved.get(segment, 0.0) if "moving_time_s" in model.memory else 0.0
+        key = (world.legs[end].place, driven, clock) if way is not None else None
+        same.append(cache.setdefault(key, position) if key is not None else position)
+        if way and same[-1] == position:
+            _append(world, homing, way, clock, legs, rows, states, owner, position)
+    batteries = model.batteries
+    totals = {name: np.zeros(max(1, len(wanted))) for name in batteries}
+    if rows:
+        table = np.array(list(states), dtype=float)
+        line = timeline(rows, legs, world.recorder.components, table, needs=world.meter.needs)
+        for name, terms in integrate(model, line, values).items():
+            for joules in terms.values():
+                totals[name] += np.bincount(np.array(owner), weights=joules, minlength=len(wanted))
+    result: list[dict[str, float | None]] = [
+        {name: float(totals[name][same[i]]) / 3600.0 if known[i] else None for name in batteries}
+        for i in range(len(wanted))
+    ]
+    return result or [dict.fromkeys(batteries)]
+
+
+def _append(
+    world: World, homing: Homing, way: list[Leg], clock: float, legs: list[Leg], rows: list[Row],
+    states: dict[tuple[float, ...], int], owner: list[int], position: int,
+) -> None:
+    """Rows of one way home."""
+    base = len(legs)
+    legs.extend(way)
+    now, first = 0.0, True
+    units = dict(world.board.closure(way[0].settings.sensors))
+    for name, component in world.board.components.items():
+        if component.info.always_on:
+            units[name] = component.info.units
+    on = [float(units.get(name, 0)) for name in world.recorder.components]
+    width = len(on)
+    state = states.setdefault((*on, *([0.0] * (2 * width))), len(states))
+    for step in group(way, homing.limits):
+        for phase in step.phases:
+            if phase.duration_s <= 0.0:
+                continue
+            rows.append(Row(now, phase.duration_s, base + phase.leg, phase, 0.0, state, clock + now, first, ()))
+            owner.append(position)
+            now += phase.duration_s
+            first = False
+
+
+def _moving_times(world: World) -> dict[int, float]:
+    """Time moved until the end of each segment [s]."""
+    result: dict[int, float] = {}
+    for row in world.recorder.rows:
+        segment = world.legs[row.leg].settings.segment
+        result[segment] = row.moving_time_s + (row.duration_s if row.phase.moving else 0.0)
+    return result

@@ -1,0 +1,354 @@
+"""Simulate a mission: execute its plan, find the instants at which a battery interrupts it, and book every joule."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from missionsim.effects.model import PowerModel
+from missionsim.effects.timeline import Timeline
+from missionsim.engine.batteries import Battery, ConstantEnergy, EquivalentCircuit
+from missionsim.engine.components import ComponentInfo
+from missionsim.engine.meter import Alarm, Batch
+from missionsim.engine.outcome import J_PER_WH, BatteryResult, RunResult
+from missionsim.engine.reserve import home_energies
+from missionsim.engine.world import World
+from missionsim.errors import InputError
+from missionsim.plan.build import make_plan
+from missionsim.plan.homing import Homing, last_driven
+from missionsim.plan.legs import Leg, Plan
+from missionsim.plan.routes import Routes
+from missionsim.spec.mission import MissionSpec
+from missionsim.spec.power import build_power_model
+from missionsim.spec.robot import BatterySpec
+from missionsim.spec.robot import EquivalentCircuit as CircuitSpec
+from missionsim.spec.values import Parameter
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+MOST_ALARMS = 4
+RESERVE_TOLERANCE = 1e-9
+
+
+def simulate(
+    mission: MissionSpec,
+    *,
+    values: Mapping[str, float] | None = None,
+    rng: Generator | None = None,
+    trace: bool = True,
+    plan: Plan | None = None,
+    model: PowerModel | None = None,
+) -> RunResult:
+    """Simulate one mission.
+
+    Parameters
+    ----------
+    mission : MissionSpec
+        From `load_mission`.
+    values : mapping, optional
+        Numbers that differ from the files: parameters of the power model by ``battery/name`` (``robot/c3``), or any
+        number by its path in the mission file, with prefix ``robot.`` or ``environment.`` in the others.
+    rng : numpy.random.Generator, optional
+        For what the mission itself leaves to chance (repeated inspections).
+    trace : bool
+        Keep the intervals; without them only totals remain.
+    plan, model : optional
+        Where they are known already.
+
+    Returns
+    -------
+    RunResult
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where the mission cannot be simulated as asked.
+
+    Notes
+    -----
+    A mission is executed first as if its batteries were bottomless. Only if one of them then comes to a threshold is
+    it executed again, with an interrupt at that very instant; the first execution tells by how much the whole mission
+    overdraws the battery.
+    """
+    model = build_power_model(mission.robot) if model is None else model
+    numbers, drawn = _split(values or {}, model)
+    plan = make_plan(mission, numbers, rng) if plan is None else plan
+    setup = _Setup(mission, plan, model, numbers, drawn)
+    whole = world = setup.execute(())
+    alarms: list[Alarm] = []
+    while len(alarms) < MOST_ALARMS:
+        alarm = world.meter.first_alarm(setup.reserves(alarms))
+        if alarm is None:
+            break
+        alarms.append(alarm)
+        world = setup.execute(alarms)
+        if alarm.kind == "empty":
+            break
+    return setup.result(world, whole, alarms, trace)
+
+
+class _Setup:
+    """What all executions of one mission share."""
+
+    def __init__(
+        self, mission: MissionSpec, plan: Plan, model: PowerModel, numbers: Mapping[str, float],
+        drawn: Mapping[str, float],
+    ) -> None:
+        self.mission = mission
+        self.plan = plan
+        self.model = model
+        self.drawn = drawn
+        self.numbers = numbers
+        robot = mission.robot
+        self.batteries = {
+            name: _battery(name, spec, self._robot_number, self._initial(name, spec))
+            for name, spec in robot.batteries.items()
+        }
+        policy = mission.policy.reserve
+        self.required = {
+            name: (self.number(policy) if policy is not None else self._robot_number(spec.reserve))
+            for name, spec in robot.batteries.items()
+        }
+        self.components = [
+            ComponentInfo(name, spec.units, spec.always_on, spec.requires,
+                          0.0 if spec.startup is None else self._robot_number(spec.startup.duration))
+            for name, spec in robot.components.items()
+        ]
+        self._homing: Homing | None = None
+
+    def number(self, parameter: Parameter, prefix: str = "") -> float:
+        """Value of a parameter, drawn or nominal."""
+        return float(self.numbers.get(prefix + parameter.path, parameter.value)) if self.numbers else parameter.value
+
+    def _initial(self, name: str, spec: BatterySpec) -> float:
+        own = self.mission.initial_charge.get(name)
+        return self._robot_number(spec.initial_charge) if own is None else self.number(own)
+
+    def _robot_number(self, parameter: Parameter) -> float:
+        return self.number(parameter, "robot.")
+
+    @property
+    def homing(self) -> Homing:
+        """Ways to the dock, made when first needed."""
+        if self._homing is None:
+            environment = self.mission.environment
+            routes = None if environment is None else Routes(environment, lambda p: self.number(p, "environment."))
+            self._homing = Homing(self.mission, self.plan.limits, routes)
+        return self._homing
+
+    def execute(self, alarms: tuple[Alarm, ...] | list[Alarm]) -> World:
+        """One execution with interrupts at known instants."""
+        check_covariates(self.plan, self.model)
+        world = World(self.plan, self.model, self.batteries, self.components, alarms=alarms,
+                      detour=self._detour if alarms else None, values=self.drawn)
+        world.run()
+        return world
+
+    def _detour(self, leg: Leg, done_m: float, brake_m: float) -> Any:
+        index = next((i for i, item in enumerate(self.plan.legs) if item is leg), len(self.plan.legs) - 1)
+        driven = last_driven(self.plan.legs, index)
+        return self.homing.detour(leg, done_m, brake_m, len(self.plan.segments), driven)
+
+    def reserves(self, alarms: list[Alarm]) -> dict[str, float]:
+        """States at which a battery sends the robot home; none where the policy is to go on until empty."""
+        if self.mission.policy.on_empty != "return_to_dock" or alarms:
+            return {}
+        return {name: battery.state_of(self.required[name]) for name, battery in self.batteries.items()}
+
+    def result(self, world: World, whole: World, alarms: list[Alarm], trace: bool) -> RunResult:
+        """The result of the last execution."""
+        batches = world.meter.batches
+        line, energies, charge = _joined(batches, self.batteries, self.model)
+        duration = float(world.env.now)
+        home = self._home_at_end(world)
+        results = {}
+        reasons = [world.reason] if world.reason else []
+        for name, battery in self.batteries.items():
+            results[name] = made = self._battery_result(name, battery, world, whole, alarms, line, energies, home)
+            if made.empty_at_s is None and world.completed:
+                if made.charge_left_wh < made.reserve_required_wh - RESERVE_TOLERANCE * made.capacity_wh:
+                    reasons.append(f"battery '{name}' ends below its reserve")
+                elif made.reserve_wh < -RESERVE_TOLERANCE * made.capacity_wh:
+                    reasons.append(f"battery '{name}' cannot bring the robot home")
+        if trace:
+            segments = tuple(world.segments)
+        else:
+            line, energies, charge = _collapsed(line, energies, charge)
+            segments = tuple(world.segments)
+        distance = _distance(line) if trace else _distance(_joined(batches, self.batteries, self.model)[0])
+        mission = self.mission
+        return RunResult(
+            mission.name, mission.robot.name, world.completed and not reasons, world.completed, "; ".join(reasons),
+            duration, distance, line, energies, charge, segments, world.ends_s, results,
+            home=lambda: home_energies(world, self.homing, self.model, self.drawn),
+        )
+
+    def _home_at_end(self, world: World) -> dict[str, float | None]:
+        if self.mission.environment is None:
+            return dict.fromkeys(self.batteries)
+        return home_energies(world, self.homing, self.model, self.drawn, only_last=True)[-1]
+
+    def _battery_result(
+        self, name: str, battery: Battery, world: World, whole: World, alarms: list[Alarm], line: Timeline,
+        energies: Mapping[str, Mapping[Any, Any]], home: Mapping[str, float | None],
+    ) -> BatteryResult:
+        meter = world.meter
+        cells = [math.fsum(joules.tolist()) for joules in energies[name].values()]
+        used = math.fsum(cells)
+        capacity = battery.capacity_j
+        initial = float(battery.charge_j(battery.initial))
+        left = float(battery.charge_j(meter.state[name]))
+        charged = math.fsum(float(np.sum(batch.loads[name].charged_j)) for batch in meter.batches)
+        metered = math.fsum(float(np.sum(batch.loads[name].energy_j)) for batch in meter.batches)
+        loss = 0.0
+        if isinstance(battery, ConstantEnergy):
+            metered = initial - left + charged
+        else:
+            loss = initial - left + charged - used
+        scale = max(abs(used), abs(metered), 1e-12)
+        empty = next((alarm for alarm in alarms if alarm.kind == "empty" and alarm.battery == name), None)
+        lowest = min((float(np.min(battery.charge_j(batch.states[name]))) for batch in whole.meter.batches), default=0.0)
+        way = home.get(name)
+        duration = float(world.env.now)
+        return BatteryResult(
+            name, used / J_PER_WH, used / duration if duration else 0.0, capacity / J_PER_WH, initial / J_PER_WH,
+            charged / J_PER_WH, left / J_PER_WH, left / capacity, loss / J_PER_WH,
+            self.required[name] * capacity / J_PER_WH, None if way is None else way,
+            left / J_PER_WH - (way or 0.0), None if empty is None else empty.time_s,
+            "" if empty is None else _segment_at(world, empty.time_s), max(0.0, -lowest) / J_PER_WH,
+            abs(used - metered) / scale,
+        )
+
+
+def check_covariates(plan: Plan, model: PowerModel) -> None:
+    """Refuse a mission that does not say what the robot's effects need to know (temperature, processor load…).
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        With the effect, the column and a segment that lacks it.
+    """
+    keys = {"temp_ambient_c": "temperature", "cpu_load": "cpu_load", "cpu_freq_hz": "cpu_frequency",
+            "access_point_distance_m": "access_point_distance"}
+    wanted = {name: term.effect.id for term in model.terms for name in term.effect.needs if name in keys}
+    if not wanted:
+        return
+    for leg in plan.legs:
+        known = dict(leg.settings.extra)
+        for name, effect in wanted.items():
+            if name not in known:
+                segment = plan.segments[leg.settings.segment]
+                raise InputError.single(
+                    f"effect '{effect}' of the robot needs '{keys[name]}', which segment '{segment.name}' does not give",
+                    allowed=f"defaults: {{{keys[name]}: …}}, or a value on the segment",
+                )
+
+
+def _split(values: Mapping[str, float], model: PowerModel) -> tuple[dict[str, float], dict[str, float]]:
+    """Numbers of files by path, and parameters of the power model; a path into the robot file is both."""
+    if not values:
+        return {}, {}
+    numbers = {name: value for name, value in values.items() if "/" not in name}
+    drawn = {name: value for name, value in values.items() if "/" in name}
+    if any(name.startswith("robot.") for name in numbers):
+        for name, parameter in model.parameters.items():
+            path = f"robot.{parameter.path}"
+            if parameter.path and path in numbers:
+                drawn.setdefault(name, numbers[path])
+    return numbers, drawn
+
+
+def _battery(name: str, spec: BatterySpec, number: Any, initial: float) -> Battery:
+    factor = spec.nominal_voltage.value if spec.capacity.unit == "C" and spec.nominal_voltage else 1.0
+    new_j = number(spec.capacity) * factor
+    aged = number(spec.model.ageing)
+    if not isinstance(spec.model, CircuitSpec):
+        capacity = new_j * aged
+        return ConstantEnergy(name, capacity, initial * capacity)
+    circuit = spec.model
+    states = np.array([number(point[0]) for point in circuit.open_circuit_voltage])
+    volts = np.array([number(point[1]) for point in circuit.open_circuit_voltage])
+    if spec.capacity.unit == "C":
+        charge = number(spec.capacity)
+    else:
+        charge = new_j / (number(spec.nominal_voltage) if spec.nominal_voltage else float(np.trapezoid(volts, states)))
+    return EquivalentCircuit(
+        name, float(np.trapezoid(volts, states)) * charge * aged, initial, charge * aged, (states, volts),
+        number(circuit.resistance), number(circuit.peukert), number(circuit.rated_time),
+        0.0 if circuit.cut_off is None else number(circuit.cut_off),
+    )
+
+
+def _joined(
+    batches: list[Batch], batteries: Mapping[str, Battery], model: PowerModel
+) -> tuple[Timeline, dict[str, dict[Any, Any]], dict[str, Any]]:
+    """One table of all batches."""
+    if not batches:
+        empty = np.zeros(0)
+        return Timeline(empty, empty, {}), {name: {} for name in batteries}, {name: empty for name in batteries}
+    charge = {
+        name: np.concatenate([battery.charge_j(batch.states[name]) for batch in batches]) / J_PER_WH
+        for name, battery in batteries.items()
+    }
+    if len(batches) == 1:
+        return batches[0].timeline, batches[0].energies, charge
+    lines = [batch.timeline for batch in batches]
+    first = lines[0]
+    line = Timeline(
+        np.concatenate([item.start_s for item in lines]), np.concatenate([item.duration_s for item in lines]),
+        {name: _stacked([item.columns[name] for item in lines]) for name in first.columns},
+        {name: np.concatenate([np.asarray(item.rates[name]) for item in lines]) for name in first.rates},
+        np.concatenate([item.segment for item in lines]), first.constants,
+    )
+    energies = {
+        name: {key: np.concatenate([batch.energies[name][key] for batch in batches]) for key in terms}
+        for name, terms in batches[0].energies.items()
+    }
+    return line, energies, charge
+
+
+def _stacked(parts: list[Any]) -> Any:
+    from missionsim.effects.covariates import Labels
+
+    if isinstance(parts[0], Labels):
+        return Labels.of([text for part in parts for text in part.texts()])
+    return np.concatenate(parts)
+
+
+def _collapsed(line: Timeline, energies: Any, charge: Any) -> tuple[Timeline, Any, Any]:
+    """Totals by segment in place of the intervals."""
+    count = int(line.segment.max()) + 1 if len(line) else 0
+    duration = np.bincount(line.segment, weights=line.duration_s, minlength=count)
+    start = np.concatenate([[0.0], np.cumsum(duration)[:-1]]) if count else np.zeros(0)
+    return (
+        Timeline(start, duration, {}, {}, np.arange(count)),
+        {name: {key: np.bincount(line.segment, weights=joules, minlength=count) for key, joules in terms.items()}
+         for name, terms in energies.items()},
+        {name: values[-1:] for name, values in charge.items()},
+    )
+
+
+def _distance(line: Timeline) -> float:
+    if not len(line):
+        return 0.0
+    cov, rates, time = line.columns, line.rates, line.duration_s
+    ahead = cov["speed_m_s"] * time + 0.5 * rates["speed_m_s"] * time**2
+    aside = cov["lateral_speed_m_s"] * time + 0.5 * rates["lateral_speed_m_s"] * time**2
+    return float(np.sum(np.hypot(ahead, aside)))
+
+
+def _segment_at(world: World, time_s: float) -> str:
+    for row in reversed(world.recorder.rows):
+        if row.start_s < time_s or row.start_s == 0.0:
+            return world.segments[world.legs[row.leg].settings.segment].name
+    return ""
+
+
+def with_provenance(result: RunResult, provenance: Mapping[str, Any]) -> RunResult:
+    """The same result with where it comes from."""
+    return replace(result, provenance=provenance)

@@ -1,0 +1,397 @@
+"""From a mission file to a plan: segments expanded, routes found, behaviour applied, every leg with its numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from missionsim.errors import Fault, InputError
+from missionsim.plan.legs import (
+    Activity,
+    Leg,
+    Limits,
+    Plan,
+    Recharge,
+    SegmentInfo,
+    Settings,
+    Trigger,
+)
+from missionsim.plan.routes import Routes, Way
+from missionsim.plan.steps import group
+from missionsim.spec.mission import AnchorSpec, MissionSpec
+from missionsim.spec.values import Parameter
+
+if TYPE_CHECKING:
+    import numpy as np
+
+MOST_SEGMENTS = 1_000_000
+MOST_INSPECTIONS = 1000
+RADIO_PIECE_M = 2.0
+"""Edges are cut to this length where the distance to an access point changes along them."""
+_EXTRAS = (("temperature", "temp_ambient_c"), ("cpu_load", "cpu_load"), ("cpu_frequency", "cpu_freq_hz"),
+           ("access_point_distance", "access_point_distance_m"))
+
+
+def make_plan(
+    mission: MissionSpec, numbers: Mapping[str, float] | None = None, rng: np.random.Generator | None = None
+) -> Plan:
+    """The plan of a mission.
+
+    Parameters
+    ----------
+    mission : MissionSpec
+        With its robot and environment.
+    numbers : mapping, optional
+        Values that differ from the files', by path: the mission's own (``segments.0.drive.speed``), and with prefix
+        ``robot.`` or ``environment.`` those of the other files.
+    rng : numpy.random.Generator, optional
+        Draws how often an inspection with a `repeat_probability` is done; without it, once.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where the mission cannot be driven: no way, no place, no speed, no charger.
+
+    Notes
+    -----
+    Behaviour applies here: `path_stretch` multiplies distances, `speed_tracking` speeds, `dwell` adds standing time at
+    the end of a segment that moves. The most specific wins, value by value: the segment's own, the mission's for its
+    scheme, the mission's, the defaults', the robot's for that scheme.
+    """
+    return _Builder(mission, numbers or {}, rng).build()
+
+
+class _Builder:
+    def __init__(self, mission: MissionSpec, numbers: Mapping[str, float], rng: np.random.Generator | None) -> None:
+        self.mission = mission
+        self.robot = mission.robot
+        self.numbers = numbers
+        self.rng = rng
+        environment = mission.environment
+        self.routes = None if environment is None else Routes(environment, lambda p: self.number(p, "environment."))
+        self.place = mission.start or ""
+        self.heading = None if mission.start_heading is None else self.number(mission.start_heading)
+        if self.heading is None and environment is not None and self.place in environment.places:
+            given = environment.places[self.place].heading
+            self.heading = None if given is None else self.number(given, "environment.")
+        body = self.robot.body
+        accel = self._robot(body.max_acceleration)
+        decel = self._robot(body.max_deceleration)
+        self.limits = Limits(
+            accel, accel if decel is None else decel, self.number(body.max_yaw_rate, "robot."),
+            self._robot(body.max_yaw_acceleration),
+        )
+        self.legs: list[Leg] = []
+        self.segments: list[SegmentInfo] = []
+        self._names: dict[str, int] = {}
+        self._base: dict[int, Settings] = {}
+
+    def number(self, parameter: Parameter, prefix: str = "") -> float:
+        """Value of a parameter, drawn or nominal."""
+        if self.numbers and parameter.path:
+            return float(self.numbers.get(prefix + parameter.path, parameter.value))
+        return parameter.value
+
+    def _robot(self, parameter: Parameter | None) -> float | None:
+        return None if parameter is None else self.number(parameter, "robot.")
+
+    def build(self) -> Plan:
+        start = self.place
+        for segment in self.mission.segments:
+            self._segment(segment)
+        slow = slow_components(self.robot)
+
+        def breaks(before: Leg, after: Leg) -> bool:
+            known = dict(before.settings.sensors)
+            return any(name in slow and name not in known for name, _ in after.settings.sensors)
+
+        steps = group(self.legs, self.limits, breaks if slow else None)
+        activities = tuple(self._activity(i, spec) for i, spec in enumerate(self.mission.activities))
+        return Plan(tuple(self.legs), steps, tuple(self.segments), activities, self.limits, start)
+
+    def fault(self, segment: Any, message: str, allowed: str = "") -> InputError:
+        """A fault at the line of a segment."""
+        return InputError(Fault(str(self.mission.path), int(getattr(segment, "line", 0)), 0, message, allowed=allowed))
+
+    def _segment(self, segment: Any) -> None:
+        if segment.kind == "repeat":
+            for _ in range(segment.times):
+                for inner in segment.segments:
+                    self._segment(inner)
+            return
+        if len(self.segments) >= MOST_SEGMENTS:
+            raise self.fault(segment, "too many segments", f"at most {MOST_SEGMENTS}, repeats counted one by one")
+        self._name(segment)
+        base = self._settings(segment)
+        before = len(self.legs)
+        getattr(self, f"_{segment.kind}")(segment, base)
+        if len(self.legs) == before:
+            self.legs.append(Leg("stand", base))
+        dwell = self._behaviour(segment, "dwell")
+        if dwell and segment.kind in ("drive", "arc", "turn", "move"):
+            self.legs.append(Leg("stand", self._still(base)))
+            self.legs[-1] = replace(self.legs[-1], duration_s=dwell)
+        self.legs[before] = replace(self.legs[before], first=True)
+        self.legs[-1] = replace(self.legs[-1], last=True, place=self.legs[-1].place or self.place)
+
+    def _name(self, segment: Any) -> None:
+        label = segment.name
+        if label is None:
+            target = getattr(segment, "to", None)
+            along = getattr(segment, "along", None)
+            label = f"{segment.kind} {target or (along[-1] if along else '')}".strip()
+        count = self._names.get(label, 0) + 1
+        self._names[label] = count
+        name = label if count == 1 else f"{label} #{count}"
+        self.segments.append(SegmentInfo(name, segment.kind, segment.line, label))
+
+    def _settings(self, segment: Any) -> Settings:
+        mission = self.mission
+        known = self._base.get(id(segment))
+        if known is not None:
+            return replace(known, segment=len(self.segments) - 1)
+        payload = mission.setting(segment, "payload")
+        surface = mission.setting(segment, "surface")
+        extra: dict[str, float | str] = dict(self._ambient())
+        for key, column in _EXTRAS:
+            given = mission.setting(segment, key)
+            if given is not None:
+                extra[column] = self.number(given)
+        for source in (mission.defaults.conditions, segment.conditions):
+            extra |= {name: self._condition(value) for name, value in source.items()}
+        slope = getattr(segment, "slope", None)
+        made = Settings(
+            len(self.segments) - 1, mission.scheme_of(segment) or "", mission.navigation_of(segment) or "",
+            tuple(sorted(mission.sensors_of(segment).items())), 0.0 if payload is None else self.number(payload),
+            0.0 if slope is None else self.number(slope), self._ambient_surface() if surface is None else surface,
+            tuple(sorted(extra.items())),
+        )
+        self._base[id(segment)] = made
+        return made
+
+    def _condition(self, value: Any, prefix: str = "") -> float | str:
+        return self.number(value, prefix) if isinstance(value, Parameter) else str(value)
+
+    def _ambient(self) -> dict[str, float | str]:
+        environment = self.mission.environment
+        if environment is None:
+            return {}
+        ambient = environment.ambient
+        pairs = (("temp_ambient_c", ambient.temperature), ("access_point_distance_m", ambient.access_point_distance))
+        known: dict[str, float | str] = {name: self.number(p, "environment.") for name, p in pairs if p is not None}
+        return known | {name: self._condition(value, "environment.") for name, value in ambient.conditions.items()}
+
+    def _ambient_surface(self) -> str:
+        environment = self.mission.environment
+        return (environment.ambient.surface or "") if environment is not None else ""
+
+    def _behaviour(self, segment: Any, key: str) -> float | None:
+        mission = self.mission
+        scheme = mission.scheme_of(segment) or ""
+        robot_scheme = self.robot.schemes.get(scheme)
+        for source, prefix in (
+            (segment.behaviour, ""), (mission.behaviour.schemes.get(scheme), ""), (mission.behaviour, ""),
+            (mission.defaults.behaviour, ""), (robot_scheme.behaviour if robot_scheme else None, "robot."),
+        ):
+            given = None if source is None else getattr(source, key)
+            if given is not None:
+                return self.number(given, prefix)
+        return None
+
+    def _speed(self, segment: Any) -> float:
+        given = self.mission.setting(segment, "speed")
+        if given is not None:
+            speed = self.number(given)
+        else:
+            speed = self.number(self.robot.body.max_speed, "robot.")
+            scheme = self.robot.schemes.get(self.mission.scheme_of(segment) or "")
+            if scheme is not None and scheme.max_speed is not None:
+                speed = min(speed, self.number(scheme.max_speed, "robot."))
+        if speed <= 0.0:
+            raise self.fault(segment, "a segment that drives needs a speed above 0")
+        tracking = self._behaviour(segment, "speed_tracking")
+        return speed if tracking is None else speed * tracking
+
+    def _stretch(self, segment: Any) -> float:
+        return self._behaviour(segment, "path_stretch") or 1.0
+
+    def _instant(self, segment: Any) -> bool:
+        return self.mission.setting(segment, "profile") == "constant_speed" or self.limits.accel_m_s2 is None
+
+    def _still(self, base: Settings) -> Settings:
+        """Settings of standing at the end of a segment that moves."""
+        last = self.legs[-1].settings if self.legs and self.legs[-1].settings.segment == base.segment else base
+        return last
+
+    def _drive(self, segment: Any, base: Settings) -> None:
+        if segment.distance is not None:
+            heading = None if segment.heading is None else self.number(segment.heading)
+            self._face(segment, base, heading)
+            self.legs.append(Leg("roll", base, self.number(segment.distance) * self._stretch(segment),
+                                 self._speed(segment), instant=self._instant(segment)))
+            self.place = ""
+            return
+        if self.routes is None:
+            raise self.fault(segment, "a drive to a place needs an environment", "environment: FILE, or distance: 50 m")
+        if not self.place:
+            raise self.fault(segment, "the place from which this drive starts is not known", "start: a place")
+        stops = segment.along if segment.along is not None else (*segment.via, segment.to)
+        for stop in stops:
+            for way in self.routes.route(self.place, stop, str(self.mission.path)) if stop != self.place else ():
+                self._way(segment, base, way)
+            self.place = stop
+
+    def _way(self, segment: Any, base: Settings, way: Way) -> None:
+        self._face(segment, base, way.heading_rad)
+        stretch = self._stretch(segment)
+        settings = along(base, way, segment.surface)
+        speed = min(self._speed(segment), way.max_speed_m_s)
+        instant = self._instant(segment)
+        pieces = self._radio(way, settings)
+        for i, (share_from, share_to, here) in enumerate(pieces):
+            self.legs.append(Leg(
+                "roll", here, way.length_m * (share_to - share_from) * stretch, speed, instant=instant,
+                place=way.end if i + 1 == len(pieces) else "",
+                edge=(way.begin, way.end, way.length_m * share_from, way.length_m * share_to),
+            ))
+
+    def _radio(self, way: Way, settings: Settings) -> list[tuple[float, float, Settings]]:
+        """Pieces of a way with the distance to the nearest access point (its root mean square over the piece)."""
+        environment = self.mission.environment
+        if environment is None or not environment.access_points or "access_point_distance_m" in way.extra:
+            return [(0.0, 1.0, settings)]
+        assert self.routes is not None
+        a, b = self.routes.position(way.begin), self.routes.position(way.end)
+        if a is None or b is None:
+            return [(0.0, 1.0, settings)]
+        points = [(self.number(p.x, "environment."), self.number(p.y, "environment."))
+                  for p in environment.access_points.values()]
+        count = max(1, math.ceil(way.length_m / RADIO_PIECE_M))
+        pieces = []
+        for i in range(count):
+            low, high = i / count, (i + 1) / count
+            middle = 0.5 * (low + high)
+            x, y = a[0] + (b[0] - a[0]) * middle, a[1] + (b[1] - a[1]) * middle
+            span = math.hypot(b[0] - a[0], b[1] - a[1]) / count
+            square = min((x - px) ** 2 + (y - py) ** 2 for px, py in points) + span * span / 12.0
+            extra = {**dict(settings.extra), "access_point_distance_m": math.sqrt(square)}
+            pieces.append((low, high, replace(settings, extra=tuple(sorted(extra.items())))))
+        return pieces
+
+    def _face(self, segment: Any, base: Settings, heading: float | None) -> None:
+        """Turn on the spot towards a heading, where the mission asks for it and headings are known."""
+        if heading is None:
+            return
+        if self.heading is not None and self.mission.defaults.turn_at_places:
+            turn = math.remainder(heading - self.heading, 2.0 * math.pi)
+            if abs(turn) > 1e-9:
+                self._turn_by(segment, base, turn)
+        self.heading = heading
+
+    def _turn_by(self, segment: Any, base: Settings, angle: float) -> None:
+        given = self.mission.setting(segment, "yaw_rate")
+        rate = self.limits.yaw_rate_rad_s if given is None else self.number(given)
+        if rate <= 0.0:
+            raise self.fault(segment, "a turn needs a yaw rate above 0")
+        instant = self.mission.setting(segment, "profile") == "constant_speed"
+        settings = replace(base, slope_rad=0.0)
+        self.legs.append(Leg("turn", settings, angle_rad=angle, yaw_rate_rad_s=rate, instant=instant))
+
+    def _turn(self, segment: Any, base: Settings) -> None:
+        angle = self.number(segment.angle)
+        self._turn_by(segment, base, angle)
+        self.heading = None if self.heading is None else self.heading + angle
+
+    def _arc(self, segment: Any, base: Settings) -> None:
+        radius, angle = self.number(segment.radius), self.number(segment.angle)
+        if radius <= 0.0:
+            raise self.fault(segment, "an arc needs a radius above 0")
+        given = self.mission.setting(segment, "yaw_rate")
+        rate = self.limits.yaw_rate_rad_s if given is None else self.number(given)
+        speed = min(self._speed(segment), rate * radius)
+        length = radius * abs(angle) * self._stretch(segment)
+        self.legs.append(Leg("roll", base, length, speed, math.copysign(1.0 / radius, angle),
+                             instant=self._instant(segment)))
+        self.place = ""
+        self.heading = None if self.heading is None else self.heading + angle
+
+    def _move(self, segment: Any, base: Settings) -> None:
+        self.legs.append(Leg("slide", base, self.number(segment.distance) * self._stretch(segment),
+                             self._speed(segment), direction_rad=self.number(segment.direction),
+                             instant=self._instant(segment)))
+        self.place = ""
+
+    def _inspect(self, segment: Any, base: Settings) -> None:
+        times = 1
+        if segment.repeat_probability is not None and self.rng is not None:
+            again = self.number(segment.repeat_probability)
+            while times < MOST_INSPECTIONS and self.rng.random() < again:
+                times += 1
+        self._stand(base, times * self.number(segment.duration))
+
+    def _wait(self, segment: Any, base: Settings) -> None:
+        self._stand(base, self.number(segment.duration))
+
+    def _stand(self, base: Settings, duration_s: float) -> None:
+        self.legs.append(Leg("stand", base, duration_s=duration_s, place=self.place))
+
+    def _dock(self, segment: Any, base: Settings) -> None:
+        environment = self.mission.environment
+        charger = None
+        if environment is not None and self.place in environment.places:
+            charger = environment.places[self.place].charger
+        if charger is None:
+            raise self.fault(segment, f"no charger at '{self.place or 'an unknown place'}'",
+                             "a place with a charger, reached before")
+        asked = segment.recharge
+        batteries = asked.batteries or charger.batteries or tuple(self.robot.batteries)
+        offered = self.number(charger.power, "environment.")
+        power = {}
+        for name, spec in self.robot.batteries.items():
+            if name in batteries:
+                most = math.inf if spec.max_charge_power is None else self.number(spec.max_charge_power, "robot.")
+                power[name] = min(offered, most) * self.number(spec.charge_efficiency, "robot.")
+        recharge = Recharge(
+            self.place, power, tuple(power),
+            None if asked.until is None else self.number(asked.until),
+            None if asked.duration is None else self.number(asked.duration), charger.slots,
+        )
+        self.legs.append(Leg("dock", base, place=self.place, recharge=recharge))
+
+    def _activity(self, key: int, spec: Any) -> Activity:
+        begin = _trigger(self, spec.from_)
+        end = _trigger(self, spec.until)
+        every = None if spec.every is None else self.number(spec.every)
+        duration = None if spec.duration is None else self.number(spec.duration)
+        return Activity(spec.component, spec.units, begin, end, every, duration, key)
+
+
+def _trigger(builder: _Builder, anchor: AnchorSpec | None) -> Trigger | None:
+    if anchor is None:
+        return None
+    time = None if anchor.time is None else builder.number(anchor.time)
+    return Trigger(time, anchor.place or "", anchor.segment or "")
+
+
+def along(base: Settings, way: Way, surface: str | None = None) -> Settings:
+    """Settings on a way: its slope, its surface unless the segment names one, the covariates that the edge gives."""
+    extra = base.extra if not way.extra else tuple(sorted({**dict(base.extra), **way.extra}.items()))
+    return replace(base, slope_rad=way.slope_rad, surface=surface or way.surface or base.surface, extra=extra)
+
+
+def slow_components(robot: Any) -> frozenset[str]:
+    """Components that are not on at once: they, or something they require, take time to start."""
+    table = robot.components
+
+    def slow(name: str) -> bool:
+        spec = table[name]
+        startup = spec.startup is not None and spec.startup.duration.value > 0.0
+        return startup or any(slow(required) for required in spec.requires)
+
+    return frozenset(name for name in table if slow(name))

@@ -1,0 +1,124 @@
+"""The way home from where the robot is: the reserve that a mission needs at each place (Parasuraman 2012, Eqs. 11–13)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from missionsim.plan.build import along
+from missionsim.plan.legs import Leg, Limits, Settings, Step
+from missionsim.plan.routes import Routes, Way
+from missionsim.plan.steps import group
+from missionsim.spec.mission import MissionSpec
+
+
+class Homing:
+    """Ways to the dock of a mission.
+
+    The dock is the policy's; without one the nearest place with a charger; without any charger the place where the
+    mission starts. The way is the shortest by length, driven with the scheme, sensors, payload and speed of the last
+    leg that drove (the defaults before the first), without stretch.
+
+    Parameters
+    ----------
+    mission : MissionSpec
+    limits : Limits
+    routes : Routes or None
+        None without an environment: then there is no way home.
+    """
+
+    def __init__(self, mission: MissionSpec, limits: Limits, routes: Routes | None) -> None:
+        self.limits = limits
+        self.routes = routes
+        self.docks: tuple[str, ...] = ()
+        if routes is None or mission.environment is None:
+            return
+        chargers = tuple(name for name, place in mission.environment.places.items() if place.charger is not None)
+        start = (mission.start,) if mission.start else ()
+        self.docks = (mission.policy.dock,) if mission.policy.dock else chargers or start
+
+    def ways(self, place: str) -> list[Way] | None:
+        """Shortest way from a place to a dock; None where there is none or the place is not known."""
+        if self.routes is None or place not in self.routes.ways:
+            return None
+        found = [way for dock in self.docks if (way := self.routes.shortest(place, dock)) is not None]
+        return min(found, key=_length, default=None)
+
+    def from_place(self, place: str, like: Leg) -> list[Leg] | None:
+        """Legs home from a place, driven like a leg; [] at the dock, None where there is no way."""
+        ways = self.ways(place)
+        return None if ways is None else [_leg(like, way) for way in ways]
+
+    def from_edge(self, leg: Leg, done_m: float, brake_m: float) -> list[Leg] | None:
+        """Legs home from a point of an edge: on to its end or back, whichever is shorter in all.
+
+        Parameters
+        ----------
+        leg : Leg
+            Under way.
+        done_m : float
+            Metres driven on it so far.
+        brake_m : float
+            Metres that it takes to stop.
+        """
+        if leg.kind != "roll" or leg.edge is None or leg.distance_m <= 0.0:
+            return self.from_place(leg.place, leg)
+        begin, end, low, high = leg.edge
+        here = min(low + (high - low) * (done_m + brake_m) / leg.distance_m, high)
+        if self.routes is None:
+            return None
+        options = []
+        for way in self.routes.ways[begin]:
+            if way.end == end:
+                options.append((end, way, way.length_m - here))
+        for way in self.routes.ways[end]:
+            if way.end == begin:
+                options.append((begin, way, here))
+        best: list[Leg] | None = None
+        shortest = math.inf
+        for place, way, metres in options:
+            rest = self.ways(place)
+            if rest is not None and metres + _length(rest) < shortest:
+                shortest = metres + _length(rest)
+                first = [replace(_leg(leg, way), distance_m=metres)] if metres > 0.0 else []
+                best = first + [_leg(leg, other) for other in rest]
+        return best
+
+    def detour(self, leg: Leg, done_m: float, brake_m: float, segment: int, driven: Leg | None) -> tuple[
+        list[Leg], tuple[Step, ...]
+    ] | None:
+        """Legs and steps home for the engine, booked on a segment of their own; None where there is no way."""
+        if leg.kind == "roll":
+            way = self.from_edge(leg, done_m, brake_m)
+        else:
+            way = self.from_place(leg.place, driven or leg)
+        if way is None:
+            return None
+        legs = [replace(item, settings=replace(item.settings, segment=segment)) for item in way]
+        if not legs:
+            still = replace(leg.settings, segment=segment)
+            legs = [Leg("stand", still, place=leg.place)]
+        legs[0] = replace(legs[0], first=True)
+        legs[-1] = replace(legs[-1], last=True)
+        return legs, group(legs, self.limits)
+
+
+def default_leg(settings: Settings, speed_m_s: float, instant: bool) -> Leg:
+    """A leg that stands for the mission's defaults, where nothing has been driven yet."""
+    return Leg("roll", settings, 0.0, speed_m_s, instant=instant)
+
+
+def last_driven(legs: Sequence[Leg], upto: int) -> Leg | None:
+    """The last leg that drives among ``legs[:upto + 1]``; None where none has."""
+    return next((leg for leg in reversed(legs[: upto + 1]) if leg.kind == "roll"), None)
+
+
+def _leg(like: Leg, way: Way) -> Leg:
+    speed = min(like.speed_m_s, way.max_speed_m_s)
+    return Leg("roll", along(like.settings, way), way.length_m, speed, instant=like.instant, place=way.end,
+               edge=(way.begin, way.end, 0.0, way.length_m))
+
+
+def _length(ways: Sequence[Way]) -> float:
+    return math.fsum(way.length_m for way in ways)

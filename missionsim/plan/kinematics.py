@@ -1,0 +1,140 @@
+"""Motion of a robot with limited acceleration: exact phases of constant acceleration, for scalars or arrays of draws.
+
+A *run* is a chain of pieces between two standstills; each piece has a length and a speed limit. The fastest profile
+under the limits is the lowest of three curves over the path (limit, speeding up from behind, braking from ahead), so
+it depends on the limits along the path only, not on how the path is cut into pieces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Phases:
+    """Phases of constant acceleration of a run: speeding up, cruising, slowing down, for each piece.
+
+    Attributes
+    ----------
+    duration_s, speed_m_s, accel_m_s2 : ndarray, shape (..., pieces, 3)
+        Length, speed at its start and acceleration of each phase; phases that do not occur last 0 s.
+    """
+
+    duration_s: Array
+    speed_m_s: Array
+    accel_m_s2: Array
+
+    @property
+    def total_s(self) -> Array:
+        """Duration of the run, shape (...)."""
+        return np.asarray(self.duration_s.sum(axis=(-2, -1)))
+
+
+def junction_speeds(distance_m: Any, limit_m_s: Any, accel_m_s2: Any, decel_m_s2: Any) -> Array:
+    """Highest speeds at the borders of the pieces of a run that starts and ends at rest.
+
+    Parameters
+    ----------
+    distance_m, limit_m_s : array_like, shape (..., pieces)
+        Length and speed limit of each piece.
+    accel_m_s2, decel_m_s2 : array_like, shape (...)
+        Limits of speeding up and of braking, both positive.
+
+    Returns
+    -------
+    ndarray, shape (..., pieces + 1)
+        Speeds in m/s, zero at both ends (forward and backward pass with ``v² + 2 a d``).
+    """
+    distance, limit = np.broadcast_arrays(np.asarray(distance_m, float), np.asarray(limit_m_s, float))
+    accel, decel = np.asarray(accel_m_s2, float), np.asarray(decel_m_s2, float)
+    pieces = distance.shape[-1]
+    squares = np.zeros((*np.broadcast_shapes(distance.shape[:-1], accel.shape, decel.shape), pieces + 1))
+    ceiling = np.square(limit)
+    squares[..., 1:-1] = np.minimum(ceiling[..., :-1], ceiling[..., 1:])
+    up = 2.0 * accel[..., None] * distance
+    down = 2.0 * decel[..., None] * distance
+    for i in range(1, pieces):
+        squares[..., i] = np.minimum(squares[..., i], squares[..., i - 1] + up[..., i - 1])
+    for i in range(pieces - 1, 0, -1):
+        squares[..., i] = np.minimum(squares[..., i], squares[..., i + 1] + down[..., i])
+    return np.asarray(np.sqrt(squares))
+
+
+def ramp_phases(distance_m: Any, limit_m_s: Any, accel_m_s2: Any, decel_m_s2: Any) -> Phases:
+    """Trapezoids and triangles of a run from rest to rest.
+
+    Parameters
+    ----------
+    distance_m, limit_m_s : array_like, shape (..., pieces)
+    accel_m_s2, decel_m_s2 : array_like, shape (...)
+        Positive and finite.
+
+    Returns
+    -------
+    Phases
+        Three phases a piece.
+
+    Notes
+    -----
+    Inside a piece of length d from v0 to v1 the peak is ``v_p² = (2 a b d + b v0² + a v1²) / (a + b)``, cut at the
+    limit; also for angles (rad, rad/s, rad/s²) of a turn on the spot.
+    """
+    distance, limit = np.broadcast_arrays(np.asarray(distance_m, float), np.asarray(limit_m_s, float))
+    border = junction_speeds(distance, limit, accel_m_s2, decel_m_s2)
+    accel = np.asarray(accel_m_s2, float)[..., None]
+    decel = np.asarray(decel_m_s2, float)[..., None]
+    before, after = border[..., :-1], border[..., 1:]
+    free = np.sqrt(
+        (2.0 * accel * decel * distance + decel * np.square(before) + accel * np.square(after)) / (accel + decel)
+    )
+    peak = np.maximum(np.minimum(free, limit), np.maximum(before, after))
+    rising = (peak - before) / accel
+    falling = (peak - after) / decel
+    cruise_m = distance - (np.square(peak) - np.square(before)) / (2 * accel)
+    cruise_m = cruise_m - (np.square(peak) - np.square(after)) / (2 * decel)
+    cruising = np.where(free > limit, np.maximum(cruise_m, 0.0) / np.where(peak > 0, peak, 1.0), 0.0)
+    zero = np.zeros_like(peak)
+    return Phases(
+        np.stack([rising, cruising, falling], axis=-1),
+        np.stack([before + zero, peak, peak], axis=-1),
+        np.stack([accel + zero, zero, -decel + zero], axis=-1),
+    )
+
+
+def constant_phases(distance_m: Any, limit_m_s: Any) -> Phases:
+    """The papers' assumption: each piece at its speed from the first to the last metre, no acceleration.
+
+    Parameters
+    ----------
+    distance_m, limit_m_s : array_like, shape (..., pieces)
+
+    Returns
+    -------
+    Phases
+        Only the cruising phase of each piece lasts.
+    """
+    distance, limit = np.broadcast_arrays(np.asarray(distance_m, float), np.asarray(limit_m_s, float))
+    zero = np.zeros_like(limit)
+    return Phases(
+        np.stack([zero, distance / limit, zero], axis=-1),
+        np.stack([limit, limit, limit], axis=-1),
+        np.stack([zero, zero, zero], axis=-1),
+    )
+
+
+def phases(distance_m: Any, limit_m_s: Any, accel_m_s2: Any = None, decel_m_s2: Any = None) -> Phases:
+    """Phases of a run from rest to rest; with no acceleration limit, at constant speed (see `constant_phases`)."""
+    if accel_m_s2 is None:
+        return constant_phases(distance_m, limit_m_s)
+    return ramp_phases(distance_m, limit_m_s, accel_m_s2, accel_m_s2 if decel_m_s2 is None else decel_m_s2)
+
+
+def braking_distance(speed_m_s: Any, decel_m_s2: Any) -> Any:
+    """Distance to a standstill, ``v² / (2 b)`` in m; 0 where braking is instant (`decel_m_s2` None)."""
+    return 0.0 * speed_m_s if decel_m_s2 is None else np.square(speed_m_s) / (2.0 * decel_m_s2)

@@ -1,0 +1,202 @@
+"""What a plan is made of: legs with numbers, the settings that hold on them, and the phases of their motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+Kind = Literal["roll", "turn", "slide", "stand", "dock"]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What is asked of the robot and what surrounds it on a leg.
+
+    Attributes
+    ----------
+    segment : int
+        Index of the mission's segment, repeats counted one by one.
+    scheme, navigation : str
+        Control scheme and its navigation; empty where none.
+    sensors : tuple of (str, int)
+        Components that must be on and how many units, sorted by name.
+    payload_kg : float
+    slope_rad : float
+        Grade in the direction of travel, uphill positive.
+    surface : str
+    extra : tuple of (str, float or str)
+        Further covariates (``temp_ambient_c``, ``cpu_load``, a file's own conditions), sorted by name.
+    """
+
+    segment: int
+    scheme: str = ""
+    navigation: str = ""
+    sensors: tuple[tuple[str, int], ...] = ()
+    payload_kg: float = 0.0
+    slope_rad: float = 0.0
+    surface: str = ""
+    extra: tuple[tuple[str, float | str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Recharge:
+    """Charging at a dock.
+
+    Attributes
+    ----------
+    place : str
+    power_w : mapping of str to float
+        Stored by each battery that charges, on top of what the robot draws meanwhile: the charger's power, at most
+        the battery's greatest charging power, times the battery's charging efficiency.
+    batteries : tuple of str
+    until : float or None
+        Fraction of each battery's capacity at which charging is done.
+    duration_s : float or None
+        Time at the charger instead; charging stops at full.
+    slots : int
+        Robots that the dock serves at once.
+    """
+
+    place: str
+    power_w: Mapping[str, float]
+    batteries: tuple[str, ...]
+    until: float | None = None
+    duration_s: float | None = None
+    slots: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """The smallest part of a plan over which nothing but the motion itself changes.
+
+    Attributes
+    ----------
+    kind : str
+        ``roll`` (straight or arc), ``turn`` on the spot, ``slide`` (sideways or diagonal), ``stand``, ``dock``.
+    settings : Settings
+    distance_m, speed_m_s : float
+        Length driven and speed limit, of `roll` and `slide`.
+    curvature_1_m : float
+        Yaw rate over speed, left positive.
+    direction_rad : float
+        Direction of a `slide` from straight ahead, left positive.
+    angle_rad, yaw_rate_rad_s : float
+        Signed angle and limit of the yaw rate of a `turn`.
+    duration_s : float
+        Of a `stand`.
+    instant : bool
+        Speeds are reached at once (``profile: constant_speed``).
+    place : str
+        Place reached, or held, at the end.
+    edge : tuple of (str, str, float, float) or None
+        Ends of the environment's edge in the direction of travel, and how far along it [m] the leg starts and ends.
+    first, last : bool
+        Whether a segment begins or ends here.
+    recharge : Recharge or None
+    """
+
+    kind: Kind
+    settings: Settings
+    distance_m: float = 0.0
+    speed_m_s: float = 0.0
+    curvature_1_m: float = 0.0
+    direction_rad: float = 0.0
+    angle_rad: float = 0.0
+    yaw_rate_rad_s: float = 0.0
+    duration_s: float = 0.0
+    instant: bool = False
+    place: str = ""
+    edge: tuple[str, str, float, float] | None = None
+    first: bool = False
+    last: bool = False
+    recharge: Recharge | None = None
+
+
+class Phase(NamedTuple):
+    """Constant acceleration for some time: values at its start, and their rates."""
+
+    duration_s: float
+    leg: int
+    speed_m_s: float = 0.0
+    accel_m_s2: float = 0.0
+    lateral_m_s: float = 0.0
+    lateral_m_s2: float = 0.0
+    yaw_rad_s: float = 0.0
+    yaw_rad_s2: float = 0.0
+    moving: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """Legs that follow each other without a standstill, with their phases; a standstill or a stay at a dock is one too."""
+
+    kind: Kind
+    phases: tuple[Phase, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Trigger:
+    """When an activity begins or ends: at a time, a place, or the begin or end of a named segment."""
+
+    time_s: float | None = None
+    place: str = ""
+    segment: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Activity:
+    """A component that is on beside the driving: from a trigger until another, or in bursts."""
+
+    component: str
+    units: int
+    begin: Trigger | None = None
+    end: Trigger | None = None
+    every_s: float | None = None
+    duration_s: float | None = None
+    key: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentInfo:
+    """A segment as executed: its name (unique), its kind, the line of the mission file that asks for it, and the name
+    that all its repetitions share."""
+
+    name: str
+    kind: str
+    line: int = 0
+    label: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of the body: accelerations in m/s² and rad/s², None where motion is taken as instant."""
+
+    accel_m_s2: float | None = None
+    decel_m_s2: float | None = None
+    yaw_rate_rad_s: float = 1.0
+    yaw_accel_rad_s2: float | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A mission as numbers, in the order of execution.
+
+    Attributes
+    ----------
+    legs : tuple of Leg
+    steps : tuple of Step
+        The legs grouped into runs between standstills.
+    segments : tuple of SegmentInfo
+    activities : tuple of Activity
+    limits : Limits
+    start : str
+        Place at which the mission starts; empty without an environment.
+    """
+
+    legs: tuple[Leg, ...]
+    steps: tuple[Step, ...]
+    segments: tuple[SegmentInfo, ...]
+    activities: tuple[Activity, ...] = ()
+    limits: Limits = field(default_factory=Limits)
+    start: str = ""

@@ -1,0 +1,145 @@
+"""Shortest ways through an environment, as edges in the direction of travel.
+
+`EnvironmentSpec.graph` gives the same network to networkx; importing networkx takes as long as a whole run, so the one
+thing that a run needs of it, the shortest path, is done here.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from missionsim.errors import InputError, did_you_mean
+from missionsim.spec.environment import EnvironmentSpec
+from missionsim.spec.values import Parameter
+
+Number = Callable[[Parameter], float]
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """An edge in the direction of travel.
+
+    Attributes
+    ----------
+    begin, end : str
+        Places.
+    length_m, slope_rad : float
+        Uphill positive in this direction.
+    surface : str
+    max_speed_m_s : float
+        Infinite where the edge sets none.
+    heading_rad : float or None
+        Direction on the map where both places have coordinates.
+    extra : mapping of str to float or str
+        ``temp_ambient_c``, ``access_point_distance_m`` and conditions where the edge gives them.
+    """
+
+    begin: str
+    end: str
+    length_m: float
+    slope_rad: float
+    surface: str
+    max_speed_m_s: float
+    heading_rad: float | None
+    extra: Mapping[str, float | str]
+
+
+class Routes:
+    """The ways of an environment and the shortest routes among them.
+
+    Parameters
+    ----------
+    environment : EnvironmentSpec
+    number : callable
+        Value of a parameter of the environment (an uncertain one may be drawn).
+    """
+
+    def __init__(self, environment: EnvironmentSpec, number: Number) -> None:
+        self.environment = environment
+        self.ways: dict[str, list[Way]] = {name: [] for name in environment.places}
+        for edge in environment.edges:
+            length = number(edge.length) if edge.length is not None else environment.length_m(edge)
+            if length is None:
+                raise InputError.single(
+                    f"the edge from '{edge.from_}' to '{edge.to}' has neither a length nor coordinates at both ends",
+                    file=str(environment.path), allowed="length: 16 m",
+                )
+            extra: dict[str, float | str] = {}
+            if edge.temperature is not None:
+                extra["temp_ambient_c"] = number(edge.temperature)
+            if edge.access_point_distance is not None:
+                extra["access_point_distance_m"] = number(edge.access_point_distance)
+            for name, value in edge.conditions.items():
+                extra[name] = number(value) if isinstance(value, Parameter) else str(value)
+            slope = number(edge.slope)
+            fastest = math.inf if edge.max_speed is None else number(edge.max_speed)
+            surface = edge.surface or environment.ambient.surface or ""
+            ends = [(edge.from_, edge.to, slope)]
+            if edge.both_ways:
+                ends.append((edge.to, edge.from_, -slope))
+            for begin, end, grade in ends:
+                heading = self.heading(begin, end)
+                self.ways[begin].append(Way(begin, end, length, grade, surface, fastest, heading, extra))
+
+    def position(self, place: str) -> tuple[float, float] | None:
+        """Coordinates of a place [m]."""
+        spec = self.environment.places.get(place)
+        return None if spec is None else spec.position
+
+    def heading(self, begin: str, end: str) -> float | None:
+        """Direction from one place to another on the map [rad]."""
+        a, b = self.position(begin), self.position(end)
+        if a is None or b is None or a == b:
+            return None
+        return math.atan2(b[1] - a[1], b[0] - a[0])
+
+    def shortest(self, begin: str, end: str) -> list[Way] | None:
+        """The ways of the shortest route (Dijkstra 1959); None where there is none."""
+        best: dict[str, tuple[float, Way | None]] = {begin: (0.0, None)}
+        done: set[str] = set()
+        queue = [(0.0, 0, begin)]
+        count = 0
+        while queue:
+            length, _, here = heapq.heappop(queue)
+            if here == end:
+                break
+            if here in done:
+                continue
+            done.add(here)
+            for way in self.ways[here]:
+                there = length + way.length_m
+                known = best.get(way.end)
+                if known is None or there < known[0]:
+                    best[way.end] = (there, way)
+                    count += 1
+                    heapq.heappush(queue, (there, count, way.end))
+        if end not in best:
+            return None
+        route: list[Way] = []
+        here = end
+        while (way_here := best[here][1]) is not None:
+            route.append(way_here)
+            here = way_here.begin
+        return route[::-1]
+
+    def route(self, begin: str, end: str, where: str = "") -> list[Way]:
+        """The shortest route, or a fault that names both places."""
+        for place in (begin, end):
+            if place not in self.ways:
+                raise InputError.single(
+                    f"unknown place '{place}'", file=where, got=place, allowed=", ".join(self.ways),
+                    hint=did_you_mean(place, self.ways),
+                )
+        found = self.shortest(begin, end)
+        if found is None:
+            raise InputError.single(f"no way from '{begin}' to '{end}'", file=where, got=end,
+                                    allowed="a place that the edges connect")
+        return found
+
+    def length(self, begin: str, end: str) -> float:
+        """Length of the shortest route [m], infinite where there is none."""
+        found = self.shortest(begin, end)
+        return math.inf if found is None else math.fsum(way.length_m for way in found)
