@@ -53,7 +53,15 @@ def group(case: str) -> str:
     found = re.search(r"-(\d+)pct(?:-(.*))?$", case)
     if not found:
         return "other"
-    variant = {"two-runs": "two runs", "level3": "1 % model discrepancy", "10hz": "10 Hz", "energy": "energy only"}
+    variant = {
+        "two-runs": "two runs",
+        "one-run": "one run",
+        "level3": "1 % model discrepancy",
+        "10hz": "10 Hz",
+        "half-hz": "0.5 Hz",
+        "energy": "energy only",
+        "bare": "no acceleration logged",
+    }
     extra = found.group(2)
     return f"one effect, {found.group(1)} %" + (f", {variant.get(extra, 'other robots')}" if extra else "")
 

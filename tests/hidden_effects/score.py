@@ -176,7 +176,13 @@ def _progress(done: int, total: int, quiet: bool) -> None:
         print(f"\r{done}/{total} cases", end="" if done < total else "\n", file=sys.stderr, flush=True)
 
 
-def write_results(rows: Sequence[Row], out: Path, stem: str, heading: str) -> None:
+def heading(rows: Sequence[Row], practice: bool) -> str:
+    """What the rows are of."""
+    cases, seeds = len({row["case"] for row in rows}), sorted({int(row["seed"]) for row in rows})
+    return f"{cases} practice cases" if practice else f"{cases} cases of the little world, seeds {seeds[0]}–{seeds[-1]}"
+
+
+def write_results(rows: Sequence[Row], out: Path, stem: str, title: str) -> None:
     """Write the rows as CSV and the table as Markdown, each whole or not at all."""
     out.mkdir(parents=True, exist_ok=True)
     keys = list(dict.fromkeys(key for row in rows for key in row))
@@ -185,10 +191,33 @@ def write_results(rows: Sequence[Row], out: Path, stem: str, heading: str) -> No
     writer.writeheader()
     for row in rows:
         writer.writerow({k: f"{v:.5g}" if isinstance(v, float) else v for k, v in row.items()})
-    for path, content in ((out / f"{stem}.csv", text.getvalue()), (out / f"{stem}.md", markdown(rows, heading))):
+    for path, content in ((out / f"{stem}.csv", text.getvalue()), (out / f"{stem}.md", markdown(rows, title))):
         temporary = path.with_suffix(path.suffix + ".part")
         temporary.write_text(content, encoding="utf-8")
         os.replace(temporary, path)
+
+
+def earlier(path: Path, rows: Sequence[Row]) -> list[Row]:
+    """Rows of an earlier study that the new rows do not replace."""
+    if not path.exists():
+        return []
+    new = {(row["case"], str(row["seed"]), row["method"]) for row in rows}
+    with path.open(encoding="utf-8", newline="") as file:
+        old = [{key: _read(key, text) for key, text in row.items()} for row in csv.DictReader(file)]
+    return [row for row in old if (row["case"], str(row["seed"]), row["method"]) not in new]
+
+
+def _read(key: str, text: str) -> Any:
+    if key in ("group", "case", "method", "expected", "named", "sets", "verdict", "failure"):
+        return text
+    if text in ("True", "False", ""):
+        return {"True": True, "False": False, "": None}[text]
+    if key in ("seed", "covered", "intervals"):
+        return int(text)
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def parser() -> argparse.ArgumentParser:
@@ -199,6 +228,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--seeds", default="1000:1003", help="a:b; 0-99 are for tuning, 1000 and above are untouched")
     p.add_argument("--workers", type=int, default=1)
     p.add_argument("--out", type=Path, help="folder for the CSV and the Markdown; none = print only")
+    p.add_argument("--add", action="store_true", help="keep the rows of an earlier study that are not replaced")
     p.add_argument("--no-peers", action="store_true")
     p.add_argument("--no-product", action="store_true")
     p.add_argument("--quiet", action="store_true")
@@ -213,10 +243,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("no such cases", file=sys.stderr)
         return 2
     rows = run(todo, options.workers, options.quiet)
-    what = "practice" if options.practice else f"world, seeds {options.seeds}"
-    print(markdown(rows, what))
+    print(markdown(rows, heading(rows, options.practice is not None)))
     if options.out:
-        write_results(rows, options.out, "practice" if options.practice else "world", what)
+        stem = "practice" if options.practice else "world"
+        kept = earlier(options.out / f"{stem}.csv", rows) if options.add else []
+        every = [*kept, *rows]
+        write_results(every, options.out, stem, heading(every, options.practice is not None))
     failures = [row for row in rows if row.get("failure")]
     for row in failures[:5]:
         print(f"FAILED {row['case']} seed {row['seed']}: {row['failure']}", file=sys.stderr)

@@ -52,7 +52,11 @@ def _build() -> dict[str, Case]:
     cases.append(Case("nothing-10hz", rate_hz=10.0))
     cases.append(Case("nothing-energy", power_format="energy"))
     cases.append(Case("nothing-voltage-current", power_format="voltage_current"))
+    cases.append(Case("nothing-half-hz", rate_hz=0.5))
+    cases.append(Case("nothing-bare", columns=frozenset()))
     cases.append(Case("nothing-two-runs", runs=2))
+    cases.append(Case("nothing-one-run", runs=1))
+    cases.append(Case("nothing-twelve-runs-10hz", runs=12, rate_hz=10.0))
     for effect in INSIDE:
         hidden = _qualified(effect, "pioneer3dx")
         stem = hidden.replace(":", "-")
@@ -60,7 +64,10 @@ def _build() -> dict[str, Case]:
         if effect in ("grade", "payload", "turning_scrub", "acceleration", "cpu_load", "surface_rolling_resistance"):
             cases.append(Case(f"{stem}-5pct-10hz", (hidden,), 0.05, rate_hz=10.0))
             cases.append(Case(f"{stem}-5pct-energy", (hidden,), 0.05, power_format="energy"))
+            cases.append(Case(f"{stem}-5pct-half-hz", (hidden,), 0.05, rate_hz=0.5))
+            cases.append(Case(f"{stem}-5pct-bare", (hidden,), 0.05, columns=frozenset()))
             cases.append(Case(f"{stem}-5pct-two-runs", (hidden,), 0.05, runs=2))
+            cases.append(Case(f"{stem}-5pct-one-run", (hidden,), 0.05, runs=1))
             cases.append(Case(f"{stem}-5pct-level3", (hidden,), 0.05, noise_level=3))
             for robot in ("husky_like", "small_rover"):
                 cases.append(Case(f"{stem}-5pct-{robot}", (hidden,), 0.05, robot=robot))
