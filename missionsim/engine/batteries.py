@@ -5,6 +5,7 @@ Charge is never clamped: a battery that gives more than it holds goes below zero
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -56,9 +57,20 @@ class Loads:
 class Battery(Protocol):
     """What the engine asks of a battery; the state is a fraction-like or energy-like number of its own."""
 
-    name: str
-    capacity_j: float
-    initial: float
+    @property
+    def name(self) -> str:
+        """Of the robot file."""
+        ...
+
+    @property
+    def capacity_j(self) -> float:
+        """Energy when full [J]."""
+        ...
+
+    @property
+    def initial(self) -> float:
+        """State at the start."""
+        ...
 
     def after(self, state: float, loads: Loads) -> Array:
         """State at the end of each interval, shape (n,)."""
@@ -174,7 +186,7 @@ class EquivalentCircuit:
         return float(np.interp(state, states, volts))
 
     def current(self, state: float, power_w: float) -> float:
-        """Current [A] that delivers `power_w`; beyond the greatest possible power, the current of that greatest power."""
+        """Current [A] that delivers `power_w`; beyond the greatest possible power, that one's current."""
         volts, ohm = self.voltage(state), self.resistance_ohm
         if ohm == 0.0:
             return power_w / volts
@@ -254,7 +266,7 @@ class EquivalentCircuit:
         rising = measure(steps[0][1], power(0.0)) < 0.0
         if rising and measure == self.margin:
             return 0.0
-        for (t0, s0), (t1, s1) in zip(steps, steps[1:], strict=False):
+        for (t0, s0), (t1, s1) in itertools.pairwise(steps):
             before, after = measure(s0, power(t0)), measure(s1, power(t1))
             if (before < 0.0) == (after < 0.0):
                 continue

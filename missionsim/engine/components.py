@@ -10,7 +10,7 @@ import simpy
 
 from missionsim.engine.recorder import Recorder
 
-LATE = 2
+LATE = simpy.events.EventPriority(2)
 """Priority after every normal event of the same instant: a component that one asks off and another on stays on,
 whatever the order in which they ask."""
 

@@ -27,7 +27,7 @@ _NODES = 16
 
 @dataclass(frozen=True)
 class Batch:
-    """Evaluated rows: their timeline, energies [J] by battery and term, loads and states at interval ends by battery."""
+    """Evaluated rows: timeline, energies [J] by battery and term, loads and states at interval ends by battery."""
 
     timeline: Timeline
     energies: Energies

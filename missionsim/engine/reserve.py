@@ -61,11 +61,14 @@ def home_energies(
     same: list[int] = []
     for position, segment in enumerate(wanted):
         end = ends[segment]
-        if only_last and world.recorder.rows and not world.completed and not world.returned:
+        ended = segment in world.ends_s
+        if only_last and not ended:
+            # stopped within a segment: the place is known where the robot stood
             end = world.recorder.rows[-1].leg
+            ended = world.legs[end].kind != "roll"
         driven = last_driven(world.legs, end) or next((leg for leg in world.legs if leg.kind == "roll"), None)
         way = None
-        if end >= 0 and segment in world.ends_s | {} and driven is not None:
+        if end >= 0 and ended and driven is not None:
             way = homing.from_place(world.legs[end].place, driven)
         known.append(way is not None)
         clock = moved.get(segment, 0.0) if "moving_time_s" in model.memory else 0.0

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.effects.model import PowerModel
+from missionsim.effects.model import PowerModel, TermKey
 from missionsim.effects.timeline import Timeline
-from missionsim.engine.batteries import Battery, ConstantEnergy, EquivalentCircuit
+from missionsim.engine.batteries import Battery, ConstantEnergy
+from missionsim.engine.battery_build import build_battery
 from missionsim.engine.components import ComponentInfo
-from missionsim.engine.meter import Alarm, Batch
+from missionsim.engine.joining import collapsed, distance_of, joined
+from missionsim.engine.meter import Alarm
 from missionsim.engine.outcome import J_PER_WH, BatteryResult, RunResult
 from missionsim.engine.reserve import home_energies
 from missionsim.engine.world import World
@@ -25,7 +27,6 @@ from missionsim.plan.routes import Routes
 from missionsim.spec.mission import MissionSpec
 from missionsim.spec.power import build_power_model
 from missionsim.spec.robot import BatterySpec
-from missionsim.spec.robot import EquivalentCircuit as CircuitSpec
 from missionsim.spec.values import Parameter
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ class _Setup:
         self.numbers = numbers
         robot = mission.robot
         self.batteries = {
-            name: _battery(name, spec, self._robot_number, self._initial(name, spec))
+            name: build_battery(name, spec, self._robot_number, self._initial(name, spec))
             for name, spec in robot.batteries.items()
         }
         policy = mission.policy.reserve
@@ -163,7 +164,8 @@ class _Setup:
     def result(self, world: World, whole: World, alarms: list[Alarm], trace: bool) -> RunResult:
         """The result of the last execution."""
         batches = world.meter.batches
-        line, energies, charge = _joined(batches, self.batteries, self.model)
+        line, energies, charge = joined(batches, self.batteries)
+        _refuse_nan(line, energies, world)
         duration = float(world.env.now)
         home = self._home_at_end(world)
         results = {}
@@ -178,9 +180,9 @@ class _Setup:
         if trace:
             segments = tuple(world.segments)
         else:
-            line, energies, charge = _collapsed(line, energies, charge)
+            line, energies, charge = collapsed(line, energies, charge)
             segments = tuple(world.segments)
-        distance = _distance(line) if trace else _distance(_joined(batches, self.batteries, self.model)[0])
+        distance = distance_of(line) if trace else distance_of(joined(batches, self.batteries)[0])
         mission = self.mission
         return RunResult(
             mission.name, mission.robot.name, world.completed and not reasons, world.completed, "; ".join(reasons),
@@ -204,15 +206,16 @@ class _Setup:
         initial = float(battery.charge_j(battery.initial))
         left = float(battery.charge_j(meter.state[name]))
         charged = math.fsum(float(np.sum(batch.loads[name].charged_j)) for batch in meter.batches)
-        metered = math.fsum(float(np.sum(batch.loads[name].energy_j)) for batch in meter.batches)
-        loss = 0.0
-        if isinstance(battery, ConstantEnergy):
-            metered = initial - left + charged
-        else:
-            loss = initial - left + charged - used
+        # the meter adds all terms interval by interval, the table all intervals term by term
+        metered = sum(float(np.cumsum(batch.loads[name].energy_j)[-1]) for batch in meter.batches)
         scale = max(abs(used), abs(metered), 1e-12)
+        audit = abs(used - metered) / scale
+        loss = initial - left + charged - used
+        if isinstance(battery, ConstantEnergy):
+            audit = max(audit, abs(loss) / max(scale, abs(initial)))
+            loss = 0.0
         empty = next((alarm for alarm in alarms if alarm.kind == "empty" and alarm.battery == name), None)
-        lowest = min((float(np.min(battery.charge_j(batch.states[name]))) for batch in whole.meter.batches), default=0.0)
+        lowest = min((float(np.min(battery.charge_j(b.states[name]))) for b in whole.meter.batches), default=0.0)
         way = home.get(name)
         duration = float(world.env.now)
         return BatteryResult(
@@ -221,7 +224,7 @@ class _Setup:
             self.required[name] * capacity / J_PER_WH, None if way is None else way,
             left / J_PER_WH - (way or 0.0), None if empty is None else empty.time_s,
             "" if empty is None else _segment_at(world, empty.time_s), max(0.0, -lowest) / J_PER_WH,
-            abs(used - metered) / scale,
+            audit,
         )
 
 
@@ -244,7 +247,7 @@ def check_covariates(plan: Plan, model: PowerModel) -> None:
             if name not in known:
                 segment = plan.segments[leg.settings.segment]
                 raise InputError.single(
-                    f"effect '{effect}' of the robot needs '{keys[name]}', which segment '{segment.name}' does not give",
+                    f"effect '{effect}' of the robot needs '{keys[name]}', which segment '{segment.name}' lacks",
                     allowed=f"defaults: {{{keys[name]}: …}}, or a value on the segment",
                 )
 
@@ -263,83 +266,21 @@ def _split(values: Mapping[str, float], model: PowerModel) -> tuple[dict[str, fl
     return numbers, drawn
 
 
-def _battery(name: str, spec: BatterySpec, number: Any, initial: float) -> Battery:
-    factor = spec.nominal_voltage.value if spec.capacity.unit == "C" and spec.nominal_voltage else 1.0
-    new_j = number(spec.capacity) * factor
-    aged = number(spec.model.ageing)
-    if not isinstance(spec.model, CircuitSpec):
-        capacity = new_j * aged
-        return ConstantEnergy(name, capacity, initial * capacity)
-    circuit = spec.model
-    states = np.array([number(point[0]) for point in circuit.open_circuit_voltage])
-    volts = np.array([number(point[1]) for point in circuit.open_circuit_voltage])
-    if spec.capacity.unit == "C":
-        charge = number(spec.capacity)
-    else:
-        charge = new_j / (number(spec.nominal_voltage) if spec.nominal_voltage else float(np.trapezoid(volts, states)))
-    return EquivalentCircuit(
-        name, float(np.trapezoid(volts, states)) * charge * aged, initial, charge * aged, (states, volts),
-        number(circuit.resistance), number(circuit.peukert), number(circuit.rated_time),
-        0.0 if circuit.cut_off is None else number(circuit.cut_off),
-    )
-
-
-def _joined(
-    batches: list[Batch], batteries: Mapping[str, Battery], model: PowerModel
-) -> tuple[Timeline, dict[str, dict[Any, Any]], dict[str, Any]]:
-    """One table of all batches."""
-    if not batches:
-        empty = np.zeros(0)
-        return Timeline(empty, empty, {}), {name: {} for name in batteries}, {name: empty for name in batteries}
-    charge = {
-        name: np.concatenate([battery.charge_j(batch.states[name]) for batch in batches]) / J_PER_WH
-        for name, battery in batteries.items()
-    }
-    if len(batches) == 1:
-        return batches[0].timeline, batches[0].energies, charge
-    lines = [batch.timeline for batch in batches]
-    first = lines[0]
-    line = Timeline(
-        np.concatenate([item.start_s for item in lines]), np.concatenate([item.duration_s for item in lines]),
-        {name: _stacked([item.columns[name] for item in lines]) for name in first.columns},
-        {name: np.concatenate([np.asarray(item.rates[name]) for item in lines]) for name in first.rates},
-        np.concatenate([item.segment for item in lines]), first.constants,
-    )
-    energies = {
-        name: {key: np.concatenate([batch.energies[name][key] for batch in batches]) for key in terms}
-        for name, terms in batches[0].energies.items()
-    }
-    return line, energies, charge
-
-
-def _stacked(parts: list[Any]) -> Any:
-    from missionsim.effects.covariates import Labels
-
-    if isinstance(parts[0], Labels):
-        return Labels.of([text for part in parts for text in part.texts()])
-    return np.concatenate(parts)
-
-
-def _collapsed(line: Timeline, energies: Any, charge: Any) -> tuple[Timeline, Any, Any]:
-    """Totals by segment in place of the intervals."""
-    count = int(line.segment.max()) + 1 if len(line) else 0
-    duration = np.bincount(line.segment, weights=line.duration_s, minlength=count)
-    start = np.concatenate([[0.0], np.cumsum(duration)[:-1]]) if count else np.zeros(0)
-    return (
-        Timeline(start, duration, {}, {}, np.arange(count)),
-        {name: {key: np.bincount(line.segment, weights=joules, minlength=count) for key, joules in terms.items()}
-         for name, terms in energies.items()},
-        {name: values[-1:] for name, values in charge.items()},
-    )
-
-
-def _distance(line: Timeline) -> float:
-    if not len(line):
-        return 0.0
-    cov, rates, time = line.columns, line.rates, line.duration_s
-    ahead = cov["speed_m_s"] * time + 0.5 * rates["speed_m_s"] * time**2
-    aside = cov["lateral_speed_m_s"] * time + 0.5 * rates["lateral_speed_m_s"] * time**2
-    return float(np.sum(np.hypot(ahead, aside)))
+def _refuse_nan(line: Timeline, energies: Mapping[str, Mapping[TermKey, Any]], world: World) -> None:
+    """A term that is not a number somewhere lacks a covariate there, or divides by nought."""
+    for battery, terms in energies.items():
+        for key, joules in terms.items():
+            bad = np.flatnonzero(~np.isfinite(joules))
+            if bad.size:
+                i = int(bad[0])
+                lacking = [name for name, column in line.columns.items()
+                           if isinstance(column, np.ndarray) and np.isnan(column[i])]
+                raise InputError.single(
+                    f"the power of '{key.name}' ({key.component}, battery '{battery}') is not a number in segment "
+                    f"'{world.segments[int(line.segment[i])].name}'",
+                    got=", ".join(f"no {name}" for name in lacking) or "an expression without a value there",
+                    allowed="every covariate that the robot's effects read, on every segment",
+                )
 
 
 def _segment_at(world: World, time_s: float) -> str:

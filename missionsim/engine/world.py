@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import simpy
 
@@ -110,7 +110,7 @@ class World:
                 recorder.rest(recorder.leg)
                 return
             except simpy.Interrupt as interrupt:
-                alarm: Alarm = interrupt.cause
+                alarm = cast(Alarm, interrupt.cause)
                 self.stopped_by = alarm
                 self.reason = f"battery '{alarm.battery}' {'empty' if alarm.kind == 'empty' else 'at its reserve'}"
                 way = self._way_home() if alarm.kind == "reserve" and not home else None

@@ -1,4 +1,4 @@
-"""The way home from where the robot is: the reserve that a mission needs at each place (Parasuraman 2012, Eqs. 11–13)."""
+"""The way home from where the robot is, for the reserve that a mission needs (Parasuraman 2012, Eqs. 11–13)."""
 
 from __future__ import annotations
 
@@ -89,10 +89,8 @@ class Homing:
         list[Leg], tuple[Step, ...]
     ] | None:
         """Legs and steps home for the engine, booked on a segment of their own; None where there is no way."""
-        if leg.kind == "roll":
-            way = self.from_edge(leg, done_m, brake_m)
-        else:
-            way = self.from_place(leg.place, driven or leg)
+        rolling = leg.kind == "roll"
+        way = self.from_edge(leg, done_m, brake_m) if rolling else self.from_place(leg.place, driven or leg)
         if way is None:
             return None
         legs = [replace(item, settings=replace(item.settings, segment=segment)) for item in way]

@@ -129,7 +129,7 @@ class Phase(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Legs that follow each other without a standstill, with their phases; a standstill or a stay at a dock is one too."""
+    """Legs that follow each other without a standstill, with their phases; a stay is a step of its own."""
 
     kind: Kind
     phases: tuple[Phase, ...]

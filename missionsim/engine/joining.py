@@ -1,0 +1,71 @@
+"""Batches of evaluated rows as one table, and a table as totals by segment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from missionsim.effects.covariates import Labels
+from missionsim.effects.timeline import Timeline
+from missionsim.engine.batteries import Battery
+from missionsim.engine.meter import Batch
+from missionsim.engine.outcome import J_PER_WH
+
+
+def joined(
+    batches: list[Batch], batteries: Mapping[str, Battery]
+) -> tuple[Timeline, dict[str, dict[Any, Any]], dict[str, Any]]:
+    """One table of all batches."""
+    if not batches:
+        empty = np.zeros(0)
+        return Timeline(empty, empty, {}), {name: {} for name in batteries}, dict.fromkeys(batteries, empty)
+    charge = {
+        name: np.concatenate([battery.charge_j(batch.states[name]) for batch in batches]) / J_PER_WH
+        for name, battery in batteries.items()
+    }
+    if len(batches) == 1:
+        return batches[0].timeline, batches[0].energies, charge
+    lines = [batch.timeline for batch in batches]
+    first = lines[0]
+    line = Timeline(
+        np.concatenate([item.start_s for item in lines]), np.concatenate([item.duration_s for item in lines]),
+        {name: _stacked([item.columns[name] for item in lines]) for name in first.columns},
+        {name: np.concatenate([np.asarray(item.rates[name]) for item in lines]) for name in first.rates},
+        np.concatenate([item.segment for item in lines]), first.constants,
+    )
+    energies = {
+        name: {key: np.concatenate([batch.energies[name][key] for batch in batches]) for key in terms}
+        for name, terms in batches[0].energies.items()
+    }
+    return line, energies, charge
+
+
+def _stacked(parts: list[Any]) -> Any:
+    if isinstance(parts[0], Labels):
+        return Labels.of([text for part in parts for text in part.texts()])
+    return np.concatenate(parts)
+
+
+def collapsed(line: Timeline, energies: Any, charge: Any) -> tuple[Timeline, Any, Any]:
+    """Totals by segment in place of the intervals."""
+    count = int(line.segment.max()) + 1 if len(line) else 0
+    duration = np.bincount(line.segment, weights=line.duration_s, minlength=count).astype(np.float64)
+    start = np.concatenate([[0.0], np.cumsum(duration)[:-1]]) if count else np.zeros(0)
+    return (
+        Timeline(start, duration, {}, {}, np.arange(count, dtype=np.int64)),
+        {name: {key: np.bincount(line.segment, weights=joules, minlength=count) for key, joules in terms.items()}
+         for name, terms in energies.items()},
+        {name: values[-1:] for name, values in charge.items()},
+    )
+
+
+def distance_of(line: Timeline) -> float:
+    """Distance driven in all intervals [m], forward and sideways."""
+    if not len(line):
+        return 0.0
+    cov, rates, time = line.columns, line.rates, line.duration_s
+    ahead = cov["speed_m_s"] * time + 0.5 * rates["speed_m_s"] * time**2
+    aside = cov["lateral_speed_m_s"] * time + 0.5 * rates["lateral_speed_m_s"] * time**2
+    return float(np.sum(np.hypot(ahead, aside)))
