@@ -1,1 +1,11 @@
-"""missionsim.compare"""
+"""Model against measurements: replay of logs, statistics, where the model fails, and behaviour against the plan."""
+
+from missionsim.compare.comparison import BatteryComparison, Comparison, RunComparison
+from missionsim.compare.core import compare, compare_files
+from missionsim.compare.replay import ReplayBlock, plan_replay, replay_blocks
+from missionsim.compare.where import Dependence, Where
+
+__all__ = [
+    "BatteryComparison", "Comparison", "Dependence", "ReplayBlock", "RunComparison", "Where", "compare",
+    "compare_files", "plan_replay", "replay_blocks",
+]

@@ -16,6 +16,7 @@ from missionsim.compare.recorder import Series
 from missionsim.compare.statistics import ErrorStatistics, relative_error_pct
 from missionsim.compare.where import Dependence, Where, in_words, ranked
 from missionsim.effects.model import TermKey
+from missionsim.files import sha256
 
 SCHEMA = "missionsim.comparison/1"
 WHERE_IN_JSON = 200
@@ -36,9 +37,11 @@ class RunComparison:
         Root mean square and mean of model minus measured power, weighted by time.
     error_statistics : ErrorStatistics
         Of the energy error over the run's progress (share of its time).
+    progress, error_curve_pct : ndarray, shape (m,)
+        The signed error over progress, relative to measured.
     series : Series
         Power over time.
-    by_component_wh : mapping of str to float
+    by_term_wh : mapping of TermKey to float
         Modelled energy.
     """
 
@@ -50,6 +53,8 @@ class RunComparison:
     power_rmse_w: float
     power_bias_w: float
     error_statistics: ErrorStatistics
+    progress: NDArray[np.float64] = field(repr=False)
+    error_curve_pct: NDArray[np.float64] = field(repr=False)
     series: Series = field(repr=False)
     by_term_wh: Mapping[TermKey, float] = field(repr=False)
 
@@ -207,7 +212,7 @@ class Comparison:
     batteries : mapping of str to BatteryComparison
     notes : tuple of str
         What was assumed, left out or skipped, and the remarks of the log checks.
-    logs : tuple of (run, source file, SHA-256)
+    logs : tuple of (run, source file)
     rows : int
         Rows of all logs.
     mission : str
@@ -218,7 +223,7 @@ class Comparison:
     runs: tuple[str, ...]
     batteries: Mapping[str, BatteryComparison]
     notes: tuple[str, ...] = ()
-    logs: tuple[tuple[str, str, str], ...] = ()
+    logs: tuple[tuple[str, str], ...] = ()
     rows: int = 0
     mission: str = ""
 
@@ -232,5 +237,7 @@ class Comparison:
             "schema": SCHEMA, "robot": self.robot, "mission": self.mission or None, "runs": list(self.runs),
             "batteries": {name: one.to_json() for name, one in self.batteries.items()},
             "notes": list(self.notes), "rows": self.rows,
-            "logs": [{"run": run, "file": source, "sha256": digest} for run, source, digest in self.logs],
+            "logs": [
+                {"run": run, "file": source, "sha256": sha256(source) if source else None} for run, source in self.logs
+            ],
         }

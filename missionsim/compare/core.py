@@ -74,9 +74,9 @@ def compare(
     """
     sums = Accumulator(by, behaviour=plan is not None)
     notes: dict[str, list[str]] = {}
-    sources: list[tuple[str, str, str]] = []
+    sources: list[tuple[str, str]] = []
     wanted = tuple(by)
-    for run, source, digest, blocks in _runs(logs, robot):
+    for run, source, blocks in _runs(logs, robot):
         first = next(blocks, None)
         if first is None:
             raise InputError.single("the log has no rows", file=source)
@@ -89,12 +89,12 @@ def compare(
             sums.add(run, block)
         for remark in remarks:
             notes.setdefault(remark, []).append(run)
-        sources.append((run, source, digest))
+        sources.append((run, source))
         if on_run is not None:
             on_run(run)
     batteries = [name for name in model.batteries if any(name in run for run in sums.runs.values())]
     return Comparison(
-        getattr(robot, "name", ""), tuple(run for run, _, _ in sources),
+        getattr(robot, "name", ""), tuple(run for run, _ in sources),
         {name: _battery(name, sums, model, plan, segments, batteries) for name in batteries},
         tuple(_told(note, runs, len(sources)) for note, runs in notes.items()), tuple(sources), sums.rows, mission,
     )
@@ -137,9 +137,8 @@ def _segment_names(result: Any) -> tuple[str, ...]:
 
 def _runs(
     logs: Iterable[LogTable | PathLike] | PathLike, robot: Any
-) -> Iterator[tuple[str, str, str, Iterator[LogTable]]]:
-    """Name, source, hash and blocks of each run; small files are read, and their faults told, all at once."""
-    from missionsim.files import sha256
+) -> Iterator[tuple[str, str, Iterator[LogTable]]]:
+    """Name, source and blocks of each run; small files are read, and their faults told, all at once."""
     from missionsim.logs import find_logs, iter_blocks, read_logs
 
     given: list[Any] = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)
@@ -149,9 +148,9 @@ def _runs(
     large = [path for path in files if path.stat().st_size >= LARGE_FILE_BYTES]
     small = [path for path in files if path not in large]
     for table in [*tables, *(read_logs(small, robot=robot) if small else [])]:
-        yield table.run, table.source, table.sha256, iter([table])
+        yield table.run, table.source, iter([table])
     for path in large:
-        yield path.stem, str(path), sha256(path), iter(iter_blocks(path, rows=BLOCK_ROWS, robot=robot))
+        yield path.stem, str(path), iter(iter_blocks(path, rows=BLOCK_ROWS, robot=robot))
 
 
 def _noting(blocks: Iterable[LogTable], remarks: dict[str, None]) -> Iterator[LogTable]:
@@ -209,7 +208,8 @@ def _run(run: str, battery: str, one: RunSums, curve: NDArray[np.float64]) -> Ru
     return RunComparison(
         run, battery, one.seconds, one.measured_j / 3600.0, one.model_j / 3600.0,
         math.sqrt(max(one.square_w2s, 0.0) / one.seconds), (one.model_j - one.measured_j) / one.seconds,
-        error_statistics(curve), one.series, {key: joules / 3600.0 for key, joules in one.terms.items()},
+        error_statistics(curve), progress_grid(), curve, one.series,
+        {key: joules / 3600.0 for key, joules in one.terms.items()},
     )
 
 

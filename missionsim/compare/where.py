@@ -166,5 +166,5 @@ def phrase(by: str, title: str, value: str, unit: str) -> str:
     if by == "run":
         return f"in run {value}"
     if by.startswith("on_"):
-        return f"with {value} {title}"
+        return f"with {value} {by[3:]} on"
     return f"at {title} {value}{' ' + unit if unit else ''}"

@@ -20,7 +20,7 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7
 """Okabe and Ito's colours, told apart with any colour vision, and two more."""
 HOUSE_LAYOUT: dict[str, Any] = {
     "font": {"family": "system-ui, 'DejaVu Sans', Arial, sans-serif", "size": 13, "color": "#1f2933"},
-    "paper_bgcolor": "#ffffff", "plot_bgcolor": "#ffffff", "margin": {"l": 64, "r": 16, "t": 12, "b": 48},
+    "paper_bgcolor": "#ffffff", "plot_bgcolor": "#ffffff", "margin": {"l": 64, "r": 16, "t": 30, "b": 48},
     "hovermode": "x unified", "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"},
     "hoverlabel": {"namelength": -1}, "colorway": list(COLOURS),
 }
@@ -69,7 +69,7 @@ def format_cell(value: Any, digits: int = 4) -> str:
         return "–"
     if isinstance(value, (bool, np.bool_)):
         return "yes" if value else "no"
-    if _is_number(value):
+    if _is_number(value) and not isinstance(value, str):
         number = float(value)
         if not math.isfinite(number):
             return "–"
@@ -113,6 +113,9 @@ def _chart(block: Chart) -> dict[str, Any]:
 
 
 def _is_number(value: Any) -> bool:
+    """Whether a cell stands at the right: a number, or one written with its sign."""
+    if isinstance(value, str):
+        return len(value) > 1 and value[0] in "+−" and value[1].isdigit()
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 

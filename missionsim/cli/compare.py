@@ -1,0 +1,90 @@
+"""``missionsim compare``: model against measurements; where it fails."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, progress, shows_text
+from missionsim.errors import InputError
+
+
+def compare(
+    *logs: Path,
+    robot: str,
+    mission: Path | None = None,
+    by: Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=False)] = (),
+    tolerance: float | None = None,
+    report: Path | None = None,
+    out: Path | None = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Compare a robot's model with measured logs: energy, power, and where it fails.
+
+    The logs drive the model directly; with a mission, the gap between the measured runs and the simulated mission is
+    split into what the power model misses and what the robot did otherwise than planned.
+
+    Parameters
+    ----------
+    logs
+        Logs (CSV or Parquet), or folders of them; one file is one run.
+    robot
+        Shipped robot's name, or its YAML file.
+    mission
+        Mission of which every log is a run.
+    by
+        Another column of the logs along which to look at the error; may be given several times.
+    tolerance
+        Largest energy error of any battery in percent; beyond it the exit code is 1.
+    report
+        Write an interactive page that needs no network, FILE.html.
+    out
+        Write tables (CSV) and pictures (PNG) into this folder.
+    json
+        Write the result as JSON to a file, or - for standard output.
+    quiet
+        Print nothing but what was asked for.
+    """
+    from missionsim.compare import compare_files
+
+    if tolerance is not None and not tolerance >= 0.0:
+        raise InputError.single("the tolerance is a percentage", got=tolerance, allowed="zero or more")
+    if report is not None and report.suffix.lower() not in (".html", ".htm"):
+        raise InputError.single("the report is a page", got=report, allowed="a file name that ends in .html")
+    text = shows_text(json, quiet)
+    with progress(quiet) as bar:
+        task = bar.add_task("runs", total=None)
+        result = compare_files(robot, logs, mission=mission, by=by, on_run=lambda _: bar.advance(task))
+    if report is not None:
+        from missionsim.files import write_text
+        from missionsim.report.compare_page import compare_page
+
+        write_text(report, compare_page(result, tolerance_pct=tolerance, footer=_footer()))
+    if out is not None:
+        from missionsim.report.compare_figures import write_figures
+        from missionsim.report.compare_tables import write_tables
+
+        write_tables(result, out)
+        write_figures(result, out)
+    emit_json(result.to_json(), json)
+    inside = tolerance is None or result.within(tolerance)
+    if text:
+        from missionsim.report.compare_terminal import print_comparison
+
+        terminal = console()
+        print_comparison(result, terminal)
+        if tolerance is not None:
+            terminal.print(f"\n{'within' if inside else 'OUTSIDE'} the tolerance of ± {tolerance:g} %")
+        for path in (report, out):
+            if path is not None:
+                terminal.print(f"written: {path}")
+    return 0 if inside else 1
+
+
+def _footer() -> str:
+    from missionsim import __version__
+
+    return f"Made by missionsim {__version__}. Error is model minus measured throughout; a gap is measured minus model."
