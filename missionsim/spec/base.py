@@ -22,8 +22,14 @@ Text = Annotated[str, StringConstraints(strict=True, max_length=20_000)]
 class Model(BaseModel):
     """Frozen model; `line` and `path_in_file` are known for messages after the loader has sealed it."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=False, strict=False,
-                              allow_inf_nan=False, arbitrary_types_allowed=True)
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        populate_by_name=False,
+        strict=False,
+        allow_inf_nan=False,
+        arbitrary_types_allowed=True,
+    )
 
     _line: int = PrivateAttr(default=0)
     _where: tuple[str | int, ...] = PrivateAttr(default=())

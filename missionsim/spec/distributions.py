@@ -113,8 +113,16 @@ class Distribution:
         def times(number: float | None) -> float | None:
             return None if number is None else number * factor
 
-        return Distribution(self.kind, times(self.mean_), times(self.sd_), times(self.low), times(self.high),
-                            times(self.mode), tuple(value * factor for value in self.values), self.weights)
+        return Distribution(
+            self.kind,
+            times(self.mean_),
+            times(self.sd_),
+            times(self.low),
+            times(self.high),
+            times(self.mode),
+            tuple(value * factor for value in self.values),
+            self.weights,
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Kind and numbers that are set."""

@@ -17,14 +17,27 @@ _LIMITS = {
     "less_than_equal": ("at most", "le"),
 }
 _KINDS = {
-    "string_type": "text", "int_type": "a whole number", "int_from_float": "a whole number", "int_parsing": "a whole number",
-    "float_type": "a number", "float_parsing": "a number", "bool_type": "true or false", "bool_parsing": "true or false",
-    "dict_type": "a mapping", "model_type": "a mapping", "model_attributes_type": "a mapping", "mapping_type": "a mapping",
-    "tuple_type": "a list", "list_type": "a list", "finite_number": "a finite number",
+    "string_type": "text",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "int_parsing": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "dict_type": "a mapping",
+    "model_type": "a mapping",
+    "model_attributes_type": "a mapping",
+    "mapping_type": "a mapping",
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "finite_number": "a finite number",
 }
 
 
-def to_faults(problem: ValidationError, document: Document, model: type[BaseModel]) -> list[tuple[tuple[str | int, ...], Fault]]:
+def to_faults(
+    problem: ValidationError, document: Document, model: type[BaseModel]
+) -> list[tuple[tuple[str | int, ...], Fault]]:
     """All errors of one validation, each with its path in the file.
 
     Parameters
@@ -49,46 +62,75 @@ def to_faults(problem: ValidationError, document: Document, model: type[BaseMode
             for entry in context["entries"]:
                 at = (*path, *entry["at"])
                 unknown = entry["message"].startswith("unknown key")
-                fault = document.fault(at, entry["message"], got=entry["got"], allowed=entry["allowed"],
-                                       hint=entry["hint"], key=unknown)
+                fault = document.fault(
+                    at, entry["message"], got=entry["got"], allowed=entry["allowed"], hint=entry["hint"], key=unknown
+                )
                 result.append((at, fault))
             continue
         if kind == "extra_forbidden":
             key = str(path[-1])
             known = _allowed_keys(model, error["loc"][:-1])
-            fault = document.fault(path, f"unknown key '{key}'", got=key, allowed=", ".join(known),
-                                   hint=_close_key(key, known), key=True)
+            fault = document.fault(
+                path, f"unknown key '{key}'", got=key, allowed=", ".join(known), hint=_close_key(key, known), key=True
+            )
         elif kind == "missing":
-            fault = document.fault(path[:-1] if _absent(document, path) else path,
-                                   f"'{error['loc'][-1]}' is missing", got=as_written(raw),
-                                   allowed=f"{error['loc'][-1]}: …")
+            fault = document.fault(
+                path[:-1] if _absent(document, path) else path,
+                f"'{error['loc'][-1]}' is missing",
+                got=as_written(raw),
+                allowed=f"{error['loc'][-1]}: …",
+            )
         elif kind in _LIMITS:
             word, key = _LIMITS[kind]
             fault = document.fault(path, "impossible value", got=as_written(raw), allowed=f"{word} {context[key]:g}")
         elif kind in ("literal_error", "enum"):
             options = [item.strip("'") for item in str(context["expected"]).replace(" or ", ", ").split(", ")]
             hint = did_you_mean(raw, options) if isinstance(raw, str) else ""
-            fault = document.fault(path, "not one of the allowed words", got=as_written(raw),
-                                   allowed=", ".join(options), hint=hint)
+            fault = document.fault(
+                path, "not one of the allowed words", got=as_written(raw), allowed=", ".join(options), hint=hint
+            )
         elif kind in ("union_tag_invalid", "union_tag_not_found"):
-            options = [item.strip("'") for item in str(context.get("expected_tags", "")).split(", ")] if context.get("expected_tags") else []
+            options = (
+                [item.strip("'") for item in str(context.get("expected_tags", "")).split(", ")]
+                if context.get("expected_tags")
+                else []
+            )
             tag = context.get("tag", "")
-            fault = document.fault((*path, "kind"), "unknown kind" if tag else "'kind' is missing", got=as_written(tag or raw),
-                                   allowed=", ".join(options) or "kind: …", hint=did_you_mean(str(tag), options))
+            fault = document.fault(
+                (*path, "kind"),
+                "unknown kind" if tag else "'kind' is missing",
+                got=as_written(tag or raw),
+                allowed=", ".join(options) or "kind: …",
+                hint=did_you_mean(str(tag), options),
+            )
         elif kind in _KINDS:
             fault = document.fault(path, f"must be {_KINDS[kind]}", got=as_written(raw), allowed=_KINDS[kind])
         elif kind == "string_pattern_mismatch":
-            allowed = "lower-case letters, digits and _, beginning with a letter" if "a-z0-9" in context["pattern"] else context["pattern"]
-            fault = document.fault(path, "not a name that can be used here", got=as_written(raw), allowed=allowed, key=True)
+            allowed = (
+                "lower-case letters, digits and _, beginning with a letter"
+                if "a-z0-9" in context["pattern"]
+                else context["pattern"]
+            )
+            fault = document.fault(
+                path, "not a name that can be used here", got=as_written(raw), allowed=allowed, key=True
+            )
         elif kind in ("too_short", "too_long"):
             few = kind == "too_short"
             number = context["min_length"] if few else context["max_length"]
-            fault = document.fault(path, "too few entries" if few else "too many entries", got=as_written(raw),
-                                   allowed=f"at {'least' if few else 'most'} {number}")
+            fault = document.fault(
+                path,
+                "too few entries" if few else "too many entries",
+                got=as_written(raw),
+                allowed=f"at {'least' if few else 'most'} {number}",
+            )
         elif kind in ("string_too_short", "string_too_long"):
             number = context.get("min_length", context.get("max_length"))
-            fault = document.fault(path, "text too short" if "short" in kind else "text too long", got=as_written(raw),
-                                   allowed=f"{number} characters")
+            fault = document.fault(
+                path,
+                "text too short" if "short" in kind else "text too long",
+                got=as_written(raw),
+                allowed=f"{number} characters",
+            )
         else:
             fault = document.fault(path, error["msg"][:1].lower() + error["msg"][1:], got=as_written(raw))
         result.append((path, fault))
@@ -138,7 +180,11 @@ def _allowed_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]
     keys: dict[str, None] = {}
     for kind in current:
         for candidate in _models(kind):
-            keys |= dict.fromkeys(field.alias or name for name, field in candidate.model_fields.items() if name != "kind" or candidate is model)
+            keys |= dict.fromkeys(
+                field.alias or name
+                for name, field in candidate.model_fields.items()
+                if name != "kind" or candidate is model
+            )
     return list(keys)
 
 
@@ -150,7 +196,11 @@ def _below(kind: Any, item: str | int) -> list[Any]:
         for name, field in kind.model_fields.items():
             if item in (name, field.alias):
                 result.append(field.annotation)
-        if not result and kind.model_fields.get("kind") is not None and item in get_args(kind.model_fields["kind"].annotation):
+        if (
+            not result
+            and kind.model_fields.get("kind") is not None
+            and item in get_args(kind.model_fields["kind"].annotation)
+        ):
             result.append(kind)  # a union tag
         return result
     origin = get_origin(kind)

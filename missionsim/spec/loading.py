@@ -13,6 +13,9 @@ from pydantic import BaseModel, ValidationError
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.spec import overrides as override_rules
 from missionsim.spec.base import FileModel, Model
+from missionsim.spec.check_environment import check_environment
+from missionsim.spec.check_mission import check_mission
+from missionsim.spec.check_robot import check_robot
 from missionsim.spec.environment import EnvironmentSpec
 from missionsim.spec.faults import to_faults
 from missionsim.spec.mission import MissionSpec, StudySpec
@@ -21,7 +24,10 @@ from missionsim.spec.tree import Document, as_written, read_document
 from missionsim.spec.values import Parameter
 
 KINDS: dict[str, type[FileModel]] = {
-    "robot": RobotSpec, "environment": EnvironmentSpec, "mission": MissionSpec, "study": StudySpec,
+    "robot": RobotSpec,
+    "environment": EnvironmentSpec,
+    "mission": MissionSpec,
+    "study": StudySpec,
 }
 Override = tuple[str, Any]
 Loaded = TypeVar("Loaded", bound=FileModel)
@@ -148,13 +154,16 @@ def _read(path: Path, faults: list[Fault]) -> Document | None:
 def _kind_fault(document: Document, kinds: Sequence[str]) -> Fault:
     data = document.data
     if not isinstance(data, dict):
-        return document.fault((), "the file must hold a mapping", got=as_written(data), allowed="kind: " + " | ".join(kinds))
+        return document.fault(
+            (), "the file must hold a mapping", got=as_written(data), allowed="kind: " + " | ".join(kinds)
+        )
     if "kind" not in data:
         return document.fault((), "'kind' is missing", allowed="kind: " + " | ".join(kinds))
     kind = data["kind"]
     hint = did_you_mean(kind, kinds) if isinstance(kind, str) else ""
-    return document.fault(("kind",), "not the kind of file that is needed here", got=as_written(kind),
-                          allowed=", ".join(kinds), hint=hint)
+    return document.fault(
+        ("kind",), "not the kind of file that is needed here", got=as_written(kind), allowed=", ".join(kinds), hint=hint
+    )
 
 
 def _load(
@@ -173,15 +182,13 @@ def _load(
     if not isinstance(document.data, dict) or document.data.get("kind") != kind:
         faults.append(_kind_fault(document, (kind,)))
         return None
-    result, good = validate_document(document, model, faults)
+    result, _ = validate_document(document, model, faults)
     if result is None:
         return None
-    from missionsim.spec import checks
-
     if isinstance(result, RobotSpec):
-        faults.extend(checks.check_robot(result, document))
+        faults.extend(check_robot(result, document))
     elif isinstance(result, EnvironmentSpec):
-        faults.extend(checks.check_environment(result, document))
+        faults.extend(check_environment(result, document))
     return result
 
 
@@ -270,8 +277,6 @@ def _load_mission(
     robot: str | os.PathLike[str] | RobotSpec | None = None,
     document: Document | None = None,
 ) -> MissionSpec | None:
-    from missionsim.spec import checks
-
     document = document or _read(path, faults)
     if document is None:
         return None
@@ -298,14 +303,20 @@ def _load_mission(
         if _is_file(target):
             environment = _load(target, EnvironmentSpec, faults, by_file["environment"])
         else:
-            faults.append(document.fault(("environment",), "no such environment file", got=as_written(reference),
-                                         allowed="a path relative to this file"))
+            faults.append(
+                document.fault(
+                    ("environment",),
+                    "no such environment file",
+                    got=as_written(reference),
+                    allowed="a path relative to this file",
+                )
+            )
     if mission is None:
         return None
     mission._robot = robot_spec
     mission._environment = environment
     mission._overrides = tuple((key, value if isinstance(value, str) else repr(value)) for key, value in overrides)
-    faults.extend(checks.check_mission(mission, document))
+    faults.extend(check_mission(mission, document))
     return mission
 
 
@@ -320,16 +331,22 @@ def _check_study(study: StudySpec, target: Path, faults: list[Fault]) -> None:
     cases: list[tuple[tuple[str | int, ...], list[Override], str | None]] = [
         (("alternatives", name), list(item.set.items()), item.robot) for name, item in study.alternatives.items()
     ]
-    cases += [(("vary", key, index), [(key, value)], None)
-              for key, values in study.vary.items() for index, value in enumerate(values)]
+    cases += [
+        (("vary", key, index), [(key, value)], None)
+        for key, values in study.vary.items()
+        for index, value in enumerate(values)
+    ]
     for where, extra, robot in cases:
         found: list[Fault] = []
         _load_mission(target, found, [*common, *extra], robot or study.robot)
         for fault in found:
             if fault not in known:
                 line, column = study.document.position(where)
-                faults.append(dataclasses.replace(fault, file=study.document.file, line=line, column=column)
-                              if not fault.file else fault)
+                faults.append(
+                    dataclasses.replace(fault, file=study.document.file, line=line, column=column)
+                    if not fault.file
+                    else fault
+                )
 
 
 def _is_file(path: Path) -> bool:

@@ -79,7 +79,9 @@ class DriveSegment(SegmentSpec):
             raise _wrong("a drive needs one of to, along, distance", " and ".join(given) or "none of them", "to: V1")
         for key in ("slope", "heading"):
             if getattr(self, key) is not None and self.distance is None:
-                raise _wrong(f"{key} belongs to a drive by distance", given[0], "the slope of the environment's edge", key)
+                raise _wrong(
+                    f"{key} belongs to a drive by distance", given[0], "the slope of the environment's edge", key
+                )
         if self.via and self.to is None:
             raise _wrong("via belongs to a drive with to", given[0], "to: V1, via: [A]", "via")
         return self
@@ -135,7 +137,9 @@ class RechargeSpec(Model):
     @model_validator(mode="after")
     def _one(self) -> RechargeSpec:
         if (self.until is None) == (self.duration is None):
-            raise _wrong("recharge until a charge or for a duration", "both" if self.until else "neither", "until: 95 %")
+            raise _wrong(
+                "recharge until a charge or for a duration", "both" if self.until else "neither", "until: 95 %"
+            )
         return self
 
 
@@ -194,18 +198,33 @@ def _shown(raw: Any) -> str:
 class _SegmentSchema:
     """JSON Schema of the written form: one key, the kind."""
 
-    def __get_pydantic_json_schema__(self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
         inner = handler(schema)
         options = []
         for kind, reference in inner["discriminator"]["mapping"].items():
-            options.append({"type": "object", "additionalProperties": False, "required": [kind],
-                            "properties": {kind: {"$ref": reference}}})
+            options.append(
+                {
+                    "type": "object",
+                    "additionalProperties": False,
+                    "required": [kind],
+                    "properties": {kind: {"$ref": reference}},
+                }
+            )
         return {"oneOf": options}
 
 
 Segment = Annotated[
     Annotated[
-        DriveSegment | ArcSegment | TurnSegment | MoveSegment | InspectSegment | WaitSegment | DockSegment | RepeatSegment,
+        DriveSegment
+        | ArcSegment
+        | TurnSegment
+        | MoveSegment
+        | InspectSegment
+        | WaitSegment
+        | DockSegment
+        | RepeatSegment,
         Field(discriminator="kind"),
     ],
     WrapValidator(_unwrap),
@@ -253,7 +272,12 @@ class ActivitySpec(Model):
         if self.duration is not None and self.until is not None and self.every is None:
             raise _wrong("duration and until together", "both", "one of them", "until")
         if self.every is not None and self.duration is not None and self.duration.value > self.every.value:
-            raise _wrong("bursts longer than their period", f"{self.duration.value:g} s", f"at most {self.every.value:g} s", "duration")
+            raise _wrong(
+                "bursts longer than their period",
+                f"{self.duration.value:g} s",
+                f"at most {self.every.value:g} s",
+                "duration",
+            )
         return self
 
 
@@ -403,5 +427,9 @@ class StudySpec(FileModel):
     @model_validator(mode="after")
     def _some(self) -> StudySpec:
         if not self.alternatives and not self.vary:
-            raise _wrong("a study needs alternatives or vary", "neither", "alternatives: {slow: {set: {defaults.speed: 0.3 m/s}}}")
+            raise _wrong(
+                "a study needs alternatives or vary",
+                "neither",
+                "alternatives: {slow: {set: {defaults.speed: 0.3 m/s}}}",
+            )
         return self

@@ -22,7 +22,9 @@ def split_assignment(text: str) -> tuple[str, str]:
     """
     path, equals, value = text.partition("=")
     if not equals or not path.strip():
-        raise InputError(Fault("", 0, 0, "not an assignment", got=text, allowed="path=value, such as defaults.speed=0.5"))
+        raise InputError(
+            Fault("", 0, 0, "not an assignment", got=text, allowed="path=value, such as defaults.speed=0.5")
+        )
     return path.strip(), value.strip()
 
 
@@ -127,7 +129,9 @@ def _longest_key(here: dict[str, Any], rest: Sequence[str]) -> int:
 
 
 def _lost(path: str, key: str, known: Sequence[str]) -> Fault:
-    return Fault("", 0, 0, f"nothing called '{key}' on this path", path, key, ", ".join(known[:20]), did_you_mean(key, known))
+    return Fault(
+        "", 0, 0, f"nothing called '{key}' on this path", path, key, ", ".join(known[:20]), did_you_mean(key, known)
+    )
 
 
 def _body(item: Any) -> Any:

@@ -38,8 +38,11 @@ from missionsim.spec.values import (
 Drive = Literal["differential", "skid_steer", "mecanum", "omni", "ackermann"]
 Count = Annotated[int, Field(strict=True, ge=0, le=1000)]
 ParameterName = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=60)]
-Expression = Annotated[str, BeforeValidator(lambda raw: str(raw) if type(raw) in (int, float) else raw),
-                       StringConstraints(strict=True, min_length=1, max_length=2000)]
+Expression = Annotated[
+    str,
+    BeforeValidator(lambda raw: str(raw) if type(raw) in (int, float) else raw),
+    StringConstraints(strict=True, min_length=1, max_length=2000),
+]
 Sensors = dict[Identifier, Count]
 
 
@@ -112,7 +115,9 @@ class EquivalentCircuit(Model):
         if any(later < earlier for earlier, later in zip(voltages, voltages[1:], strict=False)):
             raise _wrong("voltages must not fall with charge", voltages, "rising voltages", "open_circuit_voltage")
         if self.cut_off is not None and self.cut_off.value >= voltages[-1]:
-            raise _wrong("cut-off above the full battery's voltage", self.cut_off.value, f"below {voltages[-1]:g} V", "cut_off")
+            raise _wrong(
+                "cut-off above the full battery's voltage", self.cut_off.value, f"below {voltages[-1]:g} V", "cut_off"
+            )
         return self
 
 
@@ -120,8 +125,10 @@ def _named_kind(raw: Any) -> Any:
     return {"kind": raw} if isinstance(raw, str) else raw
 
 
-BatteryModel = Annotated[Annotated[ConstantEnergy | EquivalentCircuit, Field(discriminator="kind")],
-                         BeforeValidator(_named_kind, json_schema_input_type=str | ConstantEnergy | EquivalentCircuit)]
+BatteryModel = Annotated[
+    Annotated[ConstantEnergy | EquivalentCircuit, Field(discriminator="kind")],
+    BeforeValidator(_named_kind, json_schema_input_type=str | ConstantEnergy | EquivalentCircuit),
+]
 
 
 class BatterySpec(Model):
@@ -139,7 +146,9 @@ class BatterySpec(Model):
     def _voltage_known(self) -> BatterySpec:
         needs_voltage = self.capacity.unit == "C" or isinstance(self.model, EquivalentCircuit)
         if needs_voltage and self.nominal_voltage is None and self.capacity.unit == "C":
-            raise _wrong("a capacity in Ah needs nominal_voltage", "no nominal_voltage", "nominal_voltage: 14.8 V", "capacity")
+            raise _wrong(
+                "a capacity in Ah needs nominal_voltage", "no nominal_voltage", "nominal_voltage: 14.8 V", "capacity"
+            )
         return self
 
     @property
@@ -173,8 +182,11 @@ class LawSpec(Model):
     @model_validator(mode="after")
     def _one(self) -> LawSpec:
         if (self.power is None) == (self.model is None):
-            raise _wrong("a law has either a power or a model", "both" if self.power else "neither",
-                         "power: \"k*rate\", or model: multicore_cpu")
+            raise _wrong(
+                "a law has either a power or a model",
+                "both" if self.power else "neither",
+                'power: "k*rate", or model: multicore_cpu',
+            )
         return self
 
 
@@ -189,7 +201,11 @@ class LoadSpec(Model):
     @model_validator(mode="after")
     def _one(self) -> LoadSpec:
         if (self.power is None) == (self.law is None):
-            raise _wrong("a load has either a power or a law", "both" if self.power else "neither", "power: 2.3 W, or law: {power: …}")
+            raise _wrong(
+                "a load has either a power or a law",
+                "both" if self.power else "neither",
+                "power: 2.3 W, or law: {power: …}",
+            )
         return self
 
 
@@ -249,10 +265,12 @@ class ProcessorRow(Model):
     source: Text = ""
     status: Literal["", "published", "fitted", "assumed", "measured"] = ""
 
-    @property
-    def known_power(self) -> Parameter:
-        """The power with the row's status and source where it has none of its own."""
-        return replace(self.power, status=self.power.status or self.status, source=self.power.source or self.source)
+    @model_validator(mode="after")
+    def _tell_power(self) -> ProcessorRow:
+        """Status and source of the row belong to its power."""
+        told = replace(self.power, status=self.power.status or self.status, source=self.power.source or self.source)
+        self.__dict__["power"] = told
+        return self
 
 
 class SensorRules(Model):
@@ -312,9 +330,11 @@ class MotionSpec(Model):
     @model_validator(mode="after")
     def _expression(self) -> MotionSpec:
         if self.model == "expression" and self.power is None:
-            raise _wrong("motion model 'expression' needs 'power'", "no power", "power: \"c3*v + c4\"")
+            raise _wrong("motion model 'expression' needs 'power'", "no power", 'power: "c3*v + c4"')
         if self.model != "expression" and self.power is not None:
-            raise _wrong("'power' belongs to motion model 'expression'", f"model: {self.model}", "model: expression", "power")
+            raise _wrong(
+                "'power' belongs to motion model 'expression'", f"model: {self.model}", "model: expression", "power"
+            )
         return self
 
 
@@ -329,7 +349,7 @@ class EffectSpec(Model):
     battery: Identifier
     power: Expression | None = None
     component: Identifier | None = None
-    parameters: dict[ParameterName, EffectNumber] = Field(default_factory=dict)
+    parameters: dict[Name, EffectNumber] = Field(default_factory=dict)
     options: dict[Identifier, JsonValue] = Field(default_factory=dict)
     candidate: bool = False
     origin: dict[str, JsonValue] = Field(default_factory=dict)
@@ -337,8 +357,11 @@ class EffectSpec(Model):
     @model_validator(mode="after")
     def _one(self) -> EffectSpec:
         if (self.effect is None) == (self.power is None):
-            raise _wrong("an effect is one of the library or an expression", "both" if self.effect else "neither",
-                         "effect: grade, or name: my_term with power: \"k * …\"")
+            raise _wrong(
+                "an effect is one of the library or an expression",
+                "both" if self.effect else "neither",
+                'effect: grade, or name: my_term with power: "k * …"',
+            )
         if self.effect is None and self.name is None:
             raise _wrong("an effect of your own needs a name", "no name", "name: my_term")
         return self
@@ -415,10 +438,12 @@ class RobotSpec(FileModel):
 
         best = min(rows, key=lambda row: (differing(row), row.navigation is None, -row.power.value))
         if differing(best) == 0:
-            return best.known_power
+            return best.power
         if self.processor.fallback == "refuse":
             raise KeyError(f"no processor power for {scheme}, {nav or 'no navigation'}, {wanted or 'no sensors'}")
-        return replace(best.known_power, status="assumed", note=f"nearest row: {best.navigation or scheme} with {dict(best.sensors)}")
+        return replace(
+            best.power, status="assumed", note=f"nearest row: {best.navigation or scheme} with {dict(best.sensors)}"
+        )
 
 
 def _wrong(message: str, got: object, allowed: str, *at: str) -> PydanticCustomError:

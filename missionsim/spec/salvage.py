@@ -12,7 +12,9 @@ def without(data: Any, paths: Iterable[Sequence[str | int]]) -> Any:
     A path that leads to something that is not there (a missing key) takes out the mapping that misses it.
     """
     result = data
-    ordered = sorted({tuple(path) for path in paths}, key=lambda path: [str(item).rjust(8) for item in path], reverse=True)
+    ordered = sorted(
+        {tuple(path) for path in paths}, key=lambda path: [str(item).rjust(8) for item in path], reverse=True
+    )
     for path in ordered:
         if not path:
             return None
@@ -29,7 +31,9 @@ def without(data: Any, paths: Iterable[Sequence[str | int]]) -> Any:
 
 def _exists(data: Any, path: Sequence[str | int]) -> bool:
     for item in path:
-        if (isinstance(data, dict) and item in data) or (isinstance(data, list) and isinstance(item, int) and item < len(data)):
+        if (isinstance(data, dict) and item in data) or (
+            isinstance(data, list) and isinstance(item, int) and item < len(data)
+        ):
             data = data[item]
         else:
             return False

@@ -157,12 +157,20 @@ def read_document(path: str | Path, *, name: str | None = None) -> Document:
         with open(path, "rb") as handle:
             raw = handle.read(MAX_BYTES + 1)
     except OSError as problem:
-        reason = "is a folder" if isinstance(problem, IsADirectoryError) else (problem.strerror or "cannot be read").lower()
+        reason = (
+            "is a folder" if isinstance(problem, IsADirectoryError) else (problem.strerror or "cannot be read").lower()
+        )
         raise InputError(Fault(shown, 0, 0, f"cannot read this file: {reason}")) from None
     if len(raw) > MAX_BYTES:
         raise InputError(
-            Fault(shown, 0, 0, "file too large for YAML", got=f"more than {MAX_BYTES // 10**6} MB",
-                  allowed=f"at most {MAX_BYTES // 10**6} MB")
+            Fault(
+                shown,
+                0,
+                0,
+                "file too large for YAML",
+                got=f"more than {MAX_BYTES // 10**6} MB",
+                allowed=f"at most {MAX_BYTES // 10**6} MB",
+            )
         )
     try:
         text = raw.decode("utf-8-sig")
@@ -203,7 +211,9 @@ def parse_document(text: str, *, name: str = "text") -> Document:
     finally:
         loader.dispose()
     if builder.faults or root is None:
-        raise InputError(builder.faults or [Fault(name, 1, 1, "the file is empty", allowed="a mapping that starts with 'kind:'")])
+        raise InputError(
+            builder.faults or [Fault(name, 1, 1, "the file is empty", allowed="a mapping that starts with 'kind:'")]
+        )
     return Document(name, root.data, root)
 
 
@@ -265,8 +275,11 @@ class _Builder:
                 continue
             total += node.size
             if total > MAX_NODES:
-                self._stop(event, "too many values in the file (aliases counted as often as they are used)",
-                           allowed=f"at most {MAX_NODES}")
+                self._stop(
+                    event,
+                    "too many values in the file (aliases counted as often as they are used)",
+                    allowed=f"at most {MAX_NODES}",
+                )
             if stack:
                 self._attach(event, stack[-1], pending, node)
             else:

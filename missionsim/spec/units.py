@@ -207,8 +207,11 @@ def _compound(unit: str) -> float | None:
             match = re.fullmatch(r"([A-Za-zΩµ°%1]+)(?:\^(-?\d))?", token)
             if match is None:
                 return None
-            base = 1.0 if match.group(1) in ("1", "K") else next(
-                (table[match.group(1)] for table in _FACTORS.values() if match.group(1) in table), None)
+            base = (
+                1.0
+                if match.group(1) in ("1", "K")
+                else next((table[match.group(1)] for table in _FACTORS.values() if match.group(1) in table), None)
+            )
             if base is None or match.group(1) in _FACTORS["temperature"]:
                 return None
             power = int(match.group(2) or 1)
@@ -217,7 +220,11 @@ def _compound(unit: str) -> float | None:
 
 
 def _pint_unit(unit: str, allowed: str) -> object:
-    if len(unit) > 60 or not re.fullmatch(r"[A-Za-zµμΩ°/*^. ()0-9²³·-]+", unit) or re.search(r"\d{3}|[\^*]\s*\d{2}", unit):
+    if (
+        len(unit) > 60
+        or not re.fullmatch(r"[A-Za-zµμΩ°/*^. ()0-9²³·-]+", unit)
+        or re.search(r"\d{3}|[\^*]\s*\d{2}", unit)
+    ):
         raise UnitError("unknown unit", repr(unit)[:60], allowed)
     import pint
 
@@ -239,7 +246,11 @@ def _by_pint(unit: str, dimension: str) -> tuple[float, float]:
     quantity = _pint_unit(unit, allowed)
     try:
         target = DIMENSIONS[dimension].pint
-        zero = (0.0 * quantity.units).to(target) if dimension != "temperature" else _registry().Quantity(0.0, quantity.units).to(target)  # type: ignore[attr-defined]
+        zero = (
+            (0.0 * quantity.units).to(target)
+            if dimension != "temperature"
+            else _registry().Quantity(0.0, quantity.units).to(target)
+        )  # type: ignore[attr-defined]
         one = _registry().Quantity(1.0, quantity.units).to(target)  # type: ignore[attr-defined]
     except Exception:
         raise UnitError("wrong unit", repr(unit)[:60], allowed) from None

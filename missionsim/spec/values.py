@@ -76,8 +76,15 @@ class Parameter:
             return None if number is None else number * factor
 
         distribution = None if self.distribution is None else self.distribution.scaled(factor)
-        return replace(self, value=self.value * factor, sd=times(self.sd), low=times(self.low), high=times(self.high),
-                       distribution=distribution, unit=unit)
+        return replace(
+            self,
+            value=self.value * factor,
+            sd=times(self.sd),
+            low=times(self.low),
+            high=times(self.high),
+            distribution=distribution,
+            unit=unit,
+        )
 
 
 class Issue(ValueError):
@@ -115,7 +122,9 @@ class QuantityOf:
             serialization=core_schema.plain_serializer_function_ser_schema(_serialize),
         )
 
-    def __get_pydantic_json_schema__(self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
         plain = units.DIMENSIONS[self.dimension].plain if self.dimension else "SI"
         text = {"type": "string", "pattern": r"^\s*[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?\s*\S*.*$"}
         number: dict[str, Any] = {"type": "number", "description": f"in {plain}"}
@@ -130,20 +139,31 @@ class QuantityOf:
             "type": "object",
             "additionalProperties": False,
             "properties": {
-                "value": part, "sd": part, "low": part, "high": part,
+                "value": part,
+                "sd": part,
+                "low": part,
+                "high": part,
                 "distribution": {
                     "type": "object",
                     "additionalProperties": False,
                     "required": ["kind"],
                     "properties": {
-                        "kind": {"enum": list(KINDS)}, "mean": part, "sd": part, "low": part, "high": part,
-                        "mode": part, "values": {"type": "array", "items": part},
+                        "kind": {"enum": list(KINDS)},
+                        "mean": part,
+                        "sd": part,
+                        "low": part,
+                        "high": part,
+                        "mode": part,
+                        "values": {"type": "array", "items": part},
                         "weights": {"type": "array", "items": {"type": "number", "minimum": 0}},
-                        "file": {"type": "string"}, "column": {"type": "string"},
+                        "file": {"type": "string"},
+                        "column": {"type": "string"},
                     },
                 },
-                "unit": {"type": "string"}, "status": {"enum": list(STATUSES)},
-                "source": {"type": "string"}, "note": {"type": "string"},
+                "unit": {"type": "string"},
+                "status": {"enum": list(STATUSES)},
+                "source": {"type": "string"},
+                "note": {"type": "string"},
             },
         }
         what = units.allowed_text(self.dimension) if self.dimension else "a number, with a unit or without"
@@ -166,8 +186,11 @@ class QuantityOf:
         except Issue as issue:
             issues.append(issue)
         if issues or parameter is None:
-            raise PydanticCustomError("quantity", "{text}", {
-                "text": "; ".join(str(issue) for issue in issues), "entries": [issue.entry for issue in issues]})
+            raise PydanticCustomError(
+                "quantity",
+                "{text}",
+                {"text": "; ".join(str(issue) for issue in issues), "entries": [issue.entry for issue in issues]},
+            )
         return parameter
 
     def _number(self, raw: Any, at: tuple[str | int, ...] = (), unit: str = "") -> tuple[float, str]:
@@ -209,7 +232,9 @@ class QuantityOf:
     def _mapping(self, raw: Mapping[str, Any], issues: list[Issue], folder: Path | None) -> Parameter | None:
         for key in raw:
             if key not in _KEYS:
-                issues.append(Issue(f"unknown key '{key}'", str(key), ", ".join(_KEYS), did_you_mean(str(key), _KEYS), (key,)))
+                issues.append(
+                    Issue(f"unknown key '{key}'", str(key), ", ".join(_KEYS), did_you_mean(str(key), _KEYS), (key,))
+                )
         texts = {}
         for key in ("unit", "status", "source", "note"):
             text = raw.get(key, "")
@@ -218,12 +243,21 @@ class QuantityOf:
                 text = ""
             texts[key] = text
         if texts["status"] and texts["status"] not in STATUSES:
-            issues.append(Issue("unknown status", _shown(texts["status"]), ", ".join(STATUSES),
-                                did_you_mean(texts["status"], STATUSES), ("status",)))
+            issues.append(
+                Issue(
+                    "unknown status",
+                    _shown(texts["status"]),
+                    ", ".join(STATUSES),
+                    did_you_mean(texts["status"], STATUSES),
+                    ("status",),
+                )
+            )
         given: dict[str, float | None] = {"value": None, "low": None, "high": None, "sd": None}
         unit = texts["unit"]
         if unit and self.dimension:
-            issues.append(Issue("unit belongs beside the number", _shown(unit), units.allowed_text(self.dimension), at=("unit",)))
+            issues.append(
+                Issue("unit belongs beside the number", _shown(unit), units.allowed_text(self.dimension), at=("unit",))
+            )
         failed = False
         for key in ("value", "low", "high"):
             if key in raw:
@@ -247,7 +281,9 @@ class QuantityOf:
             return None
         value, low, high, sd = given["value"], given["low"], given["high"], given["sd"]
         if low is not None and high is not None and low > high:
-            issues.append(Issue("low above high", f"{_shown(raw['low'])} > {_shown(raw['high'])}", "low <= high", at=("low",)))
+            issues.append(
+                Issue("low above high", f"{_shown(raw['low'])} > {_shown(raw['high'])}", "low <= high", at=("low",))
+            )
             return None
         if value is None and distribution is not None:
             value = distribution.mean
@@ -258,13 +294,29 @@ class QuantityOf:
             return None
         outside = (low is not None and value < low) or (high is not None and value > high)
         if outside:
-            issues.append(Issue("value outside its own low and high", _shown(raw.get("value")), f"{_shown(raw.get('low'))} to {_shown(raw.get('high'))}", at=("value",)))
+            issues.append(
+                Issue(
+                    "value outside its own low and high",
+                    _shown(raw.get("value")),
+                    f"{_shown(raw.get('low'))} to {_shown(raw.get('high'))}",
+                    at=("value",),
+                )
+            )
         if distribution is None:
             distribution = self._implied(value, sd, low, high)
         spread = sd if sd is not None else distribution.sd if distribution is not None else None
         default = units.DIMENSIONS[self.dimension].si if self.dimension else ""
-        return Parameter(value, spread, low, high, distribution, texts["status"], texts["source"], unit or default or "1",
-                         texts["note"])
+        return Parameter(
+            value,
+            spread,
+            low,
+            high,
+            distribution,
+            texts["status"],
+            texts["source"],
+            unit or default or "1",
+            texts["note"],
+        )
 
     def _implied(self, value: float, sd: float | None, low: float | None, high: float | None) -> Distribution | None:
         """Distribution of value with sd and/or low and high: (truncated) normal, or uniform."""
@@ -290,14 +342,27 @@ class QuantityOf:
             hint = did_you_mean(kind, KINDS) if isinstance(kind, str) else ""
             issues.append(Issue("unknown kind of distribution", _shown(kind), ", ".join(KINDS), hint, (*where, "kind")))
             return None
-        needs = {"normal": ("mean", "sd"), "truncated_normal": ("mean", "sd", "low", "high"), "lognormal": ("mean", "sd"),
-                 "uniform": ("low", "high"), "triangular": ("low", "mode", "high"), "discrete": ("values", "weights"),
-                 "empirical": ("values", "file", "column")}[kind]
+        needs = {
+            "normal": ("mean", "sd"),
+            "truncated_normal": ("mean", "sd", "low", "high"),
+            "lognormal": ("mean", "sd"),
+            "uniform": ("low", "high"),
+            "triangular": ("low", "mode", "high"),
+            "discrete": ("values", "weights"),
+            "empirical": ("values", "file", "column"),
+        }[kind]
         before = len(issues)
         for key in raw:
             if key != "kind" and key not in needs:
-                issues.append(Issue(f"unknown key '{key}' of a {kind} distribution", str(key), ", ".join(("kind", *needs)),
-                                    did_you_mean(str(key), needs), (*where, key)))
+                issues.append(
+                    Issue(
+                        f"unknown key '{key}' of a {kind} distribution",
+                        str(key),
+                        ", ".join(("kind", *needs)),
+                        did_you_mean(str(key), needs),
+                        (*where, key),
+                    )
+                )
         if kind in ("discrete", "empirical"):
             return self._from_values(raw, kind, issues, where, folder, before)
         numbers: dict[str, float | None] = {}
@@ -334,7 +399,12 @@ class QuantityOf:
         return Distribution(kind, mean, numbers.get("sd"), low, high, mode)
 
     def _from_values(
-        self, raw: Mapping[str, Any], kind: str, issues: list[Issue], where: tuple[str | int, ...], folder: Path | None,
+        self,
+        raw: Mapping[str, Any],
+        kind: str,
+        issues: list[Issue],
+        where: tuple[str | int, ...],
+        folder: Path | None,
         before: int,
     ) -> Distribution | None:
         source = raw.get("values")
@@ -344,16 +414,29 @@ class QuantityOf:
                     raise Issue("values and file together", _shown(raw), "one of them", at=where)
                 source = _read_column(raw.get("file"), raw.get("column"), folder, where)
             if not isinstance(source, (list, tuple)) or not source:
-                raise Issue(f"a {kind} distribution needs values", _shown(source), "a list of numbers", at=(*where, "values"))
+                raise Issue(
+                    f"a {kind} distribution needs values", _shown(source), "a list of numbers", at=(*where, "values")
+                )
             if len(source) > _MAX_EMPIRICAL:
                 raise Issue("too many values", str(len(source)), f"at most {_MAX_EMPIRICAL}", at=where)
             values = tuple(self._number(item, (*where, "values", index))[0] for index, item in enumerate(source))
             weights = raw.get("weights", [1.0] * len(values)) if kind == "discrete" else [1.0] * len(values)
-            good = isinstance(weights, (list, tuple)) and len(weights) == len(values) and all(
-                isinstance(item, (int, float)) and not isinstance(item, bool) and 0 <= item < 1e300 for item in weights)
+            good = (
+                isinstance(weights, (list, tuple))
+                and len(weights) == len(values)
+                and all(
+                    isinstance(item, (int, float)) and not isinstance(item, bool) and 0 <= item < 1e300
+                    for item in weights
+                )
+            )
             total = math.fsum(weights) if good else 0.0
             if not good or total <= 0:
-                raise Issue("weights do not fit the values", _shown(weights), f"{len(values)} numbers of 0 or more", at=(*where, "weights"))
+                raise Issue(
+                    "weights do not fit the values",
+                    _shown(weights),
+                    f"{len(values)} numbers of 0 or more",
+                    at=(*where, "weights"),
+                )
         except Issue as issue:
             issues.append(issue)
             return None
@@ -373,14 +456,22 @@ class QuantityOf:
             allowed = f"at most {self.high:g}{shown}"
         distribution = parameter.distribution
         candidates = [("value", parameter.value), ("low", parameter.low), ("high", parameter.high)]
-        if distribution is not None and distribution.kind in ("uniform", "triangular", "discrete", "empirical", "truncated_normal"):
+        if distribution is not None and distribution.kind in (
+            "uniform",
+            "triangular",
+            "discrete",
+            "empirical",
+            "truncated_normal",
+        ):
             low = min(distribution.values) if distribution.values else distribution.low
             high = max(distribution.values) if distribution.values else distribution.high
             candidates += [("distribution", low), ("distribution", high)]
         for key, number in candidates:
             if number is None:
                 continue
-            wrong = number < self.low or number > self.high or (self.strict_low and number <= self.low and key == "value")
+            wrong = (
+                number < self.low or number > self.high or (self.strict_low and number <= self.low and key == "value")
+            )
             if wrong:
                 at = (key,) if isinstance(raw, Mapping) and key in raw else ()
                 given = raw.get(key, number) if isinstance(raw, Mapping) else raw
@@ -420,14 +511,25 @@ def _shown(raw: Any) -> str:
 
 def _read_column(file: Any, column: Any, folder: Path | None, where: tuple[str | int, ...]) -> list[Any]:
     if not isinstance(file, str) or not isinstance(column, str):
-        raise Issue("an empirical distribution needs file and column", "", "{kind: empirical, file: values.csv, column: power_w}", at=where)
+        raise Issue(
+            "an empirical distribution needs file and column",
+            "",
+            "{kind: empirical, file: values.csv, column: power_w}",
+            at=where,
+        )
     path = (folder or Path()) / file
     try:
         with open(path, newline="", encoding="utf-8-sig") as handle:
             reader = csv.DictReader(handle)
             names = list(reader.fieldnames or ())
             if column not in names:
-                raise Issue(f"no column '{column}' in {file}", column, ", ".join(names[:12]), did_you_mean(column, names), (*where, "column"))
+                raise Issue(
+                    f"no column '{column}' in {file}",
+                    column,
+                    ", ".join(names[:12]),
+                    did_you_mean(column, names),
+                    (*where, "column"),
+                )
             result: list[Any] = []
             for row in reader:
                 if row[column] not in (None, ""):
@@ -444,8 +546,13 @@ def _read_column(file: Any, column: Any, folder: Path | None, where: tuple[str |
 def _serialize(parameter: Any) -> Any:
     if not isinstance(parameter, Parameter):
         return parameter
-    extras = {"sd": parameter.sd, "low": parameter.low, "high": parameter.high, "status": parameter.status or None,
-              "source": parameter.source or None}
+    extras = {
+        "sd": parameter.sd,
+        "low": parameter.low,
+        "high": parameter.high,
+        "status": parameter.status or None,
+        "source": parameter.source or None,
+    }
     given = {key: value for key, value in extras.items() if value is not None}
     if parameter.distribution is not None:
         given["distribution"] = parameter.distribution.as_dict()

@@ -1,0 +1,496 @@
+"""Checks of a mission against its robot and environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from missionsim.errors import Fault
+from missionsim.spec.base import Model
+from missionsim.spec.checker import Checker, Where
+from missionsim.spec.environment import EnvironmentSpec
+from missionsim.spec.mission import MissionSpec
+from missionsim.spec.robot import RobotSpec
+from missionsim.spec.tree import Document, dotted
+from missionsim.spec.values import Parameter
+
+_DECIDED = (
+    "time_s",
+    "speed_m_s",
+    "accel_m_s2",
+    "yaw_rate_rad_s",
+    "lateral_speed_m_s",
+    "slope_rad",
+    "payload_kg",
+    "surface",
+    "scheme",
+    "navigation",
+    "segment",
+    "x_m",
+    "y_m",
+    "heading_rad",
+    "moving",
+    "moving_time_s",
+    "starts",
+)
+"""Columns that a run fills itself; `conditions` may not set them."""
+_MAX_SEGMENTS = 1_000_000
+
+
+def check_mission(mission: MissionSpec, document: Document) -> list[Fault]:
+    """Places, ways, schemes, sensors, speeds, activities; as far as robot and environment could be loaded."""
+    return _MissionCheck(mission, document).run()
+
+
+class _MissionCheck:
+    def __init__(self, mission: MissionSpec, document: Document) -> None:
+        self.mission = mission
+        self.check = Checker(document)
+        self.robot: RobotSpec | None = mission.robot
+        self.environment: EnvironmentSpec | None = mission.environment
+        has_environment = isinstance(document.data, dict) and document.data.get("environment") is not None
+        self.environment_broken = has_environment and self.environment is None
+        self.places: list[str] = []
+        self.ways: dict[str, set[str]] = {}
+        if self.environment is not None:
+            source = self.environment.document
+            self.places = Checker(source).raw_keys("places") if source is not None else list(self.environment.places)
+            whole = self.environment.document is None or _edges_whole(self.environment)
+            self.ways = _ways(self.environment) if whole else {}
+        self.labels: list[str] = []
+        self.told: set[tuple[str, str]] = set()
+
+    def run(self) -> list[Fault]:
+        mission, check = self.mission, self.check
+        if mission.start is not None:
+            self.place(("start",), mission.start)
+        self.settings(("defaults",), mission.defaults, None)
+        self.collect(mission.segments)
+        here = mission.start if mission.start in self.places else None
+        unknown = mission.start is not None and here is None
+        self.walk(mission.segments, here, unknown)
+        if _count(mission.segments) > _MAX_SEGMENTS:
+            check.add(
+                ("segments",), "too many segments", got="repeats counted one by one", allowed=f"at most {_MAX_SEGMENTS}"
+            )
+        self.policy()
+        self.activities()
+        if self.robot is not None:
+            batteries = list(self.robot.batteries)
+            for name in mission.initial_charge:
+                check.known(("initial_charge", name), name, batteries, "battery", key=True)
+            for name in mission.behaviour.schemes:
+                check.known(("behaviour", "schemes", name), name, self.robot.schemes, "control scheme", key=True)
+        self.correlations()
+        return check.faults
+
+    def place(self, where: Where, name: str) -> bool:
+        """Whether a place is known (True where that cannot be told)."""
+        if self.environment is None:
+            if self.environment_broken:
+                return True
+            self.check.add(
+                where,
+                f"place '{name}' without an environment",
+                got=f"'{name}'",
+                allowed="environment: FILE in the mission, or drives by distance",
+            )
+            return False
+        return self.check.known(where, name, self.places, "place")
+
+    def collect(self, segments: Sequence[Any]) -> None:
+        """Names of all segments, for the activities' moments."""
+        for segment in segments:
+            if segment.name is not None:
+                self.labels.append(segment.name)
+            if segment.kind == "repeat":
+                self.collect(segment.segments)
+
+    def walk(self, segments: Sequence[Any], here: str | None, unknown: bool) -> tuple[str | None, bool]:
+        """Follow the places through the segments; `unknown` = somewhere that cannot be named any more."""
+        for segment in segments:
+            if segment.kind == "repeat":
+                after = self.walk(segment.segments, here, unknown)
+                if segment.times > 1 and after != (here, unknown):
+                    after = self.walk(segment.segments, *after)
+                here, unknown = after
+                continue
+            self.segment(segment)
+            if segment.kind == "drive":
+                here, unknown = self.drive(segment, here, unknown)
+            elif segment.kind in ("arc", "move"):
+                here, unknown = None, True
+            elif segment.kind == "dock":
+                self.dock(segment, here, unknown)
+        return here, unknown
+
+    def once(self, where: Where, message: str) -> bool:
+        """Whether this is the first time that this is told (blocks are walked twice)."""
+        label = (dotted(where), message)
+        if label in self.told:
+            return False
+        self.told.add(label)
+        return True
+
+    def drive(self, segment: Any, here: str | None, unknown: bool) -> tuple[str | None, bool]:
+        where = segment.where
+        if segment.distance is not None:
+            return None, True
+        stops: list[tuple[Where, str]]
+        if segment.along is not None:
+            stops = [((*where, "along", index), name) for index, name in enumerate(segment.along)]
+        else:
+            stops = [((*where, "via", index), name) for index, name in enumerate(segment.via)]
+            stops.append(((*where, "to"), segment.to))
+        good = True
+        for at, name in stops:
+            if self.once(at, "place"):
+                good = self.place(at, name) and good
+        if not good or self.environment is None or any(name not in self.places for _, name in stops):
+            return None, True
+        if here is None:
+            if not unknown and self.once(where, "start"):
+                self.check.add(
+                    where,
+                    "a drive to a place, but the mission has no start",
+                    allowed="start: " + " | ".join(self.places[:12]),
+                )
+            elif (
+                unknown
+                and self.mission.start in (None, *self.places)
+                and self.once(where, "lost")
+                and self._lost_before(segment)
+            ):
+                self.check.add(
+                    where,
+                    "the place from which this drive starts is not known",
+                    got="a drive by distance, an arc or a move before it",
+                    allowed="drives between places only",
+                )
+            return stops[-1][1], False
+        for at, name in stops:
+            if self.ways and here != name:
+                near = segment.along is not None
+                reached = name in self.ways.get(here, ()) if near else name in self.reachable(here)
+                if not reached and self.once(at, f"way from {here}"):
+                    neighbours = ", ".join(sorted(self.ways.get(here, ()) if near else self.reachable(here)))
+                    self.check.add(
+                        at,
+                        f"no {'edge' if near else 'way'} from '{here}' to '{name}'",
+                        got=name,
+                        allowed=neighbours[:200] or f"nothing can be reached from '{here}'",
+                    )
+                    return name, False
+            here = name
+        return here, False
+
+    def _lost_before(self, segment: Any) -> bool:
+        """Whether a movement off the map comes before this segment in the file."""
+
+        def flat(items: Sequence[Any]) -> list[Any]:
+            return [leaf for item in items for leaf in (flat(item.segments) if item.kind == "repeat" else [item])]
+
+        return any(
+            item.kind in ("arc", "move") or (item.kind == "drive" and item.distance is not None)
+            for item in flat(self.mission.segments)
+        )
+
+    def reachable(self, start: str) -> set[str]:
+        """Places that ways lead to."""
+        found, stack = {start}, [start]
+        while stack:
+            for name in self.ways.get(stack.pop(), ()):
+                if name not in found:
+                    found.add(name)
+                    stack.append(name)
+        return found
+
+    def segment(self, segment: Any) -> None:
+        """Settings of one segment, and what its kind needs."""
+        where, robot = segment.where, self.robot
+        if not self.once(where, "segment"):
+            return
+        self.settings(where, segment, segment)
+        if robot is None:
+            return
+        drive = robot.body.drive
+        if segment.kind == "move" and not robot.body.moves_sideways:
+            self.check.add(
+                where, f"a {drive} drive cannot move sideways", got="move", allowed="mecanum or omni drive", key=True
+            )
+        if segment.kind == "turn" and drive == "ackermann":
+            self.check.add(where, "an ackermann drive cannot turn on the spot", got="turn", allowed="an arc", key=True)
+        scheme = robot.schemes.get(self.mission.scheme_of(segment) or "")
+        moving = segment.kind in ("drive", "arc", "turn", "move")
+        if scheme is not None and moving and not scheme.motion:
+            at, key = self.origin(segment, "scheme")
+            self.check.add(
+                at,
+                f"control scheme '{self.mission.scheme_of(segment)}' stands still",
+                got=f"a {segment.kind} segment",
+                allowed=", ".join(name for name, item in robot.schemes.items() if item.motion),
+                key=key,
+            )
+
+    def origin(self, segment: Any, key: str) -> tuple[tuple[str | int, ...], bool]:
+        """Where a segment's setting stands: in itself, else in `defaults`, else the segment as a whole."""
+        if getattr(segment, key, None) is not None:
+            return (*segment.where, key), False
+        if getattr(self.mission.defaults, key, None) is not None:
+            return ("defaults", key), False
+        return segment.where, True
+
+    def settings(self, where: Where, settings: Any, segment: Any | None) -> None:
+        """Scheme, navigation, sensors, speed, payload, conditions of a segment or of `defaults`."""
+        robot, check, mission = self.robot, self.check, self.mission
+        for name in settings.conditions:
+            if name in _DECIDED or name.startswith(("on_", "power_")):
+                check.add(
+                    (*where, "conditions", name),
+                    f"'{name}' is decided by the run",
+                    got=name,
+                    allowed="conditions that the mission does not set otherwise",
+                    key=True,
+                )
+        if robot is None:
+            return
+        if settings.scheme is not None:
+            check.known((*where, "scheme"), settings.scheme, _raw(robot, "schemes"), "control scheme")
+        name = mission.scheme_of(segment) if segment is not None else settings.scheme
+        scheme = robot.schemes.get(name or "")
+        if settings.navigation is not None:
+            names = (
+                scheme.navigation
+                if scheme is not None
+                else {key: None for item in robot.schemes.values() for key in item.navigation}
+            )
+            if segment is not None or scheme is None or scheme.navigation:
+                check.known(
+                    (*where, "navigation"),
+                    settings.navigation,
+                    names,
+                    f"navigation of {name}" if scheme is not None else "navigation",
+                )
+        for sensor, count in (settings.sensors or {}).items():
+            at = (*where, "sensors", sensor)
+            if not check.known(at, sensor, _raw(robot, "components"), "component", key=True):
+                continue
+            component = robot.components.get(sensor)
+            if component is not None and count > component.units:
+                check.add(
+                    at,
+                    f"more units of '{sensor}' than the robot has",
+                    got=str(count),
+                    allowed=f"0 to {component.units}",
+                )
+                continue
+            if scheme is None or segment is None or not count:
+                continue
+            _, allowed = scheme.sensor_rules(mission.navigation_of(segment))
+            if sensor in robot.sensor_names and count > allowed.get(sensor, 0):
+                under = mission.navigation_of(segment)
+                text = ", ".join(f"{key} up to {most}" for key, most in allowed.items()) or "no sensors"
+                check.add(
+                    at,
+                    f"control scheme '{name}'{f' with {under}' if under else ''} does not use {count} of '{sensor}'",
+                    got=f"{sensor}: {count}",
+                    allowed=text,
+                )
+        self.limits(where, settings, scheme, name)
+
+    def limits(self, where: Where, settings: Any, scheme: Any, name: str | None) -> None:
+        """Speeds, turn rate and payload that the robot can do."""
+        assert self.robot is not None
+        body = self.robot.body
+        sideways = getattr(settings, "kind", "") == "move" and body.max_lateral_speed is not None
+        top = (
+            max(body.max_speed.value, body.max_lateral_speed.value)
+            if sideways and body.max_lateral_speed
+            else body.max_speed.value
+        )
+        if settings.speed is not None and settings.speed.value > top * (1 + 1e-12):
+            self.check.add(
+                (*where, "speed"),
+                "faster than the robot",
+                got=f"{settings.speed.value:g} m/s",
+                allowed=f"at most {top:g} m/s (body.max_speed of {self.robot.name})",
+            )
+        elif (
+            settings.speed is not None
+            and scheme is not None
+            and scheme.max_speed is not None
+            and settings.speed.value > scheme.max_speed.value * (1 + 1e-12)
+        ):
+            self.check.add(
+                (*where, "speed"),
+                f"faster than control scheme '{name}'",
+                got=f"{settings.speed.value:g} m/s",
+                allowed=f"at most {scheme.max_speed.value:g} m/s",
+            )
+        if (
+            settings.yaw_rate is not None
+            and "max_yaw_rate" in body.model_fields_set
+            and settings.yaw_rate.value > body.max_yaw_rate.value * (1 + 1e-12)
+        ):
+            self.check.add(
+                (*where, "yaw_rate"),
+                "turns faster than the robot",
+                got=f"{settings.yaw_rate.value:g} rad/s",
+                allowed=f"at most {body.max_yaw_rate.value:g} rad/s (body.max_yaw_rate of {self.robot.name})",
+            )
+        if (
+            settings.payload is not None
+            and body.max_payload is not None
+            and settings.payload.value > body.max_payload.value
+        ):
+            self.check.add(
+                (*where, "payload"),
+                "more than the robot carries",
+                got=f"{settings.payload.value:g} kg",
+                allowed=f"at most {body.max_payload.value:g} kg",
+            )
+
+    def dock(self, segment: Any, here: str | None, unknown: bool) -> None:
+        """A charger at this place, for these batteries."""
+        where = segment.where
+        if not self.once(where, f"dock at {here} {unknown}") or self.environment is None:
+            if self.environment is None and not self.environment_broken and self.once(where, "dock"):
+                self.check.add(
+                    where, "docking without an environment", allowed="an environment with a place that has a charger"
+                )
+            return
+        if here is None:
+            return
+        place = self.environment.places.get(here)
+        chargers = [name for name, item in self.environment.places.items() if item.charger is not None]
+        if place is None:
+            return
+        if place.charger is None:
+            self.check.add(
+                where,
+                f"no charger at '{here}'",
+                got=here,
+                allowed=", ".join(chargers) or "no place has a charger",
+                key=True,
+            )
+            return
+        fed = place.charger.batteries or tuple(self.robot.batteries if self.robot is not None else ())
+        for index, name in enumerate(segment.recharge.batteries):
+            self.check.known((*where, "recharge", "batteries", index), name, fed, f"battery of the charger at '{here}'")
+        for name in place.charger.batteries if self.robot is not None else ():
+            if self.robot is not None and name not in self.robot.batteries:
+                self.check.add(
+                    where,
+                    f"the charger at '{here}' feeds a battery that the robot lacks",
+                    got=name,
+                    allowed=", ".join(self.robot.batteries),
+                    key=True,
+                )
+
+    def policy(self) -> None:
+        policy = self.mission.policy
+        if policy.dock is None or not self.place(("policy", "dock"), policy.dock) or self.environment is None:
+            return
+        place = self.environment.places.get(policy.dock)
+        if place is not None and place.charger is None and policy.on_empty == "return_to_dock":
+            chargers = [name for name, item in self.environment.places.items() if item.charger is not None]
+            self.check.add(
+                ("policy", "dock"),
+                f"no charger at '{policy.dock}'",
+                got=policy.dock,
+                allowed=", ".join(chargers) or "a place with a charger",
+                warning=True,
+            )
+
+    def activities(self) -> None:
+        for index, activity in enumerate(self.mission.activities):
+            where: tuple[str | int, ...] = ("activities", index)
+            if self.robot is not None and self.check.known(
+                (*where, "component"), activity.component, _raw(self.robot, "components"), "component"
+            ):
+                component = self.robot.components.get(activity.component)
+                if component is not None and activity.units > component.units:
+                    self.check.add(
+                        (*where, "units"),
+                        f"more units of '{activity.component}' than the robot has",
+                        got=str(activity.units),
+                        allowed=f"1 to {component.units}",
+                    )
+                if component is not None and component.always_on:
+                    self.check.add((*where, "component"), f"'{activity.component}' is always on", warning=True)
+            for key, moment in (("from", activity.from_), ("until", activity.until)):
+                if moment is None:
+                    continue
+                at = (*where, key)
+                if moment.place is not None:
+                    raw = self.check.document.node(at).children
+                    self.place((*at, "place") if isinstance(raw, dict) else at, moment.place)
+                if moment.segment is not None:
+                    labels = list(dict.fromkeys(self.labels))
+                    if not (moment.segment.isdecimal() and int(moment.segment) < len(self.mission.segments)):
+                        self.check.known((*at, "segment"), moment.segment, labels, "segment")
+
+    def correlations(self) -> None:
+        for index, item in enumerate(self.mission.correlations):
+            where: tuple[str | int, ...] = ("correlations", index, "between")
+            if item.between[0] == item.between[1]:
+                self.check.add(where, "a value is correlated with itself", got=item.between[0], allowed="two values")
+                continue
+            for number, path in enumerate(item.between):
+                known = self.uncertain()
+                if path in known:
+                    continue
+                if not known and (self.robot is None or self.environment_broken):
+                    continue
+                self.check.known((*where, number), path, known, "uncertain value")
+
+    def uncertain(self) -> list[str]:
+        """Paths of all uncertain values of mission, robot and environment."""
+        found = [path for path, _ in uncertain_values(self.mission)]
+        for prefix, model in (("robot", self.robot), ("environment", self.environment)):
+            if model is not None:
+                found += [f"{prefix}.{path}" for path, _ in uncertain_values(model)]
+        return found
+
+
+def uncertain_values(model: Any) -> list[tuple[str, Parameter]]:
+    """Paths and parameters of a model's uncertain values (those with a distribution), in the file's order."""
+    result: list[tuple[str, Parameter]] = []
+    stack: list[Any] = [model]
+    while stack:
+        item = stack.pop()
+        if isinstance(item, Parameter):
+            if item.distribution is not None and item.path:
+                result.append((item.path, item))
+        elif isinstance(item, Model):
+            stack.extend(getattr(item, name) for name in reversed(type(item).model_fields))
+        elif isinstance(item, Mapping):
+            stack.extend(reversed(list(item.values())))
+        elif isinstance(item, tuple):
+            stack.extend(reversed(item))
+    return result
+
+
+def _raw(robot: RobotSpec, key: str) -> list[str]:
+    """Names in the robot's file, also those whose values are at fault (they are told once, there)."""
+    document = robot.document
+    return Checker(document).raw_keys(key) if document is not None else list(getattr(robot, key))
+
+
+def _edges_whole(environment: EnvironmentSpec) -> bool:
+    data = environment.document.data
+    edges = data.get("edges", []) if isinstance(data, dict) else []
+    return not isinstance(edges, list) or len(edges) == len(environment.edges)
+
+
+def _ways(environment: EnvironmentSpec) -> dict[str, set[str]]:
+    ways: dict[str, set[str]] = {name: set() for name in environment.places}
+    for edge in environment.edges:
+        ways.setdefault(edge.from_, set()).add(edge.to)
+        if edge.both_ways:
+            ways.setdefault(edge.to, set()).add(edge.from_)
+    return ways
+
+
+def _count(segments: Sequence[Any]) -> int:
+    return sum(item.times * _count(item.segments) if item.kind == "repeat" else 1 for item in segments)

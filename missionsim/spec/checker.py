@@ -1,0 +1,116 @@
+"""What the checks share: a list of faults and the question whether a name is known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.spec.tree import Document, as_written
+
+Where = Sequence[str | int]
+_SHOWN = 24
+
+ALIASES = ("v", "a", "w", "u", "theta", "m")
+"""Short names in formulas: speed, acceleration, yaw rate, sideways speed, slope, mass."""
+DERIVED = ("moving_time_s", "moving", "starts", "mass_kg", "drive_w", "load_w")
+"""Covariates that a run or a log adds to the glossary's columns."""
+
+
+class Checker:
+    """Collects faults of one document."""
+
+    def __init__(self, document: Document) -> None:
+        self.document = document
+        self.faults: list[Fault] = []
+
+    def add(
+        self,
+        where: Where,
+        message: str,
+        *,
+        got: str = "",
+        allowed: str = "",
+        hint: str = "",
+        key: bool = False,
+        warning: bool = False,
+    ) -> None:
+        """One fault at a path of the file."""
+        severity = "warning" if warning else "error"
+        self.faults.append(
+            self.document.fault(where, message, got=got, allowed=allowed, hint=hint, key=key, severity=severity)
+        )
+
+    def known(self, where: Where, name: str, names: Iterable[str], what: str, *, key: bool = False) -> bool:
+        """Whether `name` is one of `names`; a fault with did-you-mean where it is not."""
+        options = list(names)
+        if name in options:
+            return True
+        shown = ", ".join(options[:_SHOWN]) + (f" and {len(options) - _SHOWN} more" if len(options) > _SHOWN else "")
+        self.add(
+            where,
+            f"no {what} '{name}'",
+            got=as_written(name),
+            allowed=shown or f"there is no {what} here",
+            hint=did_you_mean(name, options),
+            key=key,
+        )
+        return False
+
+    def raw_keys(self, *where: str | int) -> list[str]:
+        """Keys of a mapping as the file has them, also those whose values are at fault."""
+        data = self.document.data
+        for item in where:
+            if isinstance(data, dict) and item in data:
+                data = data[item]
+            else:
+                return []
+        return [str(key) for key in data] if isinstance(data, dict) else []
+
+    def formula(self, where: Where, text: str, own: Iterable[str], *, free: bool = True) -> None:
+        """A formula that can be read and names what there is.
+
+        Parameters
+        ----------
+        where : path
+        text : str
+        own : iterable of str
+            Its parameters.
+        free : bool
+            Names of further log columns are allowed; one that is nearly a known name gets a warning.
+        """
+        from missionsim.expressions import compile_expression
+        from missionsim.glossary import COLUMNS, column_of
+
+        line, column = self.document.position(where)
+        file = "" if self.document.overridden(where) is not None else self.document.file
+        try:
+            expression = compile_expression(text, file=file, line=line, column=column, path=".".join(map(str, where)))
+        except InputError as problem:
+            self.faults.extend(problem.faults)
+            return
+        parameters = list(own)
+        known = [*parameters, *ALIASES, *DERIVED, *(column.name for column in COLUMNS)]
+        for name in sorted(expression.names):
+            if name in known or column_of(name) is not None or name.startswith(("on_time_", "starting_")):
+                continue
+            hint = did_you_mean(name, known, 0.8)
+            if not free:
+                self.add(
+                    where,
+                    f"formula names '{name}', which is neither a parameter nor a column",
+                    got=text[:80],
+                    allowed=", ".join([*parameters, *ALIASES]),
+                    hint=hint,
+                )
+            elif hint:
+                self.add(
+                    where,
+                    f"formula names '{name}', which is no column of the glossary",
+                    got=text[:80],
+                    allowed="a parameter, a glossary column, or a further column of your logs",
+                    hint=hint,
+                    warning=True,
+                )
+        for name in parameters:
+            if name not in expression.names:
+                self.add(where, f"parameter '{name}' does not occur in the formula", got=text[:80], warning=True)
