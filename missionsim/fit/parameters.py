@@ -16,7 +16,7 @@ from missionsim.identify.model import Model, fit_model
 
 FREE_SD = 100.0
 """Relative prior standard deviation that leaves a parameter to the data."""
-ROUNDS = 8
+ROUNDS = 5
 Z95 = 1.959963984540054
 
 
@@ -122,7 +122,8 @@ def fit_parameters(
         shift, covariance = fitted.gram.shifts(())
         names = fitted.design.layout.parameters
         moved = {name: float(np.clip(s, -0.9, 9.0)) for name, s in zip(names, shift, strict=False)}
-        if not free or not _worth_another(moved):
+        settled = all(abs(s) < 0.1 * np.sqrt(covariance[i, i]) for i, s in enumerate(shift[: len(names)]))
+        if not free or settled or step == ROUNDS - 1:
             break
         model = _moved(model, battery, moved)
     final = _moved(model, battery, moved)
@@ -139,24 +140,18 @@ def fit_parameters(
     )  # fmt: skip
 
 
-def _worth_another(moved: Mapping[str, float]) -> bool:
-    return max((abs(value) for value in moved.values()), default=0.0) > 1e-3
-
-
 def _moved(model: PowerModel, battery: str, moved: Mapping[str, float]) -> PowerModel:
     values = {f"{battery}/{name}": model.parameters[f"{battery}/{name}"].value * (1.0 + s) for name, s in moved.items()}
     return model.with_values(values)
 
 
 def _fitted(
-    name: str, unit: str, value: float, moved: float | None, sd: float | None, prior_sd: float, before: float, free: bool
+    name: str, unit: str, value: float, moved: float | None, sd: float | None, prior_sd: float, before: float,
+    free: bool,
 ) -> FittedParameter:
-    if moved is None or sd is None:
-        absolute = abs(value) * prior_sd
-        return FittedParameter(name, unit, value, absolute, value - Z95 * absolute, value + Z95 * absolute, before, False)
-    new = value * (1.0 + moved)
-    absolute = abs(value) * sd
-    seen = not free or sd < 0.5 * FREE_SD
+    seen = moved is not None and sd is not None and (not free or sd < 0.5 * FREE_SD)
+    new = value * (1.0 + (moved or 0.0))
+    absolute = abs(value) * (prior_sd if sd is None else sd)
     return FittedParameter(name, unit, new, absolute, new - Z95 * absolute, new + Z95 * absolute, before, seen)
 
 

@@ -1,0 +1,128 @@
+"""`missionsim calibrate`: a base model for a new robot from logs, or a robot's parameters fitted again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text, simple_table
+
+if TYPE_CHECKING:
+    from missionsim.fit.parameters import ModelFit
+
+
+def calibrate(
+    *logs: Path,
+    out: Annotated[Path, Parameter(name="--out")],
+    new: Annotated[str | None, Parameter(name="--new")] = None,
+    base: Annotated[str | None, Parameter(name="--base")] = None,
+    robot: Annotated[str | None, Parameter(name="--robot")] = None,
+    battery: Annotated[str | None, Parameter(name="--battery")] = None,
+    mass: Annotated[str, Parameter(name="--mass")] = "",
+    capacity: Annotated[str, Parameter(name="--capacity")] = "",
+    max_speed: Annotated[str, Parameter(name="--max-speed")] = "",
+    drive: Annotated[str, Parameter(name="--drive")] = "differential",
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Fit a base model for a new robot to logs, or refit the parameters of a robot.
+
+    Parameters
+    ----------
+    logs
+        Log files or folders of them.
+    out
+        Robot file to write.
+    new
+        Name of a new robot; needs --base.
+    base
+        Power while moving as a formula over v (speed), a (acceleration), w (yaw rate), u (sideways speed), theta
+        (slope), m (mass) or log columns, with parameters of your own naming: "c2*v**2 + c3*v + c4".
+    robot
+        A robot (shipped name or file) whose parameters are refitted, each with its own prior.
+    battery
+        Battery that is fitted; by default "robot" for a new robot, and every measured one for --robot.
+    mass
+        Mass of a new robot, such as "25 kg"; without it, effects of mass come out per robot instead of per kg.
+    capacity
+        Battery capacity of a new robot, such as "100 Wh".
+    max_speed
+        Top speed of a new robot; by default the fastest in the logs.
+    drive
+        differential, skid_steer, mecanum, omni or ackermann.
+    json
+        Write the fit as JSON to this file, or - for standard output.
+    quiet
+        Print no table.
+    """
+    from missionsim.errors import InputError
+    from missionsim.files import write_text
+    from missionsim.logs import read_logs
+
+    if (new is None) == (robot is None):
+        raise InputError.single("give either --new NAME with --base, or --robot R", got="both" if new else "neither")
+    if new is not None and base is None:
+        raise InputError.single("--new needs --base", allowed='--base "c2*v**2 + c3*v + c4"')
+    if robot is not None and base is not None:
+        raise InputError.single("--base belongs to --new", got=base)
+    if not logs:
+        raise InputError.single("give at least one log", allowed="files or folders")
+    tables = read_logs(list(logs))
+    fits: list[ModelFit]
+    remarks: list[str]
+    if new is not None and base is not None:
+        from missionsim.fit.newrobot import NewRobot, calibrate_new
+
+        made = calibrate_new(NewRobot(new, base, battery or "robot", mass, capacity, max_speed, drive), tables)
+        text, fits, remarks = made.text, [made.fit], list(made.remarks)
+    else:
+        from missionsim.fit.refit import refit_robot
+
+        again = refit_robot(str(robot), tables, battery)
+        text, fits, remarks = again.text, list(again.fits), list(again.remarks)
+    write_text(out, text)
+    emit_json(_as_json(fits, remarks, out), json)
+    if shows_text(json, quiet):
+        _print(fits, remarks, out)
+    return 0
+
+
+def _as_json(fits: list[ModelFit], remarks: list[str], out: Path) -> dict[str, Any]:
+    return {
+        "schema": "missionsim.calibration/1",
+        "robot_file": str(out),
+        "batteries": {
+            fit.battery: {
+                "parameters": {
+                    p.name: {"value": p.value, "sd": p.sd, "low": p.low, "high": p.high, "before": p.before,
+                             "unit": p.unit}
+                    for p in fit.parameters.values()
+                },
+                "rmse_before_w": fit.rmse_before_w, "rmse_w": fit.rmse_w, "explained_variance": fit.explained,
+                "noise_w": fit.noise_w, "clock": {"delay_s": fit.delay_s, "lag_s": fit.lag_s},
+                "runs": list(fit.runs), "seconds": fit.seconds,
+            }
+            for fit in fits
+        },
+        "remarks": remarks,
+    }
+
+
+def _print(fits: list[ModelFit], remarks: list[str], out: Path) -> None:
+    terminal = console()
+    for fit in fits:
+        rows = [
+            (p.name, f"{p.value:.4g}", f"{p.low:.4g} … {p.high:.4g}", p.unit if p.unit != "1" else "")
+            for p in fit.parameters.values() if p.seen
+        ]
+        terminal.print(simple_table(f"Battery {fit.battery}", ["parameter", ("value", "right"),
+                                                             ("95 % interval", "right"), "unit"], rows))  # fmt: skip
+        terminal.print(
+            f"{len(fit.runs)} runs, {fit.seconds / 60:.0f} min; explains {100 * fit.explained:.1f} % of the variance "
+            f"of the power; error {fit.rmse_w:.3g} W (RMS); meter {fit.delay_s:+.2f} s behind the motion, lag "
+            f"{fit.lag_s:.2f} s", markup=False)  # fmt: skip
+    for remark in remarks:
+        terminal.print(f"note: {remark}", markup=False)
+    terminal.print(f"written: {out}", markup=False)

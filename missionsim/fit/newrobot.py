@@ -1,0 +1,223 @@
+"""A robot file for a robot that is only known from its logs: base formula, components, limits, with intervals."""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from missionsim.effects.base_terms import ALIASES
+from missionsim.effects.covariates import is_moving
+from missionsim.effects.model import PowerModel
+from missionsim.errors import InputError, did_you_mean
+from missionsim.expressions import FUNCTIONS, Expression, compile_expression
+from missionsim.fit.parameters import FittedParameter, ModelFit, fit_parameters
+from missionsim.fit.provenance import CALIBRATION, data_tag
+from missionsim.glossary import column_of
+
+SHORTEST_STANDING_S = 5.0
+"""Time at rest from which the standing power is fitted on its own."""
+LEAST_CHANGES = 2
+_UNKNOWN = "not known from logs; put your own"
+
+
+@dataclass(frozen=True)
+class NewRobot:
+    """What the user says of a robot beside its logs.
+
+    Attributes
+    ----------
+    name, base, battery : str
+        Name, formula over ``v a w u theta m`` or log columns and parameters, and battery that the formula describes.
+    mass, capacity, max_speed : str
+        As the user wrote them, such as ``25 kg``; empty where not given.
+    drive : str
+    """
+
+    name: str
+    base: str
+    battery: str = "robot"
+    mass: str = ""
+    capacity: str = ""
+    max_speed: str = ""
+    drive: str = "differential"
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A fitted robot file.
+
+    Attributes
+    ----------
+    text : str
+        The robot file.
+    fit : ModelFit
+    remarks : tuple of str
+    """
+
+    text: str
+    fit: ModelFit
+    remarks: tuple[str, ...]
+
+
+def calibrate_new(robot: NewRobot, logs: Sequence[Any]) -> Calibration:
+    """Fit a base formula to logs and write the robot file of it.
+
+    Every component with an ``on_…`` column that changes gets a power; standing still gets a level of its own where the
+    logs show it.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        For a formula that cannot be read, that names columns which the logs lack, or whose parameters the logs cannot
+        tell apart.
+    """
+    formula = _formula(robot, logs)
+    remarks: list[str] = []
+    components = _components(logs, robot.battery, remarks)
+    parameters = sorted(formula.names - _columns(formula, logs))
+    standing = _has_standing(logs, robot.battery, remarks)
+    if standing and "standing" in parameters:
+        raise InputError.single("'standing' is the name of the power at rest; call the parameter otherwise",
+                                got=robot.base)
+    names = [*parameters, *(["standing"] if standing else [])]
+    draft = _text(robot, dict.fromkeys(names), components, standing, logs, "", "")
+    model = _load(draft)
+    fit = fit_parameters(model, logs, robot.battery, free=True)
+    _refuse_unseen(fit, [*names, *(f"{c}.power" for c in components)])
+    for name, value in fit.parameters.items():
+        if value.value < 0.0:
+            remarks.append(f"{name} came out negative ({value.value:.3g}, 95 % {value.low:.3g} to {value.high:.3g}): "
+                           "the formula lacks something, or the logs do not vary it enough")
+    source = f"fitted to {len(fit.runs)} run{'s' * (len(fit.runs) != 1)}"
+    text = _text(robot, fit.parameters, components, standing, logs, source, data_tag(logs))
+    return Calibration(text, replace(fit, model=_load(text)), (*fit.remarks, *remarks))
+
+
+def _load(text: str) -> PowerModel:
+    from missionsim.spec.loading import load_robot
+    from missionsim.spec.power import build_power_model
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robot.yaml"
+        path.write_text(text, encoding="utf-8")
+        return build_power_model(load_robot(path))
+
+
+def _formula(robot: NewRobot, logs: Sequence[Any]) -> Expression:
+    formula = compile_expression(robot.base, file="--base")
+    columns = {name for log in logs for name in log.columns}
+    for name in sorted(formula.names):
+        wanted = ALIASES.get(name, name)
+        derived = wanted in ("accel_m_s2", "mass_kg")
+        known = name in ALIASES or column_of(name) is not None
+        if known and not derived and any(wanted not in log.columns for log in logs):
+            raise InputError.single(f"--base reads '{name}' ({wanted}), which not every log has", got=name,
+                                    allowed=", ".join(sorted(columns)), hint=did_you_mean(wanted, columns))
+    return formula
+
+
+def _columns(formula: Expression, logs: Sequence[Any]) -> set[str]:
+    shared = set.intersection(*(set(log.columns) for log in logs))
+    return {n for n in formula.names if n in ALIASES or n in shared or column_of(n) is not None or n in FUNCTIONS}
+
+
+def _components(logs: Sequence[Any], battery: str, remarks: list[str]) -> dict[str, int]:
+    """Components with a switch in the logs that was used: name and most units."""
+    found: dict[str, int] = {}
+    names = sorted({name for log in logs for name in log.columns if name.startswith("on_")})
+    for column in names:
+        values = np.concatenate([np.asarray(log.columns[column], dtype=float) for log in logs if column in log.columns])
+        values = values[np.isfinite(values)]
+        if len(np.unique(values)) >= LEAST_CHANGES:
+            found[column[3:]] = max(1, math.ceil(float(np.max(values))))
+        else:
+            remarks.append(f"{column[3:]} was never switched in these logs: its power is part of the base")
+    return found
+
+
+def _has_standing(logs: Sequence[Any], battery: str, remarks: list[str]) -> bool:
+    if not all("speed_m_s" in log.columns for log in logs):
+        return False
+    rest = sum(float(np.sum(log.dt_s[~np.asarray(is_moving(log.columns))])) for log in logs)
+    if rest < SHORTEST_STANDING_S:
+        remarks.append(f"the robot stood still for {rest:.0f} s only: power at rest is the formula's at zero speed")
+    return rest >= SHORTEST_STANDING_S
+
+
+def _refuse_unseen(fit: ModelFit, names: Sequence[str]) -> None:
+    unseen = [name for name in names if name in fit.parameters and not fit.parameters[name].seen]
+    if unseen:
+        raise InputError.single(
+            "these logs cannot tell some parameters of --base apart", got=", ".join(unseen),
+            allowed="parameters that each change the power on their own",
+        )
+
+
+def _text(
+    robot: NewRobot, values: Mapping[str, FittedParameter | None], components: Mapping[str, int], standing: bool,
+    logs: Sequence[Any], source: str, tag: str,
+) -> str:
+    base = [name for name in values if "." not in name]
+    lines = [
+        "kind: robot",
+        f"name: {robot.name}",
+        f"title: {json.dumps(f'{robot.name}, base model fitted to measured logs')}",
+        *([f"sources: {{{CALIBRATION}: {json.dumps(source + ', data ' + tag)}}}"] if source else []),
+        "body:",
+        *([f"  mass: {json.dumps(robot.mass)}"] if robot.mass else []),
+        f"  drive: {robot.drive}",
+        f"  max_speed: {_max_speed(robot, logs)}",
+        "batteries:",
+        f"  {robot.battery}: {{capacity: {_capacity(robot, logs)}}}",
+        "motion:",
+        f"  battery: {robot.battery}",
+        "  model: expression",
+        f"  power: {json.dumps(robot.base)}",
+        *(["  standing: standing"] if standing else []),
+        "  parameters:",
+        *(f"    {name}: {_number(values[name])}" for name in base),
+    ]
+    if components:
+        lines.append("components:")
+    for name, units in components.items():
+        number = _number(values.get(f"{name}.power"), "W")
+        lines += [f"  {name}:", *([f"    units: {units}"] if units > 1 else []), "    loads:",
+                  f"      - {{battery: {robot.battery}, power: {number}}}"]
+    sensors = ", ".join(f"{name}: {units}" for name, units in components.items())
+    lines += ["schemes:", "  drive:", "    motion: true",
+              *([f"    sensors: {{optional: {{{sensors}}}}}"] if sensors else [])]
+    return "\n".join(lines) + "\n"
+
+
+def _number(value: FittedParameter | None, unit: str = "") -> str:
+    # power of a component may not be negative in a robot file
+    if value is None:
+        return f"1 {unit}".strip()
+    shown = max(value.value, 0.0) if unit else value.value
+    suffix = f" {unit}" if unit else ""
+    return (f"{{value: {shown:.6g}{suffix}, sd: {max(value.sd, 1e-12):.3g}{suffix}, status: fitted, "
+            f"source: {CALIBRATION}}}")
+
+
+def _max_speed(robot: NewRobot, logs: Sequence[Any]) -> str:
+    if robot.max_speed:
+        return json.dumps(robot.max_speed)
+    speeds = [np.abs(np.asarray(log.columns["speed_m_s"], dtype=float)) for log in logs if "speed_m_s" in log.columns]
+    fastest = float(np.nanmax(np.concatenate(speeds))) if speeds else 0.0
+    if fastest <= 0.0:
+        return f"{{value: 1 m/s, status: assumed, note: {json.dumps(_UNKNOWN)}}}"
+    return f"{{value: {fastest:.3g} m/s, status: measured, note: fastest in the logs}}"
+
+
+def _capacity(robot: NewRobot, logs: Sequence[Any]) -> str:
+    if robot.capacity:
+        return json.dumps(robot.capacity)
+    most = max(abs(log.energy_wh(robot.battery)) for log in logs if robot.battery in log.power_w)
+    return f"{{value: {max(10.0 * most, 1.0):.2g} Wh, status: assumed, note: {json.dumps(_UNKNOWN)}}}"
