@@ -6,7 +6,7 @@ import dataclasses
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
@@ -117,10 +117,14 @@ def check_files(paths: Iterable[str | os.PathLike[str]]) -> list[Fault]:
                     _check_study(study, target, faults)
                 else:
                     faults.append(document.fault(("mission",), "no such mission file", got=as_written(study.mission)))
+        elif kind == "map":
+            from missionsim.spec.log_map import MapSpec
+
+            _load(Path(path), MapSpec, faults, document=document)
         elif kind in KINDS:
             _load(Path(path), KINDS[str(kind)], faults, document=document)
         else:
-            faults.append(_kind_fault(document, tuple(KINDS)))
+            faults.append(_kind_fault(document, (*KINDS, "map")))
     return sorted(set(faults))
 
 
@@ -178,7 +182,7 @@ def _load(
     if document is None:
         return None
     faults.extend(override_rules.apply(document, overrides))
-    kind = next(name for name, candidate in KINDS.items() if candidate is model)
+    kind = get_args(model.model_fields["kind"].annotation)[0]
     if not isinstance(document.data, dict) or document.data.get("kind") != kind:
         faults.append(_kind_fault(document, (kind,)))
         return None

@@ -136,6 +136,8 @@ class QuantityOf:
                 number["maximum"] = self.high / factor
         part = {"anyOf": [{"type": "number"}, text]}
         mapping = {
+            "x-quantity": "mapping",
+            "description": "an uncertain number, or one with its status and source",
             "type": "object",
             "additionalProperties": False,
             "properties": {
@@ -167,7 +169,13 @@ class QuantityOf:
             },
         }
         what = units.allowed_text(self.dimension) if self.dimension else "a number, with a unit or without"
-        return {"description": what, "anyOf": [number, text, mapping]}
+        return {"x-quantity": self._label(), "description": what, "anyOf": [number, text, mapping]}
+
+    def _label(self) -> str:
+        """Name of this quantity among a schema's definitions."""
+        kind = "slope" if self.percent_slope else self.dimension or "any number"
+        ends = [f"from {self.low:g}"] * math.isfinite(self.low) + [f"to {self.high:g}"] * math.isfinite(self.high)
+        return " ".join([kind, *(["above"] if self.strict_low else []), *ends])
 
     def _validate(self, raw: Any, info: core_schema.ValidationInfo) -> Parameter:
         if isinstance(raw, Parameter):

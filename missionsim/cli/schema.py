@@ -1,0 +1,47 @@
+"""`missionsim schema`: JSON Schema of each kind of YAML file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text
+
+
+def schema(*kind: str, out: Path | None = None, json: JsonOption = None, quiet: QuietOption = False) -> int:
+    """Write the JSON Schema of each kind of YAML file.
+
+    An editor checks and completes a file whose first line is
+    `# yaml-language-server: $schema=PATH/robot.schema.json`.
+
+    Parameters
+    ----------
+    kind
+        Kinds to write: robot, environment, mission, study, map. All of them by default.
+    out
+        Folder for the files, made if need be. Without it, the schema of one kind goes to standard output.
+    json
+        Write all schemas as one JSON object to this file, or - for standard output.
+    quiet
+        Do not list the files written.
+    """
+    from missionsim.errors import InputError
+    from missionsim.files import write_text
+    from missionsim.spec.schemas import schema as make
+    from missionsim.spec.schemas import schema_kinds, schema_text
+
+    kinds = kind or schema_kinds()
+    made = {name: make(name) for name in kinds}
+    emit_json({"schema": "missionsim.schemas/1", "kinds": made}, json)
+    if out is not None:
+        if out.exists() and not out.is_dir():
+            raise InputError.single("--out must be a folder", got=str(out), allowed="a folder")
+        for name in kinds:
+            write_text(out / f"{name}.schema.json", schema_text(name))
+            if shows_text(json, quiet):
+                console().print(str(out / f"{name}.schema.json"), soft_wrap=True)
+    elif json is None and len(kinds) == 1:
+        print(schema_text(kinds[0]), end="")
+    elif shows_text(json, quiet):
+        console().print("Kinds of YAML files: " + ", ".join(kinds))
+        console().print("missionsim schema --out DIR writes a JSON Schema for each, missionsim schema KIND prints one.")
+    return 0
