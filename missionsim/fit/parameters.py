@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -115,10 +115,14 @@ def fit_parameters(
     known = {name: p for name, p in ready.parameters.items() if p.value != 0.0}
     prior_sd = {name: FREE_SD if free else p.prior_sd for name, p in known.items()}
     prior_value = {name: p.value for name, p in known.items()}
+    fitted: Model | None = None
     for step in range(ROUNDS):
         # the prior stays where it was while the point of linearisation moves
         ready = prepare(model, logs, battery) if step else ready
-        fitted = fit_model(make_source(ready.data(), [], prior_sd, settings), ())
+        source = make_source(ready.data(), [], prior_sd, replace(settings, align=settings.align and fitted is None))
+        if fitted is not None:
+            source.clock, source.aligned = fitted.clock, settings.align
+        fitted = fit_model(source, (), fitted, thorough=False)
         shift, covariance = fitted.gram.shifts(())
         names = fitted.design.layout.parameters
         moved = {name: float(np.clip(s, -0.9, 9.0)) for name, s in zip(names, shift, strict=False)}
@@ -126,6 +130,7 @@ def fit_parameters(
         if not free or settled or step == ROUNDS - 1:
             break
         model = _moved(model, battery, moved)
+    assert fitted is not None  # there is at least one round
     final = _moved(model, battery, moved)
     sd = {name: float(np.sqrt(covariance[i, i])) for i, name in enumerate(names)}
     parameters = {
