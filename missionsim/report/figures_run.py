@@ -1,0 +1,196 @@
+"""Figures of one run: power over time by component, charge over time, energy by segment; PNG or SVG."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from missionsim.engine.outcome import J_PER_WH, RunResult
+from missionsim.files import atomic_write
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#ee8866", "#77aadd")
+"""Distinguishable without colour vision (P. Tol's bright and light schemes)."""
+OTHERS = "#bbbbbb"
+MOST_COMPONENTS = 8
+MOST_LABELS = 26
+MOST_BARS = 40
+
+
+def write_figures(result: RunResult, folder: str | Path, format: Literal["png", "svg"] = "png") -> list[Path]:
+    """Draw all figures of a run into a folder.
+
+    Parameters
+    ----------
+    result : RunResult
+        With its intervals (``trace=True``).
+    folder : path-like
+    format : str
+        ``png`` or ``svg``.
+
+    Returns
+    -------
+    list of Path
+        ``power``, ``charge`` and ``energy`` with the suffix of the format.
+    """
+    figures = {"power": power_figure(result), "charge": charge_figure(result), "energy": energy_figure(result)}
+    written = []
+    for name, figure in figures.items():
+        path = Path(folder) / f"{name}.{format}"
+        with atomic_write(path) as temporary:
+            metadata = {"Date": None} if format == "svg" else {"Software": "missionsim"}
+            figure.savefig(temporary, format=format, dpi=130, metadata=metadata)
+        written.append(path)
+    return written
+
+
+def power_figure(result: RunResult) -> Figure:
+    """Power of each battery over time, stacked by component (mean of each interval), segments marked."""
+    names = list(result.batteries)
+    figure, axes = _figure(result, len(names), 3.0)
+    scale, unit = _time_unit(result.duration_s)
+    line = result.timeline
+    edges = np.append(line.start_s, line.start_s[-1:] + line.duration_s[-1:]) / scale
+    for axis, name in zip(axes, names, strict=True):
+        parts = _by_component(result, name)
+        base = np.zeros(len(line))
+        for i, (component, joules) in enumerate(parts.items()):
+            top = base + joules / line.duration_s
+            colour = OTHERS if component == "others" else COLOURS[i % len(COLOURS)]
+            axis.fill_between(edges, np.append(base, base[-1:]), np.append(top, top[-1:]), step="post",
+                              color=colour, label=component, linewidth=0)
+            base = top
+        axis.step(edges, np.append(base, base[-1:]), where="post", color="#222222", linewidth=0.7)
+        axis.set_ylabel(f"{name} battery [W]")
+        axis.set_ylim(min(0.0, float(base.min(initial=0.0)) * 1.05), max(1e-9, float(base.max(initial=0.0))) * 1.06)
+        handles, labels = axis.get_legend_handles_labels()
+        axis.legend(handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False,
+                    fontsize=8)
+    _mark_segments(axes, result, scale)
+    axes[-1].set_xlabel(f"time [{unit}]")
+    return figure
+
+
+def charge_figure(result: RunResult) -> Figure:
+    """Charge of each battery over time, with its required reserve, the energy home, and where it is empty."""
+    names = list(result.batteries)
+    figure, axes = _figure(result, len(names), 2.4)
+    scale, unit = _time_unit(result.duration_s)
+    line = result.timeline
+    time = np.append(line.start_s[:1], line.start_s + line.duration_s) / scale
+    home = result.home_energy()
+    for i, (axis, name) in enumerate(zip(axes, names, strict=True)):
+        battery = result.batteries[name]
+        charge = np.append(battery.initial_wh, result.charge_wh[name])
+        axis.plot(time, charge, color=COLOURS[i % len(COLOURS)], linewidth=1.6, label="charge")
+        axis.axhline(battery.reserve_required_wh, color="#777777", linestyle="--", linewidth=1.0, label="reserve to keep")
+        ways = [(result.segment_end_s[j] / scale, entry[name]) for j, entry in enumerate(home)
+                if j in result.segment_end_s and entry.get(name) is not None]
+        if any(energy for _, energy in ways):
+            axis.plot(*zip(*ways, strict=True), color="#aa3377", marker=".", linewidth=1.0, label="needed to come home")
+        if battery.empty_at_s is not None:
+            axis.axvline(battery.empty_at_s / scale, color="#cc3311", linewidth=1.2, label="empty")
+        low = min(0.0, float(charge.min()))
+        axis.set_ylim(low * 1.05, max(float(charge.max()), battery.reserve_required_wh) * 1.08)
+        axis.set_ylabel(f"{name} battery [Wh]")
+        axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
+    _mark_segments(axes, result, scale)
+    axes[-1].set_xlabel(f"time [{unit}]")
+    return figure
+
+
+def energy_figure(result: RunResult) -> Figure:
+    """Energy of each segment by component, one panel a battery; repetitions of a segment are added up."""
+    groups: dict[str, list[int]] = {}
+    for i, segment in enumerate(result.segments):
+        groups.setdefault(segment.label or segment.name, []).append(i)
+    names = list(result.batteries)
+    totals = {label: sum(float(result.by_segment_wh(n)[members].sum()) for n in names)
+              for label, members in groups.items()}
+    kept = set(sorted(totals, key=lambda label: -totals[label])[:MOST_BARS])
+    labels = [label for label in groups if label in kept]
+    from matplotlib.figure import Figure
+
+    height = max(2.4, 0.26 * len(labels) + 1.2)
+    figure = Figure(figsize=(4.6 * len(names) + 1.4, height), layout="constrained")
+    axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+    count = len(result.segments)
+    for axis, name in zip(axes, names, strict=True):
+        base = np.zeros(len(labels))
+        for i, (component, joules) in enumerate(_by_component(result, name).items()):
+            by_segment = np.bincount(result.timeline.segment, weights=joules, minlength=count) / J_PER_WH
+            energy = np.array([by_segment[groups[label]].sum() for label in labels])
+            colour = OTHERS if component == "others" else COLOURS[i % len(COLOURS)]
+            axis.barh(range(len(labels)), energy, left=base, color=colour, label=component, height=0.78)
+            base = base + energy
+        axis.set_xlabel(f"{name} battery [Wh]")
+        axis.set_yticks(range(len(labels)), labels, fontsize=8)
+        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.9 / height), ncols=3, frameon=False, fontsize=7)
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].invert_yaxis()
+    figure.suptitle(_title(result), fontsize=10)
+    return figure
+
+
+def _by_component(result: RunResult, battery: str) -> dict[str, Any]:
+    """Energy by component [J], shape (n,), in the order of the robot file; small ones together as ``others``."""
+    parts: dict[str, Any] = {}
+    for key, joules in result.energies[battery].items():
+        parts[key.component] = parts.get(key.component, 0.0) + np.asarray(joules)
+    used = {name: joules for name, joules in parts.items() if np.any(joules)}
+    if len(used) <= MOST_COMPONENTS:
+        return used
+    largest = sorted(used, key=lambda name: -abs(float(used[name].sum())))[: MOST_COMPONENTS - 1]
+    kept = {name: joules for name, joules in used.items() if name in largest}
+    kept["others"] = np.sum([joules for name, joules in used.items() if name not in largest], axis=0)
+    return kept
+
+
+def _figure(result: RunResult, rows: int, height: float) -> tuple[Figure, list[Axes]]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, height * rows + 1.0), layout="constrained")
+    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+    for axis in axes:
+        axis.margins(x=0)
+        axis.spines[["top", "right"]].set_visible(False)
+    figure.suptitle(_title(result), fontsize=10)
+    return figure, list(axes)
+
+
+def _title(result: RunResult) -> str:
+    verdict = "feasible" if result.feasible else f"not feasible: {result.reason}"
+    return f"{result.mission}, {result.robot}: {verdict}"
+
+
+def _time_unit(duration_s: float) -> tuple[float, str]:
+    if duration_s > 3 * 3600.0:
+        return 3600.0, "h"
+    return (60.0, "min") if duration_s > 300.0 else (1.0, "s")
+
+
+def _mark_segments(axes: list[Axes], result: RunResult, scale: float) -> None:
+    """Thin lines where segments begin, their names over the first panel unless there are too many or too short."""
+    line = result.timeline
+    if not len(line):
+        return
+    first = np.flatnonzero(np.append(True, line.segment[1:] != line.segment[:-1]))
+    ends = np.append(line.start_s[first[1:]], line.start_s[-1] + line.duration_s[-1])
+    if len(first) > 4 * MOST_LABELS:
+        return
+    for axis in axes:
+        for i in first:
+            axis.axvline(line.start_s[i] / scale, color="#000000", alpha=0.18, linewidth=0.7)
+    for i, end in zip(first, ends, strict=True):
+        if end - line.start_s[i] < result.duration_s / MOST_LABELS / 1.5:
+            continue
+        middle = 0.5 * (line.start_s[i] + end) / scale
+        name = result.segments[int(line.segment[i])].name
+        axes[0].annotate(name if len(name) < 22 else name[:20] + "…", (middle, 1.0),
+                         xycoords=("data", "axes fraction"), xytext=(0, 3), textcoords="offset points",
+                         rotation=35, ha="left", va="bottom", fontsize=7)
