@@ -1,0 +1,291 @@
+"""What a diagnosis says: plain frozen data with the contract's JSON, free of arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+SCHEMA = "missionsim.diagnosis/1"
+VERDICTS = ("effects_found", "nothing_missing", "ambiguous", "unexplained_structure")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+    unit: str = "1"
+
+    def to_json(self) -> dict[str, Any]:
+        """Value, ends of the interval and unit."""
+        return {"value": self.value, "low": self.low, "high": self.high, "unit": self.unit}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One missing effect.
+
+    Attributes
+    ----------
+    effect : str
+    parameters : mapping of str to Estimate
+        Coefficients and shape parameters.
+    energy_share : float
+        Part of the measured energy of the battery.
+    share_low, share_high : float
+        Its 95 % interval.
+    p_value, p_runs : float
+        Of no effect, from blocks of time, and from whole runs (NaN with fewer than three).
+    level : str
+        ``identified, repeated across runs``, ``identified`` or ``indicated``.
+    heldout_rmse_before_w, heldout_rmse_after_w : float or None
+        Power error on held-out runs without this effect and with it, base parameters recalibrated both times.
+    indistinguishable_from : tuple of str
+    weights : mapping of str to float
+        How probable each member of the set is.
+    separation_nats : float
+        Expected lead over the best imitation.
+    absorbed : float
+        Part of the effect that a recalibration of the base hides.
+    scheme : str
+        For execution effects, the control scheme.
+    remark : str
+    """
+
+    effect: str
+    parameters: Mapping[str, Estimate]
+    energy_share: float
+    p_value: float
+    share_low: float = float("nan")
+    share_high: float = float("nan")
+    p_runs: float = float("nan")
+    level: str = "identified"
+    heldout_rmse_before_w: float | None = None
+    heldout_rmse_after_w: float | None = None
+    indistinguishable_from: tuple[str, ...] = ()
+    weights: Mapping[str, float] = field(default_factory=dict)
+    separation_nats: float = float("nan")
+    absorbed: float = float("nan")
+    scheme: str = ""
+    remark: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's fields, and ours beside them."""
+        data = {
+            "effect": self.effect,
+            "parameters": {name: estimate.to_json() for name, estimate in self.parameters.items()},
+            "energy_share": self.energy_share,
+            "energy_share_interval": [self.share_low, self.share_high],
+            "p_value": self.p_value, "p_value_runs": self.p_runs, "level": self.level,
+            "heldout_rmse_before_w": self.heldout_rmse_before_w, "heldout_rmse_after_w": self.heldout_rmse_after_w,
+            "indistinguishable_from": list(self.indistinguishable_from),
+            "weights": dict(self.weights), "separation_nats": self.separation_nats, "absorbed_share": self.absorbed,
+        }
+        if self.scheme:
+            data["scheme"] = self.scheme
+        if self.remark:
+            data["remark"] = self.remark
+        return data
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A candidate and why it was taken or not."""
+
+    effect: str
+    accepted: bool
+    reason: str
+    smallest_detectable_share: float | None
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's fields."""
+        return {"effect": self.effect, "accepted": self.accepted, "reason": self.reason,
+                "smallest_detectable_share": self.smallest_detectable_share}
+
+
+@dataclass(frozen=True)
+class Recalibrated:
+    """Shift of a base parameter that these logs ask for."""
+
+    parameter: str
+    shift_pct: float
+    shift_in_prior_sd: float
+    value: float
+    sd: float
+    unit: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's fields, and the new value with its standard deviation."""
+        return {"parameter": self.parameter, "shift_pct": self.shift_pct, "shift_in_prior_sd": self.shift_in_prior_sd,
+                "value": self.value, "sd": self.sd, "unit": self.unit}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What to drive next.
+
+    Attributes
+    ----------
+    separates : tuple of str
+    do : str
+        In words.
+    expected_power : float
+        Probability that it resolves the question.
+    separation_now, separation_after : float
+        Expected lead [nats] before and after.
+    minutes : float
+    manoeuvre : tuple of mapping
+        The same for machines, part after part.
+    """
+
+    separates: tuple[str, ...]
+    do: str
+    expected_power: float
+    separation_now: float
+    separation_after: float
+    minutes: float
+    manoeuvre: tuple[Mapping[str, Any], ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's fields, and ours beside them."""
+        return {"separates": list(self.separates), "do": self.do, "expected_power": self.expected_power,
+                "separation_now_nats": self.separation_now, "separation_after_nats": self.separation_after,
+                "minutes": self.minutes, "manoeuvre": [dict(part) for part in self.manoeuvre]}
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Errors on runs that were not used to fit: as the robot file is, recalibrated, and with the effects found.
+
+    Attributes
+    ----------
+    how : str
+        How the runs were chosen.
+    runs : tuple of str
+    energy_error_pct, power_rmse_w : mapping of str to float
+        By ``nominal``, ``recalibrated`` and ``with_effects``: mean over runs of the absolute energy error, and the
+        RMS of the power error at the analysis rate.
+    shifted : bool
+        Whether the runs differ in kind from the fitted ones.
+    """
+
+    how: str
+    runs: tuple[str, ...]
+    energy_error_pct: Mapping[str, float]
+    power_rmse_w: Mapping[str, float]
+    shifted: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields."""
+        return {"how": self.how, "runs": list(self.runs), "shifted": self.shifted,
+                "energy_error_pct": dict(self.energy_error_pct), "power_rmse_w": dict(self.power_rmse_w)}
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """What remains after everything that was found."""
+
+    share_of_residual: float
+    depends_on: tuple[str, ...]
+    shape: str
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's fields."""
+        return {"share_of_residual": self.share_of_residual, "depends_on": list(self.depends_on), "shape": self.shape}
+
+
+@dataclass(frozen=True)
+class Where:
+    """A condition and its share of the squared error of the model as it is."""
+
+    by: str
+    value: str
+    share: float
+    bias_w: float
+
+
+@dataclass(frozen=True)
+class RunSeries:
+    """One run for the eye: powers in W at the analysis rate, clocks aligned; arrays of shape (n,)."""
+
+    run: str
+    time_s: NDArray[np.float64]
+    measured_w: NDArray[np.float64]
+    nominal_w: NDArray[np.float64]
+    fitted_w: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BatteryDiagnosis:
+    """Everything said about one battery."""
+
+    battery: str
+    verdict: str
+    effects: tuple[Finding, ...]
+    candidates: tuple[Judged, ...]
+    recalibration: tuple[Recalibrated, ...]
+    delay_s: float
+    lag_s: float
+    clock_at_edge: bool
+    noise: Mapping[str, float]
+    untestable: Mapping[str, tuple[str, ...]]
+    unexplained: Unexplained
+    next_experiments: tuple[Experiment, ...]
+    heldout: HeldOut | None
+    shifted: HeldOut | None
+    execution: tuple[Finding, ...]
+    mean_power_w: float
+    runs: tuple[str, ...]
+    seconds: float
+    remarks: tuple[str, ...]
+    confounding: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    where: tuple[Where, ...] = ()
+    series: tuple[RunSeries, ...] = field(default=(), repr=False, compare=False)
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's fields, and ours beside them."""
+        return {
+            "verdict": self.verdict,
+            "effects": [effect.to_json() for effect in (*self.effects, *self.execution)],
+            "candidates": [candidate.to_json() for candidate in self.candidates],
+            "recalibration": [shift.to_json() for shift in self.recalibration],
+            "clock": {"delay_s": self.delay_s, "lag_s": self.lag_s, "at_edge": self.clock_at_edge},
+            "noise": dict(self.noise),
+            "untestable": [{"effect": name, "needs": list(needs)} for name, needs in self.untestable.items()],
+            "unexplained": self.unexplained.to_json(),
+            "next_experiment": [experiment.to_json() for experiment in self.next_experiments],
+            "heldout": None if self.heldout is None else self.heldout.to_json(),
+            "heldout_shifted": None if self.shifted is None else self.shifted.to_json(),
+            "confounding": {name: dict(row) for name, row in self.confounding.items()},
+            "mean_power_w": self.mean_power_w,
+            "runs": list(self.runs), "seconds": self.seconds, "remarks": list(self.remarks),
+        }
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The diagnosis of all batteries of a robot.
+
+    Attributes
+    ----------
+    robot : str
+    batteries : mapping of str to BatteryDiagnosis
+    skipped : mapping of str to str
+        Batteries that were measured but could not be diagnosed, and why.
+    """
+
+    robot: str
+    batteries: Mapping[str, BatteryDiagnosis]
+    skipped: Mapping[str, str] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's ``missionsim.diagnosis/1``."""
+        return {"schema": SCHEMA, "robot": self.robot,
+                "batteries": {name: battery.to_json() for name, battery in self.batteries.items()},
+                "skipped": dict(self.skipped)}

@@ -1,0 +1,179 @@
+"""The verdict in words that a robot engineer understands: where, clock, noise, found, unsure, next, not seen …"""
+
+from __future__ import annotations
+
+import math
+
+from missionsim.diagnose.findings import BatteryDiagnosis, Experiment, Finding, HeldOut
+
+MOST_NOT_SEEN = 8
+
+
+def headline(battery: BatteryDiagnosis) -> str:
+    """The verdict in one or two sentences."""
+    name = battery.battery
+    found = [f for f in battery.effects if not f.indistinguishable_from]
+    unsure = [f for f in battery.effects if f.indistinguishable_from]
+    driven = [f for f in battery.execution if f.effect]
+    said = []
+    if found:
+        told = _listed([f"{f.effect} ({_share(f)})" for f in found])
+        said.append(f"Battery {name}: missing from the model {'is' if len(found) == 1 else 'are'} {told}.")
+    for effect in unsure:
+        names = (effect.effect, *effect.indistinguishable_from)
+        said.append(f"Battery {name}: something is missing, {_share(effect)}: {' or '.join(names)}. These data cannot "
+                    "tell which.")  # fmt: skip
+    if driven:
+        said.append("The robot drove otherwise than planned: " + "; ".join(_execution(f) for f in driven) + ".")
+    if battery.verdict == "unexplained_structure":
+        on = ", ".join(battery.unexplained.depends_on) or "nothing that is logged"
+        also = "also " if battery.effects else ""
+        said.append(f"Battery {name}: something is {also}missing that the library does not contain; it varies with "
+                    f"{on} ({battery.unexplained.shape}).")
+    if not said:
+        least = _smallest_limits(battery)
+        said.append(f"Battery {name}: no evidence of anything missing above the detection limits{least}.")
+    return " ".join(said)
+
+
+def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
+    """The report as (heading, line) pairs, in the order of the skeleton; headings may repeat."""
+    lines: list[tuple[str, str]] = []
+    for where in battery.where:
+        lines.append(("WHERE", f"{where.by} {where.value}: {100 * where.share:.0f} % of the squared error, model "
+                      f"{where.bias_w:+.2g} W against the meter".replace("-", "−")))  # fmt: skip
+    edge = ("; at the edge of what is searched: check the clocks" if battery.clock_at_edge else "")
+    clock = f"meter {battery.delay_s:+.2f} s behind the motion, lag {battery.lag_s:.2f} s (applied{edge})"
+    lines.append(("CLOCK", clock))
+    lines.append(("NOISE", _noise(battery)))
+    for effect in battery.effects:
+        if not effect.indistinguishable_from:
+            lines.append(("FOUND", found_line(effect)))
+    for effect in battery.execution:
+        lines.append(("DRIVEN", _execution(effect) + f"; {100 * effect.energy_share:+.1f} % of the energy"))
+    for effect in battery.effects:
+        if effect.indistinguishable_from:
+            lines.append(("UNSURE", unsure_line(effect)))
+    for experiment in battery.next_experiments:
+        lines.append(("NEXT", next_line(experiment)))
+    lines.append(("NOT SEEN", _not_seen(battery)))
+    lines.append(("REMAINS", _remains(battery)))
+    shifts = [s for s in battery.recalibration if abs(s.shift_in_prior_sd) >= 1.0]
+    if shifts:
+        told = ", ".join(f"{s.parameter} {s.shift_pct:+.1f} % ({s.shift_in_prior_sd:+.1f} sd)" for s in shifts[:6])
+        lines.append(("BASE", f"recalibrated, no discovery: {told}"))
+    for heldout in (battery.heldout, battery.shifted):
+        if heldout is not None:
+            lines.append(("HELD-OUT", heldout_line(heldout)))
+    if battery.heldout is None:
+        lines.append(("HELD-OUT", f"nothing held out ({len(battery.runs)} runs): a falling error on other runs is not "
+                      "shown"))
+    lines += [("NOTE", remark) for remark in battery.remarks]
+    if battery.untestable:
+        lines.append(("UNTESTABLE", _untestable(battery)))
+    return lines
+
+
+def found_line(effect: Finding) -> str:
+    """An effect that was found: share of energy with interval, parameters, level."""
+    numbers = ", ".join(
+        f"{name} = {e.value:.4g}{_unit(e.unit)} (95 % {e.low:.4g} to {e.high:.4g})"
+        for name, e in effect.parameters.items()
+    )
+    interval = ""
+    if math.isfinite(effect.share_low):
+        interval = f" (95 % {100 * effect.share_low:.1f} to {100 * effect.share_high:.1f})"
+    runs = f", p over runs {effect.p_runs:.1g}" if math.isfinite(effect.p_runs) else ""
+    return (f"{effect.effect}: {100 * effect.energy_share:.1f} % of energy{interval}; {numbers}; {effect.level}, "
+            f"p = {effect.p_value:.1g}{runs}")
+
+
+def unsure_line(effect: Finding) -> str:
+    """A set of effects that the data cannot tell apart."""
+    names = (effect.effect, *effect.indistinguishable_from)
+    weights = ""
+    if effect.weights:
+        weights = " (" + " / ".join(f"{100 * effect.weights.get(name, 0.0):.0f}" for name in names) + " %)"
+    more = ""
+    if math.isfinite(effect.separation_nats):
+        d = effect.separation_nats
+        more = "; more of the same data will not help" if d < 0.05 else (
+            f"; expected lead {d:.1f} nats, about {5.0 / d:.1f} times these data would settle it" if d < 5.0 else "")
+    return f"{' OR '.join(names)}{weights}, {100 * effect.energy_share:.1f} % of energy: these data cannot tell{more}"
+
+
+def next_line(experiment: Experiment) -> str:
+    """A proposed manoeuvre."""
+    return (f"{experiment.do} ({experiment.minutes:.0f} min): to tell {' from '.join(experiment.separates)}, predicted "
+            f"separation {experiment.separation_now:.1f} -> {experiment.separation_after:.0f} nats, resolves with "
+            f"probability {experiment.expected_power:.2f}")
+
+
+def heldout_line(heldout: HeldOut) -> str:
+    """Errors on held-out runs."""
+    e, p = heldout.energy_error_pct, heldout.power_rmse_w
+    kind = "other conditions" if heldout.shifted else "same kind"
+    return (f"{heldout.how} ({kind}): energy error {e['nominal']:.2f} -> {e['recalibrated']:.2f} (recalibrated) -> "
+            f"{e['with_effects']:.2f} % (with the effects); power RMSE {p['nominal']:.3g} -> "
+            f"{p['recalibrated']:.3g} -> {p['with_effects']:.3g} W")
+
+
+def _execution(effect: Finding) -> str:
+    estimate = next(iter(effect.parameters.values()))
+    scheme = f" in {effect.scheme}" if effect.scheme else ""
+    told = {"path_stretch": "times the planned way", "speed_tracking": "times the planned speed",
+            "dwell": "s at rest a run that nothing plans"}[effect.effect]
+    interval = f" (95 % {estimate.low:.3g} to {estimate.high:.3g})" if math.isfinite(estimate.low) else ""
+    return f"{effect.effect}{scheme}: {estimate.value:.3g} {told}{interval}"
+
+
+def _noise(battery: BatteryDiagnosis) -> str:
+    n = battery.noise
+    told = f"{n['sd_w']:.2g} W ({100 * n['sd_w'] / battery.mean_power_w:.1f} % of the mean power)"
+    if "correlation_1s" in n:
+        told += f", correlation {n['correlation_1s']:.2f} after {n.get('step_s', 1.0):.3g} s"
+    return told + f"; meter differs between runs ±{n['offset_w']:.2g} W and ±{100 * n['gain']:.1f} %"
+
+
+def _not_seen(battery: BatteryDiagnosis) -> str:
+    limits = [
+        (c.smallest_detectable_share, c.effect) for c in battery.candidates
+        if not c.accepted and c.smallest_detectable_share is not None and math.isfinite(c.smallest_detectable_share)
+    ]
+    limits.sort()
+    shown = [f"{name} < {100 * share:.1f} %" for share, name in limits[:MOST_NOT_SEEN]]
+    rest = len(limits) - len(shown)
+    text = ", ".join(shown) + (f" and {rest} more with higher limits" if rest > 0 else "")
+    return (text or "nothing could be excluded") + " of energy"
+
+
+def _smallest_limits(battery: BatteryDiagnosis) -> str:
+    limits = sorted(
+        c.smallest_detectable_share for c in battery.candidates
+        if c.smallest_detectable_share is not None and math.isfinite(c.smallest_detectable_share)
+    )
+    if not limits:
+        return ""
+    return f" ({100 * limits[0]:.1f} to {100 * limits[-1]:.1f} % of energy, by effect)"
+
+
+def _remains(battery: BatteryDiagnosis) -> str:
+    if not battery.unexplained.shape:
+        return "nothing beyond the noise"
+    return battery.unexplained.shape
+
+
+def _untestable(battery: BatteryDiagnosis) -> str:
+    return "; ".join(f"{name} (needs {', '.join(needs)})" for name, needs in battery.untestable.items())
+
+
+def _share(effect: Finding) -> str:
+    return f"{100 * effect.energy_share:.1f} % of the energy"
+
+
+def _unit(unit: str) -> str:
+    return "" if unit in ("1", "") else f" {unit}"
+
+
+def _listed(parts: list[str]) -> str:
+    return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1]
