@@ -6,7 +6,7 @@ import codecs
 import csv
 import itertools
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -61,8 +61,17 @@ class Dialect:
     remarks: list[Remark] = field(default_factory=list)
 
 
-def sniff(path: Path, file: str) -> Dialect:
+def sniff(path: Path, file: str, header: Sequence[str] = (), delimiter: str | None = None) -> Dialect:
     """Read the start of a CSV file and find out how it is written.
+
+    Parameters
+    ----------
+    path, file
+        The file, and its name in messages.
+    header : sequence of str
+        Names of the columns of a file that has no header line.
+    delimiter : str, optional
+        Where it is known.
 
     Raises
     ------
@@ -95,15 +104,20 @@ def sniff(path: Path, file: str) -> Dialect:
         remarks.append(
             Remark("format", "", f"{skipped} lines before the header", "they were skipped", "note", 1, skipped)
         )
-    header, body = lines[skipped], [line for line in lines[skipped + 1 : -1] if line.strip()][:200]
-    delimiter = _delimiter(header, body)
-    names = tuple(name.strip() for name in next(csv.reader([header], delimiter=delimiter)))
-    _check_header(names, header, delimiter, file, skipped + 1)
+    first, body = lines[skipped], [line for line in lines[skipped + 1 : -1] if line.strip()][:200]
+    delimiter = delimiter or _delimiter(first, body)
+    names = tuple(header) or tuple(name.strip() for name in next(csv.reader([first], delimiter=delimiter)))
+    if not header:
+        _check_header(names, first, delimiter, file, skipped + 1)
     decimal = _decimal(body, delimiter)
     if delimiter != ",":
         remarks.append(
             Remark(
-                "format", "", f"the columns are separated by {_NAMES[delimiter]}, not commas", "read as such", "note"
+                "format",
+                "",
+                f"the columns are separated by {_NAMES.get(delimiter, delimiter)}, not commas",
+                "read as such",
+                "note",
             )
         )
     if decimal == ",":
@@ -113,7 +127,7 @@ def sniff(path: Path, file: str) -> Dialect:
         remarks.append(
             Remark("format", "", "a column has no name", "it was called unnamed_<position>", "note", skipped + 1)
         )
-    return Dialect(names, delimiter, decimal, encoding, skipped + 1, remarks)
+    return Dialect(names, delimiter, decimal, encoding, skipped + (0 if header else 1), remarks)
 
 
 def _delimiter(header: str, body: list[str]) -> str:
@@ -164,7 +178,9 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def read_csv(path: Path, file: str, *, typed: bool = True) -> RawTable:
+def read_csv(
+    path: Path, file: str, *, typed: bool = True, header: Sequence[str] = (), delimiter: str | None = None
+) -> RawTable:
     """Read a whole CSV file.
 
     Parameters
@@ -173,6 +189,8 @@ def read_csv(path: Path, file: str, *, typed: bool = True) -> RawTable:
         The file, and its name in messages.
     typed : bool
         Whether columns with names of the glossary have to hold what the glossary says.
+    header, delimiter
+        See `sniff`.
 
     Raises
     ------
@@ -182,7 +200,7 @@ def read_csv(path: Path, file: str, *, typed: bool = True) -> RawTable:
     import pyarrow as pa
     import pyarrow.csv as arrow_csv
 
-    dialect = sniff(path, file)
+    dialect = sniff(path, file, header, delimiter)
     ragged: list[str] = []
     options = _options(dialect, typed, ragged)
     try:

@@ -236,6 +236,8 @@ def _freeze(
         if masks and (len(masks) == len(names) or kind == "power"):
             mask = np.logical_or.reduce(masks)
         fresh[battery] = mask
+        if statistics:
+            suspect.check_dead_meter(rows, battery, power[battery])
     if statistics and "speed_m_s" in rows.columns:
         _clock(rows, power)
     assert rows.dt is not None

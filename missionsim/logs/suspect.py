@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.glossary import COLUMNS, column_of
+from missionsim.glossary import COLUMNS, STILL_SPEED_M_S, column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
 from missionsim.logs.power import refreshes
@@ -189,6 +189,25 @@ def _sign(
         )
 
 
+def check_dead_meter(rows: Rows, battery: str, power_w: Floats) -> None:
+    """Tell a meter that shows exactly zero while the robot drives."""
+    speed = rows.columns.get("speed_m_s")
+    if speed is None or isinstance(speed, Labels):
+        return
+    dead = (power_w == 0.0) & (np.abs(speed) > 10 * STILL_SPEED_M_S)
+    count = int(dead.sum())
+    if count > 0.02 * len(power_w) and count >= 5:
+        rows.remark(
+            "frozen",
+            f"power_{battery}_w",
+            f"exactly zero in {count} rows in which the robot drives: was the meter on?",
+            "kept; a map with 'keep' leaves such rows out",
+            "warning",
+            int(np.argmax(dead)),
+            count,
+        )
+
+
 def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools]:
     """Tell numeric columns that hang at one value, and columns repeated from a slower topic.
 
@@ -230,7 +249,7 @@ def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools
             )
             result[name] = slow.fresh
             continue
-        hung = _hung(name, data, time)
+        hung = _hung(data, time)
         if hung is not None:
             first, last, fresh = hung
             rows.remark(
@@ -247,7 +266,7 @@ def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools
     return result
 
 
-def _hung(name: str, data: Floats, time: Floats) -> tuple[int, int, Bools] | None:
+def _hung(data: Floats, time: Floats) -> tuple[int, int, Bools] | None:
     change = np.r_[True, data[1:] != data[:-1]]
     starts = np.flatnonzero(change)
     if len(starts) < 10:
@@ -255,11 +274,10 @@ def _hung(name: str, data: Floats, time: Floats) -> tuple[int, int, Bools] | Non
     lengths = np.diff(np.r_[starts, len(data)])
     if float(np.median(lengths)) > 1:
         return None
-    motion = name.endswith(("_m_s", "_m_s2", "_rad_s"))
-    longest = int(np.argmax(np.where((data[starts] == 0.0) & motion, 0, lengths)))
+    longest = int(np.argmax(np.where(data[starts] == 0.0, 0, lengths)))
     first = int(starts[longest])
     last = first + int(lengths[longest]) - 1
-    if lengths[longest] < 20 or time[last] - time[first] < 5.0 or (motion and data[first] == 0.0):
+    if lengths[longest] < 20 or time[last] - time[first] < 5.0 or data[first] == 0.0:
         return None
     fresh = np.ones(len(data), dtype=bool)
     fresh[first + 1 : last + 1] = False

@@ -18,6 +18,7 @@ from missionsim.spec.check_mission import check_mission
 from missionsim.spec.check_robot import check_robot
 from missionsim.spec.environment import EnvironmentSpec
 from missionsim.spec.faults import to_faults
+from missionsim.spec.log_map import MapSpec
 from missionsim.spec.mission import MissionSpec, StudySpec
 from missionsim.spec.robot import RobotSpec
 from missionsim.spec.tree import Document, as_written, read_document
@@ -28,6 +29,7 @@ KINDS: dict[str, type[FileModel]] = {
     "environment": EnvironmentSpec,
     "mission": MissionSpec,
     "study": StudySpec,
+    "map": MapSpec,
 }
 Override = tuple[str, Any]
 Loaded = TypeVar("Loaded", bound=FileModel)
@@ -97,6 +99,12 @@ def load_study(path: str | os.PathLike[str]) -> StudySpec:
     """Load a study file; its `mission` stays a path relative to it (`mission_path`)."""
     faults: list[Fault] = []
     return _finish(_load(Path(path), StudySpec, faults), faults)
+
+
+def load_map(path: str | os.PathLike[str]) -> MapSpec:
+    """Load a map for ``missionsim import``; faults in its formulas are told too."""
+    faults: list[Fault] = []
+    return _finish(_load(Path(path), MapSpec, faults), faults)
 
 
 def check_files(paths: Iterable[str | os.PathLike[str]]) -> list[Fault]:

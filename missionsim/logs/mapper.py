@@ -1,0 +1,275 @@
+"""A map's formulas compiled against the columns of one source, and evaluated in the order of their needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.expressions import Expression, compile_expression
+from missionsim.glossary import column_of
+from missionsim.labels import Labels
+from missionsim.logs import transform
+from missionsim.logs.mapunits import to_glossary
+from missionsim.logs.raw import ColumnData, RawTable
+from missionsim.spec.log_map import ColumnMap, MapSpec
+
+Floats = NDArray[np.float64]
+
+
+@dataclass
+class _Formula:
+    path: tuple[str | int, ...]
+    expression: Expression
+
+
+class Mapper:
+    """A map compiled against the columns of one source."""
+
+    def __init__(self, spec: MapSpec, raw: RawTable, stem: str) -> None:
+        self.spec, self.raw, self.stem = spec, raw, stem
+        self.constants = {name: float(number) for name, number in spec.constants.items()}
+        self.faults: list[Fault] = []
+        known = {*raw.columns, *self.constants, *spec.let, *spec.columns}
+        self.let = {name: self._compile(text, ("let", name), known) for name, text in spec.let.items()}
+        self.columns = {
+            name: {key: self._compile(text, spec.formula_path(name, key), known) for key, text in column.formulas()}
+            for name, column in spec.columns.items()
+        }
+        self.keep = self._compile(spec.keep, ("keep",), known) if spec.keep is not None else None
+        self._check_names(("refresh",), spec.refresh, {*raw.columns, *spec.let})
+        self._check_names(("runs", "by"), spec.runs.by, raw.columns.keys())
+        self.order = self._order()
+        if self.faults:
+            raise InputError(self.faults)
+
+    def _fault(self, path: tuple[str | int, ...], message: str, **details: str) -> None:
+        document = self.spec.document
+        if document is not None:
+            self.faults.append(document.fault(path, message, **details))
+        else:
+            self.faults.append(Fault("map", 0, 0, message, ".".join(map(str, path)), **details))
+
+    def _compile(self, text: str, path: tuple[str | int, ...], known: set[str]) -> _Formula:
+        document = self.spec.document
+        file, (line, column) = ("map", (0, 0)) if document is None else (document.file, document.position(path))
+        try:
+            expression = compile_expression(
+                text, names=known, file=file, line=line, column=column, path=".".join(map(str, path))
+            )
+        except InputError as error:
+            self.faults.extend(error.faults)
+            expression = compile_expression("0")
+        return _Formula(path, expression)
+
+    def _check_names(self, path: tuple[str | int, ...], names: Iterable[str], known: Iterable[str]) -> None:
+        known = list(known)
+        for name in names:
+            if name not in known:
+                self._fault(
+                    path,
+                    f"'{name}' is not a column of the source",
+                    got=name,
+                    allowed=", ".join(known)[:300],
+                    hint=did_you_mean(name, known),
+                )
+
+    def _needs(self, name: str) -> set[str]:
+        """Helpers and result columns that a helper or column reads; a source column of the same name comes first."""
+        formulas = [self.let[name]] if name in self.let else list(self.columns[name].values())
+        read = set().union(*(formula.expression.names for formula in formulas)) if formulas else set()
+        inner = {
+            n
+            for n in read
+            if (n in self.let or n in self.columns) and n not in self.raw.columns and n not in self.constants
+        }
+        if (
+            name in self.columns
+            and self.columns[name]
+            and self.spec.columns[name].differentiate is not None
+            and name != "time_s"
+        ):
+            inner |= {"time_s"}
+        return inner
+
+    def _order(self) -> list[str]:
+        names = [*self.let, *(name for name in self.columns if name not in self.let)]
+        try:
+            return list(TopologicalSorter({name: self._needs(name) for name in names}).static_order())
+        except CycleError as error:
+            circle = " → ".join(map(str, error.args[1]))
+            self._fault(("columns",), f"these columns need each other: {circle}")
+            return []
+
+    def time(self, columns: Mapping[str, ColumnData]) -> Floats:
+        """Time of every row of the source [s], before runs are split."""
+        return np.asarray(self.evaluate(dict(columns), only={"time_s"})["time_s"])
+
+    def evaluate(self, env: dict[str, Any], only: set[str] | None = None) -> dict[str, ColumnData]:
+        """The map's columns from those of the source (only `only` and what they need, where that is given)."""
+        rows = len(next(iter(env.values())))
+        names = self.order if only is None else self._closure(only)
+        source = dict(env)
+        values: dict[str, Any] = {**self.constants, **source}
+        result: dict[str, ColumnData] = {}
+        for name in names:
+            if name in self.let:
+                data: Any = self.run(self.let[name], values, rows)
+                if name not in source:
+                    values[name] = data
+            else:
+                # time has to be there before rates and averages
+                data = self._column(name, self.spec.columns[name], values, result, rows)
+                result[name] = data
+                if name not in source and name not in self.constants:
+                    values[name] = data
+        return result
+
+    def _closure(self, wanted: set[str]) -> list[str]:
+        need = set(wanted)
+        while True:
+            more = set().union(*(self._needs(name) for name in need if name in self.let or name in self.columns)) - need
+            if not more:
+                return [name for name in self.order if name in need]
+            need |= more
+
+    def run(self, formula: _Formula, values: dict[str, Any], rows: int) -> ColumnData:
+        """Value of a formula in every row; InputError where it cannot be computed."""
+        try:
+            data = formula.expression.evaluate(values)
+        except (TypeError, ValueError) as error:
+            text = [name for name in formula.expression.names if isinstance(values.get(name), Labels)]
+            self._fault(
+                formula.path,
+                "the formula cannot be computed" + (f": {', '.join(text)} holds text" if text else ""),
+                got=formula.expression.source,
+                allowed="" if text else str(error)[:100],
+            )
+            raise InputError(self.faults) from None
+        if isinstance(data, Labels):
+            return data
+        if isinstance(data, str):
+            return Labels(np.zeros(rows, dtype=np.int64), (data,))
+        return np.array(np.broadcast_to(np.asarray(data, dtype=np.float64), (rows,)))
+
+    def _column(
+        self, name: str, column: ColumnMap, values: dict[str, Any], result: dict[str, ColumnData], rows: int
+    ) -> ColumnData:
+        parts = [self.run(formula, values, rows) for formula in self.columns[name].values()]
+        if column.text is not None:
+            return Labels(np.zeros(rows, dtype=np.int64), (column.text,))
+        if column.file_name is not None:
+            return self._from_file_name(name, column.file_name, rows)
+        if column.lookup is not None:
+            return self._looked_up(name, parts[0], column.values)
+        if column.quaternion is not None:
+            x, y, z, w = self._numbers(name, parts)
+            data: ColumnData = transform.attitude(x, y, z, w, column.give)
+        elif column.differentiate is not None:
+            number = self._numbers(name, parts)[0]
+            if name == "yaw_rate_rad_s":
+                turned = column.unit or ""
+                number = transform.unwrap(number, 360.0 if turned.startswith(("deg", "°")) else 2 * np.pi)
+            over = float(column.average) if column.average is not None else None
+            data = transform.rate_of_change(number, np.asarray(result["time_s"]), over)
+        else:
+            data = parts[0]
+        if isinstance(data, Labels):
+            return self._as_text(name, data, column)
+        data = self._converted(name, data, column)
+        if _is_text_column(name):
+            return Labels.of("" if np.isnan(number) else f"{number:g}" for number in data)
+        if column.average is not None and column.differentiate is None:
+            data = transform.moving_average(data, np.asarray(result["time_s"]), float(column.average))
+        return data
+
+    def _numbers(self, name: str, parts: list[ColumnData]) -> list[Floats]:
+        numbers = [part for part in parts if not isinstance(part, Labels)]
+        if len(numbers) != len(parts):
+            self._fault(("columns", name), "this column is computed from text")
+            raise InputError(self.faults)
+        return numbers
+
+    def _as_text(self, name: str, data: Labels, column: ColumnMap) -> Labels:
+        found = column_of(name)
+        if (found is not None and found[0].kind != "text") or column.unit is not None:
+            self._fault(("columns", name), "this column holds text, not numbers", got=", ".join(data.names[:5]))
+            raise InputError(self.faults)
+        return data
+
+    def _converted(self, name: str, data: Floats, column: ColumnMap) -> Floats:
+        if column.unit is None:
+            return data
+        try:
+            return to_glossary(data, column.unit, name)
+        except InputError as error:
+            fault = error.faults[0]
+            self._fault(("columns", name, "unit"), fault.message, got=fault.got, allowed=fault.allowed, hint=fault.hint)
+            raise InputError(self.faults) from None
+
+    def _from_file_name(self, name: str, words: tuple[str, ...], rows: int) -> Labels:
+        found = [word for word in words if word.lower() in self.stem.lower()]
+        if len(found) != 1:
+            self._fault(
+                ("columns", name, "file_name"),
+                f"the file's name holds {' and '.join(found) or 'none'} of the words",
+                got=self.stem,
+                allowed="exactly one of " + ", ".join(words),
+            )
+            raise InputError(self.faults)
+        return Labels(np.zeros(rows, dtype=np.int64), (found[0],))
+
+    def _looked_up(self, name: str, data: ColumnData, table: dict[str, Any]) -> ColumnData:
+        labels = data if isinstance(data, Labels) else Labels.of("" if np.isnan(v) else f"{v:g}" for v in data)
+        unknown = [word for word in labels.names if word not in table]
+        if unknown:
+            self._fault(
+                ("columns", name, "values"),
+                f"'{unknown[0]}' has no value",
+                got=", ".join(unknown[:10]),
+                allowed=", ".join(map(str, table)),
+                hint=did_you_mean(unknown[0], [str(key) for key in table]),
+            )
+            raise InputError(self.faults)
+        given = [table[word] for word in labels.names]
+        if all(isinstance(item, (int, float)) for item in given) and not _is_text_column(name):
+            numbers = np.array([*(float(item) for item in given), np.nan])
+            return np.asarray(numbers[labels.codes])
+        words = Labels.of(str(item) for item in given)
+        return Labels(np.array([*words.codes, -1], dtype=np.int64)[labels.codes], words.names)
+
+    def helpers(self, source: dict[str, Any], result: dict[str, ColumnData]) -> dict[str, Any]:
+        """Helper columns of a map, from the source's columns and the result's."""
+        values: dict[str, Any] = {**self.constants, **result, **source}
+        for name in self.order:
+            if name in self.let and name not in source:
+                values[name] = self.run(self.let[name], values, len(next(iter(source.values()))))
+        return {name: values[name] for name in self.let}
+
+    def is_held(self, name: str) -> bool:
+        """Whether a column comes from the refreshed signals, and so takes their value and no mean."""
+        column = self.spec.columns.get(name)
+        if column is not None and column.hold is not None:
+            return column.hold
+        seen: set[str] = set()
+        todo = [name]
+        while todo:
+            current = todo.pop()
+            if current in self.spec.refresh:
+                return True
+            formulas = [self.let[current]] if current in self.let else list(self.columns.get(current, {}).values())
+            for formula in formulas:
+                new = formula.expression.names - seen
+                seen |= new
+                todo += new
+        return False
+
+
+def _is_text_column(name: str) -> bool:
+    found = column_of(name)
+    return found is not None and found[0].kind == "text"

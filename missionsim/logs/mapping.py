@@ -1,0 +1,183 @@
+"""Maps: a file of any layout into logs in the columns of the glossary."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.errors import InputError
+from missionsim.files import sha256
+from missionsim.logs import transform
+from missionsim.logs.mapper import Mapper
+from missionsim.logs.raw import ColumnData, RawTable
+from missionsim.logs.read import PathLike, make_log
+from missionsim.logs.remarks import Remark
+from missionsim.logs.runs import Part, split_at_gaps, split_runs
+from missionsim.logs.sources import find_sources, read_source
+from missionsim.logs.table import LogTable
+from missionsim.spec.log_map import MapSpec
+
+
+def import_source(source: PathLike, spec: MapSpec) -> list[LogTable]:
+    """Turn a source into checked logs, by a map.
+
+    Parameters
+    ----------
+    source : path-like
+        A table, bag or ULog, or a folder of them.
+    spec : MapSpec
+        From `missionsim.spec.loading.load_map`.
+
+    Returns
+    -------
+    list of LogTable
+        One per run, with remarks that say what was done.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        All faults of the first source that has any.
+    """
+    logs: list[LogTable] = []
+    for path in find_sources(Path(source)):
+        raw = read_source(path, spec)
+        mapper = Mapper(spec, raw, path.stem)
+        parts = split_runs(raw, path.stem, spec, mapper.time(raw.columns))
+        for part in parts:
+            logs += _logs(mapper, part)
+    if not logs:
+        raise InputError.single("no run is left after 'keep' and 'runs'", file=str(source))
+    return logs
+
+
+def _logs(mapper: Mapper, part: Part) -> list[LogTable]:
+    """Logs of one run of the source (several where gaps split it)."""
+    source: dict[str, Any] = {name: data[part.rows] for name, data in mapper.raw.columns.items()}
+    result = mapper.evaluate(source)
+    if mapper.spec.others:
+        result |= {
+            name: data for name, data in source.items() if name not in result and name not in mapper.spec.signals
+        }
+    remarks: list[Remark] = []
+    number = np.flatnonzero(part.rows) if part.rows.dtype == bool else part.rows
+    if mapper.keep is not None:
+        values = {**mapper.constants, **result, **mapper.helpers(source, result), **source}
+        keep = np.nan_to_num(np.asarray(mapper.run(mapper.keep, values, len(number)))) != 0
+        if not keep.all():
+            left = int((~keep).sum())
+            remarks.append(
+                Remark(
+                    "keep",
+                    "",
+                    f"{left} of {len(keep)} rows do not meet '{mapper.spec.keep}'",
+                    "left out, as the map asks",
+                    "note",
+                    0,
+                    left,
+                )
+            )
+        result, number = {name: data[keep] for name, data in result.items()}, number[keep]
+        source = {name: data[keep] for name, data in source.items()}
+    logs = []
+    for name, chosen, more in split_at_gaps(part.name, np.asarray(result["time_s"]), mapper.spec.runs):
+        run = {key: data[chosen] for key, data in result.items()}
+        signals = {key: data[chosen] for key, data in source.items()}
+        logs.append(
+            _finish(mapper, name, run, signals, number[chosen], [*mapper.raw.remarks, *part.remarks, *remarks, *more])
+        )
+    return logs
+
+
+def _finish(
+    mapper: Mapper,
+    name: str,
+    run: dict[str, ColumnData],
+    source: dict[str, Any],
+    number: NDArray[np.int64],
+    remarks: list[Remark],
+) -> LogTable:
+    time = np.asarray(run["time_s"])
+    if len(time) > 1 and (np.diff(time) < 0).any():
+        order = np.argsort(time, kind="stable")
+        count = int((np.diff(time) < 0).sum())
+        remarks.append(
+            Remark(
+                "time_backwards",
+                "time_s",
+                f"time runs backwards in {count} places",
+                "the rows were sorted by time",
+                "warning",
+                mapper.raw.line(int(number[int(np.argmax(np.diff(time) < 0)) + 1])),
+                count,
+            )
+        )
+        run = {key: data[order] for key, data in run.items()}
+        source = {key: data[order] for key, data in source.items()}
+        time, number = time[order], number[order]
+    if len(time):
+        run["time_s"] = time = time - time[0]
+    lags = {key: float(column.lag) for key, column in mapper.spec.columns.items() if column.lag is not None}
+    lines = mapper.raw.lines
+    if mapper.spec.refresh:
+        run = _one_row_a_refresh(mapper, run, source, lags, remarks)
+        number, lines = np.empty(0, dtype=np.int64), lambda _row: 0
+    else:
+        for key, lag in lags.items():
+            run[key] = transform.shift_back(run[key], time, lag)
+            remarks.append(Remark("clock", key, f"comes {lag:g} s late", "shifted back, as the map asks", "note"))
+    if mapper.spec.step is not None:
+        run = _averaged(run, float(mapper.spec.step))
+        number, lines = np.empty(0, dtype=np.int64), lambda _row: 0
+    table = RawTable(mapper.raw.file, run, lambda row: lines(int(number[row])) if len(number) else 0, remarks)
+    return make_log(table, name)
+
+
+def _one_row_a_refresh(
+    mapper: Mapper, run: dict[str, ColumnData], source: dict[str, Any], lags: dict[str, float], remarks: list[Remark]
+) -> dict[str, ColumnData]:
+    time = np.asarray(run["time_s"])
+    values = {**source, **{k: v for k, v in mapper.helpers(source, run).items() if k in mapper.spec.refresh}}
+    start, stop, row = transform.refresh_times([values[name] for name in mapper.spec.refresh], time)
+    held = {name: row for name in run if name != "time_s" and mapper.is_held(name)}
+    if not len(start):
+        raise InputError.single(
+            f"{' and '.join(mapper.spec.refresh)} never changes, so there is no refresh", file=mapper.raw.file
+        )
+    late = max((lags[name] for name in held if name in lags), default=0.0)
+    short = transform.average_windows(run, time, start - late, stop - late, held)
+    usual = float(np.median(stop - start))
+    remarks.append(
+        Remark(
+            "repeated",
+            "",
+            f"{len(time)} rows, {len(short['time_s'])} refreshes of {', '.join(mapper.spec.refresh)} "
+            f"(every {usual:.3g} s)",
+            "one row for each refresh, the rest averaged over the time before it"
+            + (f", {late:g} s earlier (lag)" if late else ""),
+            "note",
+            0,
+            len(time) - len(short["time_s"]),
+        )
+    )
+    return short
+
+
+def _averaged(run: dict[str, ColumnData], step_s: float) -> dict[str, ColumnData]:
+    time = np.asarray(run["time_s"])
+    edges = time[0] - 1e-9 + step_s * np.arange(int((time[-1] - time[0]) // step_s) + 2)
+    return transform.average_windows(run, time, edges[:-1], edges[1:], {})
+
+
+def provenance(log: LogTable, spec: MapSpec) -> dict[str, str]:
+    """Where a log comes from, for the metadata of its file: source and map with their hashes."""
+    path = Path(log.source)
+    return {
+        "missionsim.source": path.name,
+        "missionsim.source_sha256": sha256(path) if path.is_file() else "",
+        "missionsim.map": spec.path.name,
+        "missionsim.map_sha256": spec.sha256,
+        "missionsim.run": log.run,
+    }

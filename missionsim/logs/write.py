@@ -1,0 +1,69 @@
+"""Logs to files: Parquet or CSV, whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from missionsim.errors import InputError
+from missionsim.files import atomic_write
+from missionsim.labels import Labels
+
+if TYPE_CHECKING:
+    from missionsim.logs.table import LogTable
+
+
+def write_log(log: LogTable, path: Path, metadata: Mapping[str, str] | None = None) -> None:
+    """Write a log; the suffix decides between ``.parquet`` and ``.csv``.
+
+    Parameters
+    ----------
+    log : LogTable
+    path : Path
+        Replaced if it exists.
+    metadata : mapping, optional
+        Goes into the schema of a Parquet file.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Another suffix.
+    """
+    if path.suffix not in (".csv", ".parquet"):
+        raise InputError.single(
+            "a log is written as CSV or Parquet",
+            file=str(path),
+            got=path.suffix or "no suffix",
+            allowed=".csv, .parquet",
+        )
+    with atomic_write(path) as temporary:
+        if path.suffix == ".parquet":
+            _parquet(log, temporary, metadata or {})
+        else:
+            _csv(log, temporary)
+
+
+def _parquet(log: LogTable, path: Path, metadata: Mapping[str, str]) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as parquet
+
+    arrays = {
+        name: pa.DictionaryArray.from_arrays(
+            pa.array(data.codes, mask=data.codes < 0), pa.array(list(data.names), pa.string())
+        )
+        if isinstance(data, Labels)
+        else pa.array(data)
+        for name, data in log.columns.items()
+    }
+    table = pa.table(arrays).replace_schema_metadata({key.encode(): value.encode() for key, value in metadata.items()})
+    parquet.write_table(table, path)
+
+
+def _csv(log: LogTable, path: Path) -> None:
+    columns = [data.texts() if isinstance(data, Labels) else data.tolist() for data in log.columns.values()]
+    with open(path, "w", encoding="utf-8", newline="") as handle:
+        writer = csv.writer(handle, lineterminator="\n")
+        writer.writerow(log.columns)
+        writer.writerows(zip(*columns, strict=True))
