@@ -39,7 +39,8 @@ def run(
     robot
         Shipped robot or robot file in place of the mission's own.
     out
-        Folder for the tables: per interval, per segment, segment x component x term, summary; run.json, provenance.json.
+        Folder for the tables (per interval, per segment, segment x component x term, summary), run.json and
+        provenance.json.
     format
         Of the tables.
     plot

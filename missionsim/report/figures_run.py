@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#ee8866", "#77aadd")
-"""Distinguishable without colour vision (P. Tol's bright and light schemes)."""
+COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#ee8866", "#77aadd", "#999933",
+           "#882255", "#44aa99", "#332288")
+"""Distinguishable without colour vision (P. Tol's bright, light and muted schemes)."""
 OTHERS = "#bbbbbb"
 MOST_COMPONENTS = 8
 MOST_LABELS = 26
@@ -56,14 +57,14 @@ def power_figure(result: RunResult) -> Figure:
     scale, unit = _time_unit(result.duration_s)
     line = result.timeline
     edges = np.append(line.start_s, line.start_s[-1:] + line.duration_s[-1:]) / scale
+    colours = _colours(result)
     for axis, name in zip(axes, names, strict=True):
         parts = _by_component(result, name)
         base = np.zeros(len(line))
-        for i, (component, joules) in enumerate(parts.items()):
+        for component, joules in parts.items():
             top = base + joules / line.duration_s
-            colour = OTHERS if component == "others" else COLOURS[i % len(COLOURS)]
             axis.fill_between(edges, np.append(base, base[-1:]), np.append(top, top[-1:]), step="post",
-                              color=colour, label=component, linewidth=0)
+                              color=colours[component], label=component, linewidth=0)
             base = top
         axis.step(edges, np.append(base, base[-1:]), where="post", color="#222222", linewidth=0.7)
         axis.set_ylabel(f"{name} battery [W]")
@@ -88,7 +89,8 @@ def charge_figure(result: RunResult) -> Figure:
         battery = result.batteries[name]
         charge = np.append(battery.initial_wh, result.charge_wh[name])
         axis.plot(time, charge, color=COLOURS[i % len(COLOURS)], linewidth=1.6, label="charge")
-        axis.axhline(battery.reserve_required_wh, color="#777777", linestyle="--", linewidth=1.0, label="reserve to keep")
+        axis.axhline(battery.reserve_required_wh, color="#777777", linestyle="--", linewidth=1.0,
+                     label="reserve to keep")
         ways = [(result.segment_end_s[j] / scale, entry[name]) for j, entry in enumerate(home)
                 if j in result.segment_end_s and entry.get(name) is not None]
         if any(energy for _, energy in ways):
@@ -120,13 +122,13 @@ def energy_figure(result: RunResult) -> Figure:
     figure = Figure(figsize=(4.6 * len(names) + 1.4, height), layout="constrained")
     axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     count = len(result.segments)
+    colours = _colours(result)
     for axis, name in zip(axes, names, strict=True):
         base = np.zeros(len(labels))
-        for i, (component, joules) in enumerate(_by_component(result, name).items()):
+        for component, joules in _by_component(result, name).items():
             by_segment = np.bincount(result.timeline.segment, weights=joules, minlength=count) / J_PER_WH
             energy = np.array([by_segment[groups[label]].sum() for label in labels])
-            colour = OTHERS if component == "others" else COLOURS[i % len(COLOURS)]
-            axis.barh(range(len(labels)), energy, left=base, color=colour, label=component, height=0.78)
+            axis.barh(range(len(labels)), energy, left=base, color=colours[component], label=component, height=0.78)
             base = base + energy
         axis.set_xlabel(f"{name} battery [Wh]")
         axis.set_yticks(range(len(labels)), labels, fontsize=8)
@@ -149,6 +151,13 @@ def _by_component(result: RunResult, battery: str) -> dict[str, Any]:
     kept = {name: joules for name, joules in used.items() if name in largest}
     kept["others"] = np.sum([joules for name, joules in used.items() if name not in largest], axis=0)
     return kept
+
+
+def _colours(result: RunResult) -> dict[str, str]:
+    """One colour for a component, whatever the battery."""
+    shown = dict.fromkeys(name for battery in result.batteries for name in _by_component(result, battery))
+    shown.pop("others", None)
+    return {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(shown)} | {"others": OTHERS}
 
 
 def _figure(result: RunResult, rows: int, height: float) -> tuple[Figure, list[Axes]]:

@@ -69,7 +69,7 @@ def segments_table(result: RunResult) -> dict[str, Sequence[Any]]:
     count = len(result.segments)
     duration = np.bincount(line.segment, weights=line.duration_s, minlength=count)
     rates, cov = line.rates, line.columns
-    distance = np.zeros(count)
+    distance: Any = np.zeros(count)
     if "speed_m_s" in cov:
         ahead = cov["speed_m_s"] * line.duration_s + 0.5 * rates["speed_m_s"] * line.duration_s**2
         aside = cov["lateral_speed_m_s"] * line.duration_s + 0.5 * rates["lateral_speed_m_s"] * line.duration_s**2

@@ -84,7 +84,7 @@ def provenance(mission: MissionSpec, command: Sequence[str] = ()) -> dict[str, A
             kind: {"name": spec.name, "path": str(spec.path), "sha256": spec.sha256}
             for kind, spec in files.items() if spec is not None
         },
-        "set": {path: value for path, value in mission.overrides},
+        "set": dict(mission.overrides),
         "versions": versions,
         "command": list(command),
     }

@@ -1,0 +1,166 @@
+"""`missionsim whatif`: alternatives of a mission as differences to a baseline."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, progress, shows_text, simple_table
+from missionsim.cli.run import clock
+from missionsim.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    from missionsim.results.whatif import WhatIf
+
+
+def whatif(
+    mission: Path | None = None,
+    *,
+    vary: Annotated[list[str] | None, Parameter(name="--vary", negative="")] = None,
+    study: Path | None = None,
+    set_: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None,
+    robot: str | None = None,
+    out: Path | None = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Run the alternatives of a mission and print one table: what each changes by battery, duration and term.
+
+    Each alternative is a full run. Exit code 0 even where alternatives are infeasible (the table says so); 1 when the
+    baseline itself is.
+
+    Parameters
+    ----------
+    mission
+        Mission file; a study names its own.
+    vary
+        path=v1,v2,... such as defaults.speed=0.3,0.46,0.75; several --vary give every combination. A value with commas
+        of its own goes into brackets or braces: sensors={laser: 1, kinect: 1}.
+    study
+        Study file with named alternatives as differences to a baseline.
+    set_
+        path=value for the baseline and all alternatives.
+    robot
+        Shipped robot or robot file in place of the mission's own.
+    out
+        Table as CSV (or Parquet, by its suffix): a row an alternative, battery and term.
+    json
+        Write the alternatives as JSON to this file, or - for standard output.
+    quiet
+        Print no table.
+    """
+    from missionsim.results.whatif import BASELINE, Alternative, from_study, run_alternatives, varied
+    from missionsim.spec.overrides import split_assignment
+
+    if (vary is None) == (study is None):
+        raise InputError(Fault("", 0, 0, "whatif needs either --vary or --study", got="both" if vary else "neither",
+                               allowed="--vary defaults.speed=0.3,0.5, or --study STUDY.yaml"))
+    base = [split_assignment(text) for text in set_ or ()]
+    if study is not None:
+        path, alternatives = from_study(study)
+        path = mission or path
+        alternatives = [
+            Alternative(a.name, (*base, *a.set), robot if robot is not None else a.robot, a.title)
+            for a in alternatives
+        ]
+    else:
+        if mission is None:
+            raise InputError(Fault("", 0, 0, "whatif needs a mission", allowed="whatif MISSION.yaml --vary …"))
+        path = mission
+        pairs = [(name, split_values(text)) for name, text in map(split_assignment, vary or ())]
+        alternatives = [
+            Alternative(BASELINE, tuple(base), robot),
+            *(Alternative(a.name, a.set, robot) for a in varied(pairs, base)),
+        ]
+    with progress(quiet or json == "-") as bar:
+        task = bar.add_task("alternatives", total=len(alternatives))
+        found = run_alternatives(path, alternatives, lambda: bar.advance(task))
+    if out is not None:
+        from missionsim.results.write import write_table
+
+        write_table(found.table(), out)
+    emit_json(found.to_json(), json)
+    if shows_text(json, quiet):
+        show(found)
+        if out is not None:
+            console().print(f"Written: {out}")
+    return 0 if found.results[0].feasible else 1
+
+
+def split_values(text: str) -> list[str]:
+    """Values between commas that stand in no bracket, brace or quote.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where a value is empty.
+    """
+    values, depth, quote, current = [], 0, "", ""
+    for letter in text:
+        if quote:
+            quote = "" if letter == quote else quote
+        elif letter in "'\"":
+            quote = letter
+        elif letter in "[{(":
+            depth += 1
+        elif letter in "]})":
+            depth -= 1
+        if letter == "," and depth == 0 and not quote:
+            values.append(current.strip())
+            current = ""
+        else:
+            current += letter
+    values.append(current.strip())
+    if not all(values):
+        raise InputError(Fault("", 0, 0, "an empty value among those to vary", got=text, allowed="path=v1,v2"))
+    return values
+
+
+def show(found: WhatIf) -> None:
+    """Print the alternatives beside the baseline, at most 100 columns wide."""
+    terminal = console()
+    rows = found.rows()
+    terminal.print(f"[bold]{found.mission}[/bold], {len(rows) - 1} alternatives; differences are to the baseline")
+    columns: list[str | tuple[str, str]] = ["alternative", ("duration", "right"), ("± s", "right")]
+    for name in found.batteries:
+        columns += [(f"{name} Wh", "right"), ("± Wh", "right"), ("± %", "right")]
+    columns.append("feasible")
+    cells = []
+    for number, row in enumerate(rows):
+        line: list[Any] = [f"{number} {row['name']}", clock(row["duration_s"]), signed(row["difference_s"], 1)]
+        for name in found.batteries:
+            b = row["batteries"][name]
+            percent = b["difference_pct"]
+            line += [f"{b['energy_wh']:.3f}", signed(b["difference_wh"], 3)]
+            line.append("–" if percent is None else signed(percent, 1))
+        line.append("yes" if row["feasible"] else "NO")
+        cells.append(line)
+    terminal.print(simple_table("Alternatives", columns, cells))
+    for number, row in enumerate(rows):
+        if not row["feasible"]:
+            terminal.print(f"  {number} {row['name']}: {row['reason']}")
+    terminal.print(term_rows(rows))
+
+
+def term_rows(rows: list[dict[str, Any]], most: int = 5) -> Any:
+    """The terms that change most in each alternative."""
+    cells = []
+    for number, row in enumerate(rows[1:], start=1):
+        changes = [
+            (difference, battery, term)
+            for battery, b in row["batteries"].items()
+            for term, difference in b["difference_by_term_wh"].items()
+            if abs(difference) > 5e-7
+        ]
+        changes.sort(key=lambda change: -abs(change[0]))
+        text = ", ".join(f"{battery}/{term} {signed(d, 4)}" for d, battery, term in changes[:most])
+        cells.append((f"{number} {row['name']}", text or "nothing changes"))
+    return simple_table("Terms that change most [Wh]", ["alternative", "battery/term"], cells)
+
+
+def signed(value: float, digits: int) -> str:
+    """A difference with its sign; a dash where it rounds to nothing."""
+    text = f"{value:+.{digits}f}"
+    return "–" if float(text) == 0.0 else text

@@ -1,0 +1,221 @@
+"""Alternatives of a mission, each a full run, as differences to a baseline."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from missionsim.engine.outcome import RunResult
+from missionsim.engine.simulate import simulate
+from missionsim.errors import Fault, InputError
+from missionsim.spec.loading import load_mission, load_study
+from missionsim.spec.mission import MissionSpec
+
+SCHEMA = "missionsim.whatif/1"
+BASELINE = "baseline"
+MOST_ALTERNATIVES = 100_000
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A name, what it sets on the mission, and perhaps another robot."""
+
+    name: str
+    set: tuple[tuple[str, Any], ...] = ()
+    robot: str | None = None
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class WhatIf:
+    """A baseline and its alternatives, run.
+
+    Attributes
+    ----------
+    mission : str
+        Name of the mission.
+    alternatives : tuple of Alternative
+        The baseline first.
+    results : tuple of RunResult
+        Of each, in the same order.
+    """
+
+    mission: str
+    alternatives: tuple[Alternative, ...]
+    results: tuple[RunResult, ...]
+
+    @property
+    def batteries(self) -> tuple[str, ...]:
+        """Batteries of any of the runs, in order."""
+        return tuple(dict.fromkeys(name for result in self.results for name in result.batteries))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One mapping an alternative: values, and differences to the baseline, by battery and by term.
+
+        `difference_…` is the alternative less the baseline; `difference_pct` relative to the baseline.
+        """
+        base = self.results[0]
+        rows = []
+        for alternative, result in zip(self.alternatives, self.results, strict=True):
+            batteries: dict[str, Any] = {}
+            for name in self.batteries:
+                now, before = result.batteries.get(name), base.batteries.get(name)
+                energy = now.energy_wh if now else 0.0
+                reference = before.energy_wh if before else 0.0
+                terms = result.by_term_wh(name) if now else {}
+                old = base.by_term_wh(name) if before else {}
+                batteries[name] = {
+                    "energy_wh": energy,
+                    "difference_wh": energy - reference,
+                    "difference_pct": 100.0 * (energy - reference) / reference if reference else None,
+                    "charge_left_wh": now.charge_left_wh if now else None,
+                    "charge_left_fraction": now.charge_left_fraction if now else None,
+                    "reserve_wh": now.reserve_wh if now else None,
+                    "empty_at_s": now.empty_at_s if now else None,
+                    "deficit_wh": now.deficit_wh if now else None,
+                    "by_term_wh": terms,
+                    "difference_by_term_wh": {
+                        term: terms.get(term, 0.0) - old.get(term, 0.0) for term in dict.fromkeys([*old, *terms])
+                    },
+                }
+            rows.append({
+                "name": alternative.name, "title": alternative.title,
+                "set": dict(alternative.set), "robot": result.robot,
+                "feasible": result.feasible, "reason": result.reason or None,
+                "duration_s": result.duration_s, "difference_s": result.duration_s - base.duration_s,
+                "distance_m": result.distance_m, "batteries": batteries,
+            })
+        return rows
+
+    def to_json(self) -> dict[str, Any]:
+        """Schema ``missionsim.whatif/1``; the first of the alternatives is the baseline."""
+        return {"schema": SCHEMA, "mission": self.mission, "baseline": self.alternatives[0].name,
+                "alternatives": self.rows()}
+
+    def table(self) -> dict[str, list[Any]]:
+        """One tidy table: a row an alternative, battery and term; `term` is ``total`` for the sum."""
+        table: dict[str, list[Any]] = {name: [] for name in (
+            "alternative", "set", "robot", "feasible", "reason", "duration_s", "difference_s", "battery", "term",
+            "energy_wh", "difference_wh", "charge_left_wh", "deficit_wh",
+        )}
+        for row in self.rows():
+            setting = "; ".join(f"{path}={value}" for path, value in row["set"].items())
+            for battery, b in row["batteries"].items():
+                cells = [("total", b["energy_wh"], b["difference_wh"])]
+                cells += [(term, b["by_term_wh"].get(term, 0.0), d) for term, d in b["difference_by_term_wh"].items()]
+                for term, energy, difference in cells:
+                    values = (row["name"], setting, row["robot"], row["feasible"], row["reason"] or "",
+                              row["duration_s"], row["difference_s"], battery, term, energy, difference,
+                              b["charge_left_wh"], b["deficit_wh"])
+                    for column, value in zip(table.values(), values, strict=True):
+                        column.append(value)
+        return table
+
+
+def varied(vary: Iterable[tuple[str, Sequence[Any]]], base: Sequence[tuple[str, Any]] = ()) -> list[Alternative]:
+    """Every combination of varied values, each on top of what the baseline sets.
+
+    Parameters
+    ----------
+    vary : iterable of (path, values)
+    base : sequence of (path, value)
+        What the baseline sets.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        For more combinations than `MOST_ALTERNATIVES`.
+    """
+    pairs = list(vary)
+    count = 1
+    for _, values in pairs:
+        count *= len(values)
+    if count > MOST_ALTERNATIVES:
+        raise InputError.single(f"{count} alternatives", got=", ".join(path for path, _ in pairs),
+                                allowed=f"at most {MOST_ALTERNATIVES}")
+    made = []
+    for combination in itertools.product(*(values for _, values in pairs)):
+        chosen = tuple(zip((path for path, _ in pairs), combination, strict=True))
+        name = ", ".join(f"{_short(path)}={value}" for path, value in chosen)
+        made.append(Alternative(name, (*base, *chosen)))
+    return made
+
+
+def from_study(path: str | os.PathLike[str]) -> tuple[Path, list[Alternative]]:
+    """Mission and alternatives of a study file, the baseline first.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    mission : Path
+    alternatives : list of Alternative
+    """
+    study = load_study(path)
+    base = tuple(study.baseline.items())
+    folder = Path(path).parent
+    robot = _robot(study.robot, folder)
+    made = [Alternative(BASELINE, base, robot)]
+    for name, spec in study.alternatives.items():
+        own = _robot(spec.robot, folder) if spec.robot is not None else robot
+        made.append(Alternative(str(name), (*base, *spec.set.items()), own, spec.title))
+    if study.vary:
+        made += [
+            Alternative(item.name, item.set, robot) for item in varied(study.vary.items(), base)
+        ]
+    return folder / study.mission, made
+
+
+def run_alternatives(
+    mission: str | os.PathLike[str], alternatives: Sequence[Alternative],
+    done: Callable[[], object] | None = None,
+) -> WhatIf:
+    """Run every alternative in full.
+
+    Parameters
+    ----------
+    mission : path-like
+        Mission file.
+    alternatives : sequence of Alternative
+        The baseline first.
+    done : callable, optional
+        Called without arguments after each run (a progress bar).
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        All faults of all alternatives.
+    """
+    specs: list[MissionSpec] = []
+    faults: list[Fault] = []
+    for alternative in alternatives:
+        try:
+            specs.append(load_mission(mission, list(alternative.set), alternative.robot))
+        except InputError as problem:
+            faults.extend(problem.faults)
+    if faults:
+        raise InputError(faults)
+    results = []
+    for spec in specs:
+        results.append(simulate(spec))
+        if done is not None:
+            done()
+    return WhatIf(specs[0].name, tuple(alternatives), tuple(results))
+
+
+def _robot(reference: str | None, folder: Path) -> str | None:
+    if reference is None:
+        return None
+    return str(folder / reference) if (folder / reference).is_file() else reference
+
+
+def _short(path: str) -> str:
+    """The telling end of a path: its last word, with the one before where that is a number or an item."""
+    parts = path.split(".")
+    return ".".join(parts[-2:]) if len(parts) > 1 and parts[0] != "defaults" else parts[-1]
