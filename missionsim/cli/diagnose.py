@@ -1,0 +1,104 @@
+"""`missionsim diagnose`: which physical effect is missing, or what to drive to find out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text
+
+if TYPE_CHECKING:
+    from missionsim.diagnose.findings import Diagnosis
+
+RobotOption = Annotated[str, Parameter(name="--robot")]
+HoldoutOption = Annotated[list[str] | None, Parameter(name="--holdout")]
+MissionOption = Annotated[Path | None, Parameter(name="--mission")]
+ReportOption = Annotated[Path | None, Parameter(name="--report")]
+
+
+def diagnose(
+    *logs: Path,
+    robot: RobotOption,
+    mission: MissionOption = None,
+    holdout: HoldoutOption = None,
+    battery: Annotated[str | None, Parameter(name="--battery")] = None,
+    alpha: Annotated[float, Parameter(name="--alpha")] = 0.01,
+    report: ReportOption = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Find which physical effect the robot's model lacks, or say that these data cannot tell and what to drive next.
+
+    Parameters
+    ----------
+    logs
+        Log files or folders of them.
+    robot
+        Shipped robot's name or a robot file.
+    mission
+        The mission that was driven; with it the robot's behaviour (longer, slower, waiting) is examined as well.
+    holdout
+        Runs that are not fitted but tested on: a fraction, run names with commas between, a condition such as
+        "surface == 'carpet'", or files and folders of other logs; none for no hold-out. By default the last quarter of
+        four or more runs.
+    battery
+        Only this battery.
+    alpha
+        Family-wise rate of false alarms.
+    report
+        Write an interactive page to this HTML file.
+    json
+        Write the diagnosis as JSON to this file, or - for standard output.
+    quiet
+        Print nothing.
+    """
+    from missionsim.diagnose import diagnose_files
+    from missionsim.errors import InputError
+
+    if not logs:
+        raise InputError.single("give at least one log", allowed="files or folders")
+    if not 0.0 < alpha < 0.5:
+        raise InputError.single("--alpha is a probability", got=alpha, allowed="such as 0.01 or 0.05")
+    result = diagnose_files(robot, list(logs), holdout=holdout, mission=mission, battery=battery, alpha=alpha)
+    emit_json(result.to_json(), json)
+    if report is not None:
+        from missionsim.files import write_text
+        from missionsim.report.diagnosis_page import diagnosis_page
+
+        write_text(report, diagnosis_page(result, footer=_footer()))
+    if shows_text(json, quiet):
+        show(result)
+        if report is not None:
+            console().print(f"report written: {report}", markup=False)
+    return 0
+
+
+def show(result: Diagnosis) -> None:
+    """Print a diagnosis as headline and report lines."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from missionsim.diagnose import words
+
+    terminal = console()
+    for battery in result.batteries.values():
+        terminal.print(Text(words.headline(battery), style="bold"))
+        grid = Table.grid(padding=(0, 2))
+        grid.add_column(no_wrap=True)
+        grid.add_column()
+        last = ""
+        for heading, line in words.report(battery):
+            grid.add_row("" if heading == last else heading, Text(line))
+            last = heading
+        terminal.print(grid)
+        terminal.print()
+    for name, why in result.skipped.items():
+        terminal.print(Text(f"Battery {name} was not diagnosed: {why}"))
+
+
+def _footer() -> str:
+    from missionsim import __version__
+
+    return f"missionsim {__version__}, missionsim diagnose"

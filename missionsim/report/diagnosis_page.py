@@ -1,0 +1,195 @@
+"""The interactive page of a diagnosis: verdict, shares with intervals and limits, power over time, experiments."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from missionsim.diagnose import words
+from missionsim.diagnose.findings import BatteryDiagnosis, Diagnosis, RunSeries
+from missionsim.report.blocks import Block, Bullets, Chart, Choice, Details, Paragraph, Section, Table, Tiles, Verdict
+from missionsim.report.downsample import shared_indices
+from missionsim.report.page import COLOURS, format_cell, label, page
+
+TONES: dict[str, Any] = {"effects_found": "warn", "nothing_missing": "good", "ambiguous": "warn",
+                         "unexplained_structure": "bad"}
+TOTAL_POINTS = 90_000
+MOST_RUNS = 30
+MEASURED, NOMINAL, FITTED, RESIDUAL = COLOURS[0], COLOURS[1], COLOURS[2], "#52606d"
+
+
+def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "") -> str:
+    """The page as HTML.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    footer : str
+        How it was made (version, command).
+    """
+    runs = max((len(b.runs) for b in diagnosis.batteries.values()), default=0)
+    return page(f"{diagnosis.robot}: which effect is missing", diagnosis_sections(diagnosis),
+                subtitle=f"{runs} runs fitted", footer=footer)
+
+
+def diagnosis_sections(diagnosis: Diagnosis) -> list[Section]:
+    """The sections of the page, for pages that show a diagnosis among other things."""
+    sections = []
+    several = len(diagnosis.batteries) > 1
+    for battery in diagnosis.batteries.values():
+        prefix = f"Battery {battery.battery}: " if several else ""
+        sections += [
+            Section(f"{prefix}Result", _result(battery)),
+            Section(f"{prefix}What was found and what was not", _candidates(battery)),
+            Section(f"{prefix}Power over time", _series(battery, several)),
+            Section(f"{prefix}What to drive next", _next(battery)),
+            Section(f"{prefix}Details", _details(battery)),
+        ]
+    if diagnosis.skipped:
+        told = [f"{name}: {why}" for name, why in diagnosis.skipped.items()]
+        sections.append(Section("Batteries that were not diagnosed", [Bullets(told)]))
+    return sections
+
+
+def _result(battery: BatteryDiagnosis) -> list[Block]:
+    tiles = [("Mean power", f"{format_cell(battery.mean_power_w, 3)} W", f"{len(battery.runs)} runs, "
+              f"{battery.seconds / 60:.0f} min")]
+    for effect in battery.effects[:4]:
+        names = " or ".join((effect.effect, *effect.indistinguishable_from))
+        interval = ""
+        if math.isfinite(effect.share_low):
+            interval = f"95 %: {100 * effect.share_low:.1f} to {100 * effect.share_high:.1f} %"
+        tiles.append((names, f"{100 * effect.energy_share:.1f} % of energy", interval))
+    if battery.heldout is not None:
+        e = battery.heldout.energy_error_pct
+        tiles.append(("Energy error, held-out runs", f"{e['nominal']:.2f} → {e['with_effects']:.2f} %",
+                      f"recalibrated only: {e['recalibrated']:.2f} %"))
+    lines = words.report(battery)
+    table = Table(["", "what the data say"], [[heading, text] for heading, text in lines if heading != "NOTE"])
+    return [Verdict(words.headline(battery), TONES[battery.verdict]), Tiles(tiles), table]
+
+
+def _candidates(battery: BatteryDiagnosis) -> list[Block]:
+    found = {effect.effect: effect for effect in battery.effects}
+    rows = sorted(
+        (c for c in battery.candidates if c.effect in found or _finite(c.smallest_detectable_share)),
+        key=lambda c: (c.effect not in found, c.smallest_detectable_share or 0.0),
+    )
+    blocks: list[Block] = []
+    if rows:
+        names = [label(c.effect) for c in rows][::-1]
+        limits = [_percent(c.smallest_detectable_share) for c in rows][::-1]
+        effects = [found[c.effect] for c in rows if c.effect in found][::-1]
+        traces: list[dict[str, Any]] = [
+            {"type": "bar", "orientation": "h", "y": names, "x": limits, "name": "smallest share that would be found",
+             "marker": {"color": "#d9dee4"}, "hovertemplate": "%{y}: %{x:.2f} %<extra></extra>"}]
+        if effects:
+            shares = [100 * e.energy_share for e in effects]
+            up = [100 * (e.share_high - e.energy_share) if _finite(e.share_high) else 0.0 for e in effects]
+            down = [100 * (e.energy_share - e.share_low) if _finite(e.share_low) else 0.0 for e in effects]
+            traces.append({
+                "type": "scatter", "mode": "markers", "x": shares, "y": [label(e.effect) for e in effects],
+                "name": "found, with 95 % interval", "marker": {"color": MEASURED, "size": 10},
+                "error_x": {"type": "data", "symmetric": False, "array": up, "arrayminus": down, "color": MEASURED},
+                "hovertemplate": "%{y}: %{x:.2f} % of the energy<extra></extra>"})
+        blocks.append(Chart(
+            traces, {"xaxis": {"title": {"text": "share of the battery's energy, %"}, "rangemode": "tozero"},
+                     "hovermode": "closest", "margin": {"l": 220, "r": 16, "t": 30, "b": 48}},
+            "Effects that were found, and how large the others could be without being seen (80 % power).",
+            90 + 24 * len(names)))
+    blocks.append(Details("Every candidate and the reason", [Table(
+        ["effect", "taken", "reason", "smallest detectable share, %"],
+        [[c.effect, "yes" if c.accepted else "no", c.reason,
+          _percent(c.smallest_detectable_share)]
+         for c in battery.candidates], digits=3)]))
+    if battery.untestable:
+        blocks.append(Details("Effects that these logs cannot test", [Table(
+            ["effect", "needs"], [[name, ", ".join(needs)] for name, needs in battery.untestable.items()])]))
+    return blocks
+
+
+def _series(battery: BatteryDiagnosis, several: bool) -> list[Block]:
+    shown = battery.series[:MOST_RUNS]
+    if not shown:
+        return [Paragraph("No run to show.")]
+    points = TOTAL_POINTS // (len(shown) * (2 if several else 1))
+    blocks: list[Block] = [Choice("Run", [(run.run, [_run_chart(run, points)]) for run in shown])]
+    if len(battery.series) > len(shown):
+        blocks.append(Paragraph(f"The first {len(shown)} of {len(battery.series)} runs.", small=True))
+    return blocks
+
+
+def _run_chart(run: RunSeries, points: int) -> Chart:
+    left = run.measured_w - run.fitted_w
+    pick = shared_indices([run.measured_w, left], max(points // 4, 200))
+    time_s = run.time_s[pick]
+    lines = [("measured", run.measured_w, MEASURED), ("model of the robot file", run.nominal_w, NOMINAL),
+             ("with what was found", run.fitted_w, FITTED)]
+    traces: list[dict[str, Any]] = [
+        {"type": "scatter", "mode": "lines", "name": name, "x": time_s, "y": values[pick],
+         "line": {"color": colour, "width": 1.3}} for name, values, colour in lines]
+    traces += [
+        {"type": "scatter", "mode": "lines", "name": "left: robot file", "x": time_s, "visible": "legendonly",
+         "y": (run.measured_w - run.nominal_w)[pick], "yaxis": "y2", "line": {"color": NOMINAL, "width": 1}},
+        {"type": "scatter", "mode": "lines", "name": "left: with what was found", "x": time_s, "y": left[pick],
+         "yaxis": "y2", "line": {"color": RESIDUAL, "width": 1}}]
+    layout = {
+        "xaxis": {"title": {"text": "time, s"}, "anchor": "y2"},
+        "yaxis": {"title": {"text": "power, W"}, "domain": [0.36, 1.0]},
+        "yaxis2": {"title": {"text": "left, W"}, "domain": [0.0, 0.28]},
+    }
+    return Chart(traces, layout, f"Run {run.run}: measured and modelled power, and what is left (measured minus "
+                 "model), clocks aligned.", 520)
+
+
+def _next(battery: BatteryDiagnosis) -> list[Block]:
+    blocks: list[Block] = []
+    if battery.next_experiments:
+        rows = [[e.do, " / ".join(e.separates), e.separation_now, e.separation_after, e.expected_power, e.minutes]
+                for e in battery.next_experiments]
+        blocks.append(Table(["drive this", "to tell apart", "separation now, nats", "after, nats",
+                             "probability that it resolves", "minutes"], rows, digits=3))
+    else:
+        blocks.append(Paragraph("Nothing is left that an experiment would have to separate."))
+    return blocks
+
+
+def _details(battery: BatteryDiagnosis) -> list[Block]:
+    blocks: list[Block] = [Table(
+        ["base parameter", "shift, %", "in prior standard deviations", "new value", "standard deviation", "unit"],
+        [[s.parameter, s.shift_pct, s.shift_in_prior_sd, s.value, s.sd, s.unit] for s in battery.recalibration],
+        "Recalibration of the base model: shifts within 4 prior standard deviations are no discovery", 3)]
+    if battery.confounding:
+        names = list(battery.confounding)
+        blocks.append(Chart(
+            [{"type": "heatmap", "x": [label(n) for n in names], "y": [label(n) for n in names], "zmin": -1, "zmax": 1,
+              "z": [[battery.confounding[a].get(b) for b in names] for a in names], "colorscale": "RdBu",
+              "hovertemplate": "%{y} and %{x}: r = %{z:.2f}<extra></extra>"}],
+            {"hovermode": "closest", "margin": {"l": 200, "r": 16, "t": 12, "b": 160}},
+            "How alike two effects look in these data once recalibration is allowed for; at 1 they look the same.",
+            200 + 26 * len(names)))
+    if battery.heldout is not None:
+        blocks.append(_heldout_table(battery))
+    if battery.remarks:
+        blocks.append(Bullets(list(battery.remarks)))
+    return blocks
+
+
+def _heldout_table(battery: BatteryDiagnosis) -> Table:
+    rows: list[Sequence[Any]] = []
+    for held in (battery.heldout, battery.shifted):
+        if held is not None:
+            for kind, text in (("nominal", "robot file"), ("recalibrated", "recalibrated"),
+                               ("with_effects", "with what was found")):
+                rows.append([held.how, text, held.energy_error_pct[kind], held.power_rmse_w[kind]])
+    return Table(["held-out runs", "model", "energy error, %", "power error (RMS), W"], rows,
+                 "Errors on runs that were not used to fit", 3)
+
+
+def _finite(value: float | None) -> bool:
+    return value is not None and math.isfinite(value)
+
+
+def _percent(value: float | None) -> float | None:
+    return 100.0 * value if value is not None and math.isfinite(value) else None
