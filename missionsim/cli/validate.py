@@ -6,8 +6,9 @@ import dataclasses
 import sys
 from pathlib import Path
 
-from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text
+from missionsim.cli.common import JsonOption, QuietOption, emit_json, shows_text
 
+_YAML = (".yaml", ".yml")
 _LOGS = (".csv", ".parquet", ".tsv")
 
 
@@ -39,7 +40,8 @@ def validate(*files: Path, json: JsonOption = None, quiet: QuietOption = False) 
     for given in files:
         found = _inside(given) if given.is_dir() else [given]
         if not found:
-            faults.append(Fault(str(given), 0, 0, "no YAML file or log in this folder", allowed=".yaml, .yml, .csv, .parquet"))
+            allowed = ", ".join((*_YAML, *_LOGS))
+            faults.append(Fault(str(given), 0, 0, "no YAML file or log in this folder", allowed=allowed))
         for path in found:
             (logs if path.suffix.lower() in _LOGS else yaml_files).append(path)
     faults += check_files(yaml_files)
@@ -59,12 +61,12 @@ def validate(*files: Path, json: JsonOption = None, quiet: QuietOption = False) 
     if shows_text(json, quiet):
         warnings = len(faults) - len(errors)
         words = [_counted(len(errors), "error"), *([_counted(warnings, "warning")] if warnings else [])]
-        console().print(f"{_counted(count, 'file')}: " + (", ".join(words) if faults else "valid"))
+        print(f"{_counted(count, 'file')}: " + (", ".join(words) if faults else "valid"))
     return 2 if errors else 0
 
 
 def _inside(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in (".yaml", ".yml", *_LOGS) and path.is_file())
+    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in (*_YAML, *_LOGS) and path.is_file())
 
 
 def _counted(number: int, word: str) -> str:

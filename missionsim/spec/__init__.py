@@ -1,6 +1,6 @@
 """YAML in, checked: robots, environments, missions and studies as frozen models.
 
-Shipped names: `load_robot`, `load_environment`, `load_mission`, `load_study`, `shipped_robots`, `check_files`, `schema`.
+`load_robot`, `load_environment`, `load_mission` and `load_study` read files, `check_files` tells all their faults.
 """
 
 from missionsim.spec.distributions import Distribution

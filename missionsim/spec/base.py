@@ -29,6 +29,7 @@ class Model(BaseModel):
         strict=False,
         allow_inf_nan=False,
         arbitrary_types_allowed=True,
+        defer_build=True,  # only the kinds that are read are built
     )
 
     _line: int = PrivateAttr(default=0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from missionsim.effects.base import ParameterSpec
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.spec.checker import Checker, Where
 from missionsim.spec.robot import ComponentSpec, EffectSpec, LawSpec, RobotSpec, SchemeSpec
@@ -200,32 +201,32 @@ def _motion(check: Checker, robot: RobotSpec, batteries: list[str]) -> None:
 
 
 def _parameters(
-    check: Checker, where: Where, given: Mapping[str, Parameter], specs: tuple[object, ...], what: str
+    check: Checker, where: Where, given: Mapping[str, Parameter], specs: tuple[ParameterSpec, ...], what: str
 ) -> None:
     """Known names, all that are needed, values inside the bounds that physics sets."""
-    known = {str(spec.name): spec for spec in specs}  # type: ignore[attr-defined]
+    known = {spec.name: spec for spec in specs}
     for name, parameter in given.items():
         at = (*where, "parameters", name)
         if not check.known(at, name, known, f"parameter of {what}", key=True):
             continue
         spec = known[name]
-        low, high = float(spec.low), float(spec.high)  # type: ignore[attr-defined]
+        low, high = spec.low, spec.high
         if not low <= parameter.value <= high:
             check.add(
                 at,
                 f"impossible value of {name}",
-                got=f"{parameter.value:g} {spec.unit}",  # type: ignore[attr-defined]
+                got=f"{parameter.value:g} {spec.unit}",
                 allowed=f"{low:g} to {high:g}" if high < float("inf") else f"at least {low:g}",
             )
     present = check.raw_keys(*where, "parameters")
     for name, spec in known.items():
-        if name not in given and name not in present and spec.default != spec.default:  # type: ignore[attr-defined]
+        if name not in given and name not in present and spec.default != spec.default:
             check.add(
                 (*where, "parameters"),
                 f"parameter '{name}' of {what} is missing",
                 key=True,
                 allowed=f"{name}: {spec.meaning}, {spec.unit}",
-            )  # type: ignore[attr-defined]
+            )
 
 
 def _effects(check: Checker, robot: RobotSpec, batteries: list[str], components: list[str]) -> None:

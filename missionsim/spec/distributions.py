@@ -79,11 +79,11 @@ class Distribution:
                 split = (c - a) / (b - a)
                 left = a + np.sqrt(np.maximum(u * (b - a) * (c - a), 0.0))
                 right = b - np.sqrt(np.maximum((1 - u) * (b - a) * (b - c), 0.0))
-                return np.where(u < split, left, right)
+                return np.asarray(np.where(u < split, left, right), dtype=float)
             case "discrete" | "empirical":
                 steps = np.cumsum(self.weights)
                 index = np.searchsorted(steps, u * steps[-1], side="left")
-                return np.asarray(self.values)[np.minimum(index, len(self.values) - 1)]
+                return np.asarray(np.asarray(self.values)[np.minimum(index, len(self.values) - 1)], dtype=float)
         from scipy.special import log_ndtr, ndtr, ndtri, ndtri_exp
 
         mean, sd = float(self.mean_ or 0.0), float(self.sd_ or 0.0)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from missionsim.spec.base import FileModel, Identifier, Model, Name, Text
-from missionsim.spec.robot import _wrong
+from missionsim.spec.names import wrong
 from missionsim.spec.values import (
     Angle,
     Condition,
@@ -45,7 +45,7 @@ class PlaceSpec(Model):
     @model_validator(mode="after")
     def _both(self) -> PlaceSpec:
         if (self.x is None) != (self.y is None):
-            raise _wrong("a place has both coordinates or none", "x" if self.x else "y", "x: 0 m, y: 0 m")
+            raise wrong("a place has both coordinates or none", "x" if self.x else "y", "x: 0 m, y: 0 m")
         return self
 
     @property

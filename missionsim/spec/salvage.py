@@ -31,12 +31,12 @@ def without(data: Any, paths: Iterable[Sequence[str | int]]) -> Any:
 
 def _exists(data: Any, path: Sequence[str | int]) -> bool:
     for item in path:
-        if (isinstance(data, dict) and item in data) or (
-            isinstance(data, list) and isinstance(item, int) and item < len(data)
-        ):
+        if isinstance(data, dict) and item in data:
             data = data[item]
-        else:
+            continue
+        if not isinstance(data, list) or not isinstance(item, int) or item >= len(data):
             return False
+        data = data[item]
     return True
 
 

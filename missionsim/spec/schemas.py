@@ -34,8 +34,9 @@ def schema(kind: str) -> dict[str, Any]:
         Unknown kind.
     """
     if kind not in schema_kinds():
-        raise InputError.single(f"no schema '{kind}'", got=kind, allowed=", ".join(schema_kinds()),
-                                hint=did_you_mean(kind, schema_kinds()))
+        raise InputError.single(
+            f"no schema '{kind}'", got=kind, allowed=", ".join(schema_kinds()), hint=did_you_mean(kind, schema_kinds())
+        )
     raw = _model(kind).model_json_schema(by_alias=True)
     shared: dict[str, Any] = {}
     body = _tidy(raw, shared)

@@ -8,7 +8,11 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
+
+from missionsim.errors import did_you_mean
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$", re.DOTALL)
 
@@ -114,7 +118,7 @@ def unit_factor(unit: str, dimension: str) -> tuple[float, float]:
     other = _DIMENSION_OF.get(unit)
     if other is None:
         return _by_pint(unit, dimension)
-    raise UnitError("wrong unit", unit, allowed_text(dimension), f"'{unit}' is a unit of {other}")
+    raise UnitError(f"wrong unit: {unit} is a unit of {other}", unit, allowed_text(dimension))
 
 
 def parse_quantity(text: str, dimension: str) -> float:
@@ -185,9 +189,9 @@ def any_unit(unit: str) -> tuple[float, str]:
     if factor is not None and factor == 1.0:
         return 1.0, unit
     allowed = "a unit such as W s/m"
-    quantity = _pint_unit(unit, allowed)
+    quantity = _pint_unit(unit, allowed, _DIMENSION_OF)
     try:
-        base = quantity.to_base_units()  # type: ignore[attr-defined]
+        base = quantity.to_base_units()
     except Exception:
         raise UnitError("unit with an offset", repr(unit), "K for differences of temperature") from None
     size = float(base.magnitude)
@@ -202,7 +206,6 @@ def _compound(unit: str) -> float | None:
     if "(" in flat:
         return None
     for index, part in enumerate(parts):
-        # in W/m^2 s^-2 only what follows the first slash up to the next belongs below
         for token in part.split():
             match = re.fullmatch(r"([A-Za-zΩµ°%1]+)(?:\^(-?\d))?", token)
             if match is None:
@@ -219,7 +222,7 @@ def _compound(unit: str) -> float | None:
     return factor
 
 
-def _pint_unit(unit: str, allowed: str) -> object:
+def _pint_unit(unit: str, allowed: str, known: Iterable[str]) -> Any:
     if (
         len(unit) > 60
         or not re.fullmatch(r"[A-Za-zµμΩ°/*^. ()0-9²³·-]+", unit)
@@ -234,33 +237,26 @@ def _pint_unit(unit: str, allowed: str) -> object:
     except pint.OffsetUnitCalculusError:
         raise UnitError("unit with an offset", repr(unit), allowed) from None
     except Exception:  # pint raises whatever its tokenizer meets (TypeError, AttributeError, TokenError…)
-        known = [name for table in _FACTORS.values() for name in table if name]
-        from missionsim.errors import did_you_mean
-
-        raise UnitError("unknown unit", repr(unit)[:60], allowed, did_you_mean(unit, known, 0.5)) from None
+        raise UnitError("unknown unit", repr(unit)[:60], allowed, did_you_mean(unit, list(known), 0.5)) from None
     return quantity
 
 
 def _by_pint(unit: str, dimension: str) -> tuple[float, float]:
     allowed = allowed_text(dimension)
-    quantity = _pint_unit(unit, allowed)
+    quantity = _pint_unit(unit, allowed, _FACTORS[dimension])
     try:
         target = DIMENSIONS[dimension].pint
-        zero = (
-            (0.0 * quantity.units).to(target)
-            if dimension != "temperature"
-            else _registry().Quantity(0.0, quantity.units).to(target)
-        )  # type: ignore[attr-defined]
-        one = _registry().Quantity(1.0, quantity.units).to(target)  # type: ignore[attr-defined]
+        zero = _registry().Quantity(0.0, quantity.units).to(target)
+        one = _registry().Quantity(1.0, quantity.units).to(target)
     except Exception:
         raise UnitError("wrong unit", repr(unit)[:60], allowed) from None
     return float(one.magnitude - zero.magnitude), float(zero.magnitude)
 
 
-_cache: list[object] = []
+_cache: list[Any] = []
 
 
-def _registry() -> object:
+def _registry() -> Any:
     if not _cache:
         import pint
 

@@ -1,0 +1,27 @@
+"""Which numbers of a loaded file are uncertain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from missionsim.spec.base import Model
+from missionsim.spec.parameter import Parameter
+
+
+def uncertain_values(model: Any) -> list[tuple[str, Parameter]]:
+    """Paths and parameters of a model's uncertain values (those with a distribution), in the file's order."""
+    result: list[tuple[str, Parameter]] = []
+    stack: list[Any] = [model]
+    while stack:
+        item = stack.pop()
+        if isinstance(item, Parameter):
+            if item.distribution is not None and item.path:
+                result.append((item.path, item))
+        elif isinstance(item, Model):
+            stack.extend(getattr(item, name) for name in reversed(type(item).model_fields))
+        elif isinstance(item, Mapping):
+            stack.extend(reversed(list(item.values())))
+        elif isinstance(item, tuple):
+            stack.extend(reversed(item))
+    return result
