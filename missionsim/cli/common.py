@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
-JsonOption = Annotated[str | None, Parameter(name="--json")]
+JsonOption = Annotated[str | None, Parameter(name="--json", allow_leading_hyphen=True)]
 """Where to write the result as JSON: a file, or - for standard output."""
 QuietOption = Annotated[bool, Parameter(name="--quiet", negative="")]
 """Print nothing but what was asked for."""

@@ -110,7 +110,7 @@ class Accumulator:
         segment: NDArray[np.int64] | None,
     ) -> None:
         sums = self.runs.setdefault(run, {}).setdefault(battery, RunSums())
-        measured = float(block.measured_w[battery] @ block.dt_s)
+        measured = _dot(block.measured_w[battery], block.dt_s)
         seconds = float(block.dt_s.sum())
         sums.seconds += seconds
         sums.measured_j += measured
@@ -118,7 +118,7 @@ class Accumulator:
         sums.square_w2s += square
         sums.series.add(block.time_s, block.dt_s, block.measured_w[battery], block.model_w[battery], segment)
         for key, power in block.terms[battery].items():
-            joules = float(power @ block.dt_s) if np.ndim(power) else float(power) * seconds
+            joules = _dot(power, block.dt_s) if np.ndim(power) else float(power) * seconds
             sums.terms[key] = sums.terms.get(key, 0.0) + joules
 
     def _cells(self, run: str, block: ReplayBlock) -> Iterable[tuple[Axis, NDArray[np.int64]]]:
@@ -150,12 +150,12 @@ def _add_driven(driven: dict[str, Driven], block: ReplayBlock) -> None:
             continue
         seconds = np.where(rows, block.dt_s, 0.0)
         sums = driven.setdefault(name, Driven())
-        sums.distance_m += float(speed[driving] @ seconds[driving])
+        sums.distance_m += _dot(speed[driving], seconds[driving])
         sums.driving_s += float(seconds[driving].sum())
         sums.turning_s += float(seconds[~driving & ~standing].sum())
         sums.standing_s += float(seconds[standing].sum())
         for battery, model in block.model_w.items():
-            sums.energy_j[battery] = sums.energy_j.get(battery, 0.0) + float(model @ seconds)
+            sums.energy_j[battery] = sums.energy_j.get(battery, 0.0) + _dot(model, seconds)
 
 
 def kinds_of_motion(cov: Mapping[str, Any]) -> NDArray[np.int64]:
@@ -170,6 +170,11 @@ def kinds_of_motion(cov: Mapping[str, Any]) -> NDArray[np.int64]:
     kinds[straight & (rate > ACCELERATING_M_S2)] = 4
     kinds[straight & (rate < -ACCELERATING_M_S2)] = 5
     return np.asarray(kinds, dtype=np.int64)
+
+
+def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    # not BLAS, whose threads cost more than these short products and round by their number
+    return float(np.einsum("i,i->", a, b))
 
 
 def _axis_columns(run: str, block: ReplayBlock, by: tuple[str, ...]) -> Iterable[tuple[str, Any, Axis]]:

@@ -68,7 +68,7 @@ class MissionGap:
         Replayed minus simulated energy.
     schemes : tuple of SchemeGap
     error_statistics, error_statistics_predicted : ErrorStatistics
-        Of the *simulated* energy against the measured one at equal progress of the mission.
+        Of the *simulated* energy against the measured one at equal progress of the mission, over the measured time.
     """
 
     battery: str

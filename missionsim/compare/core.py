@@ -20,7 +20,7 @@ from missionsim.compare.replay import plan_replay, replay_blocks
 from missionsim.compare.statistics import cumulative_at, error_curve, error_statistics, progress_grid
 from missionsim.compare.where import dependences
 from missionsim.effects.model import PowerModel
-from missionsim.errors import InputError
+from missionsim.errors import Fault, InputError
 from missionsim.logs.table import LogTable
 
 if TYPE_CHECKING:
@@ -115,24 +115,39 @@ def compare_files(
     by, on_run
         See `compare`.
     """
-    from missionsim.effects.build import build_power_model
-    from missionsim.spec import load_robot
+    from missionsim.logs import find_logs
+    from missionsim.spec import load_mission, load_robot
+    from missionsim.spec.power import build_power_model
 
-    spec = load_robot(robot) if isinstance(robot, (str, os.PathLike)) else robot
+    named = isinstance(robot, (str, os.PathLike))
+    loading: list[Callable[[], Any]] = [lambda: load_robot(robot) if named else robot, lambda: find_logs(logs)]
+    if mission is not None:
+        loading.append(lambda: load_mission(mission, robot=robot))
+    spec, files, loaded = _all_or_faults(loading)
     model = build_power_model(spec)
-    if mission is None:
-        return compare(model, logs, robot=spec, by=by, on_run=on_run)
+    if loaded is None:
+        return compare(model, files, robot=spec, by=by, on_run=on_run)
     from missionsim.engine.simulate import simulate
-    from missionsim.spec import load_mission
 
-    loaded = load_mission(mission, robot=robot if isinstance(robot, (str, os.PathLike)) else spec)
     result = simulate(loaded)
-    return compare(model, logs, robot=spec, plan=result.timeline, segments=_segment_names(result), mission=loaded.name,
-                   by=by, on_run=on_run)
+    return compare(
+        model, files, robot=spec, plan=result.timeline, segments=tuple(info.name for info in result.segments),
+        mission=loaded.name, by=by, on_run=on_run,
+    )
 
 
-def _segment_names(result: Any) -> tuple[str, ...]:
-    return tuple(str(name) for name in getattr(result, "segment_names", ()))
+def _all_or_faults(loading: Sequence[Callable[[], Any]]) -> list[Any]:
+    """What each of the calls gives, None for a missing third; all their faults at once where there are any."""
+    found: list[Any] = []
+    faults: list[Fault] = []
+    for load in loading:
+        try:
+            found.append(load())
+        except InputError as error:
+            faults.extend(error.faults)
+    if faults:
+        raise InputError(faults)
+    return [*found, *([None] * (3 - len(found)))]
 
 
 def _runs(
@@ -220,14 +235,14 @@ def _mission(
     driven = sums.driven or {}
     schemes = split_behaviour(model, plan, driven, len(found), batteries)
     simulated = simulated_energy(model, plan, battery)
-    grid = progress_grid()
-    names = sums.segment_names()
-    measured = np.zeros(len(grid))
-    for one in found.values():
-        progress = mission_progress(one.series, names, plan, segments)
-        measured += cumulative_at(progress, one.series.columns["measured_j"], grid)
+    grid, names = progress_grid(), sums.segment_names()
     spent = np.cumsum(plan.duration_s)
-    predicted = len(found) * cumulative_at(spent / spent[-1], simulated, grid)
+    measured, predicted = np.zeros(len(grid)), np.zeros(len(grid))
+    for one in found.values():
+        own = one.series.progress
+        progress = np.interp(grid, own, mission_progress(one.series, names, plan, segments))
+        measured += cumulative_at(own, one.series.columns["measured_j"], grid)
+        predicted += cumulative_at(spent / spent[-1], simulated, progress)
     replayed = sum(one.model_j for one in found.values())
     total = len(found) * float(simulated.sum())
     return MissionGap(

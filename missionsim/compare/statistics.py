@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FIRST_PROGRESS = 0.05
+FIRST_PROGRESS = 0.01
 """Progress at which the error curve begins: before it a few joules stand above and below the fraction bar."""
-PROGRESS_POINTS = 191
+PROGRESS_POINTS = 397
 
 
 @dataclass(frozen=True)
