@@ -242,12 +242,24 @@ def _with_twin(
         return candidate
     names = [name for name in gradients[0] if any(np.any(g[name]) for g in gradients)]
     y = np.concatenate([c[candidate.columns[0]] for c in columns])
+    own = f"{candidate.effect.partition(':')[2]}."
+    # a component that was never switched looks like the base: each effect is first held against its own kind
+    kin = [n for n in names if (n.startswith(own) if len(own) > 1 else "." not in n)]
+    for group in (kin, names):
+        twin = _imitator(y, group, gradients)
+        if twin is not None:
+            return replace(candidate, prior=twin, sign=0)
+    return candidate
+
+
+def _imitator(y: Array, names: Sequence[str], gradients: Sequence[Mapping[str, Array]]) -> str | None:
+    """The base parameter that takes the largest part in an exact imitation of a column; None where none is exact."""
     if not names or not np.any(y):
-        return candidate
+        return None
     x = np.column_stack([np.concatenate([g[name] for g in gradients]) for name in names])
     size = np.linalg.norm(x, axis=0)
     coefficients, *_ = np.linalg.lstsq(x / size, y, rcond=1e-9)
     left = y - (x / size) @ coefficients
     if float(left @ left) > 1e-6 * float(y @ y):
-        return candidate
-    return replace(candidate, prior=names[int(np.argmax(np.abs(coefficients)))], sign=0)
+        return None
+    return names[int(np.argmax(np.abs(coefficients)))]

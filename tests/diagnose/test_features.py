@@ -1,0 +1,127 @@
+"""From logs and library to candidates: what is tested, what is a twin, what cannot be tested."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from missionsim.diagnose.features import Features, make_features
+from missionsim.effects.model import PowerModel
+from missionsim.errors import InputError
+from missionsim.logs import LogTable
+from missionsim.spec.loading import load_robot
+from missionsim.spec.power import build_power_model
+
+from .logs import drive
+
+
+@pytest.fixture(scope="module")
+def model() -> PowerModel:
+    return build_power_model(load_robot("pioneer3dx"))
+
+
+def features(model: PowerModel, *runs: LogTable) -> Features:
+    return make_features(model, runs, "robot", switchable=("kinect", "laser", "sonar"))
+
+
+def test_candidates_and_what_they_lack(model: PowerModel) -> None:
+    found = features(model, drive(1, seconds=60.0), drive(2, seconds=60.0))
+    ids = {candidate.effect for candidate in found.candidates}
+    assert {"turning_scrub", "aerodynamic_drag", "cold_friction", "start_surge", "conversion_loss",
+            "component_warmup:kinect", "component_power:laser"} <= ids
+    assert found.untestable["grade"] == ("slope_rad",)
+    assert found.untestable["payload"] == ("payload_kg",)
+    assert found.untestable["surface_rolling_resistance"] == ("surface",)
+    assert found.untestable["component_warmup:sonar"] == ("on_sonar",)
+    assert found.untestable["path_stretch"] == ("mission",)
+    assert "acceleration" in ids  # derived from the speed
+
+
+def test_twins_of_base_parameters_have_a_free_sign(model: PowerModel) -> None:
+    found = features(model, drive(1), drive(2))
+    twins = {c.effect: (c.prior, c.sign) for c in found.candidates if c.prior}
+    assert twins == {
+        "rolling_friction": ("c3", 0), "viscous_friction": ("c2", 0), "standby_load": ("c4", 0),
+        "component_power:laser": ("laser.power", 0), "component_power:kinect": ("kinect.power", 0),
+    }
+
+
+def test_columns_are_the_contract_s_formulas(model: PowerModel) -> None:
+    log = drive(3, slope_rad=np.full(420, 0.05), payload_kg=np.full(420, 4.0))
+    run = features(model, log).runs[0]
+    v, w = np.asarray(log.columns["speed_m_s"]), np.asarray(log.columns["yaw_rate_rad_s"])
+    np.testing.assert_allclose(run.columns["turning_scrub"], np.abs(w))
+    np.testing.assert_allclose(run.columns["payload"], 4.0 * v)
+    np.testing.assert_allclose(run.columns["grade"], (25.0 + 4.0) * 9.80665 * v * np.sin(0.05), rtol=1e-9)
+    np.testing.assert_allclose(run.columns["conversion_loss"], run.base_w**2)
+
+
+def test_gradient_is_the_change_with_the_logarithm_of_a_parameter(model: PowerModel) -> None:
+    log = drive(4)
+    run = features(model, log).runs[0]
+    v = np.asarray(log.columns["speed_m_s"])
+    np.testing.assert_allclose(run.gradient["c3"], 9.79 * v, atol=1e-8)
+    np.testing.assert_allclose(run.gradient["laser.power"], 2.34, atol=1e-8)
+    assert not run.gradient["sonar.p1"].any()
+
+
+def test_surfaces_are_levels_of_one_effect(model: PowerModel) -> None:
+    floor = ["tile"] * 200 + ["carpet"] * 220
+    found = features(model, drive(5, surface=floor), drive(6, surface=floor))
+    candidate = next(c for c in found.candidates if c.effect == "surface_rolling_resistance")
+    assert candidate.levels == ("carpet", "tile")
+    run = found.runs[0]
+    np.testing.assert_allclose(
+        run.columns["surface_rolling_resistance|carpet"][:200], 0.0
+    )
+    one = features(model, drive(5, surface=["tile"] * 420))
+    assert "surface_rolling_resistance" not in one.effects
+    assert any("all runs are on one surface (tile)" in remark for remark in one.remarks)
+
+
+def test_shape_refit_gives_the_column_of_any_time_constant(model: PowerModel) -> None:
+    found = features(model, drive(7), drive(8))
+    cold = next(c for c in found.candidates if c.effect == "cold_friction")
+    assert cold.refit is not None
+    again = cold.refit({"tau": cold.shape[1]["tau"]})
+    np.testing.assert_allclose(again[1], found.runs[1].columns[cold.columns[1]])
+    assert len(found.select([1]).candidates[0].columns) >= 1
+    chosen = next(c for c in found.select([1]).candidates if c.effect == "cold_friction")
+    assert chosen.refit is not None and len(chosen.refit({"tau": 60.0})) == 1
+
+
+def test_voltage_is_never_watched(model: PowerModel) -> None:
+    log = drive(9, voltage_robot_v=np.linspace(25.0, 24.0, 420), current_robot_a=np.ones(420), wind_m_s=np.ones(420))
+    run = features(model, log).runs[0]
+    assert not any(name.startswith(("voltage", "current", "power")) for name in run.covariates)
+    assert "wind_m_s" in run.covariates
+
+
+def test_missing_values_are_filled_and_said(model: PowerModel) -> None:
+    slope = np.full(420, 0.02)
+    slope[50:60] = np.nan
+    found = features(model, drive(10, slope_rad=slope))
+    assert "run_10: 10 missing values of slope_rad filled from their neighbours" in found.remarks
+    gone = np.where(np.arange(420) < 200, np.nan, slope)
+    mostly = features(model, drive(10, slope_rad=gone))
+    assert mostly.untestable["grade"] == ("slope_rad",)
+    assert any("column slope_rad is empty" in remark for remark in mostly.remarks)
+
+
+def test_a_switch_that_some_runs_do_not_log_counts_as_off(model: PowerModel) -> None:
+    without = drive(11)
+    without = replace(without, columns={n: v for n, v in without.columns.items() if n != "on_kinect"})
+    found = features(model, drive(12), without)
+    assert not found.runs[1].columns["component_power:kinect"].any()
+    assert "on_kinect is not logged in run_11: counted as switched off there" in found.remarks
+
+
+def test_a_battery_that_needs_more_columns_is_a_fault_of_the_input(model: PowerModel) -> None:
+    log = drive(13)
+    log = replace(log, power_w={"laptop": log.power_w["robot"]}, fresh={"laptop": None})
+    with pytest.raises(InputError, match="needs columns that the logs lack"):
+        make_features(model, [log], "laptop")
+    with pytest.raises(InputError, match="no log measures the battery 'robot'"):
+        make_features(model, [log], "robot")

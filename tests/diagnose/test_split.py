@@ -1,0 +1,65 @@
+"""Which runs are held out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from missionsim.diagnose.split import choose_split
+from missionsim.errors import InputError
+
+from .logs import drive
+
+RUNS = [drive(seed, seconds=30.0, payload_kg=np.full(30, float(seed))) for seed in range(8)]
+
+
+def names(runs: tuple[object, ...]) -> list[str]:
+    return [run.run for run in runs]  # type: ignore[attr-defined]
+
+
+def test_last_quarter_is_the_default() -> None:
+    split = choose_split(RUNS)
+    assert names(split.train) == [f"run_{i:02d}" for i in range(6)]
+    assert names(split.heldout) == ["run_06", "run_07"]
+    assert split.how == "the last 2 runs of 8"
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_runs_hold_none_out_and_say_so(count: int) -> None:
+    split = choose_split(RUNS[:count])
+    assert split.heldout == () and len(split.train) == count
+    assert "nothing shows how the model does on runs that were not used" in split.how
+
+
+@pytest.mark.parametrize(("asked", "held"), [("0.5", 4), ("25 %", 2), ("0", 0), ("none", 0)])
+def test_fraction(asked: str, held: int) -> None:
+    assert len(choose_split(RUNS, asked).heldout) == held
+
+
+def test_names_and_condition() -> None:
+    assert names(choose_split(RUNS, "run_01,run_03").heldout) == ["run_01", "run_03"]
+    split = choose_split(RUNS, "payload_kg > 5")
+    assert names(split.heldout) == ["run_06", "run_07"] and split.shifted
+    assert names(choose_split(RUNS, ["run_01", "run_02"]).heldout) == ["run_01", "run_02"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ("run_1", "there is no run 'run_1'"),
+        ("1.5", "--holdout as a fraction must be below 1"),
+        ("payload_kg > 99", "no run meets the condition"),
+        ("payload_kg >= 0", "every run meets the condition"),
+        ("paload_kg > 3", "'paload_kg' is not known here"),
+        (",".join(f"run_{i:02d}" for i in range(8)), "every run is held out"),
+    ],
+)
+def test_faults_say_what_was_wrong(asked: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        choose_split(RUNS, asked)
+
+
+def test_a_typing_error_gets_a_hint() -> None:
+    with pytest.raises(InputError) as caught:
+        choose_split(RUNS, "run_1")
+    assert caught.value.faults[0].hint == "run_01"
