@@ -1,8 +1,8 @@
 """Law ``multicore_cpu`` of a component: an on-board computer at a clock, loaded by what it must process.
 
-Rover paper, Eq. 6, with the loop time of `missionsim.physics.processor`. Covariates: ``cpu_freq_hz`` (the highest clock where absent), and either
-``cpu_load`` (measured or given) or ``speed_m_s`` and ``complexity`` (work relative to the hardest environment), from
-which the load follows as the time that one batch takes times the rate at which batches come.
+Rover paper, Eq. 6, with the loop time of `missionsim.physics.processor`. Covariates: ``cpu_freq_hz`` (the highest clock
+where absent), and either ``cpu_load`` (measured or given) or ``speed_m_s`` and ``complexity`` (work relative to the
+hardest environment), from which the load follows as the time of one batch times the rate at which batches come.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from missionsim.effects.base import ParameterSpec
-from missionsim.effects.covariates import Covariates, number
+from missionsim.effects.covariates import Covariates
 from missionsim.physics import processor
 
 PARAMETERS: tuple[ParameterSpec, ...] = (
@@ -35,20 +37,18 @@ NEEDS = ("speed_m_s",)
 
 def clock(cov: Covariates, p: Mapping[str, Any]) -> Any:
     """Clock [Hz]: ``cpu_freq_hz`` where it is known, else the highest."""
-    return number(cov, "cpu_freq_hz", p["high_freq"])
+    return _given(cov, "cpu_freq_hz", p["high_freq"])
 
 
 def load(cov: Covariates, p: Mapping[str, Any]) -> Any:
     """Utilisation of a busy core: ``cpu_load`` where it is known, else batch rate times loop time, at most 1."""
-    if "cpu_load" in cov:
-        return cov["cpu_load"]
-    return processor.utilisation(loop_time(cov, p), batch_rate_hz=p["batch_rate"])
+    return _given(cov, "cpu_load", processor.utilisation(loop_time(cov, p), batch_rate_hz=p["batch_rate"]))
 
 
 def loop_time(cov: Covariates, p: Mapping[str, Any]) -> Any:
     """Time per batch (PLPT) [s]."""
     return processor.loop_time(
-        clock(cov, p), cov["speed_m_s"], number(cov, "complexity", 1.0), fixed_s=p["fixed_time"],
+        clock(cov, p), cov["speed_m_s"], _given(cov, "complexity", 1.0), fixed_s=p["fixed_time"],
         cycles=p["cycles"], cycles_per_speed=p["cycles_per_speed"],
     )
 
@@ -61,3 +61,9 @@ def power(cov: Covariates, p: Mapping[str, Any]) -> Any:
         cores_busy=p["cores_busy"], low_hz=p["low_freq"], high_hz=p["high_freq"], low_v=p["low_voltage"],
         high_v=p["high_voltage"],
     )
+
+
+def _given(cov: Covariates, name: str, default: Any) -> Any:
+    """A covariate where it is known; rows without it (not a number) take the default."""
+    value = cov.get(name)
+    return default if value is None else np.where(np.isnan(value), default, value)

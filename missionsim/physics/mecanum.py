@@ -100,18 +100,22 @@ def wheel_forces(
     exactly 45° (two wheels stopped) cheaper than a degree beside it.
     """
     wheels = wheel_speeds(speed_m_s, lateral_speed_m_s)
-    left = np.sign(f64(lateral_speed_m_s))
+    # what is rounding of the direction does not turn: a share of the speed, so that starts from rest stay smooth
+    still = 1e-9 * np.hypot(f64(speed_m_s), f64(lateral_speed_m_s))
+    left = _direction(f64(lateral_speed_m_s), still)
     mass = f64(mass_kg)
     along = mass * f64(accel_m_s2) + f64(grade_force_n)
     across = mass * f64(lateral_accel_m_s2)
     wheel, roller = f64(wheel_friction_n) / 4.0, f64(roller_friction_n) / 4.0
     forces = [
-        wheel * np.sign(np.where(np.abs(u) < 1e-9, 0.0, u))
-        + s * np.sqrt(2.0) * roller * left
-        + (along + s * across) / 4.0
+        wheel * _direction(u, still) + s * np.sqrt(2.0) * roller * left + (along + s * across) / 4.0
         for u, s in zip(wheels, _SIDEWAYS, strict=True)
     ]
     return forces[0], forces[1], forces[2], forces[3]
+
+
+def _direction(speed: Array, still: Array) -> Array:
+    return np.sign(np.where(np.abs(speed) <= still, 0.0, speed))
 
 
 def copper_loss(forces_n: tuple[Array, ...], *, resistance_w_n2: ArrayLike) -> Array:

@@ -20,7 +20,7 @@ PAPERS: dict[str, str] = {
 """Robot → its paper."""
 TITLES: dict[str, str] = {
     "jaiem2021": "Jaiem, Crestani, Lapierre, Druon 2021: Energy Consumption of Control Schemes for the Pioneer 3DX "
-    "Mobile Robot",
+    "Mobile Robot: Models and Evaluation",
     "parasuraman2012": "Parasuraman, Kershaw, Pagala, Ferre 2012: Model Based On-line Energy Prediction System for "
     "Semi-Autonomous Mobile Robots",
     "hou2019": "Hou, Zhang, Kim 2019: Energy Modeling and Experimental Validation of Four-Wheel Mecanum Mobile Robots",
@@ -43,8 +43,9 @@ class Figure:
         As printed, with its trailing zeros.
     unit : str
     rule : str
-        ``rounded`` (within half of the last digit), ``truncated`` (the paper cuts digits), ``about:<tolerance>``,
-        ``at_least``, ``at_most``.
+        ``rounded`` (within half of the last digit), ``truncated`` (the paper cuts digits), ``inputs:<tolerance>`` (its
+        own rounding and that of the printed numbers from which the paper computed it), ``about:<tolerance>`` (the text
+        says about, roughly), ``at_least``, ``at_most``.
     basis : str
         Empty for a figure that can be computed; ``input`` (taken into the robot or mission file), ``fitted`` (a file
         is calibrated to it), ``contradiction`` (why it need not be met), ``uncheckable``.
@@ -76,7 +77,7 @@ class Figure:
     def tolerance(self) -> float:
         """Greatest difference at which the figures agree as printed."""
         kind, _, given = self.rule.partition(":")
-        if kind == "about":
+        if kind in ("about", "inputs"):
             return float(given)
         if kind == "truncated":
             return self.last_digit
@@ -142,12 +143,8 @@ def load_figures(paper: str) -> dict[str, Figure]:
     """Every figure of a paper, by key, in the order of print."""
     with open(DATA / f"{paper}.csv", newline="", encoding="utf-8") as handle:
         rows = list(csv.DictReader(handle))
-    return {
-        row["key"]: Figure(
-            paper, row["key"], row["item"], row["where"], row["value"], row["unit"], row["rule"], row["basis"], row["why"]
-        )
-        for row in rows
-    }
+    names = ("key", "item", "where", "value", "unit", "rule", "basis", "why")
+    return {row["key"]: Figure(paper, *(row[name] for name in names)) for row in rows}
 
 
 def load_table(name: str) -> list[dict[str, str]]:
@@ -164,7 +161,8 @@ def judge(figure: Figure, ours: Ours | None) -> Item:
     """
     note = "; ".join(part for part in ((ours.note if ours else ""), figure.why) if part)
     if figure.basis == "uncheckable" or ours is None or ours.value is None:
-        return Item(figure, ours.value if ours else None, UNCHECKABLE, note or "nothing in the paper to compute it from")
+        value = ours.value if ours else None
+        return Item(figure, value, UNCHECKABLE, note or "nothing in the paper to compute it from")
     met = figure.met(ours.value)
     if figure.basis == "input":
         return Item(figure, ours.value, CALIBRATED if met else DIFFERS, f"input: {note}")

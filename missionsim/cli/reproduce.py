@@ -1,0 +1,79 @@
+"""`missionsim reproduce`: every published figure of the four robots beside ours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, progress, shows_text
+
+if TYPE_CHECKING:
+    from missionsim.published.figures import Item
+
+
+def reproduce(
+    *robots: str, out: Path | None = None, pictures: bool = True, json: JsonOption = None, quiet: QuietOption = False
+) -> int:
+    """Print every published figure of the four robots beside ours, with what agrees and what does not.
+
+    Parameters
+    ----------
+    robots
+        Shipped robots (pioneer3dx, khepera3, mecanum4, rover_tx2); all of them if none is named.
+    out
+        Write the tables as CSV, one Markdown page and the pictures into this folder.
+    pictures
+        Draw the pictures too.
+    json
+        Write the items as JSON to this file, or - for standard output.
+    quiet
+        Print no tables.
+    """
+    from missionsim.published.reproduce import papers_of, reproduce_paper, to_json, write
+
+    papers = papers_of(robots)
+    items: dict[str, list[Item]] = {}
+    with progress(quiet) as bar:
+        task = bar.add_task("papers", total=len(papers))
+        for paper in papers:
+            items[paper] = reproduce_paper(paper)
+            bar.advance(task)
+    emit_json(to_json([item for found in items.values() for item in found]), json)
+    if shows_text(json, quiet):
+        for paper, found in items.items():
+            _print(paper, found)
+    if out is not None:
+        written = write(out, items, pictures)
+        if shows_text(json, quiet):
+            console().print(f"{len(written)} files in {out}")
+    return 0
+
+
+def _print(paper: str, items: list[Item]) -> None:
+    """One table of a paper, notes numbered under it."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    from missionsim.published.figures import TITLES
+    from missionsim.published.reproduce import counts, footnotes, number
+
+    table = Table(title=TITLES[paper], title_justify="left", title_style="bold", pad_edge=False, box=None, padding=(0, 1, 0, 0))
+    for heading, justify, width in (
+        ("item", "left", 27), ("where", "left", 9), ("published", "right", 9), ("ours", "right", 8),
+        ("unit", "left", 6), ("differ.", "right", 8), ("status", "left", 24), ("note", "right", 4),
+    ):
+        table.add_column(heading, justify=justify, max_width=width)  # type: ignore[arg-type]
+    colours = {"agrees": "green", "calibrated": "blue", "differs": "red", "paper contradicts itself": "yellow"}
+    references, notes = footnotes(items)
+    for item, reference in zip(items, references, strict=True):
+        figure = item.figure
+        colour = colours.get(item.status, "dim")
+        table.add_row(
+            escape(figure.item), escape(figure.where), figure.printed, number(item.ours), escape(figure.unit),
+            "" if item.difference is None else f"{item.difference:+.2g}", f"[{colour}]{item.status}[/]", reference,
+        )
+    terminal = console()
+    terminal.print(table)
+    for index, note in enumerate(notes, start=1):
+        terminal.print(f"  {index:3d} {escape(note)}", style="dim")
+    terminal.print(f"{counts(items)}.\n", style="bold")

@@ -1,0 +1,192 @@
+"""Hou et al. 2019, four-wheel Mecanum robot: tables, fits and directions from the robot file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.physics import mecanum
+from missionsim.published import fits
+from missionsim.published.figures import Figure, Ours, load_figures
+from missionsim.published.locate import mission, run
+from missionsim.spec import load_robot
+from missionsim.spec.power import build_power_model
+
+PAPER = "hou2019"
+START = "mecanum4/start_straight"
+Array = NDArray[np.float64]
+MOTION_TERMS = ("wheel_friction", "roller_friction", "copper_loss", "kinetic", "lifting")
+"""Terms of the motion system (the paper's Table 3); the rest is control, sensors and communication (Table 4)."""
+
+
+def ours() -> dict[str, Ours]:
+    """What we compute for each figure, by key."""
+    figures = load_figures(PAPER)
+    result: dict[str, Ours] = {}
+    for part in (_tables(figures), _constants(figures), _accuracy(figures), _directions(figures), _inputs()):
+        result.update(part)
+    return result
+
+
+def start_powers(times_s: Array) -> dict[str, Array]:
+    """Speed (m/s), motion power and robot power (W) of the simulated start of Tables 3 and 4.
+
+    The sample at an instant sees what was just before it: at the end of the ramp the control pulse still counts, while
+    the motors' power is that of the speed reached (the measured power has fallen by then).
+    """
+    spec = mission(START)
+    robot = spec.robot
+    model = build_power_model(robot)
+    accel, top = float(robot.body.max_acceleration or 0.0), float(spec.defaults.speed or 0.0)
+    speed, rate = mecanum.linear_ramp(times_s, speed_m_s=top, duration_s=top / accel)
+    pulse = (times_s > 0.0) & (times_s <= top / accel + 1e-9)
+    cov = {"speed_m_s": speed, "accel_m_s2": rate, "moving": (speed > 0.0).astype(float)}
+    powers = {key.name: np.asarray(watts) for key, watts in model.evaluate(cov, battery="robot")["robot"].items()}
+    values = {name: p.value for name, p in model.parameters.items()}
+    motion = sum((powers[name] for name in MOTION_TERMS if name in powers), start=np.zeros_like(times_s))
+    return {
+        "speed": speed, "motion": motion,
+        "robot": motion + powers["electronics"] + np.where(pulse, values["robot/control_pulse"], 0.0),
+    }
+
+
+def _tables(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
+    times, _ = fits.table_series(figures, "3", "measured")
+    powers = start_powers(times)
+    for table, name in (("3", "motion"), ("4", "robot")):
+        for i, time in enumerate(times):
+            key = f"table{table}.t{time:.1f}"
+            yield f"{key}.speed", Ours(float(powers["speed"][i]))
+            yield f"{key}.measured", Ours(float(powers[name][i]))
+
+
+def _constants(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
+    for key in figures:
+        if key.endswith(".mean") and key.startswith("table"):
+            stem = key.removesuffix(".mean")
+            yield key, Ours(0.5 * (figures[f"{stem}.front"].value + figures[f"{stem}.back"].value))
+    first = [f.value for key, f in figures.items() if key.startswith(("table1.left", "table1.right"))]
+    second = [f.value for key, f in figures.items() if key.startswith(("table2.left", "table2.right"))]
+    yield "table2.differs", Ours(float(sum(a != b for a, b in zip(first, second, strict=True))))
+
+
+def paper_errors(figures: Mapping[str, Figure]) -> dict[str, tuple[float, float, float]]:
+    """RMSE (W), mean and greatest absolute error (%) of the paper's own model, by table, from its printed columns."""
+    return {
+        table: fits.errors(*(fits.table_series(figures, table, column)[1] for column in ("modelled", "measured")))
+        for table in ("3", "4")
+    }
+
+
+def robot_errors(figures: Mapping[str, Figure]) -> dict[str, tuple[float, float, float]]:
+    """The same of the shipped robot file."""
+    times, _ = fits.table_series(figures, "3", "measured")
+    powers = start_powers(times)
+    return {
+        table: fits.errors(powers[name], fits.table_series(figures, table, "measured")[1])
+        for table, name in (("3", "motion"), ("4", "robot"))
+    }
+
+
+def _accuracy(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
+    errors = paper_errors(figures)
+    yield "acc.abstract", Ours(100.0 - max(errors["3"][1], errors["4"][1]), "the paper's own columns")
+    yield "acc.motion", Ours(100.0 - errors["3"][1], "the paper's own columns")
+    yield "acc.motion.pointwise", Ours(100.0 - errors["3"][2], "the paper's own columns, worst sample")
+    yield "acc.robot", Ours(100.0 - errors["4"][1], "the paper's own columns")
+    yield "acc.robot.pointwise", Ours(100.0 - errors["4"][2], "the paper's own columns, worst sample")
+
+
+def direction_power(angles_rad: Array, friction_ratio: float | None = None) -> Array:
+    """Power (W) of the robot at its greatest speed in directions from straight ahead.
+
+    Parameters
+    ----------
+    angles_rad : ndarray
+    friction_ratio : float, optional
+        Roller over wheel friction; that of the robot file if not given.
+    """
+    robot = load_robot("mecanum4")
+    model = build_power_model(robot)
+    values: dict[str, Any] = {}
+    if friction_ratio is not None:
+        values["robot/roller_friction"] = friction_ratio * model.parameters["robot/wheel_friction"].value
+    speed = float(robot.body.max_speed)
+    cov = {"speed_m_s": speed * np.cos(angles_rad), "lateral_speed_m_s": speed * np.sin(angles_rad)}
+    return np.asarray(model.total(cov, "robot", values))
+
+
+def threshold_ratio() -> float:
+    """Friction ratio of rollers to wheels below which 45° takes less power than straight ahead."""
+    from scipy.optimize import brentq
+
+    def gain(ratio: float) -> float:
+        power = direction_power(np.radians([0.0, 45.0]), ratio)
+        return float(power[1] - power[0])
+
+    return float(brentq(gain, 0.0, 1.0))
+
+
+def _directions(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
+    step = figures["angle.step"].value
+    angles = np.arange(0.0, figures["angle.range"].value + 0.5 * step, step)
+    low = direction_power(np.radians(angles))
+    threshold = threshold_ratio()
+    ratio = _ratio()
+    high = direction_power(np.radians(angles), 2.0 * threshold)
+    half = angles <= 90.0
+    least, least_high = (float(angles[half][int(np.argmin(power[half]))]) for power in (low, high))
+    note = f"friction ratio {ratio:.2f}, below the threshold of {threshold:.3f}; above it the least is straight ahead"
+    yield "angle.min", Ours(least, note)
+    yield "angle.min.fig14", Ours(least, note)
+    yield "angle.min.conclusion", Ours(least, f"{note} ({least_high:.0f}° at a ratio of {2 * threshold:.2f})")
+    for key in ("angle.max", "angle.max.conclusion"):
+        yield key, Ours(float(angles[int(np.argmax(low))]))
+    mirrored = direction_power(np.radians(180.0 - angles))
+    axis = 90.0 if np.allclose(low, mirrored, rtol=1e-9) else float("nan")
+    yield "angle.symmetry", Ours(axis)
+    yield "angle.range", Ours(float(angles[-1] - angles[0]))
+    yield "angle.step", Ours(float(angles[1] - angles[0]))
+    quarter = angles[half]
+    same = np.allclose(direction_power(np.radians(quarter)), direction_power(np.radians(-quarter)), rtol=1e-9)
+    yield "angle.within", Ours(float(quarter[-1]) if same else None)
+
+
+def _ratio() -> float:
+    parameters = build_power_model(load_robot("mecanum4")).parameters
+    return parameters["robot/roller_friction"].value / parameters["robot/wheel_friction"].value
+
+
+def _inputs() -> Iterator[tuple[str, Ours]]:
+    robot = load_robot("mecanum4")
+    for key in ("speed.max", "speed.max3"):
+        yield key, Ours(float(robot.body.max_speed))
+    line = run(START).timeline
+    ramp = np.asarray(line.duration_s)[np.asarray(line.columns["accel_m_s2"]) > 0.0]
+    yield "time.max", Ours(float(np.sum(ramp)), "simulated start")
+    yield "wheels", Ours(float(len(mecanum.wheel_speeds(1.0))))
+
+
+def identifiability(figures: Mapping[str, Figure]) -> list[dict[str, float | str]]:
+    """Fits with different speed profiles of the start: what the data say about each parameter.
+
+    Returns
+    -------
+    list of dict
+        One row a fit, first the robot file's; the mass runs from one end of its range to the other at equal error.
+    """
+    rows: list[dict[str, float | str]] = []
+    top = figures["time.max"].value
+    for profile, duration in (("linear", top), ("minimum_jerk", top), ("minimum_jerk", top + 0.02)):
+        fit = fits.mecanum_fit(figures, profile=profile, duration_s=duration)
+        rows.append({
+            "profile": profile, "duration_s": duration, "wheel_friction_n": fit.friction_n, "mass_kg": fit.mass_kg,
+            "copper_w_n2": fit.copper_w_n2, "electronics_w": fit.electronics_w, "pulse_w": fit.pulse_w,
+            "rmse_table3_w": fit.rmse_w["3"], "rmse_table4_w": fit.rmse_w["4"], "mape_table3_pct": fit.mape_pct["3"],
+            "mape_table4_pct": fit.mape_pct["4"], "max_table3_pct": fit.max_pct["3"],
+            "max_table4_pct": fit.max_pct["4"], "condition": float(fit.singular_values[0] / fit.singular_values[-1]),
+        })
+    return rows

@@ -1,0 +1,214 @@
+"""The valve patrol of Jaiem et al. 2021, section 3.4.2: the plan against the robot as it drove."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.physics import path_following
+from missionsim.physics.arrays import f64
+from missionsim.published.figures import Ours
+from missionsim.published.locate import mission, run
+
+Array = NDArray[np.float64]
+PLAN, DRIVEN = "pioneer3dx/valve_patrol", "pioneer3dx/valve_patrol_as_driven"
+SAMPLE_S = 1.0
+
+
+@dataclass(frozen=True)
+class ErrorCurve:
+    """Error of the planned energy over the mission as driven, at equal progress.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (n,)
+        Time of the run as driven, one sample a second.
+    predicted_wh, measured_wh : ndarray, shape (n,)
+        Cumulative energy of the plan at the same place, and of the run as driven.
+    """
+
+    time_s: Array
+    predicted_wh: Array
+    measured_wh: Array
+
+    def percent(self, relative_to: str = "predicted") -> Array:
+        """Error in %, of the ``predicted`` or the ``measured`` energy."""
+        base = self.predicted_wh if relative_to == "predicted" else self.measured_wh
+        return 100.0 * (self.measured_wh - self.predicted_wh) / base
+
+    def statistics(self, relative_to: str = "predicted") -> dict[str, float]:
+        """Peak, final value, mean and standard deviation over the samples, %."""
+        error = self.percent(relative_to)
+        return {
+            "peak": float(np.max(error)), "final": float(error[-1]), "mean": float(np.mean(error)),
+            "std": float(np.std(error)),
+        }
+
+
+def error_curve(battery: str, plan: str = PLAN, driven: str = DRIVEN) -> ErrorCurve:
+    """The curve of one battery from two simulations.
+
+    Both runs have the same segments and hold their speed within one, so equal progress is an equal share of a segment.
+    """
+    durations, energies = zip(*((_durations(name), run(name).by_segment_wh(battery)) for name in (plan, driven)),
+                              strict=True)
+    return curve(durations[1], energies[0], energies[1])
+
+
+def curve(driven_s: Array, plan_wh: Array, driven_wh: Array) -> ErrorCurve:
+    """Error curve from durations as driven and energies of each segment, planned and as driven."""
+    ends = np.concatenate([[0.0], np.cumsum(driven_s)])
+    time = np.append(np.arange(SAMPLE_S, ends[-1], SAMPLE_S), ends[-1])
+    predicted, measured = (
+        np.interp(time, ends, np.concatenate([[0.0], np.cumsum(energy)])) for energy in (plan_wh, driven_wh)
+    )
+    return ErrorCurve(time, predicted, measured)
+
+
+def _durations(name: str) -> Array:
+    result = run(name)
+    ends = np.array([result.segment_end_s[index] for index in range(len(result.segments))])
+    return np.diff(ends, prepend=0.0)
+
+
+def velocity_gaps() -> dict[str, float]:
+    """Velocity gap of each segment that moves, %: 1 − mean speed as driven / planned, from the simulated runs."""
+    gaps = {}
+    speeds = []
+    for name in (PLAN, DRIVEN):
+        line = run(name).timeline
+        count = len(run(name).segments)
+        way = np.bincount(line.segment, np.asarray(line.columns["speed_m_s"]) * line.duration_s, count)
+        speeds.append(way / _durations(name))
+    for index, segment in enumerate(run(PLAN).segments):
+        if speeds[0][index] > 0.0:
+            gaps[segment.name] = float(100.0 * (1.0 - speeds[1][index] / speeds[0][index]))
+    return gaps
+
+
+def figures() -> Iterator[tuple[str, Ours]]:
+    """Our values for the figures of section 3.4.2."""
+    plan, driven = run(PLAN), run(DRIVEN)
+    yield "sec24.length", Ours(plan.distance_m)
+    yield "sec342.length", Ours(plan.distance_m, f"as driven {driven.distance_m:.1f} m")
+    note = f"as driven; the plan takes {plan.duration_s / 60.0:.2f} min"
+    yield "sec342.duration", Ours(driven.duration_s / 60.0, note)
+    stops = [segment for segment in plan.segments if segment.kind == "inspect"]
+    yield "valves", Ours(float(len(stops)))
+    segments: Any = mission(PLAN).segments
+    speeds = {float(s.speed) for s in segments if s.speed is not None}
+    for speed in sorted(speeds):
+        yield f"sec342.speed{speed:g}", Ours(speed)
+    gaps = velocity_gaps()
+    yield "sec342.gap.v1", Ours(gaps["V1_area"])
+    yield "sec342.gap.turns", Ours(gaps["V2_area"])
+    yield "sec342.gap.h2", Ours(gaps["H2_out"])
+    for battery in ("robot", "laptop"):
+        found = error_curve(battery)
+        for suffix, relative in (("", "predicted"), (".measured", "measured")):
+            for name, value in found.statistics(relative).items():
+                yield f"sec342.{battery}.{name}{suffix}", Ours(value)
+
+
+@dataclass(frozen=True)
+class Causes:
+    """What makes a robot's path longer and slower than planned, with spread (assumed unless said).
+
+    Attributes
+    ----------
+    marker_spacing_m : float
+        Between QR codes (6.25 m: eight in 50 m, Exp. 2).
+    drift, drift_sd : float
+        Sideways drift per metre; its mean is fitted to Table 5's two QR experiments by `drift_of_table5`.
+    settle_m, settle_sd_m : float
+        Length on which an offset or a heading settles.
+    wall_amplitude_m, wall_amplitude_sd_m, wall_wavelength_m : float
+        Irregular walls that centring follows.
+    heading_error_rad : float
+        After a turn.
+    turns : mapping of str to int
+        By segment of the patrol.
+    gap_sd : float
+        Spread of the speed reached over the speed asked.
+    """
+
+    marker_spacing_m: float = 6.25
+    drift: float = 0.15
+    drift_sd: float = 0.03
+    settle_m: float = 1.0
+    settle_sd_m: float = 0.2
+    wall_amplitude_m: float = 0.12
+    wall_amplitude_sd_m: float = 0.04
+    wall_wavelength_m: float = 3.0
+    heading_error_rad: float = 0.5
+    turns: tuple[tuple[str, int], ...] = (("ER_out", 4), ("V1_area", 5), ("V2_area", 2), ("ER_in", 4))
+    gap_sd: float = 0.02
+
+
+def behaviour_draws(causes: Causes, draws: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Path stretch and speed ratio of each segment of the patrol, drawn from their causes.
+
+    Returns
+    -------
+    tuple of ndarray, shape (draws, segments)
+        Stretch (≥ 1) and speed over speed asked; 1 in the stops.
+    """
+    spec = mission(DRIVEN)
+    stretch = np.ones((draws, len(spec.segments)))
+    ratio = np.ones_like(stretch)
+    drift = np.abs(rng.normal(causes.drift, causes.drift_sd, draws))
+    settle = np.clip(rng.normal(causes.settle_m, causes.settle_sd_m, draws), 0.2, None)
+    amplitude = np.abs(rng.normal(causes.wall_amplitude_m, causes.wall_amplitude_sd_m, draws))
+    lengths = _lengths()
+    turns = dict(causes.turns)
+    for index, segment in enumerate(spec.segments):
+        name = run(DRIVEN).segments[index].name
+        if segment.kind != "drive":
+            continue
+        if spec.navigation_of(segment) == "qr_code":
+            extra = path_following.relocalisation_stretch(causes.marker_spacing_m, drift=drift, settle_m=settle)
+            stretch[:, index] *= extra
+        if spec.scheme_of(segment) == "centring_motion":
+            stretch[:, index] *= path_following.centring_stretch(amplitude, causes.wall_wavelength_m)
+        if name in turns:
+            stretch[:, index] *= path_following.settling_stretch(
+                turns[name], lengths[index], heading_error_rad=causes.heading_error_rad, settle_m=settle
+            )
+        asked = float((segment.behaviour and segment.behaviour.speed_tracking) or 1.0)
+        ratio[:, index] = np.clip(rng.normal(asked, causes.gap_sd, draws), 0.3, 1.0)
+    return stretch, ratio
+
+
+def _lengths() -> Array:
+    line = run(PLAN).timeline
+    way = np.asarray(line.columns["speed_m_s"]) * line.duration_s
+    return f64(np.bincount(line.segment, way, len(run(PLAN).segments)))
+
+
+def uncertain_statistics(causes: Causes, draws: int, seed: int) -> dict[str, dict[str, Array]]:
+    """The four error statistics of each battery for drawn behaviours, shape (draws,) each.
+
+    Every draw is the patrol of the plan with other stretches and speeds; powers come from the robot's power model.
+    """
+    from missionsim.spec.power import build_power_model
+
+    rng = np.random.default_rng(seed)
+    stretch, ratio = behaviour_draws(causes, draws, rng)
+    plan = run(PLAN)
+    model = build_power_model(mission(PLAN).robot)
+    first = np.array([int(np.flatnonzero(plan.timeline.segment == i)[0]) for i in range(len(plan.segments))])
+    cov = plan.timeline.covariates(first)
+    driven = {**cov, "speed_m_s": np.asarray(cov["speed_m_s"]) * ratio}
+    planned_s = _durations(PLAN)
+    driven_s = planned_s * stretch / ratio
+    result: dict[str, dict[str, Array]] = {}
+    for battery in plan.batteries:
+        power = np.broadcast_to(np.asarray(model.total(driven, battery)), driven_s.shape)
+        energy = power * driven_s / 3600.0
+        rows = [curve(driven_s[i], plan.by_segment_wh(battery), energy[i]).statistics() for i in range(draws)]
+        result[battery] = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return result

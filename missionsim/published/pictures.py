@@ -1,0 +1,276 @@
+"""Pictures that draw again from our models what the papers plot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from missionsim.files import atomic_write
+from missionsim.published import fits, hou2019, jaiem2021, parasuraman2012, patrol, rover2025
+from missionsim.published.figures import load_figures
+from missionsim.published.locate import run
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377")
+"""Distinguishable without colour vision (P. Tol's bright scheme)."""
+GREY = "#777777"
+
+
+def draw(paper: str, out: Path) -> list[Path]:
+    """Draw every picture of a paper into a folder as PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    written = []
+    for name, title, paint in PICTURES[paper]:
+        figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+        FigureCanvasAgg(figure)
+        paint(figure)
+        figure.suptitle(title, fontsize=10)
+        path = out / f"{paper}_{name}.png"
+        with atomic_write(path) as temporary:
+            figure.savefig(temporary, dpi=110, format="png", metadata={"Software": "missionsim"})
+        written.append(path)
+    return written
+
+
+def _finish(axes: Axes, x: str, y: str, legend: bool = True) -> None:
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    axes.grid(True, color="#dddddd", linewidth=0.6)
+    axes.set_axisbelow(True)
+    if legend:
+        axes.legend(fontsize=8, frameon=False)
+
+
+def _pair(figure: Figure) -> tuple[Axes, Axes]:
+    left, right = figure.subplots(1, 2)
+    return left, right
+
+
+def _velocity(figure: Figure) -> None:
+    from missionsim.spec import load_robot
+    from missionsim.spec.power import build_power_model
+
+    robot = load_robot("pioneer3dx")
+    model = build_power_model(robot)
+    speed = np.linspace(0.05, 1.2, 116)
+    power = np.asarray(model.total({"speed_m_s": speed, "accel_m_s2": 0.0, "scheme": ""}, "robot"))
+    rest = float(model.total({"speed_m_s": 0.0, "accel_m_s2": 0.0, "scheme": ""}, "robot"))
+    left, right = _pair(figure)
+    left.plot(speed, power, color=COLOURS[0], label="moving")
+    left.plot(0.0, rest, "o", color=COLOURS[1], label=f"at rest {rest:.2f} W")
+    _finish(left, "velocity (m/s)", "motion power (W)")
+    for colour, distance in zip(COLOURS, (10.0, 20.0, 50.0, 100.0), strict=False):
+        right.plot(speed, power * distance / speed / 3600.0, color=colour, label=f"{distance:.0f} m")
+    p = model.parameters
+    best = float(np.sqrt(p["robot/c4"].value / p["robot/c2"].value))
+    right.axvline(best, color=GREY, linestyle=":", label=f"least energy, {best:.3f} m/s")
+    right.axvline(float(robot.body.max_speed), color=GREY, linestyle="--", label="greatest velocity reached")
+    right.set_ylim(0.0, 2.0)
+    _finish(right, "velocity (m/s)", "motion energy (Wh)")
+
+
+def _stretch(figure: Figure) -> None:
+    from missionsim.published.tables import stretch_test
+
+    rows = stretch_test()
+    axes = figure.subplots()
+    x = np.arange(len(rows))
+    for offset, key, colour, label in (
+        (-0.2, "error_without_pct", COLOURS[4], "plan alone"),
+        (0.2, "error_with_pct", COLOURS[1], "with the stretch of the scheme's other two velocities"),
+    ):
+        axes.bar(x + offset, [row[key] for row in rows], 0.38, color=colour, label=label)
+    axes.axhline(0.0, color="black", linewidth=0.8)
+    axes.set_xticks(x, [f"{row['scheme']}\n{row['speed_m_s']:g} m/s" for row in rows], fontsize=8)
+    _finish(axes, "", "error of the prediction (% of measured)")
+
+
+def _patrol_speed(figure: Figure) -> None:
+    axes = figure.subplots()
+    for name, label, style in ((patrol.PLAN, "plan", "--"), (patrol.DRIVEN, "as driven (calibrated)", "-")):
+        line = run(name).timeline
+        speed = np.asarray(line.columns["speed_m_s"])
+        edges = np.append(line.start_s, line.start_s[-1] + line.duration_s[-1])
+        axes.stairs(speed, edges, baseline=None, linestyle=style, label=label,
+                    color=COLOURS[1] if style == "--" else COLOURS[0])
+    _finish(axes, "time (s)", "velocity (m/s)")
+
+
+def _patrol_error(figure: Figure) -> None:
+    figures = load_figures("jaiem2021")
+    left, right = _pair(figure)
+    for colour, battery in zip(COLOURS, ("robot", "laptop"), strict=False):
+        found = patrol.error_curve(battery)
+        left.plot(found.time_s, found.measured_wh, color=colour, label=f"{battery}, as driven")
+        left.plot(found.time_s, found.predicted_wh, color=colour, linestyle="--", label=f"{battery}, plan")
+        for relative, style in (("predicted", "-"), ("measured", ":")):
+            right.plot(found.time_s, found.percent(relative), color=colour, linestyle=style,
+                       label=f"{battery}, of {relative}")
+        right.axhline(figures[f"sec342.{battery}.final"].value, color=colour, linewidth=0.7, alpha=0.6)
+        right.axhline(figures[f"sec342.{battery}.peak"].value, color=colour, linewidth=0.7, alpha=0.6)
+    _finish(left, "time as driven (s)", "energy (Wh)")
+    right.text(0.98, 0.02, "thin lines: published peak and final value", transform=right.transAxes, ha="right",
+               va="bottom", fontsize=7, color=GREY)
+    _finish(right, "time as driven (s)", "error at equal progress (%)")
+
+
+def _sequence(figure: Figure) -> None:
+    result = run(parasuraman2012.IDENTIFY)
+    line = result.timeline
+    edges = np.append(line.start_s, line.start_s[-1] + line.duration_s[-1])
+    axes = figure.subplots()
+    power = result.power_w("robot")
+    axes.stairs(power, edges, baseline=None, color=COLOURS[0], label="power of the robot")
+    before = 0.0
+    for index, segment in enumerate(result.segments):
+        end = result.segment_end_s[index]
+        level = float(power[np.flatnonzero(line.segment == index)[0]])
+        axes.text(0.5 * (before + end), level + 0.04, segment.name, ha="center", va="bottom", fontsize=7, rotation=30)
+        before = end
+    axes.set_ylim(0.0, 2.7)
+    _finish(axes, "time (s)", "power (W)", legend=False)
+
+
+def _khepera(figure: Figure) -> None:
+    figures = load_figures("parasuraman2012")
+    low, high = (figures[f"speed.{name}"].value / 1e3 for name in ("min", "max"))
+    speed = np.linspace(low, high, 23)
+    left, right = _pair(figure)
+    for colour, payload in zip(COLOURS, (0.0, 0.25, 0.5), strict=False):
+        left.plot(1e3 * speed, [parasuraman2012.motion_power(float(v), payload) for v in speed], color=colour,
+                  label=f"payload {payload:g} kg")
+    _finish(left, "speed (mm/s)", "motion power (W)")
+    for colour, radio in zip(COLOURS, ("wifi", "bluetooth", None), strict=False):
+        right.plot(1e3 * speed, [3600.0 * parasuraman2012.crossing_energy(float(v), radio) for v in speed],
+                   color=colour, label=radio or "no radio")
+    right.set_ylim(bottom=0.0)
+    _finish(right, "speed (mm/s)", "energy from A to B, 5.6 m (J)")
+
+
+def _start(figure: Figure) -> None:
+    figures = load_figures("hou2019")
+    fine = np.linspace(0.0, 1.3, 521)
+    for axes, table, name in zip(_pair(figure), ("3", "4"), ("motion", "robot"), strict=True):
+        time, measured = fits.table_series(figures, table, "measured")
+        _, modelled = fits.table_series(figures, table, "modelled")
+        axes.plot(fine, hou2019.start_powers(fine)[name], color=COLOURS[4], linewidth=0.9, label="ours, all times")
+        axes.plot(time, hou2019.start_powers(time)[name], "s", color=COLOURS[0], markersize=4, label="ours, samples")
+        axes.plot(time, measured, "o", color="black", markersize=4, fillstyle="none", label="measured (printed)")
+        axes.plot(time, modelled, "x", color=COLOURS[1], markersize=4, label="paper's model (printed)")
+        axes.set_title(f"Table {table}: {name}", fontsize=9)
+        axes.set_ylim(0.0, 62.0)
+        _finish(axes, "time (s)", "power (W)")
+
+
+def _angles(figure: Figure) -> None:
+    angles = np.arange(0.0, 181.0, 3.0)
+    threshold = hou2019.threshold_ratio()
+    axes = figure.subplots()
+    for colour, ratio in zip(COLOURS, (0.1, threshold, 2.0 * threshold), strict=False):
+        power = hou2019.direction_power(np.radians(angles), ratio)
+        best = float(angles[angles <= 90.0][int(np.argmin(power[angles <= 90.0]))])
+        axes.plot(angles, power, ".-", color=colour, linewidth=0.8,
+                  label=f"roller over wheel friction {ratio:.3f}: least at {best:.0f}°")
+    axes.set_xticks(range(0, 181, 45))
+    _finish(axes, "direction of travel from straight ahead (°)", "power at 1 m/s (W)")
+
+
+def _complexities(figure: Figure) -> None:
+    figures = load_figures("rover2025")
+    names = {"field": "low", "orchard": "moderate", "slalom": "high"}
+    for axes, scale, unit in zip(_pair(figure), (1.0, rover2025.KMH), ("m/s", "km/h"), strict=True):
+        robot = rover2025.predictor() if scale == 1.0 else rover2025.predictor(rover2025.kmh_values(figures))
+        grid = rover2025.speeds(12.0)
+        clocks = robot.clocks()
+        for colour, (track, complexity) in zip(COLOURS, rover2025.complexity_of_tracks().items(), strict=False):
+            speed, clock = np.meshgrid(grid * scale, clocks, indexing="ij")
+            energy = robot.energy_per_metre(speed, clock, complexity)
+            good = np.where(robot.meets_service(speed, clock, complexity), energy, np.nan)
+            least = np.array([np.nanmin(row) if np.isfinite(row).any() else np.nan for row in good])
+            axes.plot(grid, least, color=colour, label=f"{names[track]} complexity")
+            axes.plot(grid[np.nanargmin(least)], np.nanmin(least), "o", color=colour, markersize=5)
+        axes.set_ylim(0.0, 25.0 if scale == 1.0 else 30.0)
+        axes.set_title("printed speeds in " + unit + (" (SI)" if scale == 1.0 else " (hypothesis)"), fontsize=9)
+        _finish(axes, f"speed ({unit})", "energy per metre (J/m)")
+
+
+def _mechanical(figure: Figure) -> None:
+    fine = rover2025.speeds(9.0, 0.05)
+    axes = figure.subplots()
+    for colour, constant, label in ((COLOURS[0], True, "with the fitted constant drive power"),
+                                    (COLOURS[1], False, "Table 1 alone")):
+        axes.plot(fine, rover2025.mechanical_power(fine, with_constant=constant) / fine, color=colour, label=label)
+    axes.axvline(load_figures("rover2025")["mech.speed"].value, color=GREY, linestyle=":", label="published optimum")
+    axes.set_ylim(0.0, 20.0)
+    _finish(axes, "speed (m/s)", "mechanical energy per metre (J/m)")
+
+
+def _service(figure: Figure) -> None:
+    figures = load_figures("rover2025")
+    low, high = figures["fig6.speed.min"].value, figures["fig6.speed.max"].value
+    robot = rover2025.predictor(rover2025.kmh_values(figures))
+    clocks = robot.clocks()
+    clocks = clocks[clocks >= figures["freq.min"].value * 1e9 - 1.0]
+    left, right = _pair(figure)
+    twin = right.twinx()
+    for colour, speed in zip(COLOURS, np.linspace(low, high, 4), strict=False):
+        v = speed * rover2025.KMH
+        rate = robot.throughput(v, clocks, 1.0)
+        left.plot(rate, robot.energy_per_metre(v, clocks, 1.0), ".-", color=colour, label=f"printed speed {speed:g}")
+        right.plot(clocks / 1e9, 1e3 * robot.loop_time(v, clocks, 1.0), color=colour, label=f"printed speed {speed:g}")
+        twin.plot(clocks / 1e9, rate, color=colour, linestyle="--")
+    twin.set_ylabel("batches per second (dashed)")
+    left.axvline(figures["batches"].value, color=GREY, linestyle=":")
+    _finish(left, "throughput (batches per second)", "energy per metre (J/m)")
+    _finish(right, "clock (GHz)", "time per batch, PLPT (ms)")
+
+
+def _fidelity(figure: Figure) -> None:
+    from missionsim.control import LEVELS, FidelityModel
+
+    measured = FidelityModel(rover2025.predictor(), (0.5, 9.0)).measure(LEVELS)
+    steps = [item.level.speed_step_m_s for item in measured]
+    axes = figure.subplots()
+    axes.loglog(steps, [item.mean_error_pct for item in measured], "o-", color=COLOURS[0], label="mean error")
+    axes.loglog(steps, [item.max_error_pct for item in measured], "o:", color=COLOURS[0], label="greatest error")
+    _finish(axes, "speed granularity (m/s)", "error of the energy per metre (%)", legend=False)
+    twin = axes.twinx()
+    twin.loglog(steps, [1e3 * item.seconds for item in measured], "s-", color=COLOURS[1], label="computing time")
+    twin.set_ylabel("computing time of the table (ms, this machine)")
+    lines: list[Any] = [*axes.get_lines(), *twin.get_lines()]
+    axes.legend(lines, [str(line.get_label()) for line in lines], fontsize=8, frameon=False, loc="upper center")
+
+
+Paint = Callable[["Figure"], None]
+PICTURES: dict[str, list[tuple[str, str, Paint]]] = {
+    "jaiem2021": [
+        ("power_velocity", "Power and energy for several distances against velocity (Figs. 4, 5)", _velocity),
+        ("stretch", "Table 5 predicted without and with path stretch, each run left out of the fit", _stretch),
+        ("patrol_velocity", "Velocity over the patrol (Fig. 9)", _patrol_speed),
+        ("patrol_error", "Energy and error over the patrol (Figs. 10, 11); calibrated, not predicted", _patrol_error),
+    ],
+    "parasuraman2012": [
+        ("sequence", "Sequence of operations that identifies the components (Fig. 2)", _sequence),
+        ("energy_speed", "Motion power (Fig. 3) and energy of the crossing (Fig. 6) against speed", _khepera),
+    ],
+    "hou2019": [
+        ("start", "Power during the start (Figs. 11, 13), fitted", _start),
+        ("directions", "Power against direction of travel (Fig. 14)", _angles),
+    ],
+    "rover2025": [
+        ("complexities", "Least energy per metre with quality of service, by complexity (Fig. 3)", _complexities),
+        ("mechanical", "Mechanical energy per metre (Fig. 5)", _mechanical),
+        ("service", "Energy against throughput (Fig. 6), PLPT against clock (Fig. 7); km/h reading", _service),
+        ("fidelity", "Error and computing time against speed granularity (Fig. 4)", _fidelity),
+    ],
+}
+"""Paper → (name of the file, title, function that paints it)."""
+assert set(PICTURES) == {jaiem2021.PAPER, parasuraman2012.PAPER, hou2019.PAPER, rover2025.PAPER}

@@ -1,0 +1,139 @@
+"""Reproduce the papers: items, CSV files, one Markdown page, pictures."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import io
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from missionsim.errors import InputError, did_you_mean
+from missionsim.files import write_text
+from missionsim.published.figures import PAPERS, STATUSES, TITLES, Item, judge_all
+
+SCHEMA = "missionsim.reproduction/1"
+COLUMNS = ("item", "where", "published", "ours", "unit", "difference", "tolerance", "rule", "status", "note", "key")
+
+
+def papers_of(robots: Sequence[str]) -> list[str]:
+    """Papers of the named robots (all if none); a paper's own name counts too.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        For a name without a paper.
+    """
+    known = {**PAPERS, **{paper: paper for paper in PAPERS.values()}}
+    for name in robots:
+        if name not in known:
+            raise InputError.single(
+                f"no published robot '{name}'", got=name, allowed=", ".join(PAPERS), hint=did_you_mean(name, known)
+            )
+    return list(dict.fromkeys(known[name] for name in robots)) or list(PAPERS.values())
+
+
+def reproduce_paper(paper: str) -> list[Item]:
+    """Every figure of a paper beside ours."""
+    module: Any = importlib.import_module(f"missionsim.published.{paper}")
+    return judge_all(paper, module.ours())
+
+
+def to_json(items: Iterable[Item]) -> dict[str, Any]:
+    """The contract's JSON."""
+    return {"schema": SCHEMA, "items": [item.to_json() for item in items]}
+
+
+def number(value: float | None) -> str:
+    """A number as the tables show it: six significant digits, so that it is the same on every machine."""
+    if value is None:
+        return ""
+    text = f"{value:.6g}"
+    return "0" if float(text) == 0.0 or abs(value) < 1e-12 else text
+
+
+def items_csv(items: Iterable[Item]) -> str:
+    """The reproduction table as CSV text."""
+    rows = []
+    for item in items:
+        row = item.to_json()
+        row["published"] = row["printed"]
+        close = item.difference is not None and abs(item.difference) < 1e-9 * max(1.0, abs(item.figure.value))
+        row["difference"] = 0.0 if close else item.difference
+        rows.append([_cell(row[name]) for name in COLUMNS])
+    return _csv(COLUMNS, rows)
+
+
+def rows_csv(rows: Sequence[dict[str, Any]]) -> str:
+    """A table of dictionaries as CSV text."""
+    return _csv(list(rows[0]), [[_cell(value) for value in row.values()] for row in rows])
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, float) or value is None:
+        return number(value)
+    return str(value)
+
+
+def _csv(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def counts(items: Sequence[Item]) -> str:
+    """How many items have which status, in words."""
+    found = Counter(item.status for item in items)
+    return f"{len(items)} figures: " + ", ".join(f"{found[status]} {status}" for status in STATUSES if found[status])
+
+
+def footnotes(items: Sequence[Item]) -> tuple[list[str], list[str]]:
+    """Notes of the items as references ([1], [2] …) and the list of distinct notes."""
+    notes: dict[str, int] = {}
+    references = []
+    for item in items:
+        references.append(str(notes.setdefault(item.note, len(notes) + 1)) if item.note else "")
+    return references, list(notes)
+
+
+def files(items: dict[str, list[Item]]) -> dict[str, str]:
+    """Every text file of ``results/published``, by name: CSV tables and the Markdown page."""
+    from missionsim.published.page import page
+    from missionsim.published.tables import TABLES
+
+    result: dict[str, str] = {}
+    tables: dict[str, list[tuple[str, list[dict[str, Any]]]]] = {}
+    for paper, found in items.items():
+        result[f"{paper}.csv"] = items_csv(found)
+        tables[paper] = [(name, make()) for name, make in TABLES[paper]]
+        for name, rows in tables[paper]:
+            result[f"{paper}_{name}.csv"] = rows_csv(rows)
+    result["README.md"] = page(items, tables)
+    return result
+
+
+def write(out: Path, items: dict[str, list[Item]], pictures: bool = True) -> list[Path]:
+    """Write tables, page and pictures into a folder; each file whole or not at all.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+    """
+    written = []
+    for name, text in files(items).items():
+        write_text(out / name, text)
+        written.append(out / name)
+    if pictures:
+        from missionsim.published.pictures import draw
+
+        for paper in items:
+            written.extend(draw(paper, out))
+    return written
+
+
+__all__ = ["TITLES", "footnotes", "papers_of", "reproduce_paper", "to_json", "write"]

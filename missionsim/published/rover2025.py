@@ -1,0 +1,184 @@
+"""The rover with a Jetson TX2: Table 1, optima of speed and clock, quality of service, two readings of its speeds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.control import PowerPredictor
+from missionsim.physics import traction
+from missionsim.published.figures import Figure, Ours, load_figures
+from missionsim.published.locate import mission
+from missionsim.spec import load_robot
+
+PAPER = "rover2025"
+Array = NDArray[np.float64]
+SPEED_STEP_M_S = 0.25
+KMH = 1.0 / 3.6
+COMPLEXITIES = ("field", "orchard", "slalom")
+"""Tracks of low, moderate and high complexity in the shipped environment."""
+
+
+def ours() -> dict[str, Ours]:
+    """What we compute for each figure, by key."""
+    figures = load_figures(PAPER)
+    result: dict[str, Ours] = {}
+    for part in (_inputs(figures), _optima(figures)):
+        result.update(part)
+    return result
+
+
+def predictor(values: Mapping[str, float] | None = None) -> PowerPredictor:
+    """The shipped rover with camera and computer on."""
+    return PowerPredictor("rover_tx2", values=values or {})
+
+
+def complexity_of_tracks() -> dict[str, float]:
+    """Complexity of each track of the shipped environment."""
+    spec = mission("rover_tx2/high_complexity").environment
+    assert spec is not None
+    return {
+        str(edge.name): float(edge.conditions["complexity"]) for edge in spec.edges if edge.name in COMPLEXITIES
+    }
+
+
+def speeds(top_m_s: float, step_m_s: float = SPEED_STEP_M_S) -> Array:
+    """Grid of speeds from one step to the top."""
+    return np.arange(1.0, round(top_m_s / step_m_s) + 1.0) * step_m_s
+
+
+def mechanical_power(speed_m_s: Array, *, with_constant: bool = True) -> Array:
+    """Power of driving alone (W): the robot file's, or from Table 1 alone without the drive's constant power."""
+    robot = PowerPredictor("rover_tx2", on={})
+    watts = robot.power(speed_m_s)
+    return watts if with_constant else watts - float(robot.model.parameters["robot/drive_constant"].value)
+
+
+def drive_constant(speed_m_s: float) -> float:
+    """Constant power (W) with which Table 1 has its least energy per metre at a speed: v² dF/dv."""
+    robot = load_robot("rover_tx2")
+    p = {name: float(value) for name, value in robot.motion.parameters.items()} if robot.motion else {}
+    force = {
+        "mass_kg": float(robot.body.mass or 0.0), "rolling_coefficient": p["rolling_coefficient"],
+        "viscous_coefficient_s_m": p["viscous_coefficient"], "drag_coefficient": p["drag_coefficient"],
+        "frontal_area_m2": p["frontal_area"], "air_density_kg_m3": p["air_density"],
+    }
+    step = 1e-4 * speed_m_s
+    up, down = (float(traction.propulsive_force(speed_m_s + d, **force)) for d in (step, -step))
+    return speed_m_s**2 * (up - down) / (2.0 * step)
+
+
+def processing_work(
+    figures: Mapping[str, Figure], *, fixed_s: float, share_at_rest: float, reading: float = 1.0
+) -> tuple[float, float]:
+    """Cycles per batch at rest, and more per m/s, with which the quality of service just holds at the printed limit.
+
+    Parameters
+    ----------
+    figures : mapping
+    fixed_s, share_at_rest : float
+        Time that no clock shortens, and share of the work that no speed adds (assumed; not printed).
+    reading : float
+        1 for m/s, `KMH` for km/h.
+    """
+    period_s = 1.0 / figures["batches"].value
+    work = (period_s - fixed_s) * figures["freq.max"].value * 1e9
+    limit = figures["qos.speed"].value * reading
+    return share_at_rest * work, (1.0 - share_at_rest) * work / limit
+
+
+def kmh_values(figures: Mapping[str, Figure]) -> dict[str, float]:
+    """Parameters of the robot under the reading that the printed speeds are km/h."""
+    cpu = predictor()._cpu()
+    rest, more = processing_work(
+        figures, fixed_s=cpu["fixed_time"], share_at_rest=_share(cpu, figures), reading=KMH
+    )
+    return {
+        "robot/drive_constant": drive_constant(figures["mech.speed"].value * KMH), "robot/cpu.cycles": rest,
+        "robot/cpu.cycles_per_speed": more,
+    }
+
+
+def _share(cpu: Mapping[str, float], figures: Mapping[str, Figure]) -> float:
+    return cpu["cycles"] / (cpu["cycles"] + cpu["cycles_per_speed"] * figures["qos.speed"].value)
+
+
+def service_limit(robot: PowerPredictor, freq_hz: float, complexity: float, top_m_s: float) -> float:
+    """Greatest speed (m/s, in steps of a hundredth) at which every batch is processed in time."""
+    grid = speeds(top_m_s, 0.01)
+    good = grid[robot.meets_service(grid, freq_hz, complexity)]
+    return float(good[-1]) if len(good) else 0.0
+
+
+def _inputs(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
+    robot = load_robot("rover_tx2")
+    assert robot.motion is not None
+    names = {"Cr": "rolling_coefficient", "Cv": "viscous_coefficient", "Cd": "drag_coefficient", "Af": "frontal_area",
+             "ρ": "air_density", "rho": "air_density"}
+    yield "table1.m", Ours(float(robot.body.mass or 0.0))
+    for key in figures:
+        name = names.get(key.removeprefix("table1."))
+        if key.startswith("table1.") and name:
+            yield key, Ours(float(robot.motion.parameters[name]))
+    cpu = predictor()._cpu()
+    yield "batches", Ours(cpu["batch_rate"])
+    yield "freq.max", Ours(cpu["high_freq"] / 1e9)
+    clocks = predictor().clocks() / 1e9
+    yield "freq.min", Ours(float(clocks[int(np.argmin(np.abs(clocks - figures["freq.min"].value)))]))
+    yield "environments", Ours(float(len(complexity_of_tracks())))
+    yield "fig6.speed.max", Ours(float(robot.body.max_speed))
+    yield "fig6.speed.min", Ours(figures["fig6.speed.min"].value)
+
+
+def _optima(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
+    robot = predictor()
+    top = float(robot.spec.body.max_speed)
+    clocks = robot.clocks()
+    tracks = complexity_of_tracks()
+    grid = speeds(2.0 * top)
+    best = robot.best(grid, clocks, tracks["slalom"])
+    printed = figures["joint.speed"].value
+    needed = drive_constant(printed)
+    note = f"optimum {best.energy_j_m:.2f} J/m; the printed speed would need {needed:.1f} W of constant power"
+    yield "joint.speed", Ours(best.speed_m_s, note)
+    yield "joint.freq", Ours(best.freq_hz / 1e9, note)
+    other = predictor(kmh_values(figures))
+    found = other.best(speeds(16.0) * KMH, clocks, tracks["slalom"])
+    note = (f"{found.energy_j_m:.2f} J/m; drive constant {drive_constant(figures['mech.speed'].value * KMH):.2f} W; "
+            "a hypothesis that the text does not support")
+    yield "joint.speed.kmh", Ours(found.speed_m_s / KMH, note)
+    yield "joint.freq.kmh", Ours(found.freq_hz / 1e9, note)
+    yield "qos.speed", Ours(service_limit(robot, float(clocks[-1]), tracks["slalom"], 2.0 * top))
+    yield "saturation", Ours(float(robot.throughput(printed, clocks[-1], tracks["slalom"])))
+    low = robot.best(grid, clocks, tracks["field"])
+    yield "qos.low", Ours(float(robot.throughput(2.0 * low.speed_m_s, clocks[-1], tracks["field"])))
+    fine = speeds(top, 0.01)
+    yield "mech.speed", Ours(traction.speed_of_least_energy(0.0, fine, mechanical_power(fine)))
+    alone = traction.speed_of_least_energy(0.0, fine, mechanical_power(fine, with_constant=False))
+    yield "mech.alone", Ours(alone, "the lowest speed of the grid: no optimum")
+    part = float(mechanical_power(np.array([printed]))[0])
+    whole = float(robot.power(printed, clocks[-1], tracks["slalom"]))
+    yield "comp_share", Ours(part / whole, f"{part:.1f} W of {whole:.1f} W")
+
+
+def optima_table() -> list[dict[str, Any]]:
+    """Joint optimum for each complexity under both readings."""
+    figures = load_figures(PAPER)
+    rows = []
+    for reading, scale, unit in (("SI", 1.0, "m/s"), ("km/h", KMH, "km/h")):
+        robot = predictor() if scale == 1.0 else predictor(kmh_values(figures))
+        clocks = robot.clocks()
+        grid = speeds(16.0) * scale
+        for name, complexity in complexity_of_tracks().items():
+            best = robot.best(grid, clocks, complexity)
+            rows.append({
+                "reading": reading, "track": name, "complexity": complexity, "speed": best.speed_m_s / scale,
+                "unit": unit, "clock_ghz": best.freq_hz / 1e9, "energy_j_m": best.energy_j_m,
+                "service_limit": service_limit(robot, float(clocks[-1]), complexity, 16.0 * scale) / scale,
+            })
+    return rows
+
+

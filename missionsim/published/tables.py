@@ -1,0 +1,179 @@
+"""Tables beside the published figures: what the papers plot or leave out, computed from our robots."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from missionsim.published import fits, hou2019, jaiem2021, parasuraman2012, patrol, rover2025
+from missionsim.published.figures import load_figures
+
+Rows = list[dict[str, Any]]
+SEED, DRAWS = 20210426, 2000
+
+
+def optimal_velocities() -> Rows:
+    """Speed of least robot energy per metre for each set of sensors (Jaiem 2021, Eq. 11)."""
+    from missionsim.physics import motion
+    from missionsim.spec import load_robot
+    from missionsim.spec.power import build_power_model
+
+    robot = load_robot("pioneer3dx")
+    model = build_power_model(robot)
+    c2, c4 = (model.parameters[f"robot/{name}"].value for name in ("c2", "c4"))
+    still: dict[str, Any] = {"speed_m_s": 0.0, "accel_m_s2": 0.0, "scheme": ""}
+    rest = float(model.total(still, "robot"))
+    rows: Rows = []
+    for sonar in (0, 1):
+        for laser in (0, 1, 2):
+            for kinect in (0, 1):
+                on = {"on_sonar": float(sonar), "on_laser": float(laser), "on_kinect": float(kinect)}
+                extra = float(model.total({**still, **on}, "robot")) - rest
+                best = float(motion.optimal_speed(c2, c4, extra))
+                rows.append({
+                    "sonar": sonar, "laser": laser, "kinect": kinect, "sensors_w": extra, "v_opt_m_s": best,
+                    "reachable": "yes" if best <= float(robot.body.max_speed) else "no",
+                })
+    return rows
+
+
+def stretch_test() -> Rows:
+    """Table 5: path stretch of each run, of the other two of its scheme, and the run predicted with the latter."""
+    figures = load_figures("jaiem2021")
+    runs = jaiem2021.runs_of_table5(figures)
+    left_out = jaiem2021.stretch_left_out(runs)
+    return [
+        {
+            "scheme": experiment, "speed_m_s": float(velocity), "plan_wh": predicted, "measured_wh": measured,
+            "stretch_of_run": measured / predicted, "stretch_of_others": left_out[experiment, velocity],
+            "predicted_wh": predicted * left_out[experiment, velocity],
+            "error_without_pct": 100.0 * (predicted / measured - 1.0),
+            "error_with_pct": 100.0 * (predicted * left_out[experiment, velocity] / measured - 1.0),
+        }
+        for (experiment, velocity), (predicted, measured) in runs.items()
+    ]
+
+
+def stretch_summary() -> Rows:
+    """Root mean square error of predicting Table 5, by what was left out of the fit of the stretch."""
+    rows = stretch_test()
+    schemes = list(dict.fromkeys(row["scheme"] for row in rows))
+    result: Rows = []
+    for scheme in [*schemes, "all"]:
+        of = [row for row in rows if scheme in (row["scheme"], "all")]
+        result.append({
+            "scheme": scheme, "mean_stretch": float(np.mean([row["stretch_of_run"] for row in of])),
+            "rms_error_without_pct": _rms([row["error_without_pct"] for row in of]),
+            "rms_error_with_pct": _rms([row["error_with_pct"] for row in of]),
+        })
+    return result
+
+
+def _rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def patrol_errors() -> Rows:
+    """Error statistics of the patrol by both definitions, beside the published ones."""
+    figures = load_figures("jaiem2021")
+    rows: Rows = []
+    for battery in ("robot", "laptop"):
+        curve = patrol.error_curve(battery)
+        for relative in ("predicted", "measured"):
+            for name, value in curve.statistics(relative).items():
+                rows.append({
+                    "battery": battery, "relative_to": relative, "statistic": name, "ours_pct": value,
+                    "published_pct": figures[f"sec342.{battery}.{name}"].value,
+                })
+    return rows
+
+
+def patrol_uncertainty() -> Rows:
+    """The same statistics when the behaviour is drawn from its causes instead of calibrated."""
+    drawn = patrol.uncertain_statistics(patrol.Causes(), DRAWS, SEED)
+    figures = load_figures("jaiem2021")
+    rows: Rows = []
+    for battery, statistics in drawn.items():
+        for name, values in statistics.items():
+            low, median, high = (float(q) for q in np.quantile(values, (0.05, 0.5, 0.95)))
+            rows.append({
+                "battery": battery, "statistic": name, "q05_pct": low, "median_pct": median, "q95_pct": high,
+                "published_pct": figures[f"sec342.{battery}.{name}"].value,
+            })
+    return rows
+
+
+def components() -> Rows:
+    """Khepera III: component powers found by the sequence of operations on a noisy record, against the robot file."""
+    clean, noisy = (parasuraman2012.identified_components(noise) for noise in (0.0, 0.05))
+    return [{"component": name, "robot_file_w": clean[name], "found_with_noise_w": noisy[name]} for name in clean]
+
+
+def static_powers() -> Rows:
+    """Khepera III: the one solution of the four percentages."""
+    found = fits.static_powers(load_figures("parasuraman2012"))
+    return [
+        {"quantity": "static power without radio", "value": found.without_radio_w, "unit": "W"},
+        {"quantity": "Bluetooth", "value": found.bluetooth_w, "unit": "W"},
+        {"quantity": "WiFi", "value": found.wifi_w, "unit": "W"},
+        {"quantity": "standing time per metre", "value": found.standing_s_m, "unit": "s/m"},
+    ]
+
+
+def model_errors() -> Rows:
+    """Mecanum robot: errors of the paper's own model and of the robot file over the moving samples."""
+    figures = load_figures("hou2019")
+    rows: Rows = []
+    for name, found in (("paper", hou2019.paper_errors(figures)), ("mecanum4.yaml", hou2019.robot_errors(figures))):
+        for table, (rmse, mape, most) in found.items():
+            rows.append({"model": name, "table": table, "rmse_w": rmse, "mape_pct": mape, "max_pct": most})
+    return rows
+
+
+def identifiability() -> Rows:
+    """Mecanum robot: the same data under different starts give masses far apart."""
+    return list(hou2019.identifiability(load_figures("hou2019")))
+
+
+def directions() -> Rows:
+    """Mecanum robot: power by direction for three friction ratios of rollers to wheels."""
+    angles = np.arange(0.0, 181.0, 3.0)
+    threshold = hou2019.threshold_ratio()
+    ratios = (0.1, threshold, 2.0 * threshold)
+    curves = [hou2019.direction_power(np.radians(angles), ratio) for ratio in ratios]
+    return [
+        {"angle_deg": float(angle), **{f"ratio_{r:.3f}_w": float(c[i]) for r, c in zip(ratios, curves, strict=True)}}
+        for i, angle in enumerate(angles)
+    ]
+
+
+def fidelity() -> Rows:
+    """Rover: error of each fidelity level (computing times are in the picture, they depend on the machine)."""
+    from missionsim.control import LEVELS, FidelityModel
+
+    model = FidelityModel(rover2025.predictor(), (0.5, 9.0))
+    rows: Rows = []
+    for level in LEVELS:
+        mean, most = model.error_pct(level)
+        best = model.optimum(level)
+        rows.append({
+            "level": level.name, "speed_step_m_s": level.speed_step_m_s, "clock_step_hz": level.clock_step_hz,
+            "evaluations": best.evaluations, "mean_error_pct": mean, "max_error_pct": most,
+            "best_speed_m_s": best.speed_m_s, "best_clock_ghz": best.freq_hz / 1e9, "energy_j_m": best.energy_j_m,
+        })
+    return rows
+
+
+TABLES: dict[str, list[tuple[str, Callable[[], Rows]]]] = {
+    "jaiem2021": [
+        ("optimal_velocities", optimal_velocities), ("stretch_test", stretch_test),
+        ("stretch_summary", stretch_summary), ("patrol_errors", patrol_errors),
+        ("patrol_uncertainty", patrol_uncertainty),
+    ],
+    "parasuraman2012": [("static_powers", static_powers), ("components", components)],
+    "hou2019": [("model_errors", model_errors), ("identifiability", identifiability), ("directions", directions)],
+    "rover2025": [("optima", rover2025.optima_table), ("fidelity", fidelity)],
+}
+"""Paper → (name of the file, function)."""
