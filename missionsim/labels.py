@@ -45,6 +45,15 @@ class Labels:
         """The texts themselves, shape (n,); the missing ones are empty."""
         return np.array([*self.names, ""], dtype=object)[self.codes]
 
+    def compact(self) -> Labels:
+        """The same texts without names that no row has."""
+        used = np.unique(self.codes[self.codes >= 0])
+        if len(used) == len(self.names):
+            return self
+        table = np.full(len(self.names) + 1, -1, dtype=np.int64)
+        table[used] = np.arange(len(used))
+        return Labels(table[self.codes], tuple(self.names[code] for code in used))
+
     def __len__(self) -> int:
         return len(self.codes)
 

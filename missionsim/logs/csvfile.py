@@ -376,11 +376,20 @@ def _bad_text(path: Path, file: str, error: UnicodeError) -> Fault:
 def line_finder(path: Path, dialect: Dialect) -> Callable[[int], int]:
     """Function from row number (0-based) to line number (1-based); empty lines hold no row."""
 
+    blank: list[int] = []
+    scanned = False
+
     def line_of(row: int) -> int:
-        with open(path, encoding=dialect.encoding, errors="replace") as handle:
-            filled = (
-                number for number, line in enumerate(handle, start=1) if number > dialect.header_line and line.strip()
-            )
-            return next(itertools.islice(filled, row, None), 0)
+        nonlocal scanned
+        if not scanned:  # once, and only where a line is asked for
+            scanned = True
+            with open(path, encoding=dialect.encoding, errors="replace") as handle:
+                blank.extend(n for n, line in enumerate(handle, 1) if n > dialect.header_line and not line.strip())
+        line = dialect.header_line + 1 + row
+        for empty in blank:
+            if empty > line:
+                break
+            line += 1
+        return line
 
     return line_of

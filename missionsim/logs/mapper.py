@@ -88,12 +88,8 @@ class Mapper:
             for n in read
             if (n in self.let or n in self.columns) and n not in self.raw.columns and n not in self.constants
         }
-        if (
-            name in self.columns
-            and self.columns[name]
-            and self.spec.columns[name].differentiate is not None
-            and name != "time_s"
-        ):
+        column = self.spec.columns.get(name) if name not in self.let else None
+        if column is not None and name != "time_s" and (column.differentiate is not None or column.average is not None):
             inner |= {"time_s"}
         return inner
 
@@ -128,7 +124,7 @@ class Mapper:
                 result[name] = data
                 if name not in source and name not in self.constants:
                     values[name] = data
-        return result
+        return {name: result[name] for name in self.spec.columns if name in result}
 
     def _closure(self, wanted: set[str]) -> list[str]:
         need = set(wanted)

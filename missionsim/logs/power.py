@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,8 +39,8 @@ def measured_batteries(names: Iterable[str]) -> dict[str, str]:
     return chosen
 
 
-def missing_columns(names: Iterable[str], file: str, header_line: int) -> list[Fault]:
-    """Faults for the columns that every log has to have."""
+def missing_columns(names: Iterable[str], file: str, header_line: Callable[[], int]) -> list[Fault]:
+    """Faults for the columns that every log has to have (`header_line` is called only where there are any)."""
     names = list(names)
     faults = []
     known = [column.name.replace("<battery>", "robot") for column in COLUMNS if "<component>" not in column.name]
@@ -49,7 +49,7 @@ def missing_columns(names: Iterable[str], file: str, header_line: int) -> list[F
         faults.append(
             Fault(
                 file,
-                header_line,
+                header_line(),
                 0,
                 "the column 'time_s' is missing",
                 "time_s",
@@ -72,7 +72,7 @@ def missing_columns(names: Iterable[str], file: str, header_line: int) -> list[F
         faults.append(
             Fault(
                 file,
-                header_line,
+                header_line(),
                 0,
                 "no battery is measured",
                 "power_<battery>_w",

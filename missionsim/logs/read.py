@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs import suspect
 from missionsim.logs.clean import Rows, fill_missing, order_time
@@ -177,9 +178,12 @@ def make_log(
     statistics : bool
         Whether to run the checks that look at the values as a whole (units, frozen sensors, clock).
     """
-    faults = missing_columns(raw.columns, raw.file, raw.line(0) - 1 if raw.line(0) else 0)
-    texts = [name for name in raw.columns if _must_be_number(name) and isinstance(raw.columns[name], Labels)]
-    faults += [Fault(raw.file, raw.line(0), 0, "this column holds text, not numbers", name) for name in texts]
+    faults = missing_columns(raw.columns, raw.file, lambda: max(raw.line(0) - 1, 0))
+    faults += [
+        Fault(raw.file, raw.line(0), 0, "this column holds text, not numbers", name)
+        for name, data in raw.columns.items()
+        if isinstance(data, Labels) and (found := column_of(name)) is not None and found[0].kind != "text"
+    ]
     if raw.rows == 0:
         faults.append(Fault(raw.file, 0, 0, "there is a header but no rows", allowed="at least two rows"))
     if faults:
@@ -241,19 +245,15 @@ def _freeze(
     if statistics and "speed_m_s" in rows.columns:
         _clock(rows, power)
     assert rows.dt is not None
+    for name, data in rows.columns.items():
+        if isinstance(data, Labels):
+            rows.columns[name] = data.compact()
     log = LogTable(run, rows.columns, rows.dt, power, fresh, kinds, rows.raw.file, tuple(rows.remarks))
     if own is not None:
         inside = np.flatnonzero((rows.row >= own[0]) & (rows.row < own[1]))
         together = len(inside) and inside[-1] - inside[0] == len(inside) - 1
         log = log.rows_where(slice(inside[0], inside[-1] + 1) if together else np.isin(np.arange(log.rows), inside))
     return log
-
-
-def _must_be_number(name: str) -> bool:
-    from missionsim.glossary import column_of
-
-    found = column_of(name)
-    return found is not None and found[0].kind != "text"
 
 
 def _clock(rows: Rows, power: dict[str, NDArray[np.float64]]) -> None:

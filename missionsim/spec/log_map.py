@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, StringConstraints, model_validator
+from pydantic import BeforeValidator, Field, PlainValidator, StringConstraints, model_validator
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import compile_expression
@@ -23,6 +23,17 @@ Formula = Annotated[
 Alias = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=80)]
 Lag = Annotated[Parameter, quantity("duration")]
 _WAYS = ("value", "quaternion", "differentiate", "text", "lookup", "file_name")
+
+
+def _word_or_number(raw: Any) -> str | float:
+    if isinstance(raw, str):
+        return raw
+    if isinstance(raw, (int, float)) and not isinstance(raw, bool):
+        return float(raw)
+    raise ValueError("must be a word or a number")
+
+
+WordOrNumber = Annotated[str | float, PlainValidator(_word_or_number, json_schema_input_type=str | float)]
 
 
 class SignalMap(Model):
@@ -82,7 +93,7 @@ class ColumnMap(Model):
     differentiate: Formula | None = None
     text: Name | None = None
     lookup: Formula | None = None
-    values: dict[Name, Name | float] = Field(default_factory=dict)
+    values: dict[Name, WordOrNumber] = Field(default_factory=dict)
     file_name: tuple[Name, ...] | None = None
     unit: Text | None = None
     average: Period | None = None
