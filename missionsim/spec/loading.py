@@ -21,7 +21,7 @@ from missionsim.spec.faults import to_faults
 from missionsim.spec.log_map import MapSpec
 from missionsim.spec.mission import MissionSpec, StudySpec
 from missionsim.spec.robot import RobotSpec
-from missionsim.spec.tree import Document, as_written, read_document
+from missionsim.spec.tree import Document, as_written, parse_document, read_document
 from missionsim.spec.values import Parameter
 
 KINDS: dict[str, type[FileModel]] = {
@@ -62,6 +62,12 @@ def load_robot(name_or_path: str | os.PathLike[str], overrides: Sequence[Overrid
         raise InputError(_unknown_robot(str(name_or_path), None, ()))
     robot = _load(path, RobotSpec, faults, overrides)
     return _finish(robot, faults)
+
+
+def robot_from_text(text: str, name: str = "robot") -> RobotSpec:
+    """A robot from the text of its file; `name` is what messages call it."""
+    faults: list[Fault] = []
+    return _finish(_load(Path(name), RobotSpec, faults, document=parse_document(text, name=name)), faults)
 
 
 def load_environment(path: str | os.PathLike[str], overrides: Sequence[Override] = ()) -> EnvironmentSpec:
@@ -125,14 +131,10 @@ def check_files(paths: Iterable[str | os.PathLike[str]]) -> list[Fault]:
                     _check_study(study, target, faults)
                 else:
                     faults.append(document.fault(("mission",), "no such mission file", got=as_written(study.mission)))
-        elif kind == "map":
-            from missionsim.spec.log_map import MapSpec
-
-            _load(Path(path), MapSpec, faults, document=document)
         elif kind in KINDS:
             _load(Path(path), KINDS[str(kind)], faults, document=document)
         else:
-            faults.append(_kind_fault(document, (*KINDS, "map")))
+            faults.append(_kind_fault(document, tuple(KINDS)))
     return sorted(set(faults))
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from missionsim.errors import InputError, did_you_mean
-from missionsim.spec.base import FileModel
 from missionsim.spec.loading import KINDS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -17,7 +16,7 @@ SCHEMA_FOLDER = Path(__file__).resolve().parent.parent / "schemas"
 
 def schema_kinds() -> tuple[str, ...]:
     """Kinds of YAML files that have a schema."""
-    return (*KINDS, "map")
+    return tuple(KINDS)
 
 
 def schema(kind: str) -> dict[str, Any]:
@@ -37,7 +36,7 @@ def schema(kind: str) -> dict[str, Any]:
         raise InputError.single(
             f"no schema '{kind}'", got=kind, allowed=", ".join(schema_kinds()), hint=did_you_mean(kind, schema_kinds())
         )
-    raw = _model(kind).model_json_schema(by_alias=True)
+    raw = KINDS[kind].model_json_schema(by_alias=True)
     shared: dict[str, Any] = {}
     body = _tidy(raw, shared)
     definitions = {**body.pop("$defs", {}), **shared}
@@ -48,14 +47,6 @@ def schema(kind: str) -> dict[str, Any]:
 def schema_text(kind: str) -> str:
     """The schema as it is written to files."""
     return json.dumps(schema(kind), indent=1, ensure_ascii=False) + "\n"
-
-
-def _model(kind: str) -> type[FileModel]:
-    if kind == "map":
-        from missionsim.spec.log_map import MapSpec
-
-        return MapSpec
-    return KINDS[kind]
 
 
 def _tidy(node: Any, shared: dict[str, Any], properties: bool = False) -> Any:

@@ -9,14 +9,14 @@ from missionsim.spec.base import Model
 from missionsim.spec.parameter import Parameter
 
 
-def uncertain_values(model: Any) -> list[tuple[str, Parameter]]:
-    """Paths and parameters of a model's uncertain values (those with a distribution), in the file's order."""
+def parameters(model: Any) -> list[tuple[str, Parameter]]:
+    """Paths and parameters of all numbers that a model's file gives, in the file's order."""
     result: list[tuple[str, Parameter]] = []
     stack: list[Any] = [model]
     while stack:
         item = stack.pop()
         if isinstance(item, Parameter):
-            if item.distribution is not None and item.path:
+            if item.path:
                 result.append((item.path, item))
         elif isinstance(item, Model):
             stack.extend(getattr(item, name) for name in reversed(type(item).model_fields))
@@ -25,3 +25,8 @@ def uncertain_values(model: Any) -> list[tuple[str, Parameter]]:
         elif isinstance(item, tuple):
             stack.extend(reversed(item))
     return result
+
+
+def uncertain_values(model: Any) -> list[tuple[str, Parameter]]:
+    """Those of `parameters` that have a distribution."""
+    return [(path, parameter) for path, parameter in parameters(model) if parameter.distribution is not None]

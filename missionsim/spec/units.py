@@ -154,6 +154,14 @@ def parse_quantity(text: str, dimension: str) -> float:
     return number * factor + offset
 
 
+def si_factor(unit: str) -> float | None:
+    """Factor to SI of a unit of the table (``Wh``, ``%``, ``deg``), or None for any other."""
+    if unit == "%":
+        return 0.01
+    name = _DIMENSION_OF.get(unit)
+    return None if name is None or name == "temperature" else _FACTORS[name][unit]
+
+
 def parse_any(text: str) -> tuple[float, str]:
     """Text with any unit to a number in coherent SI units and the unit's name (for parameters of effects).
 
@@ -237,8 +245,13 @@ def _pint_unit(unit: str, allowed: str, known: Iterable[str]) -> Any:
     except pint.OffsetUnitCalculusError:
         raise UnitError("unit with an offset", repr(unit), allowed) from None
     except Exception:  # pint raises whatever its tokenizer meets (TypeError, AttributeError, TokenError…)
-        raise UnitError("unknown unit", repr(unit)[:60], allowed, did_you_mean(unit, list(known), 0.5)) from None
+        raise UnitError("unknown unit", repr(unit)[:60], allowed, _close_unit(unit, list(known))) from None
     return quantity
+
+
+def _close_unit(unit: str, known: list[str]) -> str:
+    same = [name for name in known if name.lower() == unit.lower()]
+    return same[0] if same else did_you_mean(unit, known, 0.5)
 
 
 def _by_pint(unit: str, dimension: str) -> tuple[float, float]:
