@@ -180,11 +180,13 @@ def _updated(old: Any, new: Mapping[str, Any], parameter: Parameter | None) -> A
     spread = {"sd", "low", "high", "distribution"}
     if isinstance(old, dict):
         result = old
-        if "value" in new and not spread & set(new):
-            for key in spread & set(result):
+        if "value" in new:
+            outdated = {"status", "source", "note"} | (set() if spread & set(new) else spread)
+            for key in outdated & set(result) - set(new):
                 del result[key]
+        former = old.get("value")
         for key, value in new.items():
-            result[key] = _written(value, old.get("value"), parameter) if key in _NUMBERS else value
+            result[key] = _written(value, former, parameter) if key in _NUMBERS else value
         return result
     told = {key: _written(value, old, parameter) if key in _NUMBERS else value for key, value in new.items()}
     return told["value"] if set(told) == {"value"} else _mapping(told, flow=True)
