@@ -120,8 +120,13 @@ class NumberAxis:
         sums = self._array(key)
         sums[: len(found)] += found
 
-    def bins(self, seconds: str, gap: str, square: str, wanted: int = WANTED_BINS) -> list[Bin]:
-        """Bins of a round width, at most about `wanted`, in increasing order; empty ones are left out."""
+    def bins(
+        self, seconds: str, gap: str, square: str, wanted: int = WANTED_BINS, thin: float = THIN_SHARE
+    ) -> list[Bin]:
+        """Bins of a round width, at most `wanted`, in increasing order; empty ones are left out.
+
+        Bins at the ends with less than the share `thin` of the time are joined to their neighbour.
+        """
         if self._exponent is None:
             return []
         time = self._array(seconds)
@@ -133,7 +138,7 @@ class NumberAxis:
         index = (np.arange(self._size) + self._first) // multiple
         start = int(index[0])
         totals = [_sums_by(index - start, self._array(key)) for key in (seconds, gap, square)]
-        groups = _join_thin_ends(totals[0])
+        groups = _join_thin_ends(totals[0], thin)
         width = multiple * 10.0**self._exponent
         result = []
         for members in groups:
@@ -212,7 +217,9 @@ class LabelAxis:
         old = self._sums.get(key, np.zeros(0))
         self._sums[key] = found + np.pad(old, (0, len(found) - len(old)))
 
-    def bins(self, seconds: str, gap: str, square: str, wanted: int = WANTED_BINS) -> list[Bin]:
+    def bins(
+        self, seconds: str, gap: str, square: str, wanted: int = WANTED_BINS, thin: float = THIN_SHARE
+    ) -> list[Bin]:
         """One bin per value, in order of appearance (numbers in increasing order)."""
         size = len(self._codes)
         found = [self._sums.get(key, np.zeros(0)) for key in (seconds, gap, square)]
@@ -262,11 +269,11 @@ def _round_multiples() -> Any:
             yield step * 10**power
 
 
-def _join_thin_ends(seconds: NDArray[np.float64]) -> list[list[int]]:
+def _join_thin_ends(seconds: NDArray[np.float64], thin: float) -> list[list[int]]:
     """Groups of neighbouring bins: thin ones at either end go to their neighbour."""
     filled = np.flatnonzero(seconds > 0.0)
     order = list(range(int(filled[0]), int(filled[-1]) + 1))
-    limit = THIN_SHARE * float(seconds.sum())
+    limit = thin * float(seconds.sum())
     first, last = 0, len(order) - 1
     while first < last and seconds[order[: first + 1]].sum() < limit:
         first += 1

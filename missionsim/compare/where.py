@@ -14,6 +14,7 @@ BLOCK_S = 20.0
 WORTH_SAYING = 0.02
 """Explained share of the squared error below which a covariate is not spoken of."""
 CHART_BINS = 40
+CHART_THIN_SHARE = 0.0005
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,8 @@ def dependences(sums: Accumulator, battery: str) -> list[Dependence]:
     for axis in sums.axes.values():
         bins = axis.bins(*keys)
         if len(bins) > 1:
-            found.append(_dependence(axis.name, axis.title, axis.unit, bins, axis.bins(*keys, wanted=CHART_BINS)))
+            fine = axis.bins(*keys, CHART_BINS, CHART_THIN_SHARE)
+            found.append(_dependence(axis.name, axis.title, axis.unit, bins, fine))
     cells = sums.places.coarse_cells(battery)
     if len(cells) > 1:
         bins = [Bin(cell.value, None, None, cell.seconds, cell.gap_j, cell.square_w2s) for cell in cells]
@@ -150,9 +152,15 @@ def in_words(found: Sequence[Dependence], limit: int = 3) -> list[str]:
         sentences.append(
             f"The error varies with {dependence.title}, which goes with {100.0 * dependence.explained:.0f} % of its "
             f"variance: most {worst.phrase}, where the model is {abs(worst.bias_w):.3g} W "
-            f"{'too high' if worst.bias_w > 0.0 else 'too low'} on average during {worst.seconds:.0f} s."
+            f"{'too high' if worst.bias_w > 0.0 else 'too low'} on average during {_duration(worst.seconds)}."
         )
     return sentences
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 600.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
 
 
 def phrase(by: str, title: str, value: str, unit: str) -> str:

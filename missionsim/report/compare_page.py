@@ -9,6 +9,7 @@ import numpy as np
 
 from missionsim.compare import BatteryComparison, Comparison, Dependence, RunComparison
 from missionsim.compare.behaviour import PARTS
+from missionsim.compare.where import in_words
 from missionsim.report.blocks import Block, Bullets, Chart, Choice, Details, Paragraph, Section, Table, Tiles, Verdict
 from missionsim.report.downsample import shared_indices
 from missionsim.report.page import COLOURS, format_cell, label, page
@@ -36,7 +37,8 @@ def compare_page(comparison: Comparison, *, tolerance_pct: float | None = None, 
         How it was made (version, command).
     """
     title = f"{comparison.robot or 'Model'}: model against measurements"
-    subtitle = f"{len(comparison.runs)} runs, {comparison.rows:,} rows"
+    count = len(comparison.runs)
+    subtitle = f"{count} {'runs' if count != 1 else 'run'}, {comparison.rows:,} rows"
     if comparison.mission:
         subtitle += f", mission {comparison.mission}"
     return page(title, compare_sections(comparison, tolerance_pct=tolerance_pct), subtitle=subtitle, footer=footer)
@@ -71,7 +73,8 @@ def _by_battery(batteries: Sequence[BatteryComparison], draw: Any) -> list[Block
 def _result(one: BatteryComparison, tolerance_pct: float | None) -> list[Block]:
     error = one.energy_error_pct
     tone: Any = "neutral"
-    text = "\n".join(one.words)
+    said = in_words(one.dependences)
+    text = "\n".join([*one.words[: -len(said)], said[0]])
     if tolerance_pct is not None:
         inside = abs(error) <= tolerance_pct
         tone = "good" if inside else "bad"
@@ -92,7 +95,7 @@ def _result(one: BatteryComparison, tolerance_pct: float | None) -> list[Block]:
 
 def _where(one: BatteryComparison) -> list[Block]:
     found = [dependence for dependence in one.dependences if dependence.explained > 0.0]
-    blocks: list[Block] = [Bullets(one.words[1:])]
+    blocks: list[Block] = [Bullets(in_words(one.dependences))]
     if found:
         shown = found[:12][::-1]
         blocks.append(Chart(
@@ -112,7 +115,8 @@ def _where(one: BatteryComparison) -> list[Block]:
     if rows:
         blocks.append(Table(
             ["quantity", "value", "explains", "bias, W", "time, s", "share of squared error", "energy gap, Wh"], rows,
-            "Values that explain most of the error (bias: model minus measured; energy gap: measured minus model)", 3, 2,
+            "Values that explain most of the error (bias: model minus measured; energy gap: measured minus model)",
+            3, 2,
         ))
     charts = [(d.title, [_residual(d)]) for d in sorted(one.dependences, key=lambda d: -d.explained) if d.by != "place"]
     if charts:
@@ -143,8 +147,10 @@ def _residual(found: Dependence) -> Chart:
     return Chart(
         traces,
         {"xaxis": {"title": {"text": label(found.title) + unit}, **({} if numeric else {"type": "category"})},
-         "yaxis": {"title": {"text": "power error, W"}, "overlaying": "y2", "tickmode": "auto", "zeroline": True, "zerolinewidth": 2},
-         "yaxis2": {"title": {"text": "share of time, %"}, "side": "right", "showgrid": False, "tickmode": "auto", "rangemode": "tozero"},
+         "yaxis": {"title": {"text": "power error, W"}, "overlaying": "y2", "tickmode": "auto", "zeroline": True,
+                   "zerolinewidth": 2},
+         "yaxis2": {"title": {"text": "share of time, %"}, "side": "right", "showgrid": False, "tickmode": "auto",
+                    "rangemode": "tozero"},
          "margin": {"l": 64, "r": 64, "t": 30, "b": 48}, "hovermode": "closest"},
         f"Power error against {found.title}: mean and standard deviation within each range; bars: share of the time.",
     )
@@ -292,5 +298,6 @@ def _notes(comparison: Comparison) -> list[Block]:
 def _signed(value: float | None, digits: int = 3) -> str:
     if value is None or not np.isfinite(value):
         return "–"
-    text = format_cell(float(value), digits)
-    return text if text.startswith("−") or value == 0.0 else f"+{text}"
+    rounded = round(float(value), 4) + 0.0
+    text = format_cell(rounded, digits)
+    return text if rounded <= 0.0 else f"+{text}"

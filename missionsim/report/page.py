@@ -6,6 +6,7 @@ import functools
 import html as html_lib
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,6 +17,7 @@ from missionsim.report.blocks import Bullets, Chart, Choice, Details, Paragraph,
 MARKS = {"good": ("✓", "Good"), "warn": ("!", "Attention"), "bad": ("✗", "Wrong"), "neutral": ("i", "Result")}
 AXIS = {"gridcolor": "#e5e8ec", "zerolinecolor": "#aab2bd", "linecolor": "#aab2bd", "ticks": "outside",
         "tickcolor": "#aab2bd", "automargin": True}
+_SIGNED = re.compile(r"[+−][0-9][0-9.,]*(e[-−+]?[0-9]+)?")
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f3c8d", "#666666")
 """Okabe and Ito's colours, told apart with any colour vision, and two more."""
 HOUSE_LAYOUT: dict[str, Any] = {
@@ -115,7 +117,7 @@ def _chart(block: Chart) -> dict[str, Any]:
 def _is_number(value: Any) -> bool:
     """Whether a cell stands at the right: a number, or one written with its sign."""
     if isinstance(value, str):
-        return len(value) > 1 and value[0] in "+−" and value[1].isdigit()
+        return _SIGNED.fullmatch(value) is not None
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 
