@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
+from missionsim.logs.remarks import Remark
 from missionsim.logs.sources import Field, missing_field
 from missionsim.logs.timeline import Signal, merge_signals
 from missionsim.spec.log_map import MapSpec
@@ -22,6 +24,8 @@ from missionsim.spec.log_map import MapSpec
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[\d+\])*)\Z")
 _MOST_ELEMENTS = 16
 """Elements of an array that a listing shows."""
+_CLOCKS_APART_S = 5.0
+"""Header and bag differ by transport and buffering, tenths of a second; beyond this they are different clocks."""
 
 
 def _need_rosbags(file: str) -> None:
@@ -115,7 +119,7 @@ def read_bag(path: Path, spec: MapSpec) -> RawTable:
         wanted = _wanted(reader, spec, file, faults)
         if faults:
             raise InputError(faults)
-        stamps: dict[str, list[float]] = {topic: [] for topic in wanted}
+        stamps: dict[str, list[tuple[int, int]]] = {topic: [] for topic in wanted}
         values: dict[str, list[Any]] = {alias: [] for paths in wanted.values() for alias in paths}
         connections = [c for c in reader.connections if c.topic in wanted]
         for connection, received, data in reader.messages(connections=connections):
@@ -125,12 +129,14 @@ def read_bag(path: Path, spec: MapSpec) -> RawTable:
             except (AttributeError, IndexError, TypeError):
                 faults += _field_faults(message, wanted[connection.topic], spec, file)
                 break
-            stamps[connection.topic].append(_stamp(message, received, spec.stamp))
+            stamps[connection.topic].append((_header_ns(message, received), received))
             for alias, value in got:
                 values[alias].append(value)
     if faults:
         raise InputError(faults)
     signals: dict[str, Signal] = {}
+    remarks: list[Remark] = []
+    times = _times(stamps, spec.stamp, remarks)
     for topic, paths in wanted.items():
         for alias in paths:
             if not values[alias]:
@@ -150,7 +156,7 @@ def read_bag(path: Path, spec: MapSpec) -> RawTable:
                     )
                 )
                 continue
-            signals[alias] = Signal(np.array(stamps[topic]), column, spec.signals[alias].fill, topic)
+            signals[alias] = Signal(times[topic], column, spec.signals[alias].fill, topic)
     if spec.timeline is not None and spec.timeline not in spec.signals:
         faults.append(
             Fault(
@@ -166,7 +172,9 @@ def read_bag(path: Path, spec: MapSpec) -> RawTable:
         )
     if faults:
         raise InputError(faults)
-    return merge_signals(signals, spec.timeline, file)
+    raw = merge_signals(signals, spec.timeline, file)
+    raw.remarks[:0] = remarks
+    return raw
 
 
 def _wanted(reader: Any, spec: MapSpec, file: str, faults: list[Fault]) -> dict[str, dict[str, _Path]]:
@@ -195,13 +203,43 @@ def _field_faults(message: Any, paths: dict[str, _Path], spec: MapSpec, file: st
     return faults
 
 
-def _stamp(message: Any, received: int, clock: str) -> float:
-    """Time of a message [s]: of its header where it has one that was set, else when the bag received it."""
-    if clock == "header":
-        stamp = getattr(getattr(message, "header", None), "stamp", None)
-        if stamp is not None and (stamp.sec or stamp.nanosec):
-            return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
-    return received * 1e-9
+def _header_ns(message: Any, received_ns: int) -> int:
+    """Time of a message's header [ns]; when the bag received it, where it has none or none was set."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    if stamp is None or not (stamp.sec or stamp.nanosec):
+        return received_ns
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def _times(
+    stamps: dict[str, list[tuple[int, int]]], clock: str, remarks: list[Remark]
+) -> dict[str, NDArray[np.float64]]:
+    """Times of each topic's messages from the start of the bag [s], all by the same clock.
+
+    Messages without a header have the bag's time only. Where the headers' clock is another one (simulated time, a
+    robot whose clock is off), both cannot be mixed, and the bag's is taken for all.
+    """
+    filled = {topic: pairs for topic, pairs in stamps.items() if pairs}
+    which = 0 if clock == "header" else 1
+    bare = [topic for topic, pairs in filled.items() if all(header == received for header, received in pairs)]
+    apart = [
+        abs(float(np.median([h - r for h, r in pairs]))) * 1e-9 for topic, pairs in filled.items() if topic not in bare
+    ]
+    if which == 0 and bare and apart and max(apart) > _CLOCKS_APART_S:
+        which = 1
+        remarks.append(
+            Remark(
+                "clock",
+                "",
+                f"the headers' clock is {max(apart):.4g} s off the bag's, and {', '.join(bare)} has no header",
+                "the times at which the bag received the messages were taken",
+            )
+        )
+    start = min((pair[which] for pairs in filled.values() for pair in pairs), default=0)
+    return {
+        topic: np.array([pair[which] - start for pair in pairs], dtype=np.float64) * 1e-9
+        for topic, pairs in filled.items()
+    }
 
 
 def _as_column(values: list[Any]) -> Any:

@@ -130,6 +130,8 @@ def refreshes(values: Floats, time_s: Floats) -> Refresh | None:
     n = len(values)
     if n < 20:
         return None
+    if float(np.ptp(values)) <= 1e-6 * float(np.abs(values).max()):
+        return None  # a constant with rounding noise
     change = np.r_[True, values[1:] != values[:-1]]
     starts = np.flatnonzero(change)
     if len(starts) < 5 or len(starts) > (1 - _SLOW_SHARE) * n:
