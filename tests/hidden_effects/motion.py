@@ -158,6 +158,8 @@ def design_runs(design: str, robot: Robot, runs: int, duration_s: float, rng: np
             surface=str(rng.choice(["mixed", "mixed", "mixed", "tile", "carpet"])),
             temp_c=float(rng.uniform(5.0, 30.0)),
         )
+        if i == 0 and runs <= 2:  # so that every effect can show in few runs
+            rich = replace(rich, hills="ramps", payload_kg=heavy, pick_up=True, surface="mixed")
         half = bool(order[i] < (runs + 1) // 2)  # balanced, in random order
         if design == "rich":
             one = rich
