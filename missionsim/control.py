@@ -152,6 +152,11 @@ class PowerPredictor:
             self.loop_time(speed_m_s, freq_hz, complexity), batch_rate_hz=self._cpu()["batch_rate"]
         )
 
+    @property
+    def batch_rate(self) -> float:
+        """Batches that come per second."""
+        return self._cpu()["batch_rate"]
+
     def meets_service(self, speed_m_s: ArrayLike, freq_hz: ArrayLike, complexity: ArrayLike = 1.0) -> NDArray[np.bool_]:
         """Whether every batch is processed before the next comes (to 1e-9)."""
         return np.asarray(

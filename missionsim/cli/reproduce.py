@@ -57,7 +57,9 @@ def _print(paper: str, items: list[Item]) -> None:
     from missionsim.published.figures import TITLES
     from missionsim.published.reproduce import counts, footnotes, number
 
-    table = Table(title=TITLES[paper], title_justify="left", title_style="bold", pad_edge=False, box=None, padding=(0, 1, 0, 0))
+    table = Table(
+        title=TITLES[paper], title_justify="left", title_style="bold", pad_edge=False, box=None, padding=(0, 1, 0, 0)
+    )
     for heading, justify, width in (
         ("item", "left", 27), ("where", "left", 9), ("published", "right", 9), ("ours", "right", 8),
         ("unit", "left", 6), ("differ.", "right", 8), ("status", "left", 24), ("note", "right", 4),

@@ -74,7 +74,7 @@ def _table4(rows: list[dict[str, float]]) -> Iterator[tuple[str, Ours]]:
             if name in ("row", "speed"):
                 continue
             yield f"table4.r{int(row['row']):02d}.{name}", Ours(value)
-    yield "table4.row2_speed", Ours(rows[2]["speed"], "velocity of path following in every other row")
+    yield "sec322.row2_speed", Ours(rows[2]["speed"], "velocity of path following in every other row")
 
 
 def _inputs(robot: Any) -> Iterator[tuple[str, Ours]]:
@@ -216,6 +216,9 @@ def _table5(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
         errors.setdefault(experiment, []).append(error)
         yield f"{key}.error", Ours(error, "from the printed experiment and our prediction" + (
             " cut to two digits" if cut else ""))
+    for velocity in dict.fromkeys(velocity for _, velocity in runs):
+        driven: Any = mission(f"pioneer3dx/{CORRIDOR['fm']}_{round(float(velocity) * 100)}cm_s").defaults.speed
+        yield f"table5.velocity.{velocity}", Ours(float(driven))
     corridor: Any = mission("pioneer3dx/" + CORRIDOR["fm"] + "_10cm_s").segments[0]
     length = float(corridor.distance)
     yield "sec341.d2", Ours(length)

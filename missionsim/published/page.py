@@ -42,10 +42,10 @@ WORDS: dict[str, str] = {
     "fidelity": "Error of each fidelity level against direct evaluation.",
 }
 READING: dict[str, str] = {
-    "jaiem2021": "The power tables are reproduced to the last digit but for row 9 of Table 4, which contradicts itself. "
-    "The paper cuts digits in Eq. 10, Eq. 12 and Table 5. In Table 5 predicted and experiment are interchanged at "
-    "0.3 m/s (forward motion); the errors of the QR-code runs follow from cut predictions, those of the centring runs "
-    "from uncut ones, and with that every printed error but two is met.",
+    "jaiem2021": "The power tables are reproduced to the last digit but for row 9 of Table 4, which contradicts "
+    "itself. The paper cuts digits in Eq. 10, Eq. 12 and Table 5. In Table 5 predicted and experiment are interchanged "
+    "at 0.3 m/s (forward motion); the errors of the QR-code runs follow from cut predictions, those of the centring "
+    "runs from uncut ones, and with that every printed error but two is met.",
     "parasuraman2012": "Only Eq. 15 and four percentages are printed; the static powers are fitted to the percentages. "
     "Without time spent standing they contradict each other.",
     "hou2019": "No equation of the motion model can be evaluated as printed. Five parameters fitted to the measured "

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from missionsim.physics import path_following
 from missionsim.physics.arrays import f64
-from missionsim.published.figures import Ours
+from missionsim.published.figures import Ours, load_figures
 from missionsim.published.locate import mission, run
 
 Array = NDArray[np.float64]
@@ -120,10 +120,10 @@ class Causes:
 
     Attributes
     ----------
-    marker_spacing_m : float
-        Between QR codes (6.25 m: eight in 50 m, Exp. 2).
+    marker_spacing_m : float or None
+        Between QR codes; if not given that of Table 5's second experiment.
     drift, drift_sd : float
-        Sideways drift per metre; its mean is fitted to Table 5's two QR experiments by `drift_of_table5`.
+        Sideways drift per metre.
     settle_m, settle_sd_m : float
         Length on which an offset or a heading settles.
     wall_amplitude_m, wall_amplitude_sd_m, wall_wavelength_m : float
@@ -136,7 +136,7 @@ class Causes:
         Spread of the speed reached over the speed asked.
     """
 
-    marker_spacing_m: float = 6.25
+    marker_spacing_m: float | None = None
     drift: float = 0.15
     drift_sd: float = 0.03
     settle_m: float = 1.0
@@ -165,12 +165,16 @@ def behaviour_draws(causes: Causes, draws: int, rng: np.random.Generator) -> tup
     amplitude = np.abs(rng.normal(causes.wall_amplitude_m, causes.wall_amplitude_sd_m, draws))
     lengths = _lengths()
     turns = dict(causes.turns)
+    spacing = causes.marker_spacing_m
+    if spacing is None:
+        printed = load_figures("jaiem2021")
+        spacing = printed["sec341.d2"].value / printed["sec341.qr_markers2"].value
     for index, segment in enumerate(spec.segments):
         name = run(DRIVEN).segments[index].name
         if segment.kind != "drive":
             continue
         if spec.navigation_of(segment) == "qr_code":
-            extra = path_following.relocalisation_stretch(causes.marker_spacing_m, drift=drift, settle_m=settle)
+            extra = path_following.relocalisation_stretch(spacing, drift=drift, settle_m=settle)
             stretch[:, index] *= extra
         if spec.scheme_of(segment) == "centring_motion":
             stretch[:, index] *= path_following.centring_stretch(amplitude, causes.wall_wavelength_m)

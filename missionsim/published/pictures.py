@@ -46,7 +46,7 @@ def _finish(axes: Axes, x: str, y: str, legend: bool = True) -> None:
     axes.grid(True, color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
     if legend:
-        axes.legend(fontsize=8, frameon=False)
+        axes.legend(fontsize=8, framealpha=0.9, edgecolor="none")
 
 
 def _pair(figure: Figure) -> tuple[Axes, Axes]:
@@ -89,6 +89,7 @@ def _stretch(figure: Figure) -> None:
     ):
         axes.bar(x + offset, [row[key] for row in rows], 0.38, color=colour, label=label)
     axes.axhline(0.0, color="black", linewidth=0.8)
+    axes.set_ylim(-18.0, 10.0)
     axes.set_xticks(x, [f"{row['scheme']}\n{row['speed_m_s']:g} m/s" for row in rows], fontsize=8)
     _finish(axes, "", "error of the prediction (% of measured)")
 
@@ -117,8 +118,9 @@ def _patrol_error(figure: Figure) -> None:
         right.axhline(figures[f"sec342.{battery}.final"].value, color=colour, linewidth=0.7, alpha=0.6)
         right.axhline(figures[f"sec342.{battery}.peak"].value, color=colour, linewidth=0.7, alpha=0.6)
     _finish(left, "time as driven (s)", "energy (Wh)")
-    right.text(0.98, 0.02, "thin lines: published peak and final value", transform=right.transAxes, ha="right",
+    right.text(0.98, 0.01, "thin lines: published peak and final value", transform=right.transAxes, ha="right",
                va="bottom", fontsize=7, color=GREY)
+    right.set_ylim(0.0, 38.0)
     _finish(right, "time as driven (s)", "error at equal progress (%)")
 
 
@@ -225,12 +227,12 @@ def _service(figure: Figure) -> None:
         v = speed * rover2025.KMH
         rate = robot.throughput(v, clocks, 1.0)
         left.plot(rate, robot.energy_per_metre(v, clocks, 1.0), ".-", color=colour, label=f"printed speed {speed:g}")
-        right.plot(clocks / 1e9, 1e3 * robot.loop_time(v, clocks, 1.0), color=colour, label=f"printed speed {speed:g}")
+        right.plot(clocks / 1e9, 1e3 * robot.loop_time(v, clocks, 1.0), color=colour)
         twin.plot(clocks / 1e9, rate, color=colour, linestyle="--")
     twin.set_ylabel("batches per second (dashed)")
     left.axvline(figures["batches"].value, color=GREY, linestyle=":")
     _finish(left, "throughput (batches per second)", "energy per metre (J/m)")
-    _finish(right, "clock (GHz)", "time per batch, PLPT (ms)")
+    _finish(right, "clock (GHz)", "time per batch, PLPT (ms)", legend=False)
 
 
 def _fidelity(figure: Figure) -> None:
@@ -243,7 +245,8 @@ def _fidelity(figure: Figure) -> None:
     axes.loglog(steps, [item.max_error_pct for item in measured], "o:", color=COLOURS[0], label="greatest error")
     _finish(axes, "speed granularity (m/s)", "error of the energy per metre (%)", legend=False)
     twin = axes.twinx()
-    twin.loglog(steps, [1e3 * item.seconds for item in measured], "s-", color=COLOURS[1], label="computing time")
+    twin.semilogx(steps, [1e3 * item.seconds for item in measured], "s-", color=COLOURS[1], label="computing time")
+    twin.set_ylim(bottom=0.0)
     twin.set_ylabel("computing time of the table (ms, this machine)")
     lines: list[Any] = [*axes.get_lines(), *twin.get_lines()]
     axes.legend(lines, [str(line.get_label()) for line in lines], fontsize=8, frameon=False, loc="upper center")
