@@ -67,13 +67,19 @@ class Component:
         self.needs: dict[Any, int] = {}
         self.units_on = 0
         self.wake = Late(board.env)
-        self.is_on: simpy.Event = board.env.event()
+        self._coming: simpy.Event | None = None
         self.process = board.env.process(self._run())
 
     @property
     def wanted(self) -> int:
         """Units that the most demanding of those who need it asks for."""
         return max(self.needs.values(), default=0)
+
+    def when_on(self) -> simpy.Event:
+        """An event that happens when it is on; only for one that is off."""
+        if self._coming is None:
+            self._coming = self.board.env.event()
+        return self._coming
 
     def _run(self) -> Generator[simpy.Event, Any, None]:
         board, env, recorder = self.board, self.board.env, self.board.recorder
@@ -83,7 +89,8 @@ class Component:
             wanted = self.wanted
             if wanted and not self.units_on:
                 for name in self.info.requires:
-                    yield board.components[name].is_on
+                    if not board.components[name].units_on:
+                        yield board.components[name].when_on()
                 if self.info.startup_s > 0.0 and self.wanted:
                     recorder.component(self.index, 0, self.wanted)
                     yield env.timeout(self.info.startup_s)
@@ -91,10 +98,9 @@ class Component:
             if wanted != self.units_on or self.info.startup_s > 0.0:
                 recorder.component(self.index, wanted, 0)
             self.units_on = wanted
-            if wanted and not self.is_on.triggered:
-                self.is_on.succeed()
-            elif not wanted and self.is_on.triggered:
-                self.is_on = env.event()
+            if wanted and self._coming is not None:
+                self._coming.succeed()
+                self._coming = None
 
 
 class Switchboard:
@@ -156,5 +162,5 @@ class Switchboard:
         """Events of those components, required ones included, that take time to come on; empty where none."""
         closure = self.closure(sensors)
         off = [self.components[name] for name in closure if not self.components[name].units_on]
-        return [component.is_on for component in off] if any(c.info.startup_s > 0.0 for c in off) else []
+        return [component.when_on() for component in off] if any(c.info.startup_s > 0.0 for c in off) else []
 

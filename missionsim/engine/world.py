@@ -81,7 +81,7 @@ class World:
         self.ends_s: dict[int, float] = {}
         self._detour = detour
         self._batteries = batteries
-        self._leg_done_m = 0.0
+        self._phases: tuple[Phase, ...] = ()
         for activity in plan.activities:
             env.process(self._activity(activity))
         self.driver = env.process(self._drive())
@@ -123,7 +123,7 @@ class World:
         env, recorder, legs, board = self.env, self.recorder, self.legs, self.board
         signals = self.signals
         for step in steps:
-            phases = step.phases
+            self._phases = phases = step.phases
             current = -1
             for i, phase in enumerate(phases):
                 leg = legs[phase.leg]
@@ -133,7 +133,6 @@ class World:
                         signals.fire("begin", self.segments[leg.settings.segment].label)
                     sensors = leg.settings.sensors
                     board.hold("segment", sensors)
-                    self._leg_done_m = 0.0
                     if i == 0 and (waits := board.waiting_for(sensors)):
                         recorder.rest(current)
                         yield env.all_of(waits)
@@ -142,7 +141,6 @@ class World:
                     yield from self._recharge(leg.recharge)
                 elif phase.duration_s > 0.0:
                     yield env.timeout(phase.duration_s)
-                    self._leg_done_m += _length(phase, phase.duration_s)
                 if i + 1 == len(phases) or phases[i + 1].leg != current:
                     if leg.place and leg.kind == "roll":
                         signals.fire("place", leg.place)
@@ -154,7 +152,12 @@ class World:
     def _way_home(self) -> tuple[Step, ...] | None:
         recorder = self.recorder
         phase, leg = recorder.phase, self.legs[recorder.leg]
-        done = self._leg_done_m + (_length(phase, recorder.phase_elapsed_s) if phase.moving else 0.0)
+        done = _length(phase, recorder.phase_elapsed_s) if phase.moving else 0.0
+        for earlier in self._phases:
+            if earlier is phase:
+                break
+            if earlier.leg == phase.leg:
+                done += _length(earlier, earlier.duration_s)
         recorder.close()
         speed = abs(phase.speed_m_s + phase.accel_m_s2 * recorder.phase_elapsed_s)
         decel = None if leg.instant else self.plan.limits.decel_m_s2
@@ -193,6 +196,8 @@ class World:
         while True:
             if activity.begin is not None:
                 yield self._trigger(activity.begin, "begin")
+            if activity.every_s is not None and activity.end is None:
+                yield from self._endless_bursts(activity, on)
             stop = self._trigger(activity.end, "end") if activity.end is not None else env.event()
             if activity.every_s is None:
                 board.hold(activity.key, on)
@@ -218,6 +223,21 @@ class World:
             if not stop.processed:
                 yield stop | env.timeout(max(0.0, began + count * every - env.now))
         board.hold(activity.key, ())
+
+    def _endless_bursts(
+        self, activity: Activity, on: tuple[tuple[str, int], ...]
+    ) -> Generator[simpy.Event, Any, None]:
+        """Bursts until the mission ends, without anything else to wait for."""
+        env, hold, key = self.env, self.board.hold, activity.key
+        every, length = activity.every_s or FOREVER_S, activity.duration_s or 0.0
+        began, count = env.now, 0
+        while True:
+            hold(key, on)
+            if length < every:
+                yield env.timeout(length)
+                hold(key, ())
+            count += 1
+            yield env.timeout(max(0.0, began + count * every - env.now))
 
     def _trigger(self, trigger: Trigger, edge: str) -> simpy.Event:
         if trigger.time_s is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import Fault, InputError
@@ -73,7 +72,7 @@ class _Builder:
         self.robot = mission.robot
         self.numbers = numbers
         self.rng = rng
-        environment = mission.environment
+        self.environment = environment = mission.environment
         self.routes = None if environment is None else Routes(environment, lambda p: self.number(p, "environment."))
         self.place = mission.start or ""
         self.heading = None if mission.start_heading is None else self.number(mission.start_heading)
@@ -91,6 +90,10 @@ class _Builder:
         self.segments: list[SegmentInfo] = []
         self._names: dict[str, int] = {}
         self._base: dict[int, Settings] = {}
+        self._scheme = ""
+        self._ambient_values = self._ambient()
+        self._ambient_surface = (environment.ambient.surface or "") if environment is not None else ""
+        self._behaviours_of: dict[str, tuple[tuple[Any, str], ...]] = {}
 
     def number(self, parameter: Parameter, prefix: str = "") -> float:
         """Value of a parameter, drawn or nominal."""
@@ -129,6 +132,7 @@ class _Builder:
             raise self.fault(segment, "too many segments", f"at most {MOST_SEGMENTS}, repeats counted one by one")
         self._name(segment)
         base = self._settings(segment)
+        self._scheme = base.scheme
         before = len(self.legs)
         getattr(self, f"_{segment.kind}")(segment, base)
         if len(self.legs) == before:
@@ -136,16 +140,16 @@ class _Builder:
         dwell = self._behaviour(segment, "dwell")
         if dwell and segment.kind in ("drive", "arc", "turn", "move"):
             self.legs.append(Leg("stand", self._still(base)))
-            self.legs[-1] = replace(self.legs[-1], duration_s=dwell)
-        self.legs[before] = replace(self.legs[before], first=True)
-        self.legs[-1] = replace(self.legs[-1], last=True, place=self.legs[-1].place or self.place)
+            self.legs[-1] = self.legs[-1]._replace(duration_s=dwell)
+        self.legs[before] = self.legs[before]._replace(first=True)
+        self.legs[-1] = self.legs[-1]._replace(last=True, place=self.legs[-1].place or self.place)
 
     def _name(self, segment: Any) -> None:
         label = segment.name
         if label is None:
-            target = getattr(segment, "to", None)
-            along = getattr(segment, "along", None)
-            label = f"{segment.kind} {target or (along[-1] if along else '')}".strip()
+            label = segment.kind
+            if label == "drive" and segment.distance is None:
+                label = f"drive {segment.to or segment.along[-1]}"
         count = self._names.get(label, 0) + 1
         self._names[label] = count
         name = label if count == 1 else f"{label} #{count}"
@@ -155,21 +159,21 @@ class _Builder:
         mission = self.mission
         known = self._base.get(id(segment))
         if known is not None:
-            return replace(known, segment=len(self.segments) - 1)
+            return known._replace(segment=len(self.segments) - 1)
         payload = mission.setting(segment, "payload")
         surface = mission.setting(segment, "surface")
-        extra: dict[str, float | str] = dict(self._ambient())
+        extra: dict[str, float | str] = dict(self._ambient_values)
         for key, column in _EXTRAS:
             given = mission.setting(segment, key)
             if given is not None:
                 extra[column] = self.number(given)
         for source in (mission.defaults.conditions, segment.conditions):
             extra |= {name: self._condition(value) for name, value in source.items()}
-        slope = getattr(segment, "slope", None)
+        slope = segment.slope if segment.kind in ("drive", "arc", "move") else None
         made = Settings(
             len(self.segments) - 1, mission.scheme_of(segment) or "", mission.navigation_of(segment) or "",
             tuple(sorted(mission.sensors_of(segment).items())), 0.0 if payload is None else self.number(payload),
-            0.0 if slope is None else self.number(slope), self._ambient_surface() if surface is None else surface,
+            0.0 if slope is None else self.number(slope), self._ambient_surface if surface is None else surface,
             tuple(sorted(extra.items())),
         )
         self._base[id(segment)] = made
@@ -179,7 +183,7 @@ class _Builder:
         return self.number(value, prefix) if isinstance(value, Parameter) else str(value)
 
     def _ambient(self) -> dict[str, float | str]:
-        environment = self.mission.environment
+        environment = self.environment
         if environment is None:
             return {}
         ambient = environment.ambient
@@ -187,18 +191,20 @@ class _Builder:
         known: dict[str, float | str] = {name: self.number(p, "environment.") for name, p in pairs if p is not None}
         return known | {name: self._condition(value, "environment.") for name, value in ambient.conditions.items()}
 
-    def _ambient_surface(self) -> str:
-        environment = self.mission.environment
-        return (environment.ambient.surface or "") if environment is not None else ""
+    def _behaviours(self, scheme: str) -> tuple[tuple[Any, str], ...]:
+        """Who says how the robot behaves under a scheme, the most specific first."""
+        known = self._behaviours_of.get(scheme)
+        if known is None:
+            mission = self.mission
+            of_robot = self.robot.schemes.get(scheme)
+            known = self._behaviours_of[scheme] = (
+                (mission.behaviour.schemes.get(scheme), ""), (mission.behaviour, ""), (mission.defaults.behaviour, ""),
+                (of_robot.behaviour if of_robot else None, "robot."),
+            )
+        return known
 
     def _behaviour(self, segment: Any, key: str) -> float | None:
-        mission = self.mission
-        scheme = mission.scheme_of(segment) or ""
-        robot_scheme = self.robot.schemes.get(scheme)
-        for source, prefix in (
-            (segment.behaviour, ""), (mission.behaviour.schemes.get(scheme), ""), (mission.behaviour, ""),
-            (mission.defaults.behaviour, ""), (robot_scheme.behaviour if robot_scheme else None, "robot."),
-        ):
+        for source, prefix in ((segment.behaviour, ""), *self._behaviours(self._scheme)):
             given = None if source is None else getattr(source, key)
             if given is not None:
                 return self.number(given, prefix)
@@ -210,7 +216,7 @@ class _Builder:
             speed = self.number(given)
         else:
             speed = self.number(self.robot.body.max_speed, "robot.")
-            scheme = self.robot.schemes.get(self.mission.scheme_of(segment) or "")
+            scheme = self.robot.schemes.get(self._scheme)
             if scheme is not None and scheme.max_speed is not None:
                 speed = min(speed, self.number(scheme.max_speed, "robot."))
         if speed <= 0.0:
@@ -263,7 +269,7 @@ class _Builder:
 
     def _radio(self, way: Way, settings: Settings) -> list[tuple[float, float, Settings]]:
         """Pieces of a way with the distance to the nearest access point (its root mean square over the piece)."""
-        environment = self.mission.environment
+        environment = self.environment
         if environment is None or not environment.access_points or "access_point_distance_m" in way.extra:
             return [(0.0, 1.0, settings)]
         assert self.routes is not None
@@ -281,7 +287,7 @@ class _Builder:
             span = math.hypot(b[0] - a[0], b[1] - a[1]) / count
             square = min((x - px) ** 2 + (y - py) ** 2 for px, py in points) + span * span / 12.0
             extra = {**dict(settings.extra), "access_point_distance_m": math.sqrt(square)}
-            pieces.append((low, high, replace(settings, extra=tuple(sorted(extra.items())))))
+            pieces.append((low, high, settings._replace(extra=tuple(sorted(extra.items())))))
         return pieces
 
     def _face(self, segment: Any, base: Settings, heading: float | None) -> None:
@@ -300,7 +306,7 @@ class _Builder:
         if rate <= 0.0:
             raise self.fault(segment, "a turn needs a yaw rate above 0")
         instant = self.mission.setting(segment, "profile") == "constant_speed"
-        settings = replace(base, slope_rad=0.0)
+        settings = base._replace(slope_rad=0.0)
         self.legs.append(Leg("turn", settings, angle_rad=angle, yaw_rate_rad_s=rate, instant=instant))
 
     def _turn(self, segment: Any, base: Settings) -> None:
@@ -342,7 +348,7 @@ class _Builder:
         self.legs.append(Leg("stand", base, duration_s=duration_s, place=self.place))
 
     def _dock(self, segment: Any, base: Settings) -> None:
-        environment = self.mission.environment
+        environment = self.environment
         charger = None
         if environment is not None and self.place in environment.places:
             charger = environment.places[self.place].charger
@@ -382,7 +388,7 @@ def _trigger(builder: _Builder, anchor: AnchorSpec | None) -> Trigger | None:
 def along(base: Settings, way: Way, surface: str | None = None) -> Settings:
     """Settings on a way: its slope, its surface unless the segment names one, the covariates that the edge gives."""
     extra = base.extra if not way.extra else tuple(sorted({**dict(base.extra), **way.extra}.items()))
-    return replace(base, slope_rad=way.slope_rad, surface=surface or way.surface or base.surface, extra=extra)
+    return base._replace(slope_rad=way.slope_rad, surface=surface or way.surface or base.surface, extra=extra)
 
 
 def slow_components(robot: Any) -> frozenset[str]:

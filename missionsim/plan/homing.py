@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 from missionsim.plan.build import along
 from missionsim.plan.legs import Leg, Limits, Settings, Step
@@ -81,7 +80,7 @@ class Homing:
             rest = self.ways(place)
             if rest is not None and metres + _length(rest) < shortest:
                 shortest = metres + _length(rest)
-                first = [replace(_leg(leg, way), distance_m=metres)] if metres > 0.0 else []
+                first = [_leg(leg, way)._replace(distance_m=metres)] if metres > 0.0 else []
                 best = first + [_leg(leg, other) for other in rest]
         return best
 
@@ -93,12 +92,12 @@ class Homing:
         way = self.from_edge(leg, done_m, brake_m) if rolling else self.from_place(leg.place, driven or leg)
         if way is None:
             return None
-        legs = [replace(item, settings=replace(item.settings, segment=segment)) for item in way]
+        legs = [item._replace(settings=item.settings._replace(segment=segment)) for item in way]
         if not legs:
-            still = replace(leg.settings, segment=segment)
+            still = leg.settings._replace(segment=segment)
             legs = [Leg("stand", still, place=leg.place)]
-        legs[0] = replace(legs[0], first=True)
-        legs[-1] = replace(legs[-1], last=True)
+        legs[0] = legs[0]._replace(first=True)
+        legs[-1] = legs[-1]._replace(last=True)
         return legs, group(legs, self.limits)
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 Kind = Literal["roll", "turn", "slide", "stand", "dock"]
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
+class Settings(NamedTuple):
     """What is asked of the robot and what surrounds it on a leg.
 
     Attributes
@@ -39,8 +38,7 @@ class Settings:
     extra: tuple[tuple[str, float | str], ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Recharge:
+class Recharge(NamedTuple):
     """Charging at a dock.
 
     Attributes
@@ -66,8 +64,7 @@ class Recharge:
     slots: int = 1
 
 
-@dataclass(frozen=True, slots=True)
-class Leg:
+class Leg(NamedTuple):
     """The smallest part of a plan over which nothing but the motion itself changes.
 
     Attributes
@@ -127,16 +124,14 @@ class Phase(NamedTuple):
     moving: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(NamedTuple):
     """Legs that follow each other without a standstill, with their phases; a stay is a step of its own."""
 
     kind: Kind
     phases: tuple[Phase, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Trigger:
+class Trigger(NamedTuple):
     """When an activity begins or ends: at a time, a place, or the begin or end of a named segment."""
 
     time_s: float | None = None
@@ -144,8 +139,7 @@ class Trigger:
     segment: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Activity:
+class Activity(NamedTuple):
     """A component that is on beside the driving: from a trigger until another, or in bursts."""
 
     component: str
@@ -157,8 +151,7 @@ class Activity:
     key: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class SegmentInfo:
+class SegmentInfo(NamedTuple):
     """A segment as executed: its name (unique), its kind, the line of the mission file that asks for it, and the name
     that all its repetitions share."""
 
@@ -168,8 +161,7 @@ class SegmentInfo:
     label: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
+class Limits(NamedTuple):
     """Limits of the body: accelerations in m/s² and rad/s², None where motion is taken as instant."""
 
     accel_m_s2: float | None = None
@@ -197,6 +189,6 @@ class Plan:
     legs: tuple[Leg, ...]
     steps: tuple[Step, ...]
     segments: tuple[SegmentInfo, ...]
-    activities: tuple[Activity, ...] = ()
-    limits: Limits = field(default_factory=Limits)
+    activities: tuple[Activity, ...]
+    limits: Limits
     start: str = ""

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from missionsim.plan.kinematics import phases
 from missionsim.plan.legs import Leg, Limits, Phase, Step
 
@@ -39,58 +37,88 @@ def group(legs: Sequence[Leg], limits: Limits, breaks: Breaks | None = None) -> 
     breaks : callable, optional
         ``(before, after) -> bool``: further reasons to stop between two legs (a component with a start-up time).
     """
-    steps: list[Step] = []
+    spans: list[tuple[int, int]] = []
     begin = 0
     for i in range(1, len(legs) + 1):
         if i < len(legs) and continues(legs[i - 1], legs[i]) and not (breaks and breaks(legs[i - 1], legs[i])):
             continue
-        steps.append(Step(legs[begin].kind, step_phases(legs[begin:i], begin, limits)))
+        spans.append((begin, i))
         begin = i
-    return tuple(steps)
+    profiles = _profiles(legs, spans, limits)
+    return tuple(
+        Step(legs[low].kind, _step_phases(legs, low, high, profiles.get(low))) for low, high in spans
+    )
 
 
-def step_phases(legs: Sequence[Leg], begin: int, limits: Limits) -> tuple[Phase, ...]:
-    """Phases of legs that follow each other without a standstill; at least one for each leg.
+Profile = tuple[list[list[float]], list[list[float]], list[list[float]]]
 
-    Parameters
-    ----------
-    legs : sequence of Leg
-        All `roll`, or all `slide`, or one of another kind.
-    begin : int
-        Index of the first of them in the plan.
-    limits : Limits
+
+def _profiles(legs: Sequence[Leg], spans: Sequence[tuple[int, int]], limits: Limits) -> dict[int, Profile]:
+    """Durations, speeds and accelerations of the phases of each span that moves, by its first leg.
+
+    Spans with the same number of pieces are computed in one call, since a call costs as much for one as for many.
     """
-    kind = legs[0].kind
-    if kind in ("stand", "dock"):
-        return tuple(Phase(leg.duration_s, begin + i) for i, leg in enumerate(legs))
-    if kind == "turn":
-        leg = legs[0]
-        size = abs(leg.angle_rad)
-        sign = math.copysign(1.0, leg.angle_rad)
-        accel = None if leg.instant else limits.yaw_accel_rad_s2
-        profile = phases([size], [leg.yaw_rate_rad_s], accel)
-    else:
-        sign = 1.0
-        accel = None if legs[0].instant else limits.accel_m_s2
-        profile = phases([leg.distance_m for leg in legs], [leg.speed_m_s for leg in legs], accel, limits.decel_m_s2)
-    duration = profile.duration_s.tolist()
-    speed = profile.speed_m_s.tolist()
-    rate = profile.accel_m_s2.tolist()
+    batches: dict[tuple[int, bool], list[tuple[int, int]]] = {}
+    for low, high in spans:
+        if legs[low].kind in ("roll", "slide", "turn"):
+            batches.setdefault((high - low, _is_instant(legs[low], limits)), []).append((low, high))
+    found: dict[int, Profile] = {}
+    for (_, instant), members in batches.items():
+        distance = [[_size(leg) for leg in legs[low:high]] for low, high in members]
+        limit = [[_limit(leg) for leg in legs[low:high]] for low, high in members]
+        if instant:
+            made = phases(distance, limit)
+        else:
+            rates = [_rates(legs[low], limits) for low, _ in members]
+            made = phases(distance, limit, [rate[0] for rate in rates], [rate[1] for rate in rates])
+        tables = zip(made.duration_s.tolist(), made.speed_m_s.tolist(), made.accel_m_s2.tolist(), strict=True)
+        for (low, _), table in zip(members, tables, strict=True):
+            found[low] = table
+    return found
+
+
+def _is_instant(leg: Leg, limits: Limits) -> bool:
+    return leg.instant or (limits.yaw_accel_rad_s2 if leg.kind == "turn" else limits.accel_m_s2) is None
+
+
+def _rates(leg: Leg, limits: Limits) -> tuple[float, float]:
+    if leg.kind == "turn":
+        return limits.yaw_accel_rad_s2 or 0.0, limits.yaw_accel_rad_s2 or 0.0
+    accel = limits.accel_m_s2 or 0.0
+    return accel, limits.decel_m_s2 or accel
+
+
+def _size(leg: Leg) -> float:
+    return abs(leg.angle_rad) if leg.kind == "turn" else leg.distance_m
+
+
+def _limit(leg: Leg) -> float:
+    return leg.yaw_rate_rad_s if leg.kind == "turn" else leg.speed_m_s
+
+
+def _step_phases(legs: Sequence[Leg], low: int, high: int, profile: Profile | None) -> tuple[Phase, ...]:
+    """Phases of legs that follow each other without a standstill; at least one for each leg."""
+    if profile is None:
+        return tuple(Phase(legs[i].duration_s, i) for i in range(low, high))
+    duration, speed, rate = profile
     made: list[Phase] = []
-    for i, leg in enumerate(legs):
-        lasting = [j for j in range(3) if duration[i][j] > SHORTEST_PHASE_S]
-        for j in lasting:
-            made.append(_phase(leg, begin + i, duration[i][j], sign * speed[i][j], sign * rate[i][j]))
-        if not lasting:
-            made.append(Phase(0.0, begin + i))
+    for row, i in enumerate(range(low, high)):
+        leg = legs[i]
+        before = len(made)
+        for j in range(3):
+            if duration[row][j] > SHORTEST_PHASE_S:
+                made.append(_phase(leg, i, duration[row][j], speed[row][j], rate[row][j]))
+        if len(made) == before:
+            made.append(Phase(0.0, i))
     return tuple(made)
 
 
 def _phase(leg: Leg, index: int, duration_s: float, speed: float, rate: float) -> Phase:
     if leg.kind == "turn":
-        return Phase(duration_s, index, yaw_rad_s=speed, yaw_rad_s2=rate, moving=True)
+        sign = math.copysign(1.0, leg.angle_rad)
+        return Phase(duration_s, index, yaw_rad_s=sign * speed, yaw_rad_s2=sign * rate, moving=True)
     if leg.kind == "slide":
-        ahead, aside = float(np.cos(leg.direction_rad)), float(np.sin(leg.direction_rad))
+        ahead, aside = math.cos(leg.direction_rad), math.sin(leg.direction_rad)
         return Phase(duration_s, index, speed * ahead, rate * ahead, speed * aside, rate * aside, moving=True)
     bend = leg.curvature_1_m
     return Phase(duration_s, index, speed, rate, yaw_rad_s=speed * bend, yaw_rad_s2=rate * bend, moving=True)
