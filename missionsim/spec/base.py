@@ -52,11 +52,17 @@ class FileModel(Model):
     _file: str = PrivateAttr(default="")
     _sha256: str = PrivateAttr(default="")
     _document: Any = PrivateAttr(default=None)
+    _whole: bool = PrivateAttr(default=True)
 
     @property
     def path(self) -> Path:
         """Path of the file."""
         return Path(self._file)
+
+    @property
+    def whole(self) -> bool:
+        """False where the file has faults and this is only what could be made of it for further checks."""
+        return self._whole
 
     @property
     def sha256(self) -> str:

@@ -21,6 +21,8 @@ def check_environment(environment: EnvironmentSpec, document: Document) -> list[
         known = check.known((*where, "to"), edge.to, places, "place") and known
         if not known:
             continue
+        if check.touched("places", edge.from_) or check.touched("places", edge.to):
+            continue
         if edge.from_ == edge.to:
             check.add((*where, "to"), "an edge from a place to itself", got=edge.to, allowed="another place")
             continue

@@ -170,6 +170,8 @@ class _MissionCheck(RouteCheck):
     def limits(self, where: Where, settings: Any, scheme: Any, name: str | None) -> None:
         """Speeds, turn rate and payload that the robot can do."""
         assert self.robot is not None
+        if not self.robot.whole:
+            return
         body = self.robot.body
         sideways = getattr(settings, "kind", "") == "move" and body.max_lateral_speed is not None
         top = (

@@ -130,8 +130,8 @@ def _scheme(check: Checker, robot: RobotSpec, name: str, scheme: SchemeSpec, com
 
     def sensors(at: Where, given: Mapping[str, int], what: str) -> None:
         for sensor, count in given.items():
-            message = "component, which the scheme requires," if what == "required" else "component"
-            if not check.known((*at, sensor), sensor, components, message, key=True):
+            message = f"the scheme requires '{sensor}', which the robot does not have" if what == "required" else ""
+            if not check.known((*at, sensor), sensor, components, "component", key=True, message=message):
                 continue
             spec = robot.components.get(sensor)
             if spec is not None and count > spec.units:
@@ -207,7 +207,7 @@ def _parameters(
     known = {spec.name: spec for spec in specs}
     for name, parameter in given.items():
         at = (*where, "parameters", name)
-        if not check.known(at, name, known, f"parameter of {what}", key=True):
+        if not check.known(at, name, known, "parameter", key=True, message=f"{what} has no parameter '{name}'"):
             continue
         spec = known[name]
         low, high = spec.low, spec.high

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.spec.salvage import related, under
 from missionsim.spec.tree import Document, as_written
 
 Where = Sequence[str | int]
@@ -34,13 +35,27 @@ class Checker:
         key: bool = False,
         warning: bool = False,
     ) -> None:
-        """One fault at a path of the file."""
+        """One fault at a path of the file, unless that place was told to be faulty already."""
+        if self.faulty(where):
+            return
         severity = "warning" if warning else "error"
         self.faults.append(
             self.document.fault(where, message, got=got, allowed=allowed, hint=hint, key=key, severity=severity)
         )
 
-    def known(self, where: Where, name: str, names: Iterable[str], what: str, *, key: bool = False) -> bool:
+    def faulty(self, where: Where) -> bool:
+        """Whether a fault was told at this path or above it."""
+        faulty = getattr(self.document, "faulty", ())
+        return bool(faulty) and under(self.document.original(where), faulty)
+
+    def touched(self, *where: str | int) -> bool:
+        """Whether a fault was told at, above or below this path."""
+        faulty = getattr(self.document, "faulty", ())
+        return bool(faulty) and related(self.document.original(where), faulty)
+
+    def known(
+        self, where: Where, name: str, names: Iterable[str], what: str, *, key: bool = False, message: str = ""
+    ) -> bool:
         """Whether `name` is one of `names`; a fault with did-you-mean where it is not."""
         options = list(names)
         if name in options:
@@ -48,7 +63,7 @@ class Checker:
         shown = ", ".join(options[:_SHOWN]) + (f" and {len(options) - _SHOWN} more" if len(options) > _SHOWN else "")
         self.add(
             where,
-            f"no {what} '{name}'",
+            message or f"no {what} '{name}'",
             got=as_written(name),
             allowed=shown or f"there is no {what} here",
             hint=did_you_mean(name, options),

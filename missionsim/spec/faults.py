@@ -36,7 +36,7 @@ _KINDS = {
 
 
 def to_faults(
-    problem: ValidationError, document: Document, model: type[BaseModel]
+    problem: ValidationError, document: Document, model: type[BaseModel], shape: Any
 ) -> list[tuple[tuple[str | int, ...], Fault]]:
     """All errors of one validation, each with its path in the file.
 
@@ -47,6 +47,8 @@ def to_faults(
         Where the data came from.
     model : type
         The file's model, for the keys that are allowed.
+    shape : object
+        The data that was validated.
 
     Returns
     -------
@@ -54,7 +56,7 @@ def to_faults(
     """
     result: list[tuple[tuple[str | int, ...], Fault]] = []
     for error in problem.errors(include_url=False):
-        path = file_path(error["loc"], document)
+        path = file_path(error["loc"], shape)
         kind = error["type"]
         context: dict[str, Any] = error.get("ctx", {})
         raw = error.get("input")
@@ -75,7 +77,7 @@ def to_faults(
             )
         elif kind == "missing":
             fault = document.fault(
-                path[:-1] if _absent(document, path) else path,
+                path[:-1] if _absent(shape, path) else path,
                 f"'{error['loc'][-1]}' is missing",
                 got=as_written(raw),
                 allowed=f"{error['loc'][-1]}: …",
@@ -117,6 +119,8 @@ def to_faults(
         elif kind in ("too_short", "too_long"):
             few = kind == "too_short"
             number = context["min_length"] if few else context["max_length"]
+            if few and isinstance(raw, (list, tuple, dict)) and len(raw) >= number:
+                continue  # its entries are at fault, and that is told
             fault = document.fault(
                 path,
                 "too few entries" if few else "too many entries",
@@ -137,10 +141,9 @@ def to_faults(
     return result
 
 
-def file_path(loc: Sequence[str | int], document: Document) -> tuple[str | int, ...]:
+def file_path(loc: Sequence[str | int], data: Any) -> tuple[str | int, ...]:
     """pydantic's location without its union tags and key marks: the path of the value in the file."""
     path: list[str | int] = []
-    data = document.data
     for index, item in enumerate(loc):
         if item == "[key]":
             continue
@@ -156,8 +159,7 @@ def file_path(loc: Sequence[str | int], document: Document) -> tuple[str | int, 
     return tuple(path)
 
 
-def _absent(document: Document, path: Sequence[str | int]) -> bool:
-    data = document.data
+def _absent(data: Any, path: Sequence[str | int]) -> bool:
     for item in path:
         try:
             data = data[item]

@@ -21,6 +21,7 @@ from missionsim.spec.faults import to_faults
 from missionsim.spec.log_map import MapSpec
 from missionsim.spec.mission import MissionSpec, StudySpec
 from missionsim.spec.robot import RobotSpec
+from missionsim.spec.salvage import related, repaired, view_of
 from missionsim.spec.tree import Document, as_written, parse_document, read_document
 from missionsim.spec.values import Parameter
 
@@ -33,6 +34,7 @@ KINDS: dict[str, type[FileModel]] = {
 }
 Override = tuple[str, Any]
 Loaded = TypeVar("Loaded", bound=FileModel)
+_ROUNDS = 30
 ROBOT_FOLDER = Path(__file__).resolve().parent.parent / "robots"
 
 
@@ -196,47 +198,45 @@ def _load(
     if not isinstance(document.data, dict) or document.data.get("kind") != kind:
         faults.append(_kind_fault(document, (kind,)))
         return None
-    result, _ = validate_document(document, model, faults)
+    result = validate_document(document, model, faults)
     if result is None:
         return None
     if isinstance(result, RobotSpec):
-        faults.extend(check_robot(result, document))
+        faults.extend(check_robot(result, result.document))
     elif isinstance(result, EnvironmentSpec):
-        faults.extend(check_environment(result, document))
+        faults.extend(check_environment(result, result.document))
     return result
 
 
-def validate_document(document: Document, model: type[Loaded], faults: list[Fault]) -> tuple[Loaded | None, bool]:
+def validate_document(document: Document, model: type[Loaded], faults: list[Fault]) -> Loaded | None:
     """Validate; after faults, try again without the faulty parts, so that the other checks can still speak.
 
     Returns
     -------
-    (model or None, bool)
-        The model (perhaps without its faulty parts) and whether it is whole.
+    FileModel or None
+        Perhaps without its faulty parts, or with stand-ins for them (`FileModel.whole` is False then); None where
+        nothing could be made of the file.
     """
-    from missionsim.spec.salvage import without
-
     context = {"folder": Path(document.file).parent}
-    data = document.data
-    whole = True
-    for _ in range(12):
+    shape = document.data
+    faulty: set[tuple[str | int, ...]] = set()
+    tried: dict[tuple[str | int, ...], int] = {}
+    for _ in range(_ROUNDS):
+        view = view_of(document, shape, faulty) if faulty else document
         try:
-            result = model.model_validate(data, context=context)
+            result = model.model_validate(shape, context=context)
         except ValidationError as problem:
-            located = to_faults(problem, document, model)
-            if whole:
-                faults.extend(fault for _, fault in located)
-            whole = False
-            data = without(data, [path for path, _ in located])
-            if data is None:
-                return None, False
-        except RecursionError:
-            faults.append(document.fault((), "nested too deeply"))
-            return None, False
+            located = to_faults(problem, view, model, shape)
+            faults.extend(fault for path, fault in located if not related(view.original(path), faulty))
+            shape = repaired(view_of(document, shape, faulty), problem, tried)
+            faulty |= {view.original(path) for path, _ in located}
+            if shape is None:
+                return None
         else:
-            seal(result, document)
-            return result, whole
-    return None, False
+            seal(result, view)
+            result._whole = not faulty
+            return result
+    return None
 
 
 def seal(model: FileModel, document: Document) -> None:
@@ -330,7 +330,7 @@ def _load_mission(
     mission._robot = robot_spec
     mission._environment = environment
     mission._overrides = tuple((key, value if isinstance(value, str) else repr(value)) for key, value in overrides)
-    faults.extend(check_mission(mission, document))
+    faults.extend(check_mission(mission, mission.document))
     return mission
 
 

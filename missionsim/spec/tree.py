@@ -67,8 +67,13 @@ class Document:
     sha256: str = ""
     overrides: dict[Path_, str] = field(default_factory=dict)
 
+    def original(self, path: Sequence[str | int]) -> Path_:
+        """The path in the file; a document with parts left out translates it."""
+        return tuple(path)
+
     def overridden(self, path: Sequence[str | int]) -> str | None:
         """Text given on the command line for this path or one above it, or None."""
+        path = self.original(path)
         for end in range(len(path), 0, -1):
             text = self.overrides.get(tuple(path[:end]))
             if text is not None:
@@ -77,6 +82,7 @@ class Document:
 
     def node(self, path: Sequence[str | int]) -> Node:
         """Deepest node along a path."""
+        path = self.original(path)
         node = self.root
         for item in path:
             child = _child(node, item)
@@ -89,6 +95,7 @@ class Document:
         """1-based line and column of the value at `path` (of its key with `key`), or of the deepest one above it."""
         if self.overridden(path) is not None:
             return 0, 0
+        path = self.original(path)
         node = self.root
         where = (node.line, node.column)
         for item in path:
@@ -115,7 +122,7 @@ class Document:
         """A fault at `path`, in the file or, where the command line set the value, there."""
         line, column = self.position(path, key=key)
         file = "" if self.overridden(path) is not None else self.file
-        return Fault(file, line, column, message, dotted(path), got, allowed, hint, severity)
+        return Fault(file, line, column, message, dotted(self.original(path)), got, allowed, hint, severity)
 
 
 def dotted(path: Sequence[str | int]) -> str:
