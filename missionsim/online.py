@@ -135,11 +135,12 @@ class OnlinePredictor:
     def from_mission(cls, mission: Any, battery: str | None = None, **options: float) -> OnlinePredictor:
         """A predictor for one battery of a mission (see `expected_run`)."""
         name = battery or next(iter(mission.robot.batteries))
+        expected = expected_run(mission, name)
         spec = mission.robot.batteries[name]
         charge = mission.initial_charge.get(name, spec.initial_charge)
         available = spec.capacity_j * float(charge)
         reserve = mission.policy.reserve if mission.policy.reserve is not None else spec.reserve
-        return cls(expected_run(mission, name), available, spec.capacity_j * float(reserve), **options)
+        return cls(expected, available, spec.capacity_j * float(reserve), **options)
 
     def update(self, time_s: float, power_w: float, speed_m_s: float = 0.0) -> None:
         """One sample: time from the start (s), power of the battery (W), speed (m/s, sideways speed included).

@@ -35,16 +35,14 @@ def _term(
 
 
 def _rolling(cov: Covariates, p: Mapping[str, Any]) -> Any:
-    force = traction.rolling_force(
-        cov["speed_m_s"], cov["mass_kg"], number(cov, "slope_rad"), rolling_coefficient=p["rolling_coefficient"]
-    )
+    # the normal force as on level ground (Eq. 4): cos θ would make a round trip over a hill cheaper than a flat one
+    force = traction.rolling_force(cov["speed_m_s"], cov["mass_kg"], rolling_coefficient=p["rolling_coefficient"])
     return force * np.abs(cov["speed_m_s"])
 
 
 def _viscous(cov: Covariates, p: Mapping[str, Any]) -> Any:
     force = traction.rolling_force(
-        cov["speed_m_s"], cov["mass_kg"], number(cov, "slope_rad"), rolling_coefficient=0.0,
-        viscous_coefficient_s_m=p["viscous_coefficient"],
+        cov["speed_m_s"], cov["mass_kg"], rolling_coefficient=0.0, viscous_coefficient_s_m=p["viscous_coefficient"]
     )
     return force * np.abs(cov["speed_m_s"])
 
@@ -74,8 +72,8 @@ def _boards(cov: Covariates, p: Mapping[str, Any]) -> Any:
 
 
 EFFECTS: tuple[Effect, ...] = (
-    _term("rolling", "C_r·m·g·cos θ·v", (ParameterSpec("rolling_coefficient", "1", "C_r"),), ("speed_m_s",), _rolling),
-    _term("viscous_rolling", "C_v·v·m·g·cos θ·v",
+    _term("rolling", "C_r·m·g·v", (ParameterSpec("rolling_coefficient", "1", "C_r"),), ("speed_m_s",), _rolling),
+    _term("viscous_rolling", "C_v·v·m·g·v",
           (ParameterSpec("viscous_coefficient", "s/m", "C_v", default=0.0),), ("speed_m_s",), _viscous),
     _term("drag", "½·ρ·C_d·A_f·v³",
           (ParameterSpec("drag_coefficient", "1", "C_d", default=0.0),
@@ -98,7 +96,7 @@ EFFECTS: tuple[Effect, ...] = (
 TRACTION = register(
     MotionModel(
         "traction",
-        "F·v, F = m·a + (C_r + C_v·v)·m·g·cos θ + ½·ρ·C_d·A_f·v² + m·g·sin θ",
+        "F·v, F = m·a + (C_r + C_v·v)·m·g + ½·ρ·C_d·A_f·v² + m·g·sin θ",
         _SOURCE,
         parameters_of(EFFECTS),
         builder(EFFECTS),

@@ -203,7 +203,8 @@ def test_results_are_fresh(root: Path, items: dict[str, list[Item]]) -> None:
             continue
         for row, old in zip(_numbers(text), _numbers(kept), strict=True):
             for cell, before in zip(row, old, strict=True):
-                assert cell == before or math.isclose(float(cell), float(before), rel_tol=1e-4), f"{name}: {old} → {row}"
+                same = cell == before or math.isclose(float(cell), float(before), rel_tol=1e-4)
+                assert same, f"{name}: {old} → {row}"
     from missionsim.published.pictures import PICTURES
 
     pictures = {f"{paper}_{name}.png" for paper, painted in PICTURES.items() for name, _, _ in painted}
@@ -220,7 +221,8 @@ def test_command_writes_json_tables_and_pictures(tmp_path: Path, capsys: pytest.
     assert data["schema"] == "missionsim.reproduction/1"
     row = next(item for item in data["items"] if item["item"] == "joint optimum, speed")
     assert row["published"] == 7.5
-    assert set(row) >= {"paper", "item", "where", "published", "ours", "unit", "difference", "tolerance", "status", "note"}
+    names = {"paper", "item", "where", "published", "ours", "unit", "difference", "tolerance", "status", "note"}
+    assert set(row) >= names
     names = {path.name for path in out.iterdir()}
     assert {"README.md", "rover2025.csv", "rover2025_complexities.png", "rover2025_fidelity.csv"} <= names
 
