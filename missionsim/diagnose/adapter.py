@@ -1,0 +1,74 @@
+"""What the identification found, in the words and units of the diagnosis."""
+
+from __future__ import annotations
+
+import math
+
+from missionsim.diagnose.features import Features
+from missionsim.diagnose.findings import Estimate, Finding, Judged, Recalibrated
+from missionsim.diagnose.heldout import Tested
+from missionsim.identify.result import FoundEffect, Identification
+
+Z95 = 1.959963984540054
+
+
+def effects_of(found: Identification, features: Features, tested: Tested | None) -> tuple[Finding, ...]:
+    """The missing effects in order of importance, with held-out errors where runs were held out."""
+    return tuple(_finding(one, found, features, tested) for one in found.effects)
+
+
+def _finding(one: FoundEffect, found: Identification, features: Features, tested: Tested | None) -> Finding:
+    reach = Z95 * one.energy_share_sd
+    main = one.parameters[0] if one.parameters else None
+    low, high = one.energy_share - reach, one.energy_share + reach
+    if main is not None and main.value:
+        # the coefficient's own interval carries the systematic allowance
+        ends = sorted((one.energy_share * main.low / main.value, one.energy_share * main.high / main.value))
+        low, high = min(low, ends[0]), max(high, ends[1])
+    rivals = [pair for pair in found.pairs if pair.a == one.effect and pair.b in one.indistinguishable_from]
+    closest = [pair for pair in found.pairs if pair.a == one.effect]
+    lead = min((pair.separation_nats for pair in rivals or closest), default=float("nan"))
+    before = after = None
+    if tested is not None:
+        before = tested.rmse_without_w.get(one.effect)
+        after = tested.summary.power_rmse_w["with_effects"]
+    absorbed = next((c.absorption for c in found.candidates if c.effect == one.effect), float("nan"))
+    return Finding(
+        one.effect, {p.name: Estimate(p.value, p.low, p.high, p.unit) for p in one.parameters}, one.energy_share,
+        one.p_value, low, high, one.p_runs, one.confidence, before, after, one.indistinguishable_from,
+        {}, lead, absorbed,
+    )  # fmt: skip
+
+
+def judged(found: Identification) -> tuple[Judged, ...]:
+    """Every candidate with its reason and its detection limit."""
+    return tuple(
+        Judged(c.effect, c.accepted, c.reason,
+               c.smallest_detectable_share if math.isfinite(c.smallest_detectable_share) else None)
+        for c in found.candidates
+    )  # fmt: skip
+
+
+def recalibrated(found: Identification, features: Features) -> tuple[Recalibrated, ...]:
+    """Shifts of the base parameters, largest first in prior standard deviations."""
+    rows = []
+    for shift in found.recalibration:
+        parameter = features.parameters[shift.parameter]
+        rows.append(Recalibrated(
+            shift.parameter, 100.0 * shift.shift, shift.shift_in_prior_sd, parameter.value * (1.0 + shift.shift),
+            abs(parameter.value) * shift.sd, parameter.unit,
+        ))  # fmt: skip
+    return tuple(sorted(rows, key=lambda row: -abs(row.shift_in_prior_sd)))
+
+
+def noise_of(found: Identification) -> dict[str, float]:
+    """Noise and differences between runs."""
+    noise = found.noise
+    return {
+        "sd_w": noise.sd_share * found.mean_power_w, "sd_share": noise.sd_share, "fast_s": noise.fast_s,
+        "slow_s": noise.slow_s, "offset_w": noise.meter_offset_w, "gain": noise.meter_gain,
+        "motion_gain": noise.motion_gain, "overdispersion": noise.overdispersion,
+    }
+
+
+__all__ = ["effects_of", "judged", "noise_of", "recalibrated"]

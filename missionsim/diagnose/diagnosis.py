@@ -1,0 +1,344 @@
+"""The diagnosis: logs and robot in, verdict out; every battery that was measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from missionsim.diagnose.adapter import effects_of, judged, noise_of, recalibrated
+from missionsim.diagnose.experiments import Bench, propose, to_learn
+from missionsim.diagnose.features import Features, make_features
+from missionsim.diagnose.findings import (
+    BatteryDiagnosis,
+    Diagnosis,
+    Estimate,
+    Experiment,
+    Finding,
+    HeldOut,
+    RunSeries,
+    Unexplained,
+    Where,
+)
+from missionsim.diagnose.heldout import Tested, on_heldout, prediction
+from missionsim.diagnose.manoeuvres import site_of
+from missionsim.diagnose.split import Split, choose_split
+from missionsim.effects.base import Effect
+from missionsim.effects.model import PowerModel
+from missionsim.errors import InputError
+from missionsim.fit.provenance import fitted_to
+from missionsim.identify.data import Settings
+from missionsim.identify.identify import identify
+from missionsim.identify.result import Identification
+
+if TYPE_CHECKING:
+    from missionsim.effects.timeline import Timeline
+    from missionsim.spec.robot import RobotSpec
+
+NO_PRIOR_SD = 1.0
+"""Prior of a parameter that was fitted to these very logs: they may not count twice."""
+MOST_WHERE = 4
+WORTH_SAYING = 0.03
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A robot under diagnosis: its file, power model, own candidate effects.
+
+    Attributes
+    ----------
+    name : str
+    model : PowerModel
+    sources : mapping
+        Key of the robot file's ``sources`` → text.
+    own : mapping of battery to tuple of Effect
+        Effects of the file that are candidates only.
+    switchable : mapping of battery to tuple of str
+        Components that can be switched and that the battery feeds.
+    limits : mapping
+        ``max_speed``, ``max_yaw_rate``, ``acceleration``.
+    """
+
+    name: str
+    model: PowerModel
+    sources: Mapping[str, str]
+    own: Mapping[str, tuple[Effect, ...]]
+    switchable: Mapping[str, tuple[str, ...]]
+    limits: Mapping[str, float]
+
+    @classmethod
+    def of(cls, robot: RobotSpec, model: PowerModel | None = None) -> Subject:
+        """The subject of a robot file."""
+        from missionsim.spec.power import build_effect, build_power_model
+
+        own: dict[str, list[Effect]] = {}
+        for spec in robot.effects:
+            if spec.candidate:
+                own.setdefault(spec.battery, []).append(build_effect(spec))
+        switchable = {
+            battery: tuple(
+                name for name, component in robot.components.items()
+                if not component.always_on and any(load.battery == battery for load in component.loads)
+            )
+            for battery in robot.batteries
+        }
+        body = robot.body
+        limits = {"max_speed": body.max_speed.value, "max_yaw_rate": body.max_yaw_rate.value}
+        if body.max_acceleration is not None:
+            limits["acceleration"] = body.max_acceleration.value
+        return cls(robot.name, model or build_power_model(robot), dict(robot.sources),
+                   {battery: tuple(effects) for battery, effects in own.items()}, switchable, limits)
+
+
+def diagnose_files(
+    robot: str | Path, logs: Sequence[str | Path], *, holdout: str | Sequence[str | Path] | None = None,
+    mission: str | Path | None = None, battery: str | None = None, alpha: float = 0.01,
+) -> Diagnosis:
+    """Diagnose from files.
+
+    Parameters
+    ----------
+    robot : str or path
+        Shipped robot or file.
+    logs : sequence of str or path
+        Log files or folders.
+    holdout : optional
+        See `missionsim.diagnose.split.choose_split`.
+    mission : path, optional
+        The mission that every log is a drive of.
+    battery : str, optional
+        Only this one.
+    alpha : float
+        Family-wise rate of false alarms.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        For faults in any of the files, or where no battery can be diagnosed.
+    """
+    from missionsim.logs import read_logs
+    from missionsim.spec.loading import load_robot
+
+    spec = load_robot(robot)
+    timeline = None
+    if mission is not None:
+        from missionsim.engine.simulate import simulate
+        from missionsim.spec.loading import load_mission
+
+        timeline = simulate(load_mission(mission, robot=spec)).timeline
+    tables = read_logs(list(logs), robot=spec)
+    return diagnose(Subject.of(spec), tables, holdout=holdout, timeline=timeline, battery=battery,
+                    settings=Settings(alpha=alpha))
+
+
+def diagnose(
+    subject: Subject, logs: Sequence[Any], *, holdout: str | Sequence[str | Path] | None = None,
+    timeline: Timeline | None = None, battery: str | None = None, settings: Settings | None = None,
+) -> Diagnosis:
+    """Diagnose every battery that the logs measure; see `diagnose_files`.
+
+    Parameters
+    ----------
+    subject : Subject
+    logs : sequence of LogTable
+    holdout, battery
+        As for `diagnose_files`.
+    timeline : Timeline, optional
+        The simulated mission.
+    settings : Settings, optional
+    """
+    settings = settings or Settings()
+    split = choose_split(logs, holdout)
+    measured = list(dict.fromkeys(name for log in split.train for name in log.power_w))
+    if battery is not None and battery not in measured:
+        raise InputError.single(f"no log measures the battery '{battery}'", got=battery, allowed=", ".join(measured))
+    wanted = [battery] if battery is not None else measured
+    done: dict[str, BatteryDiagnosis] = {}
+    skipped: dict[str, InputError] = {}
+    for name in wanted:
+        if name not in subject.model.batteries:
+            skipped[name] = InputError.single(f"the robot has no battery '{name}'", got=name,
+                                              allowed=", ".join(subject.model.batteries))
+            continue
+        try:
+            done[name] = diagnose_battery(subject, split, name, timeline, settings)
+        except InputError as error:
+            skipped[name] = error
+    if not done:
+        raise next(iter(skipped.values()))
+    return Diagnosis(subject.name, done, {name: " ".join(str(e).split()) for name, e in skipped.items()})
+
+
+@dataclass(frozen=True)
+class Examined:
+    """Features of fitted and held-out runs, and what the identification found in the fitted ones."""
+
+    features: Features
+    heldout: Features | None
+    found: Identification
+
+
+def examine(subject: Subject, split: Split, battery: str, settings: Settings) -> Examined:
+    """Features and identification of one battery, before anything is said about it."""
+    train = [log for log in split.train if battery in log.power_w]
+    held = [_renamed(log, {t.run for t in train}) for log in split.heldout if battery in log.power_w]
+    every = make_features(subject.model, [*train, *held], battery, subject.own.get(battery, ()),
+                          switchable=subject.switchable.get(battery, ()))  # fmt: skip
+    every = replace(every, prior_sd=_priors(subject, every, split.train))
+    features = every.select(range(len(train)))
+    tested = every.select(range(len(train), len(train) + len(held))) if held else None
+    try:
+        found = identify(features.runs, features.candidates, features.prior_sd, settings)
+    except ValueError as error:
+        raise InputError.single(f"battery '{battery}': {error}") from error
+    return Examined(features, tested, found)
+
+
+def diagnose_battery(
+    subject: Subject, split: Split, battery: str, timeline: Timeline | None, settings: Settings
+) -> BatteryDiagnosis:
+    """The diagnosis of one battery."""
+    seen = examine(subject, split, battery, settings)
+    features, found = seen.features, seen.found
+    tested: Tested | None = None
+    if seen.heldout is not None:
+        tested = on_heldout(found.choice, seen.heldout.runs, features.candidates, features.prior_sd, settings,
+                            split.how, split.shifted)  # fmt: skip
+    effects = effects_of(found, features, tested)
+    execution = _execution(subject, split, battery, timeline, settings)
+    verdict = found.verdict
+    if verdict == "nothing_missing" and execution:
+        verdict = "effects_found"
+    untestable = dict(features.untestable)
+    if timeline is not None:
+        untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
+    clock, left = found.clock, found.unexplained
+    remarks = [*features.remarks, *found.remarks]
+    if tested is None:
+        remarks.append(split.how)
+    if len(features.runs) < 3:
+        remarks.append(f"{len(features.runs)} run{'s' * (len(features.runs) > 1)}: whether an effect repeats from run "
+                       "to run, and how much the meter differs between runs, cannot be shown")
+    return BatteryDiagnosis(
+        battery, verdict, effects, judged(found), recalibrated(found, features), clock.delay_s, clock.lag_s,
+        clock.at_edge, noise_of(found), untestable,
+        Unexplained(left.share_of_residual, tuple(left.depends_on), left.shape),
+        _next(subject, seen, effects, settings), None if tested is None else tested.summary,
+        _shifted(seen, settings), execution, found.mean_power_w, tuple(run.run for run in features.runs),
+        float(sum(np.sum(run.dt_s) for run in features.runs)), tuple(dict.fromkeys(remarks)), _confounding(found),
+        _where(subject, split, battery), _series(found),
+    )  # fmt: skip
+
+
+def _renamed(log: Any, taken: set[str]) -> Any:
+    return replace(log, run=f"held-out {log.run}") if log.run in taken else log
+
+
+def _priors(subject: Subject, features: Features, logs: Sequence[Any]) -> dict[str, float]:
+    """Priors of the base parameters; none for those that were fitted to these very logs."""
+    again = {key: fitted_to(text, logs) for key, text in subject.sources.items()}
+    priors = {}
+    for name, parameter in features.parameters.items():
+        source = parameter.source
+        same = again.get(source, False) or fitted_to(source, logs)
+        priors[name] = NO_PRIOR_SD if same else parameter.prior_sd
+    return priors
+
+
+def _execution(
+    subject: Subject, split: Split, battery: str, timeline: Timeline | None, settings: Settings
+) -> tuple[Finding, ...]:
+    if timeline is None:
+        return ()
+    from missionsim.diagnose.execution import execution_effects
+
+    logs = [log for log in (*split.train, *split.heldout) if battery in log.power_w]
+    if not all("speed_m_s" in log.columns for log in logs):
+        return ()
+    return tuple(
+        Finding(
+            one.effect, {"k": Estimate(one.value, one.low, one.high, one.unit)}, one.energy_share, one.p_value,
+            scheme=one.scheme, level="identified", remark=one.reason,
+        )
+        for one in execution_effects(subject.model, timeline, logs, battery, settings.alpha) if one.found
+    )  # fmt: skip
+
+
+def _next(
+    subject: Subject, seen: Examined, effects: Sequence[Finding], settings: Settings
+) -> tuple[Experiment, ...]:
+    site = site_of(seen.features.covariates, subject.limits)
+    bench = Bench(subject.model, seen.features, seen.found.choice, site, settings)
+    proposed: list[Experiment] = []
+    for effect in effects:
+        if effect.indistinguishable_from:
+            proposed += propose(bench, (effect.effect, *effect.indistinguishable_from))
+    if not proposed and seen.found.verdict == "unexplained_structure":
+        on = tuple(seen.found.unexplained.depends_on)
+        proposed += [
+            Experiment(on, f"{m.do}, to see the form of the dependence on {', '.join(on)}", float("nan"), float("nan"),
+                       float("nan"), m.duration_s / 60.0, tuple(part.to_json() for part in m.parts))
+            for m in to_learn(site, on)[:2]
+        ]
+    return tuple(proposed)
+
+
+def _shifted(seen: Examined, settings: Settings) -> HeldOut | None:
+    """The same test on runs that differ in kind: the runs in which the main effect's covariate is largest are left out.
+
+    Only where enough runs differ in it; effects and base are fitted again on the others.
+    """
+    found, features = seen.found, seen.features
+    if not found.effects or len(features.runs) < 4:
+        return None
+    main = found.effects[0].effect
+    covariate = next((c.covariate for c in features.candidates if c.effect == main), "")
+    if not all(covariate in run.covariates for run in features.runs):
+        return None
+    level = np.array([float(np.average(np.abs(r.covariates[covariate]), weights=r.dt_s)) for r in features.runs])
+    count = max(1, len(level) // 3)
+    order = np.argsort(level, kind="stable")
+    held, kept = order[-count:], np.sort(order[:-count])
+    if level[held].min() < 1.2 * level[kept].max() and level[held].mean() < 1.5 * level[kept].mean():
+        return None
+    train, test = features.select(kept.tolist()), features.select(sorted(held.tolist()))
+    from missionsim.diagnose.forced import forced_choice
+
+    choice = forced_choice(train, found, settings)
+    if choice is None:
+        return None
+    how = f"the {count} run{'s' * (count > 1)} with most {covariate} left out and predicted"
+    return on_heldout(choice, test.runs, features.candidates, features.prior_sd, settings, how, True).summary
+
+
+def _confounding(found: Identification) -> dict[str, dict[str, float]]:
+    names = [effect.effect for effect in found.effects]
+    rows: dict[str, dict[str, float]] = {}
+    for pair in found.pairs:
+        if pair.a in names and math.isfinite(pair.r):
+            rows.setdefault(pair.a, {})[pair.b] = pair.r
+    return rows
+
+
+def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:
+    from missionsim.compare import compare
+
+    result = compare(subject.model, list(split.train), robot=subject.name)
+    if battery not in result.batteries:
+        return ()
+    told = [w for w in result.batteries[battery].where if w.explains > WORTH_SAYING][:MOST_WHERE]
+    return tuple(Where(w.title, f"{w.value} {w.unit}".strip(), w.share_of_squared_error, w.bias_w) for w in told)
+
+
+def _series(found: Identification) -> tuple[RunSeries, ...]:
+    model = found.choice.model
+    design = model.design
+    fitted = prediction(model, model.chosen, design)
+    return tuple(
+        RunSeries(name, design.time_s[rows], design.y[rows], design.base[rows], fitted[rows])
+        for name, rows in zip(design.names, design.runs, strict=True)
+    )

@@ -1,0 +1,104 @@
+"""Errors on runs that were not used to fit: robot file as it is, recalibrated, and with the effects found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.diagnose.findings import HeldOut
+from missionsim.identify.choose import Choice
+from missionsim.identify.data import Candidate, RunData, Settings
+from missionsim.identify.design import Design, make_source
+from missionsim.identify.model import Model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tested:
+    """Errors of a fitted model on other runs.
+
+    Attributes
+    ----------
+    summary : HeldOut
+    rmse_without_w : mapping of str to float
+        Power RMSE with every effect found but this one, the rest refitted.
+    """
+
+    summary: HeldOut
+    rmse_without_w: Mapping[str, float]
+
+
+def on_heldout(
+    choice: Choice, runs: Sequence[RunData], candidates: Sequence[Candidate], prior_sd: Mapping[str, float],
+    settings: Settings, how: str, shifted: bool,
+) -> Tested:
+    """Predict held-out runs with what was fitted on the others; nothing of them is fitted, their meters included.
+
+    Parameters
+    ----------
+    choice : Choice
+        Models with and without the effects found.
+    runs : sequence of RunData
+        Held-out runs.
+    candidates, prior_sd, settings
+        As for the fit.
+    how : str
+        How the runs were chosen.
+    shifted : bool
+        Whether by a condition.
+    """
+    model, empty = choice.model, choice.empty
+    source = make_source(runs, candidates, prior_sd, settings, like=model.source)
+    aligned = {id(m): source.design(replace(m.clock, run_delay_s=tuple(0.0 for _ in source.runs)))
+               for m in (model, empty)}  # fmt: skip
+    with_effects, without = aligned[id(model)], aligned[id(empty)]
+    predictions = {
+        "nominal": (without, without.base),
+        "recalibrated": (without, prediction(empty, (), without)),
+        "with_effects": (with_effects, prediction(model, model.chosen, with_effects)),
+    }
+    energy = {name: energy_error_pct(design, power) for name, (design, power) in predictions.items()}
+    rmse = {name: power_rmse_w(design, power) for name, (design, power) in predictions.items()}
+    summary = HeldOut(how, tuple(run.run for run in source.runs), energy, rmse, shifted)
+    return Tested(summary, _leaving_out(model, candidates, with_effects))
+
+
+def prediction(model: Model, chosen: Sequence[int], design: Design) -> Array:
+    """Power that a model with some of its effects predicts at the rows of a design [W], shape (n,).
+
+    Base parameters at their most probable values with these effects in, offsets and gains of single runs left out.
+    """
+    shifts, _ = model.gram.shifts(chosen)
+    power = design.base + shifts @ design.gradient
+    if len(chosen):
+        shares, _ = model.gram.coefficients(chosen)
+        power = power + shares @ design.phi[list(chosen)]
+    return np.asarray(power)
+
+
+def _leaving_out(model: Model, candidates: Sequence[Candidate], design: Design) -> dict[str, float]:
+    columns = model.design.layout.columns
+    found: dict[str, float] = {}
+    for effect in dict.fromkeys(candidates[columns[k].candidate].effect for k in model.chosen):
+        rest = tuple(k for k in model.chosen if candidates[columns[k].candidate].effect != effect)
+        found[effect] = power_rmse_w(design, prediction(model, rest, design))
+    return found
+
+
+def energy_error_pct(design: Design, power_w: Array) -> float:
+    """Mean over runs of the absolute energy error, relative to measured [%]."""
+    errors = []
+    for rows in design.runs:
+        seconds = design.duration_s[rows]
+        measured = float(np.sum(design.y[rows] * seconds))
+        errors.append(100.0 * abs(float(np.sum((power_w[rows] - design.y[rows]) * seconds)) / measured))
+    return float(np.mean(errors))
+
+
+def power_rmse_w(design: Design, power_w: Array) -> float:
+    """Root mean square of the power error over time [W], at the analysis rate."""
+    return float(np.sqrt(np.average((power_w - design.y) ** 2, weights=design.duration_s)))
