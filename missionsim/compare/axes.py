@@ -98,7 +98,7 @@ class NumberAxis:
             values = np.where(known, values, low)
         if self._exponent is None:
             span = high - low
-            self._exponent = math.floor(math.log10(span / 20.0)) if span > 0.0 else _exponent_of(low)
+            self._exponent = _exponent_of(span / 20.0 if span > 0.0 else 0.1 * low)
             self._first = math.floor(_cells(low, self._exponent))
         while _cells(max(high, self._high()) - min(low, self._low()), self._exponent) > MAX_CELLS:
             self._coarsen()
@@ -260,7 +260,8 @@ def _cells(length: float, exponent: int) -> float:
 
 
 def _exponent_of(value: float) -> int:
-    return math.floor(math.log10(abs(value))) - 1 if value else 0
+    """Power of ten at or below a magnitude; bounded so that its inverse is a number."""
+    return max(math.floor(math.log10(abs(value))), -290) if value else 0
 
 
 def _round_multiples() -> Any:

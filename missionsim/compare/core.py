@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +20,7 @@ from missionsim.compare.statistics import cumulative_at, error_curve, error_stat
 from missionsim.compare.where import dependences
 from missionsim.effects.model import PowerModel
 from missionsim.errors import Fault, InputError
+from missionsim.logs.remarks import Remark, merge
 from missionsim.logs.table import LogTable
 
 if TYPE_CHECKING:
@@ -84,11 +84,11 @@ def compare(
         replay = plan_replay(model, first.columns, first.batteries, source=source or run)
         for note in replay.notes:
             notes.setdefault(note, []).append(run)
-        remarks: dict[str, None] = {}
+        remarks: list[Remark] = []
         for block in replay_blocks(replay, _noting(chain([first], blocks), remarks)):
             sums.add(run, block)
-        for remark in remarks:
-            notes.setdefault(remark, []).append(run)
+        for remark in merge(remarks):
+            notes.setdefault(str(remark), []).append(run)
         sources.append((run, source))
         if on_run is not None:
             on_run(run)
@@ -168,11 +168,10 @@ def _runs(
         yield path.stem, str(path), iter(iter_blocks(path, rows=BLOCK_ROWS, robot=robot))
 
 
-def _noting(blocks: Iterable[LogTable], remarks: dict[str, None]) -> Iterator[LogTable]:
-    """The same blocks; what the checks say of them is kept in `remarks`, each sentence once."""
+def _noting(blocks: Iterable[LogTable], remarks: list[Remark]) -> Iterator[LogTable]:
+    """The same blocks; what the checks say of them is kept in `remarks`, the same finding once."""
     for block in blocks:
-        for remark in block.remarks:
-            remarks.setdefault(str(replace(remark, line=0)))
+        remarks[:] = merge([*remarks, *block.remarks])
         yield block
 
 

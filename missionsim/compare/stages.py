@@ -81,7 +81,8 @@ class Stages:
         chosen = members & self._driving()
         duration = float(self.timeline.duration_s[chosen].sum())
         now = ratio(float(self._distance()[chosen].sum()), duration)
-        if now <= 0.0 or speed_m_s <= 0.0:
+        # no row counts as driving below this speed, so a mean below it means that nothing was driven
+        if now <= 0.0 or speed_m_s < STILL_SPEED_M_S:
             return self
         factor = np.where(chosen, speed_m_s / now, 1.0)
         columns: dict[str, Any] = dict(self.timeline.columns)

@@ -38,8 +38,8 @@ class Where:
         Mean of model minus measured power.
     seconds : float
     explains : float
-        Part of the squared error about the overall bias that this value's own bias explains, after an allowance for
-        chance.
+        This value's part of what its covariate explains (`Dependence.explained`). It is shared out by time × |bias| ×
+        |bias − overall bias|: values where the model is right, or as wrong as everywhere, get none of it.
     """
 
     by: str
@@ -122,21 +122,22 @@ def _dependence(by: str, title: str, unit: str, bins: list[Bin], fine: list[Bin]
     sizes = sum(abs(one.gap_j) for one in bins)
     bias = -gap / seconds
     about_bias = max(square - bias * bias * seconds, 0.0)
-    parts = [one.seconds * (one.bias_w - bias) ** 2 for one in bins]
-    raw = min(sum(parts) / about_bias, 1.0) if about_bias > 0.0 else 0.0
+    between = sum(one.seconds * (one.bias_w - bias) ** 2 for one in bins)
+    raw = min(between / about_bias, 1.0) if about_bias > 0.0 else 0.0
     observations = seconds / BLOCK_S
     free = observations - len(bins)
     adjusted = max(0.0, 1.0 - (1.0 - raw) * (observations - 1.0) / free) if free > 0.0 else 0.0
-    kept = adjusted / raw if raw > 0.0 else 0.0
+    weights = [one.seconds * abs(one.bias_w * (one.bias_w - bias)) for one in bins]
+    weight = sum(weights)
     values = tuple(
         Where(
             by, title, unit, one.value, one.low, one.high,
             share_of_gap=abs(one.gap_j) / sizes if sizes > 0.0 else 0.0,
             share_of_squared_error=one.square_w2s / square if square > 0.0 else 0.0,
             gap_wh=one.gap_j / 3600.0, bias_w=one.bias_w, seconds=one.seconds,
-            explains=kept * part / about_bias if about_bias > 0.0 else 0.0,
+            explains=adjusted * own / weight if weight > 0.0 else 0.0,
         )
-        for one, part in zip(bins, parts, strict=True)
+        for one, own in zip(bins, weights, strict=True)
     )
     return Dependence(by, title, unit, adjusted, values, tuple(fine))
 
@@ -153,6 +154,11 @@ def in_words(found: Sequence[Dependence], limit: int = 3) -> list[str]:
             f"The error varies with {dependence.title}, which goes with {100.0 * dependence.explained:.0f} % of its "
             f"variance: most {worst.phrase}, where the model is {abs(worst.bias_w):.3g} W "
             f"{'too high' if worst.bias_w > 0.0 else 'too low'} on average during {_duration(worst.seconds)}."
+        )
+    if telling[0].by == "accel_m_s2":
+        sentences.append(
+            "A shift between the clocks of power and motion looks like an error that varies with acceleration; "
+            "`missionsim diagnose` aligns the clocks first."
         )
     return sentences
 

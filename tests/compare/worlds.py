@@ -58,7 +58,7 @@ def true_power(columns: dict[str, Any], c2: float = 6.25, c3: float = 9.79) -> N
 def log_of(columns: dict[str, Any], power_w: NDArray[np.float64], run: str = "run", fresh: Any = None) -> LogTable:
     """A log table in memory."""
     data = {**columns, "power_robot_w": np.asarray(power_w, dtype=float)}
-    arrays = {name: value if isinstance(value, Labels) else np.array(value, dtype=float) for name, value in data.items()}
+    arrays = {k: v if isinstance(v, Labels) else np.array(v, dtype=float) for k, v in data.items()}
     return LogTable(
         run, arrays,
         row_durations(np.asarray(columns["time_s"], dtype=float)), {"robot": np.array(power_w, dtype=float)},
