@@ -207,7 +207,7 @@ def diagnose_battery(
     tested: Tested | None = None
     if seen.heldout is not None:
         tested = on_heldout(found.choice, seen.heldout.runs, features.candidates, features.prior_sd, settings,
-                            split.how, split.shifted)  # fmt: skip
+                            split.how, split.shifted, [e.effect for e in found.effects])  # fmt: skip
     effects = effects_of(found, features, tested)
     execution = _execution(subject, split, battery, timeline, settings)
     verdict = found.verdict
@@ -312,7 +312,8 @@ def _shifted(seen: Examined, settings: Settings) -> HeldOut | None:
     if choice is None:
         return None
     how = f"the {count} run{'s' * (count > 1)} with most {covariate} left out and predicted"
-    return on_heldout(choice, test.runs, features.candidates, features.prior_sd, settings, how, True).summary
+    names = [effect.effect for effect in found.effects]
+    return on_heldout(choice, test.runs, features.candidates, features.prior_sd, settings, how, True, names).summary
 
 
 def _confounding(found: Identification) -> dict[str, dict[str, float]]:
@@ -337,7 +338,9 @@ def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:
 def _series(found: Identification) -> tuple[RunSeries, ...]:
     model = found.choice.model
     design = model.design
-    fitted = prediction(model, model.chosen, design)
+    names = {effect.effect for effect in found.effects}
+    chosen = [k for k in model.chosen if found.library[design.layout.columns[k].candidate].effect in names]
+    fitted = prediction(model, chosen, design)
     return tuple(
         RunSeries(name, design.time_s[rows], design.y[rows], design.base[rows], fitted[rows])
         for name, rows in zip(design.names, design.runs, strict=True)

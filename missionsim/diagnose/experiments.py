@@ -94,17 +94,19 @@ def propose(bench: Bench, names: Sequence[str]) -> list[Experiment]:
     if len(names) < 2:
         return []
     now = worst_lead(bench, rules, bench.model.gram, names)
+    about = {c.covariate for c in bench.features.candidates if c.effect in names} - {"speed_m_s", ""}
     scored = []
     for manoeuvre in library(bench.site):
         gram = bench.imagined(manoeuvre)
         scored.append((worst_lead(bench, rules, gram, names), manoeuvre))
-    scored.sort(key=lambda pair: -pair[0])
+    # among those that will do, one that varies a single cause of the set speaks for itself
+    scored.sort(key=lambda pair: (-min(pair[0], ENOUGH_NATS), len(pair[1].varies & about) != 1, -pair[0]))
     found = []
     for lead, manoeuvre in scored[:MOST_PROPOSED]:
         if lead < now + 1.0:
             continue
         found.append(_experiment(bench, rules, names, now, lead, manoeuvre))
-    return sorted(found, key=lambda e: -e.expected_power)
+    return found
 
 
 def _experiment(

@@ -34,7 +34,7 @@ class Tested:
 
 def on_heldout(
     choice: Choice, runs: Sequence[RunData], candidates: Sequence[Candidate], prior_sd: Mapping[str, float],
-    settings: Settings, how: str, shifted: bool,
+    settings: Settings, how: str, shifted: bool, effects: Sequence[str],
 ) -> Tested:
     """Predict held-out runs with what was fitted on the others; nothing of them is fitted, their meters included.
 
@@ -50,21 +50,25 @@ def on_heldout(
         How the runs were chosen.
     shifted : bool
         Whether by a condition.
+    effects : sequence of str
+        Effects that are reported; others in the model stay out of the prediction.
     """
     model, empty = choice.model, choice.empty
     source = make_source(runs, candidates, prior_sd, settings, like=model.source)
     aligned = {id(m): source.design(replace(m.clock, run_delay_s=tuple(0.0 for _ in source.runs)))
                for m in (model, empty)}  # fmt: skip
     with_effects, without = aligned[id(model)], aligned[id(empty)]
+    columns = model.design.layout.columns
+    chosen = tuple(k for k in model.chosen if candidates[columns[k].candidate].effect in effects)
     predictions = {
         "nominal": (without, without.base),
         "recalibrated": (without, prediction(empty, (), without)),
-        "with_effects": (with_effects, prediction(model, model.chosen, with_effects)),
+        "with_effects": (with_effects, prediction(model, chosen, with_effects)),
     }
     energy = {name: energy_error_pct(design, power) for name, (design, power) in predictions.items()}
     rmse = {name: power_rmse_w(design, power) for name, (design, power) in predictions.items()}
     summary = HeldOut(how, tuple(run.run for run in source.runs), energy, rmse, shifted)
-    return Tested(summary, _leaving_out(model, candidates, with_effects))
+    return Tested(summary, _leaving_out(model, chosen, candidates, with_effects))
 
 
 def prediction(model: Model, chosen: Sequence[int], design: Design) -> Array:
@@ -80,11 +84,13 @@ def prediction(model: Model, chosen: Sequence[int], design: Design) -> Array:
     return np.asarray(power)
 
 
-def _leaving_out(model: Model, candidates: Sequence[Candidate], design: Design) -> dict[str, float]:
+def _leaving_out(
+    model: Model, chosen: Sequence[int], candidates: Sequence[Candidate], design: Design
+) -> dict[str, float]:
     columns = model.design.layout.columns
     found: dict[str, float] = {}
-    for effect in dict.fromkeys(candidates[columns[k].candidate].effect for k in model.chosen):
-        rest = tuple(k for k in model.chosen if candidates[columns[k].candidate].effect != effect)
+    for effect in dict.fromkeys(candidates[columns[k].candidate].effect for k in chosen):
+        rest = tuple(k for k in chosen if candidates[columns[k].candidate].effect != effect)
         found[effect] = power_rmse_w(design, prediction(model, rest, design))
     return found
 

@@ -68,6 +68,17 @@ class Manoeuvre:
     parts: tuple[Part, ...]
 
     @property
+    def varies(self) -> frozenset[str]:
+        """Columns that it sets to more than one value, motion aside."""
+        names = {name for part in self.parts for name in part.set}
+        varied = {name for name in names if len({part.set.get(name) for part in self.parts}) > 1}
+        if any(part.slope_rad is not None for part in self.parts):
+            varied.add("slope_rad")
+        if any(len(part.yaw_rates_rad_s) > 0 for part in self.parts):
+            varied.add("yaw_rate_rad_s")
+        return frozenset(varied)
+
+    @property
     def duration_s(self) -> float:
         """Length of all parts."""
         return sum(part.seconds for part in self.parts)
@@ -138,6 +149,9 @@ def library(site: Site) -> list[Manoeuvre]:
     v, top, spin = site.cruise_m_s, site.max_speed_m_s, site.max_yaw_rate_rad_s
     plain: dict[str, Any] = {"payload_kg": 0.0} if "payload_kg" in site.usual else {}
     without = " without payload" if plain else ""
+    if "surface" in site.usual:
+        plain["surface"] = site.usual["surface"]
+        without += f" on {site.usual['surface']}"
     found = [
         Manoeuvre("speed sweep", f"drive straight and level{without} at {_speeds(top)} m/s, 45 s each",
                   (Part(TOTAL_S, tuple(round(f * top, 3) for f in (0.2, 0.45, 0.7, 0.95)), set=plain),)),
@@ -174,22 +188,22 @@ def _varied(site: Site, v: float, plain: Mapping[str, Any], without: str) -> lis
 
     if site.high.get("payload_kg", 0.0) > 0.0:
         load = round(site.high["payload_kg"], 1)
-        base = site.usual.get("surface")
-        where = f" on {base}" if base else ""
+        where = f" on {site.usual['surface']}" if "surface" in site.usual else ""
         pair("payload on and off",
              f"drive straight and level{where} at {v:g} m/s, 90 s without payload and 90 s with {load:g} kg",
              {"payload_kg": 0.0}, {"payload_kg": load})
     surfaces = site.choices.get("surface", ())
     usual = site.usual.get("surface", "")
     for other in (name for name in surfaces if name != usual):
-        pair(f"{usual} and {other}", f"drive {usual} then {other} at {v:g} m/s{without}, level, 90 s each",
+        unloaded = " without payload" if "payload_kg" in site.usual else ""
+        pair(f"{usual} and {other}", f"drive {usual} then {other} at {v:g} m/s{unloaded}, level, 90 s each",
              {"surface": usual}, {"surface": other})
     slope = max(abs(site.low.get("slope_rad", 0.0)), abs(site.high.get("slope_rad", 0.0)))
     if slope > 0.01:
         steep = round(slope, 3)
         found.append(Manoeuvre(
-            "ramp", f"drive up and down a ramp of {np.degrees(steep):.1f} degrees{without} at {v:g} m/s on one "
-            "surface, 3 min", (Part(TOTAL_S, (v,), slope_rad=steep, set=plain),)))
+            "ramp", f"drive up and down a ramp of {np.degrees(steep):.1f} degrees{without} at {v:g} m/s, "
+            "3 min", (Part(TOTAL_S, (v,), slope_rad=steep, set=plain),)))
     if site.high.get("temp_ambient_c", 0.0) - site.low.get("temp_ambient_c", 0.0) > 3.0:
         cold, warm = round(site.low["temp_ambient_c"]), round(site.high["temp_ambient_c"])
         pair("cold and warm", f"drive straight and level{without} at {v:g} m/s, 90 s at {cold:g} °C and 90 s at "

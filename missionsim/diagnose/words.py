@@ -104,6 +104,8 @@ def unsure_line(effect: Finding) -> str:
 
 def next_line(experiment: Experiment) -> str:
     """A proposed manoeuvre."""
+    if not math.isfinite(experiment.separation_after):
+        return f"{experiment.do} ({experiment.minutes:.0f} min)"
     return (f"{experiment.do} ({experiment.minutes:.0f} min): to tell {' from '.join(experiment.separates)}, predicted "
             f"separation {experiment.separation_now:.1f} -> {experiment.separation_after:.0f} nats, resolves with "
             f"probability {experiment.expected_power:.2f}")
