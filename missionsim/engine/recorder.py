@@ -166,6 +166,7 @@ def timeline(
         "speed_m_s": numbers[:, 7] + accel * elapsed,
         "accel_m_s2": accel,
         "lateral_speed_m_s": numbers[:, 9] + lateral_rate * elapsed,
+        "lateral_accel_m_s2": lateral_rate,
         "yaw_rate_rad_s": numbers[:, 11] + yaw_rate * elapsed,
         "moving": moving,
         "moving_time_s": numbers[:, 5],

@@ -18,11 +18,13 @@ def continues(before: Leg, after: Leg) -> bool:
     """Whether the robot keeps moving from one leg into the next.
 
     It does on straight pieces and arcs, and on sideways pieces in one direction, with the same payload (loading
-    means standing) and the same kind of profile.
+    means standing) and the same kind of profile; but not where it goes back on the edge that it came by.
     """
     if before.kind != after.kind or before.kind not in ("roll", "slide"):
         return False
     if before.instant != after.instant or before.settings.payload_kg != after.settings.payload_kg:
+        return False
+    if before.edge is not None and after.edge is not None and before.edge[:2] == after.edge[1::-1]:
         return False
     return before.kind == "roll" or before.direction_rad == after.direction_rad
 
