@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from missionsim.cli.app import run_command
+from missionsim.physics import khepera
 from missionsim.published import fits, hou2019, jaiem2021, parasuraman2012, patrol, rover2025
 from missionsim.published.figures import (
     AGREES,
@@ -24,6 +25,7 @@ from missionsim.published.figures import (
     Item,
     load_figures,
 )
+from missionsim.published.locate import mission, run
 from missionsim.published.reproduce import files, reproduce_paper
 from missionsim.spec import load_robot
 from missionsim.spec.power import build_power_model
@@ -132,6 +134,24 @@ def test_sequence_of_operations_finds_the_components() -> None:
     for noise, tolerance in ((0.0, 1e-9), (0.05, 0.01)):
         for name, watts in parasuraman2012.identified_components(noise, seed=5).items():
             assert watts == pytest.approx(float(robot.components[name].loads[0].power or 0), abs=tolerance)
+
+
+def test_task_a_is_equation_12_and_its_record_equation_16() -> None:
+    result = run(parasuraman2012.TASK_A["wifi"])
+    energy_j = result.batteries["robot"].energy_wh * 3600.0
+    speed = float(mission(parasuraman2012.TASK_A["wifi"]).defaults.speed or 0.0)
+    needed = khepera.energy_needed(
+        result.distance_m, speed, static_w=parasuraman2012.static_power("wifi"),
+        motion_w=parasuraman2012.motion_power(speed), standing_s=25.0,
+    )
+    assert energy_j == pytest.approx(float(needed), rel=1e-12)
+    line = result.timeline
+    time_s = np.arange(0.025, result.duration_s, 0.05)
+    power = result.power_w("robot")[np.searchsorted(line.start_s, time_s, side="right") - 1]
+    measured = khepera.measured_energy(np.full(len(power), 7.4), power / 7.4, 0.05)
+    assert measured == pytest.approx(energy_j, rel=1e-6)
+    assert float(khepera.prediction_error(measured, energy_j)) == pytest.approx(0.0, abs=1e-4)
+    assert float(khepera.energy_left(1000.0, energy_j)) == pytest.approx(1000.0 - energy_j)
 
 
 def test_mecanum_file_is_the_fit_and_beats_the_paper() -> None:
