@@ -1,0 +1,91 @@
+"""A page in headless Chromium: the DOM after its scripts, and what a script of the test found out inside it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+PROBE = """<script>
+"use strict";
+window.found = {errors: []};
+window.addEventListener("error", function (event) { window.found.errors.push(String(event.message)); });
+document.addEventListener("securitypolicyviolation", function (event) {
+  window.found.errors.push("policy: " + event.violatedDirective + " " + event.blockedURI);
+});
+var said = console.error;
+console.error = function () { window.found.errors.push(Array.from(arguments).join(" ")); said.apply(console, arguments); };
+</script>"""
+
+
+def browser() -> str:
+    """Path of a Chromium; skips the test where there is none."""
+    for name in NAMES:
+        path = shutil.which(name)
+        if path:
+            return path
+    pytest.skip(f"no browser is installed (looked for {', '.join(NAMES)})")
+
+
+def run_in_page(html: str, script: str, folder: Path, *, width: int = 1200) -> dict[str, Any]:
+    """Open a page from disk, run `script` in it once it is drawn, and give what it left in ``window.found``.
+
+    Parameters
+    ----------
+    html : str
+        The page.
+    script : str
+        Body of an async function; ``click(element)`` presses the mouse as a user does, ``pause(ms)`` waits.
+    folder : Path
+        For the page and the browser's profile.
+    """
+    driver = """<script>
+    function pause(ms) { return new Promise(function (done) { setTimeout(done, ms); }); }
+    function click(element) {
+      var box = element.getBoundingClientRect();
+      ["mousedown", "mouseup", "click"].forEach(function (kind) {
+        element.dispatchEvent(new MouseEvent(kind, {bubbles: true, cancelable: true, view: window, button: 0,
+          clientX: box.x + box.width / 2, clientY: box.y + box.height / 2}));
+      });
+    }
+    (async function () {
+      await pause(500);
+      try { %s } catch (error) { window.found.errors.push(String(error)); }
+      var out = document.createElement("script");
+      out.type = "application/json"; out.id = "found";
+      out.textContent = btoa(unescape(encodeURIComponent(JSON.stringify(window.found))));
+      document.body.appendChild(out);
+    })();
+    </script>""" % script  # noqa: UP031
+    page = folder / "page.html"
+    page.write_text(html.replace("<style>", PROBE + "<style>", 1).replace("</body>", driver + "</body>"), "utf-8")
+    dom = _call(["--dump-dom", "--virtual-time-budget=12000", f"--window-size={width},1400"], page, folder)
+    match = re.search(r'id="found">([^<]*)<', dom)
+    assert match, f"the page's scripts did not come to their end: {dom[:300]}"
+    import base64
+
+    found: dict[str, Any] = json.loads(base64.b64decode(match[1]))
+    return found
+
+
+def print_to_pdf(html: str, folder: Path) -> Path:
+    """The page on paper."""
+    page, paper = folder / "paper.html", folder / "paper.pdf"
+    page.write_text(html, "utf-8")
+    _call([f"--print-to-pdf={paper}", "--no-pdf-header-footer", "--virtual-time-budget=8000"], page, folder)
+    return paper
+
+
+def _call(options: list[str], page: Path, folder: Path) -> str:
+    command = [
+        browser(), "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
+        "--disable-dev-shm-usage", f"--user-data-dir={folder / 'profile'}", *options, page.as_uri(),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return done.stdout
