@@ -1,0 +1,1 @@
+"""Identification of missing physical effects from measured runs: numeric core (arrays in, findings out)."""

@@ -1,0 +1,139 @@
+"""Stepwise search: add the best effect, refit clock and noise, check the gates, swap, until nothing passes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from missionsim.identify.data import Candidate, Settings
+from missionsim.identify.design import Layout, Source
+from missionsim.identify.gates import Evidence, overdispersion, weigh
+from missionsim.identify.model import Model, fit_model, log_likelihood
+from missionsim.identify.search import Rules, best_set, single_gains
+
+TRIED = 2
+
+
+@dataclass
+class Choice:
+    """Result of the search: the model, what spoke for each column in it, and what was tried and refused."""
+
+    model: Model
+    empty: Model
+    spread: float
+    evidence: dict[int, Evidence]
+    refused: dict[int, Evidence] = field(default_factory=dict)
+
+
+def implied_shift(layout: Layout, candidates: Sequence[Candidate], model: Model, column: int, share: float) -> float:
+    """Shift of the twin base parameter, in prior sd, that a coefficient amounts to; NaN for effects without a twin."""
+    twin = candidates[layout.columns[column].candidate].prior
+    if twin is None or twin not in layout.parameters:
+        return float("nan")
+    q = layout.parameters.index(twin)
+    gradient, phi = model.design.gradient[q], model.design.phi[column]
+    size = float(gradient @ gradient)
+    if size <= 0:
+        return float("nan")
+    return float(share * (phi @ gradient) / size / layout.prior_sd[q])
+
+
+def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) -> Choice:
+    """Search for the missing effects."""
+    layout = source.layout
+    rules = Rules.of(layout, candidates)
+    effects = max(1, len({c.candidate for c in layout.columns}))
+    empty = fit_model(source, ())
+    spread = overdispersion(empty, settings)
+    found = Choice(empty, empty, spread, {})
+    while len(found.model.chosen) < settings.max_effects and layout.columns:
+        step = _next_step(source, candidates, rules, settings, effects, found)
+        if step is None:
+            break
+        found = step
+    return found
+
+
+def _next_step(
+    source: Source,
+    candidates: Sequence[Candidate],
+    rules: Rules,
+    settings: Settings,
+    effects: int,
+    found: Choice,
+) -> Choice | None:
+    model = found.model
+    gains = single_gains(model.gram, rules, model.chosen)
+    order = [int(k) for k in np.argsort(-gains) if np.isfinite(gains[k]) and gains[k] > 2.0]
+    first_of: list[int] = []
+    for k in order:
+        if all(rules.effect[k] != rules.effect[o] for o in first_of):
+            first_of.append(k)
+    trials: list[tuple[int, ...]] = [(*model.chosen, k) for k in first_of[:TRIED]]
+    if not trials:
+        return None
+    if model.chosen:
+        swapped, _ = best_set(model.gram, rules, len(model.chosen) + 1, trials[0])
+        if set(swapped) not in [set(t) for t in trials]:
+            trials.append(swapped)
+    refused = dict(found.refused)
+    options: list[tuple[float, Choice]] = []
+    for trial in trials:
+        fitted = fit_model(source, trial, model, thorough=False)
+        spread = overdispersion(fitted, settings)
+        weighed = {c: _with_twin_limit(weigh(fitted, c, rules, settings, spread, effects), fitted, candidates,
+                                       settings) for c in trial}  # fmt: skip
+        if all(e.accepted for e in weighed.values()):
+            options.append((log_likelihood(fitted), Choice(fitted, found.empty, spread, weighed, refused)))
+        else:
+            new = [c for c in trial if c not in model.chosen]
+            refused.update({c: weighed[c] for c in new if not weighed[c].accepted})
+    found.refused.update(refused)
+    if not options:
+        return None
+    best = max(options, key=lambda o: o[0])[1]
+    best.refused.update(refused)
+    return best
+
+
+def _with_twin_limit(e: Evidence, model: Model, candidates: Sequence[Candidate], settings: Settings) -> Evidence:
+    """Small shifts of a base parameter are recalibration, not an effect."""
+    shift = implied_shift(model.design.layout, candidates, model, e.column, e.share)
+    if np.isfinite(shift):
+        e.passed["beyond recalibration"] = abs(shift) > settings.recalibration_limit
+    return e
+
+
+def forced(source: Source, candidates: Sequence[Candidate], effects: Sequence[str], settings: Settings) -> Choice:
+    """Fit given effects without a search: the best column of each grid, all levels of a label that act.
+
+    Raises
+    ------
+    ValueError
+        If an effect is unknown or has no column that acts in these runs.
+    """
+    layout = source.layout
+    rules = Rules.of(layout, candidates)
+    count = max(1, len({c.candidate for c in layout.columns}))
+    empty = fit_model(source, ())
+    model = empty
+    for name in effects:
+        own = [k for k, c in enumerate(layout.columns) if candidates[c.candidate].effect == name]
+        if not own:
+            raise ValueError(f"effect {name} has no column that acts in these runs")
+        if rules.joint[own[0]]:
+            gains = single_gains(model.gram, rules, model.chosen)
+            new = [k for k in own if np.isfinite(gains[k]) and gains[k] > 0.5] or [own[int(np.argmax(gains[own]))]]
+        else:
+            gains = _unsigned_gains(model, own)
+            new = [own[int(np.argmax(gains))]]
+        model = fit_model(source, (*model.chosen, *new), model, thorough=False)
+    spread = overdispersion(model, settings)
+    return Choice(model, empty, spread, {c: weigh(model, c, rules, settings, spread, count) for c in model.chosen})
+
+
+def _unsigned_gains(model: Model, columns: Sequence[int]) -> list[float]:
+    rest = model.gram.conditional(model.chosen)
+    return [float(0.5 * rest[0, 1 + k] ** 2 / max(rest[1 + k, 1 + k], 1e-300)) for k in columns]

@@ -1,0 +1,98 @@
+"""Which effects these data cannot tell apart (step 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from missionsim.identify.data import Candidate, Settings
+from missionsim.identify.gram import Gram
+from missionsim.identify.model import Model
+from missionsim.identify.result import Pair
+from missionsim.identify.search import Rules, all_sets, set_gains, single_gains
+
+ODDS_NATS = 3.0
+"""A rival 3 nats behind has one twentieth of the weight."""
+EXTRA_EFFECT_NATS = 4.0
+"""Price of an explanation that needs one effect more."""
+
+
+def rivals(
+    model: Model, effect: int, rules: Rules, candidates: Sequence[Candidate], settings: Settings, spread: float
+) -> tuple[str, ...]:
+    """Effects that could stand in the place of `effect` (a candidate number) in the model.
+
+    A rival replaces all columns of the effect, alone or (at a price) with one further effect. Forms are never
+    exact, so a rival is kept also when it loses only a small part of the effect's own gain.
+    """
+    own = [k for k in model.chosen if rules.effect[k] == effect]
+    rest = [k for k in model.chosen if rules.effect[k] != effect]
+    base = model.gram.gain(rest)
+    gain = model.gram.gain(model.chosen) - base
+    tolerance = max(ODDS_NATS * spread, settings.rival_loss * gain)
+    found: dict[int, float] = {}
+    singles = single_gains(model.gram, rules, rest)
+    for k, value in enumerate(singles):
+        other = int(rules.effect[k])
+        if other != effect and np.isfinite(value) and value > 0:
+            found[other] = max(found.get(other, -np.inf), float(value))
+    if len(own) == 1:
+        for other, value in _pairs_without(model.gram, rules, rest, effect).items():
+            found[other] = max(found.get(other, -np.inf), value - base - EXTRA_EFFECT_NATS * spread)
+    close = {other: value for other, value in found.items() if gain - value < tolerance}
+    ordered = sorted(close, key=lambda o: -close[o])
+    return tuple(candidates[o].effect for o in ordered)
+
+
+def _pairs_without(gram: Gram, rules: Rules, rest: Sequence[int], effect: int) -> dict[int, float]:
+    """Best total gain of rest plus two effects other than `effect`, credited to the more important of the two."""
+    if len(rest) > 1:
+        return {}
+    sets = all_sets(rules, 2 + len(rest))
+    keep = np.all(rules.effect[sets] != effect, axis=1)
+    for k in rest:
+        keep &= np.any(sets == k, axis=1)
+    sets = sets[keep]
+    if not len(sets):
+        return {}
+    gains = set_gains(gram, rules, sets)
+    out: dict[int, float] = {}
+    singles = 0.5 * gram.full[0, 1:] ** 2 / np.maximum(np.diag(gram.full)[1:], 1e-300)
+    for row in np.argsort(-gains)[:40]:
+        if not np.isfinite(gains[row]):
+            break
+        new = [k for k in sets[row] if k not in rest]
+        for k in new if len(new) == 2 and singles[new].min() > 0.5 * singles[new].max() else [max(
+            new, key=lambda k: singles[k])]:  # fmt: skip
+            other = int(rules.effect[k])
+            out[other] = max(out.get(other, -np.inf), float(gains[row]))
+    return out
+
+
+def pairs(model: Model, rules: Rules, candidates: Sequence[Candidate], gram: Gram | None = None) -> tuple[Pair, ...]:
+    """Correlation and separation of each effect in the model from every other effect.
+
+    Columns are whitened, with base parameters, run effects and the rest of the model projected out; r is 0 where
+    the sign of the coefficient forbids the imitation.
+    """
+    gram = gram or model.gram
+    out: list[Pair] = []
+    for a in model.chosen:
+        rest = [k for k in model.chosen if k != a]
+        left = gram.conditional(rest)
+        value = float(model.gram.coefficients(model.chosen)[0][list(model.chosen).index(a)])
+        best: dict[int, float] = {}
+        for b in range(gram.p):
+            other = int(rules.effect[b])
+            if other == rules.effect[a] or b in rest or left[1 + b, 1 + b] <= 1e-9 * gram.full[1 + b, 1 + b]:
+                continue
+            r = float(left[1 + a, 1 + b] / np.sqrt(left[1 + a, 1 + a] * left[1 + b, 1 + b]))
+            if rules.sign[b] * r * value < 0:
+                r = 0.0
+            if abs(r) > abs(best.get(other, -1e-9)) or other not in best:
+                best[other] = r
+        strength = 0.5 * value**2 * float(left[1 + a, 1 + a])
+        name = candidates[int(rules.effect[a])].effect
+        out += [Pair(name, candidates[o].effect, r, strength * (1 - min(1.0, r * r))) for o, r in best.items()]
+    return tuple(out)

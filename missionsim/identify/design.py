@@ -1,0 +1,256 @@
+"""Assemble all runs into one regression: y - P0 = N nu + Phi beta + Z_j u_j + noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.identify.align import Clock, RunColumns, find_clock, make_bins
+from missionsim.identify.data import DEFAULT_PRIOR_SD, Array, Candidate, RunData, Settings
+
+DERIVATIVE_STEP_S = 0.2
+CLOCK_SD_S = 0.15
+CLOCK_SD_S2 = 0.05
+"""What is left of the common delay and lag after they were found [s, s2]."""
+SWITCH_SD = 0.5
+"""Part of a row that counts as switched on though the switch fell inside it (row values hold whole rows)."""
+NUISANCE_COUNT = 3
+RANDOM_NAMES = ("meter offset", "meter gain", "motion gain", "clock jitter", "lag jitter")
+
+
+@dataclass(frozen=True)
+class Column:
+    """One regression column: which candidate it belongs to and what one share of energy means for it."""
+
+    candidate: int
+    position: int
+    name: str
+    watts_per_unit: float
+    """Mean |power| for coefficient 1; the column is divided by it and multiplied by the mean measured power."""
+    mix: tuple[tuple[str, float], ...] = ()
+    """After a refit of the shape: grid columns and weights that stand for the column in other runs."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What all runs have in common: parameter order, priors, column scales, analysis step.
+
+    ``prior_sd`` holds the relative sd of each base parameter, then those of the common delay, of the lag, and
+    of switching inside a row.
+    """
+
+    parameters: tuple[str, ...]
+    prior_sd: Array
+    columns: tuple[Column, ...]
+    mean_power_w: float
+    step_s: float
+
+
+@dataclass(frozen=True)
+class Design:
+    """Rows of all runs one after the other, at the analysis rate.
+
+    Shapes: ``y``, ``base``, ``duration_s``, ``time_s`` (n,); ``gradient`` (q+3, n); ``phi`` (p, n), in watts for a
+    coefficient that makes 100 % of the mean measured power; ``random`` (5, n). ``gradient`` ends with three nuisances: the
+    first and second derivative of the base model after the delay, and the jumps at rows where a term switches. ``runs`` are slices, ``stretches``
+    are slices without a gap.
+    """
+
+    layout: Layout
+    y: Array
+    base: Array
+    duration_s: Array
+    time_s: Array
+    gradient: Array
+    phi: Array
+    random: Array
+    runs: tuple[slice, ...]
+    stretches: tuple[slice, ...]
+    names: tuple[str, ...]
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus base model [W], shape (n,)."""
+        return self.y - self.base
+
+    def run_index(self) -> NDArray[np.intp]:
+        """Number of the run of each row, shape (n,)."""
+        out = np.empty(len(self.y), dtype=np.intp)
+        for j, rows in enumerate(self.runs):
+            out[rows] = j
+        return out
+
+
+@dataclass
+class Source:
+    """Runs at the raw rate, kept so that the design can be rebuilt for another clock or other columns."""
+
+    runs: tuple[RunData, ...]
+    columns: list[RunColumns]
+    covariates: tuple[str, ...]
+    layout: Layout
+    clock: Clock
+    aligned: bool = False
+    kept: tuple[int, ...] = ()
+    """Numbers of the given runs that were long enough."""
+
+    def design(self, clock: Clock, only: Sequence[int] | None = None) -> Design:
+        """Build the regression for a clock, with all candidate columns or some only."""
+        q = len(self.layout.parameters)
+        chosen = list(range(len(self.layout.columns))) if only is None else list(only)
+        rows_wanted = [*range(3 + q), *(3 + q + k for k in chosen)]
+        blocks: list[Array] = []
+        runs: list[slice] = []
+        stretches: list[slice] = []
+        total = 0
+        for j, run in enumerate(self.columns):
+            delay = clock.delay_s + clock.run_delay_s[j]
+            here = run.averaged(delay, clock.lag_s, rows_wanted)
+            later = run.averaged(delay + DERIVATIVE_STEP_S, clock.lag_s, [0])[0]
+            earlier = run.averaged(delay - DERIVATIVE_STEP_S, clock.lag_s, [0])[0]
+            bins = run.bins
+            blocks.append(
+                np.vstack(
+                    [
+                        bins.measured_w,
+                        bins.high_s - bins.low_s,
+                        0.5 * (bins.high_s + bins.low_s),
+                        here[0],
+                        (later - earlier) / (2 * DERIVATIVE_STEP_S),
+                        (later - 2 * here[0] + earlier) / DERIVATIVE_STEP_S**2,
+                        here[1:],
+                    ]
+                )
+            )
+            count = len(bins.measured_w)
+            runs.append(slice(total, total + count))
+            ends = [*(total + bins.starts[1:]), total + count]
+            stretches += [slice(int(total + a), int(b)) for a, b in zip(bins.starts, ends, strict=True)]
+            total += count
+        rows = np.hstack(blocks)
+        scale = np.array([self.layout.mean_power_w / self.layout.columns[k].watts_per_unit for k in chosen])
+        base = rows[3]
+        random = np.vstack([np.ones(total), base, rows[6], rows[4], rows[5]])
+        return Design(
+            self.layout, rows[0], base, rows[1], rows[2], np.vstack([rows[8 : 8 + q], rows[4:6], rows[7]]),
+            rows[8 + q :] * scale[:, None], random,
+            tuple(runs), tuple(stretches), tuple(r.run for r in self.runs),
+        )  # fmt: skip
+
+    def averaged(self, raw: Sequence[Array], clock: Clock) -> Array:
+        """Any raw columns, one array (k, rows) a run, averaged to the analysis rate with a clock, shape (k, n)."""
+        parts = []
+        for j, (run, columns) in enumerate(zip(self.runs, self.columns, strict=True)):
+            one = RunColumns.of(run, columns.bins, list(np.nan_to_num(np.asarray(raw[j], dtype=float))))
+            parts.append(one.averaged(clock.delay_s + clock.run_delay_s[j], clock.lag_s))
+        return np.hstack(parts)
+
+
+def switch_jumps(run: RunData) -> Array:
+    """Power that terms of the base model switch on or off at the edge of each row [W], shape (n,).
+
+    A term switches where its gradient goes from or to zero; the jump is booked on the side with more power, which
+    counts as wholly on although the switch may fall anywhere inside the row.
+    """
+    out = np.zeros(len(run.time_s))
+    if not run.gradient:
+        return out
+    terms = np.vstack(list(run.gradient.values()))
+    on = terms != 0.0
+    jump = np.sum(np.where(on[:, 1:] != on[:, :-1], np.diff(terms, axis=1), 0.0), axis=0)
+    out[1:] += np.maximum(jump, 0.0)
+    out[:-1] += np.maximum(-jump, 0.0)
+    return out
+
+
+def analysis_step(runs: Sequence[RunData], period_s: float) -> float:
+    """Typical length of an analysis interval [s]."""
+    steps = []
+    for run in runs:
+        times = run.time_s if run.fresh is None else run.time_s[run.fresh]
+        step = float(np.median(np.diff(times)))
+        steps.append(step * max(1, round(period_s / step)))
+    return float(np.median(steps))
+
+
+def make_source(
+    runs: Sequence[RunData],
+    candidates: Sequence[Candidate],
+    prior_sd: Mapping[str, float],
+    settings: Settings,
+    like: Source | None = None,
+) -> Source:
+    """Prepare runs; with `like`, reuse its layout and clock (for held-out runs).
+
+    Candidates without a column in every run, or whose columns never act, get no regression column.
+    """
+    if not runs:
+        raise ValueError("identify needs at least one run")
+    bins = [make_bins(run, settings.period_s) for run in runs]
+    kept = tuple(i for i, b in enumerate(bins) if len(b.measured_w) >= 8)
+    runs, bins = [runs[i] for i in kept], [bins[i] for i in kept]
+    if not runs:
+        raise ValueError("no run has at least 8 analysis intervals with measured power")
+    layout = like.layout if like else _layout(runs, candidates, prior_sd, settings)
+    columns: list[RunColumns] = []
+    for run, b in zip(runs, bins, strict=True):
+        zero = np.zeros_like(run.base_w)
+        speed = np.abs(run.covariates.get("speed_m_s", zero))
+        motion = np.nan_to_num(speed)
+        rows = [run.base_w, motion, switch_jumps(run)]
+        rows += [run.gradient[name] for name in layout.parameters]
+        rows += [_raw_column(run, c) for c in layout.columns]
+        columns.append(RunColumns.of(run, b, rows))
+    # a unit of the random "motion gain" is the mean measured power
+    moving = np.concatenate([c.values[1] for c in columns])
+    level = float(np.mean(moving))
+    for c in columns:
+        c.values[1] *= layout.mean_power_w / level if level > 0 else 0.0
+    clock = like.clock if like else Clock(0.0, 0.0, ())
+    clock = replace(clock, run_delay_s=tuple(0.0 for _ in runs))
+    source = Source(tuple(runs), columns, _common_covariates(runs), layout, clock, kept=kept)
+    if like is None and settings.align:
+        found = find_clock(columns, layout.step_s)
+        source.clock = replace(found, run_delay_s=tuple(0.0 for _ in runs))
+        source.aligned = True
+    return source
+
+
+def _raw_column(run: RunData, column: Column) -> Array:
+    zero = np.zeros_like(run.base_w)
+    if not column.mix:
+        return run.columns.get(column.name, zero)
+    return np.asarray(sum((w * run.columns.get(name, zero) for name, w in column.mix), start=zero))
+
+
+def _common_covariates(runs: Sequence[RunData]) -> tuple[str, ...]:
+    names = set(runs[0].covariates)
+    for run in runs[1:]:
+        names &= set(run.covariates)
+    return tuple(n for n in runs[0].covariates if n in names)
+
+
+def _layout(
+    runs: Sequence[RunData], candidates: Sequence[Candidate], prior_sd: Mapping[str, float], settings: Settings
+) -> Layout:
+    parameters = tuple(n for n in runs[0].gradient if all(n in r.gradient for r in runs))
+    parameters = tuple(n for n in parameters if any(np.any(r.gradient[n] != 0) for r in runs))
+    energy = sum(float(np.nansum(r.measured_w * r.dt_s)) for r in runs)
+    seconds = sum(float(np.sum(r.dt_s[np.isfinite(r.measured_w)])) for r in runs)
+    mean_power = abs(energy / seconds)
+    if not mean_power > 0:
+        raise ValueError("the measured mean power is zero")
+    columns = []
+    for number, candidate in enumerate(candidates):
+        for position, name in enumerate(candidate.columns):
+            if not all(name in r.columns for r in runs):
+                continue
+            total = sum(float(np.sum(np.abs(r.columns[name]) * r.dt_s)) for r in runs)
+            mean = total / sum(float(np.sum(r.dt_s)) for r in runs)
+            if np.isfinite(mean) and mean > 1e-12 * mean_power:
+                columns.append(Column(number, position, name, mean))
+    sd = np.array([*(prior_sd.get(n, DEFAULT_PRIOR_SD) for n in parameters), CLOCK_SD_S, CLOCK_SD_S2, SWITCH_SD])
+    return Layout(parameters, sd, tuple(columns), mean_power, analysis_step(runs, settings.period_s))

@@ -1,0 +1,121 @@
+"""One fitted model: clock, noise and Gram matrices for a set of chosen effects, fitted in turns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from missionsim.identify.align import Clock
+from missionsim.identify.design import Design, Source
+from missionsim.identify.gram import Gram, eliminate_random, make_gram, project, random_effects, raw_blocks
+from missionsim.identify.noise import Noise, fit_noise, start_factor
+
+LARGEST_RUN_DELAY_S = 0.6
+
+
+@dataclass(frozen=True)
+class Model:
+    """Everything known once a set of effects is in the model.
+
+    Attributes
+    ----------
+    chosen : numbers of the regression columns in the model
+    design, noise, gram : at the clock of this model
+    """
+
+    source: Source
+    chosen: tuple[int, ...]
+    clock: Clock
+    design: Design
+    noise: Noise
+
+    @cached_property
+    def gram(self) -> Gram:
+        """Gram matrices of all columns."""
+        return make_gram(self.design, self.noise)
+
+    @cached_property
+    def innovations(self) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+        """Whitened residual, shape (n,)."""
+        return np.asarray(project(self.design, self.noise, self.design.residual[None, :], self.chosen).rows[0])
+
+
+def score(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> float:
+    """Log-likelihood of the chosen columns at a clock, noise given; base parameters and run effects integrated out."""
+    design = source.design(clock, chosen)
+    rows = np.vstack([design.residual, design.gradient, design.phi, design.random])
+    blocks, _ = raw_blocks(design, noise, rows)
+    reduced, log_det = eliminate_random(blocks, noise.random_sd())
+    gram = Gram(reduced, design.layout.prior_sd**-2.0)
+    spread = sum((d / 0.2) ** 2 for d in clock.run_delay_s)
+    return gram.evidence(range(len(chosen))) - 0.5 * float(log_det.sum()) - 0.5 * spread
+
+
+def refine_clock(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int], rounds: int = 2) -> Clock:
+    """Common delay and lag by pattern search, delays of single runs from their jitter effect, in turns."""
+    reach = max(1.0, source.layout.step_s)
+    for _ in range(rounds):
+        clock = _search_common(source, clock, noise, chosen, reach)
+        if len(source.runs) > 1:
+            clock = _move_runs(source, clock, noise, chosen)
+    return clock
+
+
+def _search_common(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int], reach: float) -> Clock:
+    seen: dict[tuple[float, float], float] = {}
+
+    def value(delay: float, lag: float) -> float:
+        key = (round(delay, 3), round(lag, 3))
+        if key not in seen:
+            seen[key] = score(source, replace(clock, delay_s=key[0], lag_s=key[1]), noise, chosen)
+        return seen[key]
+
+    centre = (round(clock.delay_s, 3), round(clock.lag_s, 3))
+    for width in (0.1 * reach, 0.05 * reach):
+        for _ in range(6):
+            steps = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, -1), (-1, 1), (-1, 2), (1, -2)]
+            around = [(centre[0] + i * width, max(0.0, centre[1] + j * width)) for i, j in steps]
+            top = max(around, key=lambda k: value(*k))
+            top = (round(top[0], 3), round(top[1], 3))
+            if top == centre or value(*top) < value(*centre) + 0.05:
+                break
+            centre = top
+    edge = 1.0 * reach
+    return replace(clock, delay_s=centre[0], lag_s=centre[1], at_edge=abs(centre[0]) > edge or centre[1] > 1.3 * reach)
+
+
+def _move_runs(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> Clock:
+    design = source.design(clock, chosen)
+    wide = random_effects(design, noise, range(len(chosen)))[:, 3]
+    delays = np.asarray(clock.run_delay_s) + wide
+    mean = float(np.mean(delays))
+    own = np.clip(delays - mean, -LARGEST_RUN_DELAY_S, LARGEST_RUN_DELAY_S)
+    return replace(clock, delay_s=clock.delay_s + mean, run_delay_s=tuple(float(d) for d in own))
+
+
+def fit_model(source: Source, chosen: Sequence[int], start: Model | None = None, thorough: bool = True) -> Model:
+    """Fit clock and noise for a set of effects, starting from a neighbouring model."""
+    chosen = tuple(chosen)
+    clock = start.clock if start else source.clock
+    design = source.design(clock)
+    noise = fit_noise(design, chosen, start.noise if start else None, thorough=start is None)
+    if source.aligned:
+        clock = refine_clock(source, clock, noise, chosen)
+        design = source.design(clock)
+        noise = fit_noise(design, chosen, noise, thorough=thorough)
+    return Model(source, chosen, clock, design, noise)
+
+
+def log_likelihood(model: Model) -> float:
+    """Log evidence of the model with its own noise, for comparing models whose noise was fitted separately."""
+    noise, design = model.noise, model.design
+    rows = np.vstack([design.residual, design.gradient, design.phi[list(model.chosen)], design.random])
+    blocks, _ = raw_blocks(design, noise, rows)
+    reduced, log_det = eliminate_random(blocks, noise.random_sd())
+    gram = Gram(reduced, design.layout.prior_sd**-2.0)
+    start = 0.5 * len(design.stretches) * start_factor(*noise.shape)[2]
+    level = float(np.sum(np.log(noise.sigma_w * noise.scale / np.sqrt(noise.weight)))) + start
+    return gram.evidence(range(len(model.chosen))) - 0.5 * float(log_det.sum()) - level

@@ -1,0 +1,323 @@
+"""Noise of the power: fast and slow AR(1) parts and white noise, levels that differ between runs (step 2).
+
+Two AR(1) processes beside white noise make an ARMA(2,2) process; its moving-average part comes from spectral
+factorisation, so that whitening is one recursive filter. Runs differ by meter offset, meter gain, motion gain,
+clock jitter and lag jitter: random effects that are integrated out (`missionsim.identify.gram`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from missionsim.identify.data import Array
+from missionsim.identify.design import Design
+
+JITTER_SD_S = 0.10
+LAG_JITTER_SD_S2 = 0.05
+HUBER = 2.5
+START_ROWS = 40
+SPLIT_S = 25.0
+"""Border between the correlation times of the fast and of the slow part [s]."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise parameters.
+
+    ``sigma_w`` is the standard deviation of the one-step innovation at mean power; ``fast_share`` and ``slow_share``
+    are parts of the variance; ``exponent`` says how the noise grows with power; ``offset_w``, ``gain`` and
+    ``motion_gain`` are the standard deviations between runs (W, relative, share of mean power); ``ramp_error`` and
+    ``switch_error`` are squared relative errors where the base model changes or switches; ``weight`` (n,) down-weights such rows and outliers.
+    """
+
+    step_s: float
+    fast_s: float
+    slow_s: float
+    fast_share: float
+    slow_share: float
+    sigma_w: float
+    exponent: float
+    offset_w: float
+    gain: float
+    motion_gain: float
+    ramp_error: float
+    switch_error: float
+    weight: Array
+    scale: Array
+
+    def random_sd(self) -> Array:
+        """Standard deviations of the random effects between runs, shape (5,)."""
+        return np.array([self.offset_w, self.gain, self.motion_gain, JITTER_SD_S, LAG_JITTER_SD_S2])
+
+    def filter(self) -> tuple[Array, Array, float]:
+        """AR and MA polynomials and the ratio sd(noise) / sd(innovation)."""
+        return arma_of(*self.shape)
+
+    @property
+    def shape(self) -> tuple[float, float, float, float, float]:
+        """Analysis step and the four shape parameters."""
+        return self.step_s, self.fast_s, self.slow_s, self.fast_share, self.slow_share
+
+    @property
+    def total_sd_w(self) -> float:
+        """Standard deviation of the noise at mean power [W]."""
+        return self.sigma_w * self.filter()[2]
+
+
+def arma_of(
+    step_s: float, fast_s: float, slow_s: float, fast_share: float, slow_share: float
+) -> tuple[Array, Array, float]:
+    """Sum of two AR(1) processes and white noise as ARMA(2,2).
+
+    Returns the AR polynomial, the invertible MA polynomial and sd(process) / sd(innovation).
+    """
+    r1, r2 = np.exp(-step_s / fast_s), np.exp(-step_s / slow_s)
+    v1, v2 = fast_share * (1 - r1**2), slow_share * (1 - r2**2)
+    white = max(1e-6, 1.0 - fast_share - slow_share)
+    ar = np.array([1.0, -(r1 + r2), r1 * r2])
+    g0 = v1 * (1 + r2**2) + v2 * (1 + r1**2) + white * float(ar @ ar)
+    g1 = -v1 * r2 - v2 * r1 + white * (ar[0] * ar[1] + ar[1] * ar[2])
+    g2 = white * ar[0] * ar[2]
+    # with x = z + 1/z the spectrum of the MA part is a quadratic in x
+    square = np.sqrt(complex(g1 * g1 - 4 * g2 * (g0 - 2 * g2)))
+    poly = np.array([1.0 + 0j])
+    for x in ((-g1 + square) / (2 * g2), (-g1 - square) / (2 * g2)):
+        half = np.sqrt(x * x / 4 - 1 + 0j)
+        root = min(x / 2 + half, x / 2 - half, key=abs)
+        poly = np.convolve(poly, np.array([1.0, -root]))
+    ma = poly.real
+    innovation = np.sqrt(g2 / ma[2]) if abs(ma[2]) > 1e-12 else np.sqrt(g0)
+    return ar, ma, float(1.0 / innovation)
+
+
+@lru_cache(maxsize=16)
+def start_factor(
+    step_s: float, fast_s: float, slow_s: float, fast_share: float, slow_share: float
+) -> tuple[Array, Array, float]:
+    """Exact whitening of the first rows of a stretch, where the recursive filter has no past yet.
+
+    Returns the inverse Cholesky factor of their correlation matrix, the factor's diagonal (both for unit variance of
+    the noise) and the log-determinant that the start adds to that of the filter.
+    """
+    rows = np.arange(START_ROWS)
+    lags = step_s * rows
+    correlation = fast_share * np.exp(-lags / fast_s) + slow_share * np.exp(-lags / slow_s)
+    correlation[0] = 1.0 + 1e-9
+    factor = np.linalg.cholesky(correlation[np.abs(rows[:, None] - rows)])
+    ratio = arma_of(step_s, fast_s, slow_s, fast_share, slow_share)[2]
+    diagonal = np.diag(factor)
+    excess = 2.0 * float(np.sum(np.log(diagonal * ratio)))
+    return np.linalg.inv(factor), diagonal, excess
+
+
+def whiten(design: Design, noise: Noise, rows: Array) -> Array:
+    """Rows (k, n) divided by scale, filtered to white noise of unit variance, outliers down-weighted."""
+    from scipy.signal import lfilter
+
+    ar, ma, ratio = noise.filter()
+    inverse, diagonal, _ = start_factor(*noise.shape)
+    scaled = rows / noise.scale
+    out = np.empty_like(scaled)
+    for part in design.stretches:
+        x = scaled[:, part]
+        head = min(START_ROWS, x.shape[1])
+        piece = np.empty_like(x)
+        piece[:, :head] = x[:, :head] @ inverse[:head, :head].T
+        if x.shape[1] > head:
+            e1 = piece[:, head - 1] * diagonal[head - 1]
+            e2 = piece[:, head - 2] * diagonal[head - 2]
+            x1, x2 = x[:, head - 1], x[:, head - 2]
+            first = ar[1] * x1 + ar[2] * x2 - ma[1] * e1 - ma[2] * e2
+            second = ar[2] * x1 - ma[2] * e1
+            piece[:, head:], _ = lfilter(ar, ma, x[:, head:], axis=1, zi=np.stack([first, second], axis=1))
+        piece[:, :head] /= ratio
+        out[:, part] = piece
+    out *= np.sqrt(noise.weight) / noise.sigma_w
+    return out
+
+
+def start_noise(design: Design) -> Noise:
+    """First guess, from published figures: 3 % noise, mostly a few seconds long, meters apart by 0.5 %."""
+    power = design.layout.mean_power_w
+    n = len(design.y)
+    step = design.layout.step_s
+    sigma = 0.02 * power * min(1.0, np.sqrt(step))
+    has_motion = 0.005 if np.any(design.random[2]) else 1e-6
+    return Noise(
+        step, max(4.0, 2 * step), max(60.0, 20 * step), 0.6, 0.1, sigma, 0.0, 0.005 * power, 0.005, has_motion, 0.0, 0.0,
+        np.ones(n), np.ones(n),
+    )  # fmt: skip
+
+
+def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None, thorough: bool = True) -> Noise:
+    """Noise by restricted maximum likelihood with the chosen candidates in the mean.
+
+    Weak log-normal priors hold parameters that few runs cannot show. Alternates between filter parameters (each
+    needs the data) and the levels between runs (need Gram matrices only), then heteroscedasticity and outliers.
+    """
+    from missionsim.identify.gram import raw_blocks
+
+    noise = guess or start_noise(design)
+    rows = np.vstack([design.residual, design.gradient, design.phi[list(chosen)], design.random])
+    for round_ in range(2 if thorough else 1):
+        noise = _fit_filter(design, noise, rows, len(chosen), 110 if round_ == 0 else 60)
+        blocks, _ = raw_blocks(design, replace(noise, sigma_w=1.0), rows)
+        noise = _fit_levels(design, noise, blocks, len(chosen))
+        if round_ == 0:
+            noise = _fit_scale(design, noise, chosen)
+    return noise
+
+
+def _objective(design: Design, noise: Noise, blocks: Array, count: int, chosen: int) -> float:
+    """Minus two times the restricted log-likelihood plus priors, from blocks whitened with sigma 1."""
+    from missionsim.identify.gram import eliminate_random
+
+    q = len(design.layout.prior_sd)
+    per_run, log_det = eliminate_random(blocks / noise.sigma_w**2, noise.random_sd())
+    total = per_run.sum(axis=0)
+    size = 1 + q + chosen
+    inner = total[1:size, 1:size].copy()
+    precision = np.concatenate([design.layout.prior_sd**-2.0, np.full(chosen, 4.0)])
+    inner[np.diag_indices(q + chosen)] += precision
+    factor = np.linalg.cholesky(inner) if q + chosen else np.empty((0, 0))
+    rss = total[0, 0]
+    if q + chosen:
+        half = np.linalg.solve(factor, total[1:size, 0])
+        rss -= half @ half
+    det = 2 * float(np.sum(np.log(np.diag(factor)))) - float(np.sum(np.log(precision)))
+    start = len(design.stretches) * start_factor(*noise.shape)[2]
+    return float(count * np.log(noise.sigma_w**2) + log_det.sum() + rss + det + start + _prior(design, noise))
+
+
+def _prior(design: Design, noise: Noise) -> float:
+    power = design.layout.mean_power_w
+    h = noise.step_s
+    white = max(1e-6, 1 - noise.fast_share - noise.slow_share)
+    terms = [
+        (np.log(noise.offset_w / (0.005 * power)), 1.0),
+        (np.log(noise.gain / 0.005), 1.0),
+        (np.log(noise.motion_gain / 0.005), 1.0),
+        (np.log(noise.fast_s / max(4.0, 1.5 * h)), 0.9),
+        (np.log(noise.slow_s / max(50.0, 20 * h)), 0.6),
+        (np.log(noise.slow_share / white) + 1.5, 1.5),
+        (np.log(noise.fast_share / white) - 0.5, 2.0),
+    ]
+    return float(sum((value / sd) ** 2 for value, sd in terms))
+
+
+def _fit_filter(design: Design, noise: Noise, rows: Array, chosen: int, evaluations: int) -> Noise:
+    from scipy.optimize import minimize
+
+    from missionsim.identify.gram import raw_blocks
+
+    count = len(design.y)
+    border = max(SPLIT_S, 10 * noise.step_s)
+
+    def at(x: Array) -> Noise:
+        odds = np.exp(np.clip(x[2:4], -12, 12))
+        shares = odds / (1 + odds.sum())
+        return replace(
+            noise, fast_s=float(np.exp(x[0])), slow_s=float(np.exp(x[1])), fast_share=float(shares[0]),
+            slow_share=float(shares[1]), sigma_w=float(np.exp(x[4])),
+        )  # fmt: skip
+
+    def cost(x: Array) -> float:
+        if not (0.05 * noise.step_s < np.exp(x[0]) < border < np.exp(x[1]) < 40 * border):
+            return 1e12
+        trial = at(x)
+        blocks, _ = raw_blocks(design, replace(trial, sigma_w=1.0), rows)
+        return _objective(design, trial, blocks, count, chosen)
+
+    white = max(1e-6, 1 - noise.fast_share - noise.slow_share)
+    x0 = np.array(
+        [
+            np.log(noise.fast_s),
+            np.log(noise.slow_s),
+            np.log(noise.fast_share / white),
+            np.log(noise.slow_share / white),
+            np.log(noise.sigma_w),
+        ]  # fmt: skip
+    )
+    simplex = np.vstack([x0] + [x0 + step for step in np.diag([0.5, 0.4, 0.7, 0.7, 0.3])])
+    found = minimize(
+        cost, x0, method="Nelder-Mead",
+        options={"maxfev": evaluations, "initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05},
+    )  # fmt: skip
+    return at(found.x)
+
+
+def _fit_levels(design: Design, noise: Noise, blocks: Array, chosen: int) -> Noise:
+    from scipy.optimize import minimize
+
+    count = len(design.y)
+    names = ["sigma_w", "offset_w", "gain"] + (["motion_gain"] if np.any(design.random[2]) else [])
+
+    def at(x: Array) -> Noise:
+        return replace(noise, **{n: float(v) for n, v in zip(names, np.exp(np.clip(x, -25, 15)), strict=True)})
+
+    x0 = np.log([getattr(noise, n) for n in names])
+    found = minimize(
+        lambda x: _objective(design, at(x), blocks, count, chosen), x0, method="Nelder-Mead",
+        options={"maxfev": 160, "xatol": 0.03, "fatol": 0.05,
+                 "initial_simplex": np.vstack([x0] + [x0 + s for s in np.diag([0.1, *([0.5] * (len(names) - 1))])])},
+    )  # fmt: skip
+    return at(found.x)
+
+
+def _fit_scale(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:
+    """Growth of the noise with power, and Huber weights, from the innovations."""
+    from missionsim.identify.gram import innovations
+
+    e = innovations(design, replace(noise, weight=np.minimum(1.0, noise.weight)), chosen) / np.sqrt(noise.weight)
+    level = np.log(np.maximum(design.base, 0.05 * design.layout.mean_power_w) / design.layout.mean_power_w)
+    spread = float(np.var(level))
+    exponent = noise.exponent
+    if spread > 1e-4:
+        size = np.log(np.maximum(np.abs(e), 0.05))
+        slope = float(np.mean((level - level.mean()) * (size - size.mean()))) / spread
+        certainty = len(e) * spread / (len(e) * spread + 1.2 / 0.25)
+        exponent = float(np.clip(noise.exponent + certainty * slope, 0.0, 1.5))
+    scale = np.exp(exponent * level)
+    e = e * noise.scale / scale
+    ramp, switch = _edge_variance(design, noise, scale)
+    tried_ramp = np.concatenate([[0.0], np.geomspace(3e-4, 0.3, 13)])
+    tried_switch = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 9)]) if np.any(switch) else np.zeros(1)
+    grid = np.array([(a, b) for a in tried_ramp for b in tried_switch])
+    near = (ramp > 0.01) | (switch > 0.01)
+    variance = 1.0 + grid @ np.vstack([ramp[near], switch[near]])
+    cost = np.sum(np.log(variance) + np.minimum(e[near] ** 2, 25.0) / variance, axis=1)
+    ramp_error, switch_error = (float(x) for x in grid[int(np.argmin(cost))])
+    variance = 1.0 + ramp_error * ramp + switch_error * switch
+    e = e / np.sqrt(variance)
+    typical = 1.4826 * float(np.median(np.abs(e)))
+    huber = np.minimum(1.0, HUBER / np.maximum(np.abs(e) / max(typical, 1e-9), 1e-9))
+    return replace(
+        noise, exponent=exponent, scale=scale, ramp_error=ramp_error, switch_error=switch_error, weight=huber / variance
+    )
+
+
+def _edge_variance(design: Design, noise: Noise, scale: Array) -> tuple[Array, Array]:
+    """Squared change of the base model around each row, and squared jumps of its switching terms, both in innovation
+    variances and with their echo in the next row.
+
+    Where the model changes fast, small errors of time, speed or of the moving/standing threshold are large errors
+    of power; such rows say less.
+    """
+    ar, ma, _ = noise.filter()
+    echo = float(ar[1] - ma[1]) ** 2
+    jumps = design.gradient[-1]
+    out = np.empty((2, len(design.y)))
+    for part in design.stretches:
+        base = design.base[part]
+        change = np.abs(np.diff(base, prepend=base[0], append=base[-1]))
+        jump = np.pad(jumps[part], 1)
+        unit = noise.sigma_w * scale[part]
+        square = np.vstack([np.maximum(change[1:], change[:-1]), np.maximum(jump[:-2], jump[1:-1])]) / unit
+        square *= square
+        out[:, part] = square
+        out[:, part.start + 1 : part.stop] += echo * square[:, :-1]
+    return out[0], out[1]

@@ -1,0 +1,192 @@
+"""What remains in the residual: dependence on a covariate, wrong form of an effect, periodic load (step 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from missionsim.identify.data import Array, Settings
+from missionsim.identify.gates import block_numbers
+from missionsim.identify.gram import project
+from missionsim.identify.model import Model
+from missionsim.identify.result import Structure
+
+KNOTS = 6
+LONG_BLOCK_S = 60.0
+LOUD = 1e-4
+PERIODIC = 1e-6
+MAGNITUDE_OF = {"yaw_rate_rad_s", "speed_m_s", "lateral_speed_m_s"}
+TIMES_SPEED = {"slope_rad", "payload_kg", "temp_ambient_c", "temp_motor_c"}
+
+
+def knots_of(values: Array) -> Array:
+    """Knots of a piecewise linear curve: between the 2 % and 98 % quantile, ends included; fewer for few values."""
+    distinct = np.unique(np.round(values, 9))
+    if len(distinct) <= KNOTS:
+        return np.asarray(distinct)
+    low, high = np.quantile(values, [0.01, 0.99])
+    if np.mean(values == 0) > 0.3:
+        moving = values[np.abs(values) > 0.02 * max(abs(low), abs(high))]
+        if len(moving) > 20:
+            low, high = min(0.0, float(np.quantile(moving, 0.02))), float(np.quantile(moving, 0.98))
+    if high <= low:
+        return np.asarray(np.unique([distinct[0], distinct[-1]]))
+    return np.linspace(low, high, KNOTS)
+
+
+def hats(values: Array, knots: Array) -> Array:
+    """Hat functions of a piecewise linear curve, shape (knots - 1, n): the first knot is the reference."""
+    if len(knots) < 2:
+        return np.zeros((0, len(values)))
+    out = np.empty((len(knots) - 1, len(values)))
+    inside = np.clip(values, knots[0], knots[-1])
+    for i in range(1, len(knots)):
+        unit = np.zeros(len(knots))
+        unit[i] = 1.0
+        out[i - 1] = np.interp(inside, knots, unit)
+    return out
+
+
+def curve_rows(model: Model, covariate: str, times: str = "") -> tuple[Array, Array]:
+    """Basis of a free curve over a covariate at the analysis rate (k, n), and its knots."""
+    runs = model.source.runs
+    raw = [np.nan_to_num(np.asarray(run.covariates[covariate], dtype=float)) for run in runs]
+    if covariate in MAGNITUDE_OF:
+        raw = [np.abs(r) for r in raw]
+    knots = knots_of(np.concatenate(raw))
+    rows = [hats(r, knots) for r in raw]
+    if times:
+        rows = [h * np.abs(np.nan_to_num(run.covariates[times])) for h, run in zip(rows, runs, strict=True)]
+    if len(knots) < 2:
+        return np.zeros((0, len(model.design.y))), knots
+    averaged = model.source.averaged(rows, model.clock)
+    size = np.mean(np.abs(averaged), axis=1, keepdims=True)
+    return averaged[size[:, 0] > 1e-9], knots
+
+
+def test_curve(model: Model, rows: Array, spread: float, chosen: Sequence[int]) -> tuple[float, float, Array]:
+    """Gain of a group of columns [nats], p-value (the more careful of likelihood and sandwich), coefficients."""
+    from scipy.stats import chi2
+    from scipy.stats import f as f_distribution
+
+    k = rows.shape[0]
+    if not k:
+        return 0.0, 1.0, np.zeros(0)
+    p = project(model.design, model.noise, np.vstack([model.design.residual, rows]), chosen)
+    x, y = p.rows[1:], p.rows[0]
+    info = x @ x.T + p.pseudo[1:] @ p.pseudo[1:].T
+    b = x @ y + p.pseudo[1:] @ p.pseudo[0]
+    keep = np.diag(info) > 1e-6 * np.sum((rows / model.noise.scale) ** 2, axis=1) / model.noise.sigma_w**2
+    values = np.zeros(k)
+    if not np.any(keep):
+        return 0.0, 1.0, values
+    inner = info[np.ix_(keep, keep)]
+    inner[np.diag_indices_from(inner)] *= 1 + 1e-6
+    values[keep] = np.linalg.solve(inner, b[keep])
+    gain = 0.5 * float(b[keep] @ values[keep])
+    freedom = int(keep.sum())
+    p_like = float(chi2.sf(2 * gain / spread, freedom))
+    residual = y - values @ x
+    blocks = block_numbers(model, max(LONG_BLOCK_S, 15 * model.design.layout.step_s))
+    count = int(blocks.max()) + 1
+    if count <= freedom + 3:
+        return gain, p_like, values
+    scores = np.stack([np.bincount(blocks, weights=row * residual, minlength=count) for row in x[keep]])
+    meat = scores @ scores.T * count / (count - freedom) + p.pseudo[1:][keep] @ p.pseudo[1:][keep].T
+    meat[np.diag_indices_from(meat)] *= 1 + 1e-6
+    statistic = float(b[keep] @ np.linalg.solve(meat, b[keep]))
+    wald = statistic * (count - freedom) / (freedom * max(count - 1, 1))
+    p_robust = float(f_distribution.sf(wald, freedom, count - freedom))
+    return gain, max(p_like, p_robust), values
+
+
+def dependences(model: Model, spread: float, settings: Settings, chosen: Sequence[int]) -> list[Structure]:
+    """Covariates on which the residual still depends, loudest first."""
+    names = list(model.source.covariates)
+    tests = [(n, "") for n in names]
+    if "speed_m_s" in names:
+        tests += [(n, "speed_m_s") for n in names if n in TIMES_SPEED]
+    out: dict[str, Structure] = {}
+    for name, times in tests:
+        rows, knots = curve_rows(model, name, times)
+        gain, p_value, values = test_curve(model, rows, spread, chosen)
+        if p_value * max(1, len(tests)) > LOUD:
+            continue
+        fitted = values @ rows
+        size = float(np.mean(np.abs(fitted - np.average(fitted)))) / model.design.layout.mean_power_w
+        if size < 2 * settings.min_share or gain < 8 * spread:
+            continue
+        curve = (0.0, *values) if len(values) == len(knots) - 1 else tuple(values)
+        shape = _words(name, times, knots, np.asarray(curve))
+        found = Structure(name, p_value * len(tests), gain, size, shape, tuple(knots), tuple(float(c) for c in curve))
+        if name not in out or out[name].gain_nats < gain:
+            out[name] = found
+    return sorted(out.values(), key=lambda s: -s.gain_nats)
+
+
+def _words(name: str, times: str, knots: Array, curve: Array) -> str:
+    what = f"residual varies with {name}" + (f" (times {times})" if times else "")
+    if len(curve) != len(knots):
+        return what
+    top, bottom = int(np.argmax(curve)), int(np.argmin(curve))
+    return f"{what}: lowest at {knots[bottom]:.3g}, highest at {knots[top]:.3g}"
+
+
+def periodic(model: Model, chosen_rows: Array) -> Structure | None:
+    """A line in the mean periodogram of the whitened residual that stands out of its neighbourhood."""
+    from scipy.ndimage import median_filter
+    from scipy.stats import gamma
+
+    design = model.design
+    step = design.layout.step_s
+    parts = [chosen_rows[r] for r in design.runs if r.stop - r.start >= 64]
+    if not parts:
+        return None
+    length = 2 ** int(np.ceil(np.log2(max(len(p) for p in parts))))
+    power = np.zeros(length // 2)
+    for p in parts:
+        spectrum = np.abs(np.fft.rfft((p - p.mean()) * np.hanning(len(p)), length)[1 : length // 2 + 1]) ** 2
+        power += spectrum / max(float(np.mean(spectrum)), 1e-300)
+    power /= len(parts)
+    smooth = np.convolve(power, [0.25, 0.5, 0.25], mode="same")
+    width = min(61, 2 * (len(smooth) // 4) + 1)
+    floor = median_filter(smooth, width, mode="nearest")
+    ratio = smooth / np.maximum(floor, 1e-300)
+    usable = np.arange(1, length // 2 + 1)
+    usable_mask = (usable > 2.5 * length / max(len(p) for p in parts)) & (usable < length // 8)
+    if not np.any(usable_mask):
+        return None
+    ratio = np.where(usable_mask, ratio, 0.0)
+    top = int(np.argmax(ratio))
+    p_value = float(gamma.sf(ratio[top] * 0.97, 1.3 * len(parts), scale=1 / (1.3 * len(parts)))) * int(
+        usable_mask.sum()
+    )
+    if p_value > PERIODIC:
+        return None
+    period = length * step / (top + 1)
+    return Structure("time_s", p_value, float(ratio[top]), 0.0, f"periodic load, period {period:.0f} s")
+
+
+def wrong_form(
+    model: Model, column: int, covariate: str, gain: float, spread: float, settings: Settings
+) -> Structure | None:
+    """Whether a free curve over an effect's covariate explains so much more that the effect's form is not right."""
+    if covariate not in model.source.covariates:
+        return None
+    rest = [k for k in model.chosen if k != column]
+    times = "speed_m_s" if covariate in TIMES_SPEED and "speed_m_s" in model.source.covariates else ""
+    rows, knots = curve_rows(model, covariate, times)
+    beyond, p_value, values = test_curve(model, rows, spread, model.chosen)
+    if p_value > LOUD or beyond < 8 * spread:
+        return None
+    free, _, _ = test_curve(model, np.vstack([rows, model.design.phi[column]]), spread, rest)
+    if gain >= settings.form_ratio * max(free, gain + beyond):
+        return None
+    curve = (0.0, *values) if len(values) == len(knots) - 1 else tuple(values)
+    size = float(np.mean(np.abs(values @ rows))) / model.design.layout.mean_power_w
+    structure = Structure(covariate, p_value, beyond, size, "", tuple(knots), tuple(float(c) for c in curve))
+    return replace(
+        structure, shape=f"{covariate}: form not right ({_words(covariate, times, knots, np.asarray(curve))})"
+    )

@@ -1,0 +1,114 @@
+"""Which set of candidate columns explains the residual best, signs respected (step 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.identify.data import Array, Candidate
+from missionsim.identify.design import Layout
+from missionsim.identify.gram import Gram
+
+MOST_TRIPLES = 20_000
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What a set of columns must obey: signs, and one column of a grid at a time.
+
+    ``sign`` (p,) and ``effect`` (p,) by column; ``joint`` (p,) is True for levels of one label, which may be in
+    together.
+    """
+
+    sign: NDArray[np.intp]
+    effect: NDArray[np.intp]
+    joint: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, layout: Layout, candidates: Sequence[Candidate]) -> Rules:
+        """Rules of the columns of a layout."""
+        own = [candidates[c.candidate] for c in layout.columns]
+        return cls(
+            np.array([c.sign for c in own], dtype=np.intp),
+            np.array([c.candidate for c in layout.columns], dtype=np.intp),
+            np.array([bool(c.levels) for c in own]),
+        )
+
+    def compatible(self, column: int, chosen: Iterable[int]) -> bool:
+        """Whether a column may join a set."""
+        for other in chosen:
+            if other == column:
+                return False
+            if self.effect[other] == self.effect[column] and not self.joint[column]:
+                return False
+        return True
+
+    def signs_hold(self, chosen: Sequence[int], coefficients: Array) -> bool:
+        """Whether every coefficient has the sign that physics asks for."""
+        return bool(np.all(self.sign[list(chosen)] * coefficients >= 0))
+
+
+def single_gains(gram: Gram, rules: Rules, chosen: Sequence[int]) -> Array:
+    """Log-likelihood gain of each column beyond the chosen ones; -inf where signs or grids forbid, shape (p,)."""
+    rest = gram.conditional(chosen)
+    b, info = rest[0, 1:], np.maximum(np.diag(rest)[1:], 0.0)
+    floor = 1e-8 * np.maximum(np.diag(gram.full)[1:], 1e-300)
+    usable = info > floor
+    gain = np.where(usable, 0.5 * b * b / np.where(usable, info, 1.0), 0.0)
+    gain = np.where(rules.sign * b < 0, -np.inf, gain)
+    for k in range(len(gain)):
+        if not rules.compatible(k, chosen):
+            gain[k] = -np.inf
+        elif len(chosen) and np.isfinite(gain[k]):
+            values, _ = gram.coefficients([*chosen, k])
+            if not rules.signs_hold([*chosen, k], values):
+                gain[k] = -np.inf
+    return gain
+
+
+def set_gains(gram: Gram, rules: Rules, sets: NDArray[np.intp]) -> Array:
+    """Gain of many sets of one size, shape (sets,); sign-infeasible ones get -inf.
+
+    The best sign-feasible unconstrained set is the non-negative least squares optimum, because each face of the
+    constraint is itself a set.
+    """
+    index = sets + 1
+    blocks = gram.full[index[:, :, None], index[:, None, :]].copy()
+    diagonal = np.arange(sets.shape[1])
+    blocks[:, diagonal, diagonal] *= 1 + 1e-9
+    blocks[:, diagonal, diagonal] += 1e-9
+    b = gram.full[index, 0]
+    x = np.linalg.solve(blocks, b[:, :, None])[:, :, 0]
+    gain = 0.5 * np.sum(b * x, axis=1)
+    return np.where(np.all(rules.sign[sets] * x >= 0, axis=1), gain, -np.inf)
+
+
+def all_sets(rules: Rules, size: int, base: Sequence[int] = ()) -> NDArray[np.intp]:
+    """All allowed sets of up to three columns; beyond that, sets that differ from `base` in one column."""
+    p = len(rules.sign)
+    if size <= 2 or (size == 3 and p**3 / 6 < MOST_TRIPLES):
+        sets = [c for c in combinations(range(p), size) if _allowed(rules, c)]
+    else:
+        sets = []
+        for out in range(len(base)):
+            kept = [b for i, b in enumerate(base) if i != out]
+            sets += [(*kept, k) for k in range(p) if rules.compatible(k, kept)]
+    return np.asarray(sets, dtype=np.intp).reshape(-1, size)
+
+
+def _allowed(rules: Rules, columns: Sequence[int]) -> bool:
+    return all(rules.compatible(c, columns[:i]) for i, c in enumerate(columns))
+
+
+def best_set(gram: Gram, rules: Rules, size: int, base: Sequence[int]) -> tuple[tuple[int, ...], float]:
+    """Best allowed set of a size and its gain."""
+    sets = all_sets(rules, size, base)
+    if not len(sets):
+        return tuple(base), -np.inf
+    gains = set_gains(gram, rules, sets)
+    top = int(np.argmax(gains))
+    return tuple(int(k) for k in sets[top]), float(gains[top])

@@ -1,0 +1,167 @@
+"""Exact fit of shape parameters (time constants, reference temperatures) by profile likelihood (step 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from missionsim.identify.align import RunColumns
+from missionsim.identify.choose import Choice
+from missionsim.identify.data import Array, Candidate, Settings
+from missionsim.identify.design import Source
+from missionsim.identify.gates import weigh
+from missionsim.identify.model import Model, score
+from missionsim.identify.search import Rules
+
+EVALUATIONS = 24
+
+
+def refit_shapes(
+    choice: Choice, source: Source, candidates: Sequence[Candidate], rules: Rules, settings: Settings
+) -> tuple[Choice, dict[str, dict[str, float]]]:
+    """Refit the shape of every chosen effect that has one; returns the new choice and the shapes with 95 % limits.
+
+    An effect whose shape cannot be evaluated elsewhere keeps its grid value.
+    """
+    shapes: dict[str, dict[str, float]] = {}
+    for column in choice.model.chosen:
+        here = source.layout.columns[column]
+        candidate = candidates[here.candidate]
+        if candidate.levels or not candidate.shape or not candidate.shape[here.position]:
+            continue
+        start = dict(candidate.shape[here.position])
+        if candidate.refit is None:
+            shapes[candidate.effect] = start
+            continue
+        choice, shapes[candidate.effect] = _refit(choice, column, candidate, start, candidates, rules, settings)
+    return choice, shapes
+
+
+def _refit(
+    choice: Choice,
+    column: int,
+    candidate: Candidate,
+    start: Mapping[str, float],
+    candidates: Sequence[Candidate],
+    rules: Rules,
+    settings: Settings,
+) -> tuple[Choice, dict[str, float]]:
+    from scipy.optimize import minimize
+
+    model = choice.model
+    names = list(start)
+    bounds = [
+        candidate.shape_bounds.get(n, (min(s[n] for s in candidate.shape), max(s[n] for s in candidate.shape)))
+        for n in names
+    ]
+    logarithmic = [low > 0 and high / low > 5 for low, high in bounds]
+
+    def inner(values: Sequence[float]) -> Array:
+        return np.array([np.log(v) if log else v for v, log in zip(values, logarithmic, strict=True)])
+
+    def outer(x: Array) -> dict[str, float]:
+        pairs = zip(names, x, logarithmic, bounds, strict=True)
+        return {n: float(np.clip(np.exp(v) if log else v, *b)) for n, v, log, b in pairs}
+
+    def with_shape(shape: Mapping[str, float]) -> Source:
+        return _replaced(model.source, column, candidate, shape)
+
+    def cost(x: Array) -> float:
+        return -score(with_shape(outer(x)), model.clock, model.noise, model.chosen)
+
+    low, high = inner([b[0] for b in bounds]), inner([b[1] for b in bounds])
+    x0 = np.clip(inner([start[n] for n in names]), low, high)
+    step = 0.25 * (high - low)
+    simplex = np.vstack([x0] + [np.clip(x0 + np.where(x0 + s > high, -s, s), low, high) for s in np.diag(step)])
+    found = minimize(
+        cost, x0, method="Nelder-Mead",
+        options={"maxfev": EVALUATIONS * len(names), "initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05},
+    )  # fmt: skip
+    best = outer(found.x)
+    limits = _limits(cost, found.x, float(found.fun), low, high, outer, names)
+    source = with_shape(best)
+    design = source.design(model.clock)
+    refitted = Model(source, model.chosen, model.clock, design, model.noise)
+    effects = max(1, len({int(e) for e in rules.effect}))
+    evidence = {c: weigh(refitted, c, rules, settings, choice.spread, effects) for c in model.chosen}
+    for c, e in evidence.items():
+        e.passed.update({k: v for k, v in choice.evidence[c].passed.items() if k not in e.passed})
+    return replace(choice, model=refitted, evidence=evidence), best | limits
+
+
+def _limits(
+    cost: Callable[[Array], float],
+    x: Array,
+    least: float,
+    low: Array,
+    high: Array,
+    outer: Callable[[Array], dict[str, float]],
+    names: Sequence[str],
+) -> dict[str, float]:
+    """Profile-likelihood limits (1.92 nats, the other shape parameters held)."""
+    out: dict[str, float] = {}
+    for i, name in enumerate(names):
+        for end, label in ((low[i], "low"), (high[i], "high")):
+            inside, outside = x[i], end
+            trial = x.copy()
+            trial[i] = end
+            if cost(trial) - least > 1.92:
+                for _ in range(6):
+                    trial[i] = 0.5 * (inside + outside)
+                    if cost(trial) - least > 1.92:
+                        outside = trial[i]
+                    else:
+                        inside = trial[i]
+            trial[i] = outside
+            out[f"{name}.{label}"] = outer(trial)[name]
+    return out
+
+
+def _replaced(source: Source, column: int, candidate: Candidate, shape: Mapping[str, float]) -> Source:
+    """The same runs with one column evaluated at another shape."""
+    assert candidate.refit is not None
+    raw = candidate.refit(shape)
+    position = 3 + len(source.layout.parameters) + column
+    columns: list[RunColumns] = []
+    energy, seconds = 0.0, 0.0
+    for run, old, values in zip(source.runs, source.columns, _matching(source, raw), strict=True):
+        one = RunColumns.of(run, old.bins, [np.asarray(values, dtype=float)])
+        changed = old.values.copy()
+        changed[position] = one.values[0]
+        columns.append(RunColumns(old.bins, old.start_s, old.step_s, changed))
+        energy += float(np.sum(np.abs(values) * run.dt_s))
+        seconds += float(np.sum(run.dt_s))
+    mean = energy / seconds
+    if not mean > 0:
+        return source
+    numbered = list(source.layout.columns)
+    numbered[column] = replace(numbered[column], watts_per_unit=mean, mix=_mix(candidate, shape))
+    layout = replace(source.layout, columns=tuple(numbered))
+    return Source(source.runs, columns, source.covariates, layout, source.clock, source.aligned, source.kept)
+
+
+def _mix(candidate: Candidate, shape: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+    """The two grid columns between which the shape lies, with weights (inverse distance in the logarithm where
+    positive); columns that differ in other shape parameters come from the nearest value."""
+
+    def place(values: Mapping[str, float]) -> Array:
+        return np.array([np.log(values[n]) if shape[n] > 0 and values[n] > 0 else values[n] for n in shape])
+
+    here = place(shape)
+    grid = np.array([place(s) for s in candidate.shape])
+    span = np.maximum(np.ptp(grid, axis=0), 1e-12)
+    distance = np.linalg.norm((grid - here) / span, axis=1)
+    first = int(np.argmin(distance))
+    across = [i for i in range(len(grid)) if float((grid[i] - here) @ (grid[first] - here)) < 0]
+    if distance[first] < 1e-9 or not across:
+        return ((candidate.columns[first], 1.0),)
+    second = min(across, key=lambda i: distance[i])
+    weight = distance[second] / (distance[first] + distance[second])
+    return ((candidate.columns[first], float(weight)), (candidate.columns[second], float(1 - weight)))
+
+
+def _matching(source: Source, raw: Sequence[Array]) -> list[Array]:
+    """Arrays of the runs that were long enough to be used."""
+    return [np.asarray(raw[i]) for i in source.kept]
