@@ -53,6 +53,7 @@ class FileModel(Model):
     _sha256: str = PrivateAttr(default="")
     _document: Any = PrivateAttr(default=None)
     _whole: bool = PrivateAttr(default=True)
+    _sound: bool = PrivateAttr(default=True)
 
     @property
     def path(self) -> Path:
@@ -63,6 +64,11 @@ class FileModel(Model):
     def whole(self) -> bool:
         """False where the file has faults and this is only what could be made of it for further checks."""
         return self._whole
+
+    @property
+    def sound(self) -> bool:
+        """False where checks across the file's parts found faults."""
+        return self._sound
 
     @property
     def sha256(self) -> str:

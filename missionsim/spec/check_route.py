@@ -27,7 +27,7 @@ class RouteCheck:
         if self.environment is not None:
             source = self.environment.document
             self.places = Checker(source).raw_keys("places") if source is not None else list(self.environment.places)
-            whole = self.environment.document is None or _edges_whole(self.environment)
+            whole = self.environment.whole and self.environment.sound
             self.ways = _ways(self.environment) if whole else {}
         self.labels: list[str] = []
         self.told: set[tuple[str, str]] = set()
@@ -184,12 +184,6 @@ class RouteCheck:
                     allowed=", ".join(self.robot.batteries),
                     key=True,
                 )
-
-
-def _edges_whole(environment: EnvironmentSpec) -> bool:
-    data = environment.document.data
-    edges = data.get("edges", []) if isinstance(data, dict) else []
-    return not isinstance(edges, list) or len(edges) == len(environment.edges)
 
 
 def _ways(environment: EnvironmentSpec) -> dict[str, set[str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.spec.salvage import related, under
@@ -101,7 +102,11 @@ class Checker:
         try:
             expression = compile_expression(text, file=file, line=line, column=column, path=".".join(map(str, where)))
         except InputError as problem:
-            self.faults.extend(problem.faults)
+            # a syntax error's words are no suggestion of another spelling
+            self.faults.extend(
+                replace(fault, hint="" if fault.message == "formula cannot be read" else fault.hint)
+                for fault in problem.faults
+            )
             return
         parameters = list(own)
         known = [*parameters, *ALIASES, *DERIVED, *(column.name for column in COLUMNS)]

@@ -81,9 +81,11 @@ class Distribution:
                 right = b - np.sqrt(np.maximum((1 - u) * (b - a) * (b - c), 0.0))
                 return np.asarray(np.where(u < split, left, right), dtype=float)
             case "discrete" | "empirical":
-                steps = np.cumsum(self.weights)
+                order = np.argsort(self.values, kind="stable")
+                steps = np.cumsum(np.asarray(self.weights)[order])
                 index = np.searchsorted(steps, u * steps[-1], side="left")
-                return np.asarray(np.asarray(self.values)[np.minimum(index, len(self.values) - 1)], dtype=float)
+                values = np.asarray(self.values, dtype=float)[order]
+                return np.asarray(values[np.minimum(index, len(values) - 1)], dtype=float)
         from scipy.special import log_ndtr, ndtr, ndtri, ndtri_exp
 
         mean, sd = float(self.mean_ or 0.0), float(self.sd_ or 0.0)

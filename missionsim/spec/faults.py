@@ -63,7 +63,7 @@ def to_faults(
         if kind == "quantity":
             for entry in context["entries"]:
                 at = (*path, *entry["at"])
-                unknown = entry["message"].startswith("unknown key")
+                unknown = entry["message"].startswith(("unknown key", "unknown kind"))
                 fault = document.fault(
                     at, entry["message"], got=entry["got"], allowed=entry["allowed"], hint=entry["hint"], key=unknown
                 )
@@ -75,6 +75,8 @@ def to_faults(
             fault = document.fault(
                 path, f"unknown key '{key}'", got=key, allowed=", ".join(known), hint=_close_key(key, known), key=True
             )
+        elif kind == "missing" and path[:1] == ("components",) and error["loc"][-1] == "loads":
+            fault = _unfed(document, path[:2], path[1], raw)
         elif kind == "missing":
             fault = document.fault(
                 path[:-1] if _absent(shape, path) else path,
@@ -119,8 +121,11 @@ def to_faults(
         elif kind in ("too_short", "too_long"):
             few = kind == "too_short"
             number = context["min_length"] if few else context["max_length"]
-            if few and isinstance(raw, (list, tuple, dict)) and len(raw) >= number:
-                continue  # its entries are at fault, and that is told
+            if follows_from_entries(error):
+                continue
+            if few and path[:1] == ("components",) and path[-1] == "loads":
+                result.append((path, _unfed(document, path, path[1], raw)))
+                continue
             fault = document.fault(
                 path,
                 "too few entries" if few else "too many entries",
@@ -139,6 +144,23 @@ def to_faults(
             fault = document.fault(path, error["msg"][:1].lower() + error["msg"][1:], got=as_written(raw))
         result.append((path, fault))
     return result
+
+
+def follows_from_entries(error: Any) -> bool:
+    """Whether a list is called too short only because entries are at fault (those are told)."""
+    raw = error.get("input")
+    return bool(
+        error["type"] == "too_short" and isinstance(raw, (list, tuple, dict)) and len(raw) >= error["ctx"]["min_length"]
+    )
+
+
+def _unfed(document: Document, where: Sequence[str | int], component: str | int, raw: Any) -> Fault:
+    return document.fault(
+        where,
+        f"component '{component}' is fed by no battery",
+        got=as_written(raw),
+        allowed="loads: [{battery: …, power: …}]",
+    )
 
 
 def file_path(loc: Sequence[str | int], data: Any) -> tuple[str | int, ...]:

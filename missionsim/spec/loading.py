@@ -188,11 +188,13 @@ def _load(
     faults: list[Fault],
     overrides: Sequence[Override] = (),
     document: Document | None = None,
+    prefix: str = "",
 ) -> Loaded | None:
     """Read, set overrides, validate, run the checks; None where the file is too broken to say more."""
     document = document or _read(path, faults)
     if document is None:
         return None
+    document.prefix = prefix
     faults.extend(override_rules.apply(document, overrides))
     kind = get_args(model.model_fields["kind"].annotation)[0]
     if not isinstance(document.data, dict) or document.data.get("kind") != kind:
@@ -201,10 +203,15 @@ def _load(
     result = validate_document(document, model, faults)
     if result is None:
         return None
+    found: list[Fault] = []
     if isinstance(result, RobotSpec):
-        faults.extend(check_robot(result, result.document))
+        found = check_robot(result, result.document)
     elif isinstance(result, EnvironmentSpec):
-        faults.extend(check_environment(result, result.document))
+        found = check_environment(result, result.document)
+    elif isinstance(result, MapSpec):
+        found = list(result.faults(result.document))
+    result._sound = not any(fault.severity == "error" for fault in found)
+    faults.extend(found)
     return result
 
 
@@ -300,7 +307,7 @@ def _load_mission(
     if isinstance(robot, RobotSpec):
         robot_spec: RobotSpec | None = robot
         if by_file["robot"]:
-            robot_spec = _load(robot.path, RobotSpec, faults, by_file["robot"])
+            robot_spec = _load(robot.path, RobotSpec, faults, by_file["robot"], prefix="robot.")
     else:
         robot_spec = None
         reference = str(robot) if robot is not None else data.get("robot")
@@ -309,13 +316,13 @@ def _load_mission(
             if found is None:
                 faults.append(_unknown_robot(reference, None if robot is not None else document, ("robot",)))
             else:
-                robot_spec = _load(found, RobotSpec, faults, by_file["robot"])
+                robot_spec = _load(found, RobotSpec, faults, by_file["robot"], prefix="robot.")
     environment = None
     reference = data.get("environment")
     if isinstance(reference, str) and reference:
         target = path.parent / reference
         if _is_file(target):
-            environment = _load(target, EnvironmentSpec, faults, by_file["environment"])
+            environment = _load(target, EnvironmentSpec, faults, by_file["environment"], prefix="environment.")
         else:
             faults.append(
                 document.fault(

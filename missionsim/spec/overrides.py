@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from missionsim.errors import Fault, InputError, did_you_mean
@@ -65,11 +66,20 @@ def apply(document: Document, overrides: Iterable[tuple[str, Any]]) -> list[Faul
             data = parse_document(value or "null", name="").data if isinstance(value, str) else value
         except InputError as problem:
             reason = problem.faults[0].message
-            faults.append(Fault("", 0, 0, f"value is {reason}" if reason.startswith("not") else reason, path, shown))
+            faults.append(
+                Fault(
+                    "",
+                    0,
+                    0,
+                    f"value is {reason}" if reason.startswith("not") else reason,
+                    document.prefix + path,
+                    shown,
+                )
+            )
             continue
         found = resolve(document.data, path)
         if isinstance(found, Fault):
-            faults.append(found)
+            faults.append(replace(found, path=document.prefix + path))
             continue
         document.data = _changed(document.data, found, data)
         document.overrides[found] = shown

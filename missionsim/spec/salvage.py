@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from missionsim.spec.faults import file_path
+from missionsim.spec.faults import file_path, follows_from_entries
 from missionsim.spec.parameter import Parameter
 from missionsim.spec.tree import Document
 
@@ -52,9 +52,9 @@ class View(Document):
 
 def view_of(document: Document, shape: Any, faulty: Iterable[Path_]) -> View:
     """`document` as what is left of it, `shape`."""
-    return View(
-        document.file, document.data, document.root, document.sha256, document.overrides, shape, frozenset(faulty)
-    )
+    view = View(document.file, document.data, document.root, document.sha256, document.overrides, document.prefix)
+    view.shape, view.faulty = shape, frozenset(faulty)
+    return view
 
 
 def under(path: Sequence[str | int], faulty: Iterable[Path_]) -> bool:
@@ -81,6 +81,8 @@ def repaired(view: View, problem: ValidationError, tried: dict[Path_, int]) -> A
     result = view.shape
     drops: list[Path_] = []
     for error in problem.errors(include_url=False):
+        if follows_from_entries(error):
+            continue
         base = file_path(error["loc"], view.shape)
         entries = error["ctx"]["entries"] if error["type"] == "quantity" else [{"at": ()}]
         for path in [(*base, *entry["at"]) for entry in entries]:

@@ -59,6 +59,8 @@ class Document:
         The same with positions.
     overrides : dict
         Paths that the command line set, with the text given there.
+    prefix : str
+        What the command line puts before this file's paths (``robot.``).
     """
 
     file: str
@@ -66,6 +68,7 @@ class Document:
     root: Node
     sha256: str = ""
     overrides: dict[Path_, str] = field(default_factory=dict)
+    prefix: str = ""
 
     def original(self, path: Sequence[str | int]) -> Path_:
         """The path in the file; a document with parts left out translates it."""
@@ -121,8 +124,9 @@ class Document:
     ) -> Fault:
         """A fault at `path`, in the file or, where the command line set the value, there."""
         line, column = self.position(path, key=key)
-        file = "" if self.overridden(path) is not None else self.file
-        return Fault(file, line, column, message, dotted(self.original(path)), got, allowed, hint, severity)
+        given = self.overridden(path) is not None
+        where = (self.prefix if given else "") + dotted(self.original(path))
+        return Fault("" if given else self.file, line, column, message, where, got, allowed, hint, severity)
 
 
 def dotted(path: Sequence[str | int]) -> str:
