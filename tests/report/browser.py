@@ -20,7 +20,10 @@ document.addEventListener("securitypolicyviolation", function (event) {
   window.found.errors.push("policy: " + event.violatedDirective + " " + event.blockedURI);
 });
 var said = console.error;
-console.error = function () { window.found.errors.push(Array.from(arguments).join(" ")); said.apply(console, arguments); };
+console.error = function () {
+  window.found.errors.push(Array.from(arguments).join(" "));
+  said.apply(console, arguments);
+};
 </script>"""
 
 

@@ -1,0 +1,112 @@
+"""``missionsim compare`` as a user runs it: exit codes, files, faults, width."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from missionsim.cli.app import run_command
+from missionsim.labels import Labels
+from tests.compare.worlds import drive, true_power
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    for i in range(2):
+        columns = drive(seed=i)
+        # pioneer3dx without lasers and sonar: the motion, the controller and the camera
+        power = true_power(columns) + 25.0 * 9.81 * columns["speed_m_s"] * np.sin(columns["slope_rad"])
+        table = {name: c.texts() if isinstance(c, Labels) else np.round(c, 6) for name, c in columns.items()}
+        with open(folder / f"run_{i:02d}.csv", "w", newline="", encoding="utf-8") as handle:
+            writer = csv.writer(handle)
+            writer.writerow([*table, "power_robot_w"])
+            writer.writerows(zip(*table.values(), np.round(power, 6), strict=True))
+    return folder
+
+
+def test_tables_fit_a_terminal_of_100_columns(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["compare", "--robot", "pioneer3dx", str(logs)]) == 0
+    out = capsys.readouterr().out
+    assert max(len(line) for line in out.splitlines()) <= 100
+    assert "The error varies with slope" in out
+    assert "no column on_sonar: sonar counts as switched off" in " ".join(out.split())
+
+
+def test_json_on_standard_output_is_json_alone(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["compare", "--robot", "pioneer3dx", str(logs), "--json", "-"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["schema"] == "missionsim.comparison/1"
+    assert data["runs"] == ["run_00", "run_01"]
+    assert data["batteries"]["robot"]["where"][0]["by"] == "slope_rad"
+    assert len(data["logs"][0]["sha256"]) == 64
+
+
+def test_tolerance_decides_the_exit_code(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["compare", "--robot", "pioneer3dx", str(logs), "--tolerance", "0.5"]) == 1
+    assert "OUTSIDE the tolerance" in capsys.readouterr().out
+    assert run_command(["compare", "--robot", "pioneer3dx", str(logs), "--tolerance", "50", "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_files_of_a_comparison(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, page = tmp_path / "out", tmp_path / "page.html"
+    files = ["--out", str(out), "--report", str(page)]
+    assert run_command(["compare", "--robot", "pioneer3dx", str(logs), *files, "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+    assert {path.name for path in out.iterdir()} == {
+        "runs.csv", "where.csv", "terms.csv", "power_robot_run_00.png", "power_robot_run_01.png",
+        "error_by_covariate_robot.png", "error_over_progress_robot.png", "error_map_robot.png",
+    }
+    with open(out / "runs.csv", encoding="utf-8") as handle:
+        rows = list(csv.DictReader(handle))
+    assert [row["run"] for row in rows] == ["run_00", "run_01"]
+    measured, model = float(rows[0]["energy_measured_wh"]), float(rows[0]["energy_model_wh"])
+    assert float(rows[0]["energy_error_pct"]) == pytest.approx(100 * (model - measured) / measured)
+    for picture in out.glob("*.png"):
+        assert picture.read_bytes().startswith(b"\x89PNG")
+        assert picture.stat().st_size > 5000
+    assert "pioneer3dx: model against measurements" in page.read_text("utf-8")
+
+
+def test_all_faults_of_a_command_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["compare", "--robot", "pioner3dx", str(tmp_path / "nowhere.csv"), "--mission", "no.yaml"]) == 2
+    err = capsys.readouterr().err
+    assert "did you mean: pioneer3dx" in err
+    assert "nowhere.csv: error: there is no such file" in err
+    assert "no.yaml" in err
+
+
+@pytest.mark.parametrize(("extra", "text"), [
+    (["--tolerance", "-3"], "the tolerance is a percentage"),
+    (["--report", "page.pdf"], "a file name that ends in .html"),
+    (["--by", "payload"], "the log has no column 'payload'"),
+])
+def test_wrong_options_are_told(logs: Path, extra: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["compare", "--robot", "pioneer3dx", str(logs), *extra]) == 2
+    assert text in capsys.readouterr().err
+
+
+def test_a_further_column_can_be_looked_at(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["compare", "--robot", "pioneer3dx", str(logs), "--by", "x_m", "--json", "-"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert "x_m" in {where["by"] for where in data["batteries"]["robot"]["where"]}
+
+
+def test_a_battery_whose_model_needs_a_missing_column_is_skipped_and_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [(0.5 + i, 12.0, 15.0, 0.4) for i in range(60)]
+    with open(tmp_path / "run.csv", "w", newline="", encoding="utf-8") as handle:
+        writer = csv.writer(handle)
+        writer.writerow(["time_s", "power_robot_w", "power_laptop_w", "speed_m_s"])
+        writer.writerows(rows)
+    assert run_command(["compare", "--robot", "pioneer3dx", str(tmp_path / "run.csv"), "--json", "-"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert list(data["batteries"]) == ["robot"]
+    assert any("battery 'laptop' is skipped" in note and "scheme" in note for note in data["notes"])
