@@ -69,9 +69,13 @@ class Subject:
     own: Mapping[str, tuple[Effect, ...]]
     switchable: Mapping[str, tuple[str, ...]]
     limits: Mapping[str, float]
+    priors: Mapping[str, float] | None = None
+    """Relative prior standard deviations by parameter, in place of the file's."""
 
     @classmethod
-    def of(cls, robot: RobotSpec, model: PowerModel | None = None) -> Subject:
+    def of(
+        cls, robot: RobotSpec, model: PowerModel | None = None, priors: Mapping[str, float] | None = None
+    ) -> Subject:
         """The subject of a robot file."""
         from missionsim.spec.power import build_effect, build_power_model
 
@@ -91,7 +95,7 @@ class Subject:
         if body.max_acceleration is not None:
             limits["acceleration"] = body.max_acceleration.value
         return cls(robot.name, model or build_power_model(robot), dict(robot.sources),
-                   {battery: tuple(effects) for battery, effects in own.items()}, switchable, limits)
+                   {battery: tuple(effects) for battery, effects in own.items()}, switchable, limits, priors)
 
 
 def diagnose_files(
@@ -243,6 +247,9 @@ def _priors(subject: Subject, features: Features, logs: Sequence[Any]) -> dict[s
     again = {key: fitted_to(text, logs) for key, text in subject.sources.items()}
     priors = {}
     for name, parameter in features.parameters.items():
+        if subject.priors is not None and name in subject.priors:
+            priors[name] = subject.priors[name]
+            continue
         source = parameter.source
         same = again.get(source, False) or fitted_to(source, logs)
         priors[name] = NO_PRIOR_SD if same else parameter.prior_sd

@@ -65,6 +65,9 @@ def on_heldout(
         "recalibrated": (without, prediction(empty, (), without)),
         "with_effects": (with_effects, prediction(model, chosen, with_effects)),
     }
+    if not chosen:
+        # nothing is reported, so nothing beyond recalibration may help
+        predictions["with_effects"] = predictions["recalibrated"]
     energy = {name: energy_error_pct(design, power) for name, (design, power) in predictions.items()}
     rmse = {name: power_rmse_w(design, power) for name, (design, power) in predictions.items()}
     summary = HeldOut(how, tuple(run.run for run in source.runs), energy, rmse, shifted)

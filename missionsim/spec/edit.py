@@ -234,3 +234,14 @@ def _sequence(items: Sequence[Any], flow: bool = False) -> Any:
     if flow:
         result.fa.set_flow_style()
     return result
+
+
+def set_source(text: str, key: str, told: str) -> str:
+    """The robot's text with one entry of ``sources:`` added or replaced."""
+    yaml, data = _open(text)
+    if data.get("sources"):
+        data["sources"][key] = told
+    else:
+        position = next((i for i, name in enumerate(data) if name not in ("kind", "name", "title")), len(data))
+        data.insert(position, "sources", _mapping({key: told}))
+    return _close(yaml, data)

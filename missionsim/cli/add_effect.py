@@ -1,0 +1,119 @@
+"""`missionsim add-effect`: fit an effect and write the robot file that has it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text
+from missionsim.cli.diagnose import HoldoutOption, RobotOption
+
+if TYPE_CHECKING:
+    from missionsim.logs import LogTable
+    from missionsim.spec.robot import RobotSpec
+
+
+def add_effect(
+    *logs: Path,
+    robot: RobotOption,
+    effect: Annotated[str, Parameter(name="--effect")],
+    out: Annotated[Path, Parameter(name="--out")],
+    battery: Annotated[str | None, Parameter(name="--battery")] = None,
+    holdout: HoldoutOption = None,
+    alpha: Annotated[float, Parameter(name="--alpha")] = 0.01,
+    force: Annotated[bool, Parameter(name="--force", negative="")] = False,
+    keep_base: Annotated[bool, Parameter(name="--keep-base", negative="")] = False,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Fit an effect to logs and write the robot file that has it, with its uncertainty and where it comes from.
+
+    Refuses with exit code 1 what the logs do not support.
+
+    Parameters
+    ----------
+    logs
+        Log files or folders of them; all are fitted unless --holdout says otherwise.
+    robot
+        Shipped robot's name or a robot file.
+    effect
+        Id in the library (missionsim effects), or the name of one of the robot file's candidates.
+    out
+        Robot file to write.
+    battery
+        Battery that the effect is on; by default the one that feeds the motors.
+    holdout
+        Runs that are not fitted; see diagnose.
+    alpha
+        Family-wise rate of false alarms.
+    force
+        Write it even if the logs do not support it.
+    keep_base
+        Leave the base parameters as they are instead of writing the values that were fitted with the effect.
+    json
+        Write what was fitted as JSON to this file, or - for standard output.
+    quiet
+        Print nothing.
+    """
+    from missionsim.diagnose.adopt import NotSignificant, adopt
+    from missionsim.diagnose.split import choose_split
+    from missionsim.errors import InputError
+    from missionsim.files import write_text
+    from missionsim.identify.data import Settings
+    from missionsim.logs import read_logs
+    from missionsim.spec.edit import for_folder, robot_text
+    from missionsim.spec.loading import load_robot
+
+    if not logs:
+        raise InputError.single("give at least one log", allowed="files or folders")
+    spec = load_robot(robot)
+    tables = read_logs(list(logs), robot=spec)
+    split = choose_split(tables, "none" if holdout is None else holdout)
+    chosen = battery or motors_battery(spec, tables)
+    try:
+        made = adopt(robot_text(robot), spec, split, effect, chosen, Settings(alpha=alpha), force=force,
+                     recalibrate=not keep_base)
+    except NotSignificant as error:
+        emit_json({"schema": "missionsim.add_effect/1", "effect": effect, "battery": chosen, "added": False,
+                   "reason": str(error)}, json)
+        print(f"{error}\n    nothing was written; --force writes it all the same", file=sys.stderr)
+        return 1
+    write_text(out, for_folder(made.text, out.parent))
+    parameters = {p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit}
+                  for p in made.effect.parameters}
+    emit_json({
+        "schema": "missionsim.add_effect/1", "effect": effect, "battery": chosen, "added": True,
+        "significant": made.significant, "reason": made.reason, "parameters": parameters,
+        "energy_share": made.effect.energy_share, "p_value": made.effect.p_value,
+        "indistinguishable_from": list(made.rivals), "robot_file": str(out),
+        "base": {name: {"value": value, "sd": sd} for name, (value, sd) in made.base.items()},
+    }, json)  # fmt: skip
+    if made.rivals:
+        print(f"warning: these logs cannot tell {effect} from {', '.join(made.rivals)}; missionsim diagnose says "
+              "what to drive to find out", file=sys.stderr)
+    if shows_text(json, quiet):
+        terminal = console()
+        told = ", ".join(
+            f"{p.name} = {p.value:.4g} (95 % {p.low:.4g} to {p.high:.4g})" for p in made.effect.parameters
+        )
+        terminal.print(f"{effect} on battery {chosen}: {100 * made.effect.energy_share:.1f} % of the energy; {told}; "
+                       f"p = {made.effect.p_value:.1g}", markup=False)
+        if not made.significant:
+            terminal.print(f"forced: {made.reason}", markup=False)
+        if made.base:
+            terminal.print("base: " + ", ".join(f"{n} = {v:.4g}" for n, (v, _) in made.base.items()), markup=False)
+        terminal.print(f"written: {out}", markup=False)
+    return 0
+
+
+def motors_battery(spec: RobotSpec, tables: Sequence[LogTable]) -> str:
+    """The battery of the motors if it was measured, else the first that was."""
+    measured = list(dict.fromkeys(name for log in tables for name in log.power_w))
+    motion = spec.motion
+    if motion is not None and motion.battery in measured:
+        return motion.battery
+    return measured[0]
