@@ -15,35 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.errors import InputError, did_you_mean
+from missionsim.errors import InputError
+from missionsim.expected import ExpectedRun, expected_run
 from missionsim.glossary import STILL_SPEED_M_S
 
 Array = NDArray[np.float64]
 ARRIVED_SHARE, ARRIVED_M = 0.05, 0.05
 """A robot that stops with less than this of a drive before it has arrived."""
-
-
-@dataclass(frozen=True)
-class ExpectedRun:
-    """What one battery should see: one row per interval of the plan.
-
-    Attributes
-    ----------
-    duration_s, distance_m, energy_j : ndarray, shape (n,)
-        Length, way driven and energy of each interval; a distance of 0 is standing or turning.
-    return_j : ndarray, shape (n + 1,)
-        Energy home from the start of each interval, and from the end of the last.
-    """
-
-    duration_s: Array
-    distance_m: Array
-    energy_j: Array
-    return_j: Array
-
-    def __post_init__(self) -> None:
-        n = len(self.duration_s)
-        if not (len(self.distance_m) == len(self.energy_j) == n and len(self.return_j) == n + 1 and n > 0):
-            raise ValueError("an expected run needs n ≥ 1 durations, distances and energies, and n + 1 ways home")
 
 
 @dataclass(frozen=True)
@@ -310,76 +288,6 @@ class OnlinePredictor:
         k = int(short[0])
         part = margin[k - 1] / (margin[k - 1] - margin[k])
         return float(times[k - 1] + part * (times[k] - times[k - 1]) - now_s)
-
-
-def expected_run(mission: Any, battery: str) -> ExpectedRun:
-    """Simulate a mission and give what one battery should see, with the way home from each moment.
-
-    With an environment the way home is the shortest to the dock, as the engine finds it at the end of each segment,
-    straight between. Without one it is back over the way driven, slopes reversed.
-
-    Parameters
-    ----------
-    mission : MissionSpec
-    battery : str
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        For an unknown battery, and for missions that recharge on the way.
-    """
-    from missionsim.engine.simulate import simulate
-
-    if battery not in mission.robot.batteries:
-        raise InputError.single(
-            f"no battery '{battery}'", got=battery, allowed=", ".join(mission.robot.batteries),
-            hint=did_you_mean(battery, mission.robot.batteries),
-        )
-    capacity = mission.robot.batteries[battery].capacity
-    # the whole plan is wanted, also of a mission that the real battery cannot finish
-    result = simulate(mission, values={f"robot.{capacity.path}": capacity.value * 1e6})
-    if any(segment.kind == "dock" for segment in result.segments):
-        raise InputError.single("on-line prediction covers missions without recharging", got=result.mission)
-    line = result.timeline
-    energy = np.asarray(np.sum(list(result.energies[battery].values()), axis=0), dtype=float)
-    time = np.asarray(line.duration_s, dtype=float)
-    ahead, aside = (
-        np.asarray(line.columns[name]) * time + 0.5 * np.asarray(line.rates[name]) * time**2
-        for name in ("speed_m_s", "lateral_speed_m_s")
-    )
-    distance = np.hypot(ahead, aside)
-    homes = result.home_energy()
-    if all(home.get(battery) is not None for home in homes):
-        home_j = _homes_of_segments(mission, result, battery, homes)
-    else:
-        home_j = _back_over_the_way(mission, result, battery, distance)
-    return ExpectedRun(time, distance, energy, home_j)
-
-
-def _homes_of_segments(mission: Any, result: Any, battery: str, homes: list[dict[str, float | None]]) -> Array:
-    """Energy home (J) at each interval's start and the mission's end, straight lines between ends of segments."""
-    ends_s = [result.segment_end_s[index] for index in range(len(result.segments))]
-    values = [3600.0 * float(home[battery] or 0.0) for home in homes]
-    environment = mission.environment
-    chargers = [name for name, place in environment.places.items() if place.charger is not None]
-    docks = [mission.policy.dock] if mission.policy.dock else chargers or [mission.start]
-    first = 0.0 if mission.start in docks else values[0]
-    times = np.append(result.timeline.start_s, ends_s[-1])
-    return np.asarray(np.interp(times, [0.0, *ends_s], [first, *values]), dtype=float)
-
-
-def _back_over_the_way(mission: Any, result: Any, battery: str, distance: Array) -> Array:
-    """Energy (J) of driving back what has been driven, with the same settings and the slopes reversed."""
-    from dataclasses import replace
-
-    from missionsim.effects.integrate import integrate
-    from missionsim.spec.power import build_power_model
-
-    line = result.timeline
-    columns = {**line.columns, "slope_rad": -np.asarray(line.columns["slope_rad"])}
-    terms = integrate(build_power_model(mission.robot), replace(line, columns=columns))[battery]
-    back = np.asarray(np.sum(list(terms.values()), axis=0), dtype=float)
-    return np.concatenate([[0.0], np.cumsum(np.where(distance > 0.0, back, 0.0))])
 
 
 def _column(columns: Mapping[str, Any], name: str) -> Any:

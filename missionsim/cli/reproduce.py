@@ -8,7 +8,11 @@ from typing import TYPE_CHECKING
 from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, progress, shows_text
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from missionsim.published.figures import Item
+
+MOST_COLUMNS, MOST_ROWS = 7, 16
 
 
 def reproduce(
@@ -29,7 +33,7 @@ def reproduce(
     quiet
         Print no tables.
     """
-    from missionsim.published.reproduce import papers_of, reproduce_paper, to_json, write
+    from missionsim.published.reproduce import papers_of, reproduce_paper, side_tables, to_json, write
 
     papers = papers_of(robots)
     items: dict[str, list[Item]] = {}
@@ -38,12 +42,15 @@ def reproduce(
         for paper in papers:
             items[paper] = reproduce_paper(paper)
             bar.advance(task)
-    emit_json(to_json([item for found in items.values() for item in found]), json)
+        tables = {paper: side_tables(paper) for paper in papers}
+    emit_json(to_json([item for found in items.values() for item in found], tables), json)
     if shows_text(json, quiet):
         for paper, found in items.items():
             _print(paper, found)
+            for name, rows in tables[paper].items():
+                _print_side(name, rows)
     if out is not None:
-        written = write(out, items, pictures)
+        written = write(out, items, tables, pictures)
         if shows_text(json, quiet):
             console().print(f"{len(written)} files in {out}")
     return 0
@@ -79,3 +86,32 @@ def _print(paper: str, items: list[Item]) -> None:
     for index, note in enumerate(notes, start=1):
         terminal.print(f"  {index:3d} {escape(note)}", style="dim")
     terminal.print(f"{counts(items)}.\n", style="bold")
+
+
+def _print_side(name: str, rows: list[dict[str, Any]]) -> None:
+    """A table beside the figures; wide ones stand on their side, long ones are in the CSV file only."""
+    from rich.table import Table
+
+    from missionsim.published.page import WORDS
+
+    wide = len(rows[0]) > MOST_COLUMNS
+    if len(rows) > (MOST_COLUMNS - 1 if wide else MOST_ROWS):
+        return
+    columns = list(rows[0])
+    body = [[_cell(row[column]) for column in columns] for row in rows]
+    if wide:
+        body = [[column, *(line[i] for line in body)] for i, column in enumerate(columns)]
+        columns = ["", *(str(i + 1) for i in range(len(rows)))]
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")
+    for line in body:
+        table.add_row(*line)
+    terminal = console()
+    terminal.print(WORDS[name], style="bold")
+    terminal.print(table)
+    terminal.print()
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -167,7 +167,7 @@ def judge(figure: Figure, ours: Ours | None) -> Item:
     if figure.basis == "input":
         return Item(figure, ours.value, CALIBRATED if met else DIFFERS, f"input: {note}")
     if figure.basis == "fitted":
-        return Item(figure, ours.value, CALIBRATED, f"calibrated to it: {note}")
+        return Item(figure, ours.value, CALIBRATED, note if "calibrated" in note else f"calibrated to it: {note}")
     if met:
         return Item(figure, ours.value, AGREES, (ours.note if figure.basis else note))
     return Item(figure, ours.value, CONTRADICTS if figure.basis == "contradiction" else DIFFERS, note)

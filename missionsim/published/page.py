@@ -57,7 +57,7 @@ READING: dict[str, str] = {
 }
 
 
-def page(items: dict[str, list[Item]], tables: dict[str, list[tuple[str, list[dict[str, Any]]]]]) -> str:
+def page(items: dict[str, list[Item]], tables: dict[str, dict[str, list[dict[str, Any]]]]) -> str:
     """The page for some papers."""
     from missionsim.published.pictures import PICTURES
     from missionsim.published.reproduce import counts, footnotes, number
@@ -67,7 +67,7 @@ def page(items: dict[str, list[Item]], tables: dict[str, list[tuple[str, list[di
     for paper, found in items.items():
         parts.append(f"## {robots[paper]}: {TITLES[paper]}\n\n{READING[paper]}\n\n{counts(found)}.\n")
         parts += [f"![{title}]({paper}_{name}.png)\n*{title}*\n" for name, title, _ in PICTURES[paper]]
-        for name, rows in tables[paper]:
+        for name, rows in tables[paper].items():
             parts.append(f"**{WORDS[name]}** ([CSV]({paper}_{name}.csv))\n")
             parts.append(_table(list(rows[0]), [[_short(v) for v in row.values()] for row in rows[:26]]))
             if len(rows) > 26:

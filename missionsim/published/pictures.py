@@ -77,6 +77,21 @@ def _velocity(figure: Figure) -> None:
     _finish(right, "velocity (m/s)", "motion energy (Wh)")
 
 
+def _sonar(figure: Figure) -> None:
+    from missionsim.physics import electrical
+    from missionsim.spec import load_robot
+
+    law = load_robot("pioneer3dx").components["sonar"].loads[0].law
+    assert law is not None
+    rate = np.linspace(0.0, 40.0, 81)
+    power = electrical.sonar_power(rate, float(law.parameters["p2"]), float(law.parameters["p1"]))
+    axes = figure.subplots()
+    axes.plot(rate, 1e3 * power, color=COLOURS[0], label="sonars (Eq. 12)")
+    standard = float(law.rate or 0.0)
+    axes.plot(standard, 1e3 * float(np.interp(standard, rate, power)), "o", color=COLOURS[1], label="standard rate")
+    _finish(axes, "rate (Hz)", "power (mW)")
+
+
 def _stretch(figure: Figure) -> None:
     from missionsim.published.tables import stretch_test
 
@@ -204,6 +219,25 @@ def _complexities(figure: Figure) -> None:
         _finish(axes, f"speed ({unit})", "energy per metre (J/m)")
 
 
+def _granularity(figure: Figure) -> None:
+    figures = load_figures("rover2025")
+    robot = rover2025.predictor(rover2025.kmh_values(figures))
+    clocks = robot.clocks()
+    tracks = rover2025.complexity_of_tracks()
+    for axes, track, name in zip(_pair(figure), ("field", "slalom"), ("low", "high"), strict=True):
+        for colour, step in zip(COLOURS, (3.0, 1.5, 0.5), strict=False):
+            grid = rover2025.speeds(12.0, step)
+            speed, clock = np.meshgrid(grid * rover2025.KMH, clocks, indexing="ij")
+            energy = robot.energy_per_metre(speed, clock, tracks[track])
+            good = np.where(robot.meets_service(speed, clock, tracks[track]), energy, np.nan)
+            least = np.array([np.nanmin(row) if np.isfinite(row).any() else np.nan for row in good])
+            best = float(grid[np.nanargmin(least)])
+            axes.plot(grid, least, ".-", color=colour, label=f"step {step:g}: least at {best:g}")
+        axes.set_title(f"{name} complexity", fontsize=9)
+        axes.set_ylim(0.0, 30.0)
+        _finish(axes, "printed speed (km/h reading)", "energy per metre (J/m)")
+
+
 def _mechanical(figure: Figure) -> None:
     fine = rover2025.speeds(9.0, 0.05)
     axes = figure.subplots()
@@ -236,7 +270,7 @@ def _service(figure: Figure) -> None:
 
 
 def _fidelity(figure: Figure) -> None:
-    from missionsim.control import LEVELS, FidelityModel
+    from missionsim.fidelity import LEVELS, FidelityModel
 
     measured = FidelityModel(rover2025.predictor(), (0.5, 9.0)).measure(LEVELS)
     steps = [item.level.speed_step_m_s for item in measured]
@@ -256,6 +290,7 @@ Paint = Callable[["Figure"], None]
 PICTURES: dict[str, list[tuple[str, str, Paint]]] = {
     "jaiem2021": [
         ("power_velocity", "Power and energy for several distances against velocity (Figs. 4, 5)", _velocity),
+        ("sonar", "Power of the sonars against their rate (Fig. 6)", _sonar),
         ("stretch", "Table 5 predicted without and with path stretch, each run left out of the fit", _stretch),
         ("patrol_velocity", "Velocity over the patrol (Fig. 9)", _patrol_speed),
         ("patrol_error", "Energy and error over the patrol (Figs. 10, 11); calibrated, not predicted", _patrol_error),
@@ -270,6 +305,7 @@ PICTURES: dict[str, list[tuple[str, str, Paint]]] = {
     ],
     "rover2025": [
         ("complexities", "Least energy per metre with quality of service, by complexity (Fig. 3)", _complexities),
+        ("granularity", "Least energy per metre at three speed granularities (Fig. 3); km/h reading", _granularity),
         ("mechanical", "Mechanical energy per metre (Fig. 5)", _mechanical),
         ("service", "Energy against throughput (Fig. 6), PLPT against clock (Fig. 7); km/h reading", _service),
         ("fidelity", "Error and computing time against speed granularity (Fig. 4)", _fidelity),

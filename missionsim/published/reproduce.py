@@ -15,6 +15,8 @@ from missionsim.files import write_text
 from missionsim.published.figures import PAPERS, STATUSES, TITLES, Item, judge_all
 
 SCHEMA = "missionsim.reproduction/1"
+Tables = dict[str, list[dict[str, Any]]]
+"""Name → rows."""
 COLUMNS = ("item", "where", "published", "ours", "unit", "difference", "tolerance", "rule", "status", "note", "key")
 
 
@@ -41,9 +43,16 @@ def reproduce_paper(paper: str) -> list[Item]:
     return judge_all(paper, module.ours())
 
 
-def to_json(items: Iterable[Item]) -> dict[str, Any]:
-    """The contract's JSON."""
-    return {"schema": SCHEMA, "items": [item.to_json() for item in items]}
+def side_tables(paper: str) -> Tables:
+    """Tables beside the figures of a paper, by name."""
+    from missionsim.published.tables import TABLES
+
+    return {name: make() for name, make in TABLES[paper]}
+
+
+def to_json(items: Iterable[Item], tables: dict[str, Tables] | None = None) -> dict[str, Any]:
+    """The contract's JSON, and beside the items the other tables by paper."""
+    return {"schema": SCHEMA, "items": [item.to_json() for item in items], "tables": tables or {}}
 
 
 def number(value: float | None) -> str:
@@ -100,23 +109,20 @@ def footnotes(items: Sequence[Item]) -> tuple[list[str], list[str]]:
     return references, list(notes)
 
 
-def files(items: dict[str, list[Item]]) -> dict[str, str]:
+def files(items: dict[str, list[Item]], tables: dict[str, Tables]) -> dict[str, str]:
     """Every text file of ``results/published``, by name: CSV tables and the Markdown page."""
     from missionsim.published.page import page
-    from missionsim.published.tables import TABLES
 
     result: dict[str, str] = {}
-    tables: dict[str, list[tuple[str, list[dict[str, Any]]]]] = {}
     for paper, found in items.items():
         result[f"{paper}.csv"] = items_csv(found)
-        tables[paper] = [(name, make()) for name, make in TABLES[paper]]
-        for name, rows in tables[paper]:
+        for name, rows in tables[paper].items():
             result[f"{paper}_{name}.csv"] = rows_csv(rows)
     result["README.md"] = page(items, tables)
     return result
 
 
-def write(out: Path, items: dict[str, list[Item]], pictures: bool = True) -> list[Path]:
+def write(out: Path, items: dict[str, list[Item]], tables: dict[str, Tables], pictures: bool = True) -> list[Path]:
     """Write tables, page and pictures into a folder; each file whole or not at all.
 
     Returns
@@ -125,7 +131,7 @@ def write(out: Path, items: dict[str, list[Item]], pictures: bool = True) -> lis
         What was written.
     """
     written = []
-    for name, text in files(items).items():
+    for name, text in files(items, tables).items():
         write_text(out / name, text)
         written.append(out / name)
     if pictures:
@@ -136,4 +142,4 @@ def write(out: Path, items: dict[str, list[Item]], pictures: bool = True) -> lis
     return written
 
 
-__all__ = ["TITLES", "footnotes", "papers_of", "reproduce_paper", "to_json", "write"]
+__all__ = ["TITLES", "footnotes", "papers_of", "reproduce_paper", "side_tables", "to_json", "write"]

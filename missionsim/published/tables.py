@@ -151,7 +151,7 @@ def directions() -> Rows:
 
 def fidelity() -> Rows:
     """Rover: error of each fidelity level (computing times are in the picture, they depend on the machine)."""
-    from missionsim.control import LEVELS, FidelityModel
+    from missionsim.fidelity import LEVELS, FidelityModel
 
     model = FidelityModel(rover2025.predictor(), (0.5, 9.0))
     rows: Rows = []

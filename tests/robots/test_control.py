@@ -7,8 +7,9 @@ import time
 import numpy as np
 import pytest
 
-from missionsim.control import LEVELS, AutoFidelity, FidelityModel, PowerPredictor
+from missionsim.control import PowerPredictor
 from missionsim.errors import InputError
+from missionsim.fidelity import LEVELS, AutoFidelity, FidelityModel
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,8 @@ import pytest
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError
-from missionsim.online import ExpectedRun, Forecast, OnlinePredictor
+from missionsim.expected import ExpectedRun
+from missionsim.online import Forecast, OnlinePredictor
 from missionsim.spec import load_mission
 
 
