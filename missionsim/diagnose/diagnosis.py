@@ -348,7 +348,8 @@ def _series(found: Identification) -> tuple[RunSeries, ...]:
     names = {effect.effect for effect in found.effects}
     chosen = [k for k in model.chosen if found.library[design.layout.columns[k].candidate].effect in names]
     fitted = prediction(model, chosen, design)
+    recalibrated_w = prediction(found.choice.empty, (), design)
     return tuple(
-        RunSeries(name, design.time_s[rows], design.y[rows], design.base[rows], fitted[rows])
+        RunSeries(name, design.time_s[rows], design.y[rows], design.base[rows], recalibrated_w[rows], fitted[rows])
         for name, rows in zip(design.names, design.runs, strict=True)
     )

@@ -191,8 +191,8 @@ def _add_columns(effect: Effect, runs: Sequence[Run], columns: list[dict[str, Ar
             return [_column(effect, cov, values, "") for cov in covariates]
 
     return Candidate(
-        effect.id, names, effect.sign, effect.coefficient.unit, effect.coefficient.name, shape, None, refit,
-        effect.covariate, levels, {spec.name: (spec.low, spec.high) for spec in effect.shape},
+        effect.id, names, effect.sign, effect.coefficient.unit, "k" if levels else effect.coefficient.name, shape, None,
+        refit, effect.covariate, levels, {spec.name: (spec.low, spec.high) for spec in effect.shape},
     )  # fmt: skip
 
 

@@ -218,6 +218,7 @@ class RunSeries:
     time_s: NDArray[np.float64]
     measured_w: NDArray[np.float64]
     nominal_w: NDArray[np.float64]
+    recalibrated_w: NDArray[np.float64]
     fitted_w: NDArray[np.float64]
 
 

@@ -1,0 +1,156 @@
+"""`missionsim improve`: compare, diagnose, add, compare again, until nothing is left to find."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text, simple_table
+from missionsim.cli.diagnose import HoldoutOption, ReportOption, RobotOption
+
+if TYPE_CHECKING:
+    from missionsim.diagnose.findings import BatteryDiagnosis, Finding
+    from missionsim.diagnose.improve import Improved
+
+
+def improve(
+    *logs: Path,
+    robot: RobotOption,
+    out: Annotated[Path, Parameter(name="--out")],
+    battery: Annotated[str | None, Parameter(name="--battery")] = None,
+    holdout: HoldoutOption = None,
+    alpha: Annotated[float, Parameter(name="--alpha")] = 0.01,
+    yes: Annotated[bool, Parameter(name="--yes", negative="")] = False,
+    report: ReportOption = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Compare, diagnose, add what is missing and compare again, until nothing is left to find.
+
+    Asks before each step on a terminal. Never adds one of several effects that the logs cannot tell apart.
+
+    Parameters
+    ----------
+    logs
+        Log files or folders of them.
+    robot
+        Shipped robot's name or a robot file.
+    out
+        Robot file to write.
+    battery
+        Only this battery; by default every one that can be diagnosed.
+    holdout
+        Runs that are not fitted but tested on; see diagnose. By default the last quarter of four or more runs.
+    alpha
+        Family-wise rate of false alarms.
+    yes
+        Add every effect that was identified, without asking.
+    report
+        Write an interactive page to this HTML file.
+    json
+        Write the steps as JSON to this file, or - for standard output.
+    quiet
+        Print nothing.
+    """
+    from missionsim.diagnose.improve import improve as run_improve
+    from missionsim.diagnose.split import choose_split
+    from missionsim.errors import InputError
+    from missionsim.files import write_text
+    from missionsim.identify.data import Settings
+    from missionsim.logs import read_logs
+    from missionsim.spec.edit import for_folder, robot_text
+    from missionsim.spec.loading import load_robot
+
+    if not logs:
+        raise InputError.single("give at least one log", allowed="files or folders")
+    if not yes and not sys.stdin.isatty():
+        raise InputError.single("improve asks before it adds an effect, and this is no terminal",
+                                allowed="--yes to add every effect that was identified")
+    spec = load_robot(robot)
+    tables = read_logs(list(logs), robot=spec)
+    split = choose_split(tables, holdout)
+    text = robot_text(robot)
+    wanted = [battery] if battery is not None else _batteries(spec, tables)
+    done: list[Improved] = []
+    skipped: dict[str, InputError] = {}
+    for name in wanted:
+        try:
+            result = run_improve(text, split, name, Settings(alpha=alpha), _always if yes else _ask)
+        except InputError as error:
+            skipped[name] = error
+            continue
+        done.append(result)
+        text = result.text
+    if not done:
+        raise next(iter(skipped.values()))
+    write_text(out, for_folder(text, out.parent))
+    emit_json(_as_json(done, skipped, out, split.how), json)
+    if report is not None:
+        from missionsim.report.improve_page import improve_page
+
+        write_text(report, improve_page(spec.name, done))
+    if shows_text(json, quiet):
+        _print(done, skipped, out, report)
+    return 0
+
+
+def _batteries(spec: Any, tables: list[Any]) -> list[str]:
+    measured = list(dict.fromkeys(name for log in tables for name in log.power_w))
+    return [name for name in measured if name in spec.batteries] or measured
+
+
+def _always(finding: Finding, diagnosis: BatteryDiagnosis) -> bool:
+    return True
+
+
+def _ask(finding: Finding, diagnosis: BatteryDiagnosis) -> bool:
+    from rich.prompt import Confirm
+
+    from missionsim.diagnose import words
+
+    terminal = console(stderr=True)
+    terminal.print(words.found_line(finding), markup=False)
+    if finding.heldout_rmse_before_w is not None and finding.heldout_rmse_after_w is not None:
+        terminal.print(f"power error on held-out runs {finding.heldout_rmse_before_w:.3g} -> "
+                       f"{finding.heldout_rmse_after_w:.3g} W", markup=False)
+    return Confirm.ask(f"add {finding.effect} to battery {diagnosis.battery}?", default=True, console=terminal)
+
+
+def _as_json(done: list[Improved], skipped: dict[str, Any], out: Path, how: str) -> dict[str, Any]:
+    return {
+        "schema": "missionsim.improvement/1", "robot_file": str(out), "holdout": how,
+        "batteries": {
+            one.battery: {
+                "added": list(one.added), "declined": list(one.declined), "stopped": one.stopped,
+                "on_heldout_runs": one.heldout,
+                "steps": [{"name": s.name, "energy_error_pct": s.energy_error_pct, "power_rmse_w": s.power_rmse_w}
+                          for s in one.steps],
+                "first": one.first.to_json(), "last": one.last.to_json(),
+            }
+            for one in done
+        },
+        "skipped": {name: " ".join(str(error).split()) for name, error in skipped.items()},
+    }
+
+
+def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Path | None) -> None:
+    terminal = console()
+    for one in done:
+        which = "held-out runs" if one.heldout else "fitted runs (none held out)"
+        most = max(step.power_rmse_w for step in one.steps) or 1.0
+        rows = [
+            (step.name, f"{step.energy_error_pct:.2f}", f"{step.power_rmse_w:.3g}",
+             "█" * max(1, round(18 * step.power_rmse_w / most)))
+            for step in one.steps
+        ]
+        terminal.print(simple_table(f"Battery {one.battery}: error on {which}", [
+            "model", ("energy error, %", "right"), ("power RMSE, W", "right"), ""], rows))
+        terminal.print(f"added: {', '.join(one.added) or 'nothing'}; {one.stopped}", markup=False)
+    for name, error in skipped.items():
+        terminal.print(f"battery {name} was left as it is: {' '.join(str(error).split())}", markup=False)
+    terminal.print(f"written: {out}", markup=False)
+    if report is not None:
+        terminal.print(f"report written: {report}", markup=False)

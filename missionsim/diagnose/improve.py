@@ -1,0 +1,165 @@
+"""Round after round: diagnose, add the best-supported effect, compare again, until nothing is left to find."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from missionsim.diagnose.adopt import adopt
+from missionsim.diagnose.diagnosis import NO_PRIOR_SD, Subject, diagnose_battery
+from missionsim.diagnose.findings import BatteryDiagnosis, Finding
+from missionsim.diagnose.split import Split
+from missionsim.identify.data import Settings
+
+MOST_ROUNDS = 8
+
+Ask = Callable[[Finding, BatteryDiagnosis], bool]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One bar of the waterfall: errors on the held-out runs (on the fitted ones where none are held out).
+
+    Attributes
+    ----------
+    name : str
+        ``before``, ``recalibrated``, ``+ <effect>`` or ``noise floor``.
+    energy_error_pct : float
+        Mean over runs of the absolute energy error.
+    power_rmse_w : float
+    """
+
+    name: str
+    energy_error_pct: float
+    power_rmse_w: float
+
+
+@dataclass(frozen=True)
+class Improved:
+    """What came of it.
+
+    Attributes
+    ----------
+    battery : str
+    text : str
+        The robot file with everything that was added.
+    added, declined : tuple of str
+    steps : tuple of Step
+    heldout : bool
+        Whether the steps are of runs that were not used to fit.
+    first, last : BatteryDiagnosis
+        Before anything was added, and after.
+    stopped : str
+        Why it ended, in words.
+    """
+
+    battery: str
+    text: str
+    added: tuple[str, ...]
+    declined: tuple[str, ...]
+    steps: tuple[Step, ...]
+    heldout: bool
+    first: BatteryDiagnosis
+    last: BatteryDiagnosis
+    stopped: str
+
+
+def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask) -> Improved:
+    """Improve the text of a robot file for one battery.
+
+    Parameters
+    ----------
+    text : str
+        Robot file.
+    split : Split
+    battery : str
+    settings : Settings
+    ask : callable
+        ``(finding, diagnosis) -> bool``: whether to add it.
+    """
+    from missionsim.spec.loading import robot_from_text
+
+    robot = robot_from_text(text)
+    start = Subject.of(robot)
+    priors = _own_priors(start, battery)
+    first = last = diagnose_battery(start, split, battery, None, settings)
+    steps = [_step("before", first, "nominal"), _step("recalibrated", first, "recalibrated")]
+    added: list[str] = []
+    declined: list[str] = []
+    stopped = ""
+    for _ in range(MOST_ROUNDS):
+        choice = next((e for e in last.effects if not e.indistinguishable_from and e.effect not in declined), None)
+        if choice is None:
+            break
+        if not ask(choice, last):
+            declined.append(choice.effect)
+            continue
+        made = adopt(text, robot, split, choice.effect, battery, settings, force=True, priors=priors)
+        text, robot = made.text, robot_from_text(made.text)
+        added.append(choice.effect)
+        # the file's own base values came from these logs: what was known before them stays the prior
+        again = Subject.of(robot, priors={**_fitted_priors(robot, battery), **priors})
+        last = diagnose_battery(again, split, battery, None, settings)
+        steps.append(_step(f"+ {choice.effect}", last, "nominal"))
+    stopped = _why(last, declined)
+    steps.append(_floor(last))
+    return Improved(battery, text, tuple(added), tuple(declined), tuple(steps), first.heldout is not None, first, last,
+                    stopped)
+
+
+def _own_priors(subject: Subject, battery: str) -> dict[str, float]:
+    return {
+        term.name_of(name): parameter.prior_sd
+        for term in subject.model.of(battery) for name, parameter in term.parameters.items()
+    }
+
+
+def _fitted_priors(robot: Any, battery: str) -> dict[str, float]:
+    """Effects that were fitted to these logs have no prior of their own."""
+    model = Subject.of(robot).model
+    return {
+        term.name_of(name): NO_PRIOR_SD
+        for term in model.of(battery) if not term.base for name in term.parameters
+    }
+
+
+def _step(name: str, diagnosis: BatteryDiagnosis, kind: str) -> Step:
+    if diagnosis.heldout is not None:
+        return Step(name, diagnosis.heldout.energy_error_pct[kind], diagnosis.heldout.power_rmse_w[kind])
+    which = {"nominal": "nominal_w", "recalibrated": "recalibrated_w"}[kind]
+    energy, square, seconds = [], 0.0, 0.0
+    for run in diagnosis.series:
+        error = getattr(run, which) - run.measured_w
+        energy.append(100.0 * abs(float(error.sum()) / float(run.measured_w.sum())))
+        square += float(np.sum(error**2))
+        seconds += len(error)
+    return Step(name, float(np.mean(energy)), float(np.sqrt(square / max(seconds, 1.0))))
+
+
+def _floor(diagnosis: BatteryDiagnosis) -> Step:
+    """Errors that a true model would have: the noise, and meters that differ between runs."""
+    noise: Mapping[str, float] = diagnosis.noise
+    power = diagnosis.mean_power_w
+    rmse = float(np.sqrt(noise["sd_w"] ** 2 + noise["offset_w"] ** 2 + (noise["gain"] * power) ** 2))
+    seconds = diagnosis.seconds / max(len(diagnosis.runs), 1)
+    # energy noise of a run from the noise's two correlation times, the slower one as the careful choice
+    slow = min(1.0, np.sqrt(2.0 * max(noise["fast_s"], 1.0) / seconds))
+    spread = np.sqrt((noise["offset_w"] / power) ** 2 + noise["gain"] ** 2 + (noise["sd_share"] * slow) ** 2)
+    return Step("noise floor", 100.0 * float(spread) * float(np.sqrt(2.0 / np.pi)), rmse)
+
+
+def _why(last: BatteryDiagnosis, declined: Sequence[str]) -> str:
+    unsure = [e for e in last.effects if e.indistinguishable_from]
+    if unsure:
+        names = " or ".join((unsure[0].effect, *unsure[0].indistinguishable_from))
+        drive = f" Drive next: {last.next_experiments[0].do}." if last.next_experiments else ""
+        return f"these data cannot tell {names}, so neither is added.{drive}"
+    if last.verdict == "unexplained_structure":
+        on = ", ".join(last.unexplained.depends_on)
+        return f"something remains that the library does not contain; it varies with {on}."
+    if declined:
+        return f"declined: {', '.join(declined)}."
+    return "nothing is left above the detection limits."

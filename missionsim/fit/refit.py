@@ -1,0 +1,75 @@
+"""Refit the parameters of a robot file, each with its own prior, and write them back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from missionsim.errors import InputError
+from missionsim.fit.parameters import ModelFit, fit_parameters
+from missionsim.fit.provenance import CALIBRATION, data_tag
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A robot file with refitted parameters: its text, one fit a battery, remarks."""
+
+    text: str
+    fits: tuple[ModelFit, ...]
+    remarks: tuple[str, ...]
+
+
+def refit_robot(robot: str | Path, logs: Sequence[Any], battery: str | None = None) -> Refit:
+    """Fit every parameter of a robot that the logs say something about.
+
+    Parameters
+    ----------
+    robot : str or path
+        Shipped robot or file.
+    logs : sequence of LogTable
+    battery : str, optional
+        Only this one; by default every battery that the logs measure and whose model they can drive.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where no battery can be fitted.
+    """
+    from missionsim.spec import edit
+    from missionsim.spec.loading import load_robot
+    from missionsim.spec.power import build_power_model
+
+    spec = load_robot(robot)
+    model = build_power_model(spec)
+    measured = list(dict.fromkeys(name for log in logs for name in log.power_w))
+    wanted = measured if battery is None else [battery]
+    fits: list[ModelFit] = []
+    remarks: list[str] = []
+    refused: list[InputError] = []
+    updates: dict[str, dict[str, Any]] = {}
+    for name in wanted:
+        if name not in model.batteries:
+            refused.append(InputError.single(f"the robot has no battery '{name}'", got=name,
+                                             allowed=", ".join(model.batteries)))
+            continue
+        try:
+            fit = fit_parameters(model, logs, name)
+        except InputError as error:
+            refused.append(error)
+            remarks.append(f"battery {name} was not fitted: {' '.join(str(error).split())}")
+            continue
+        fits.append(fit)
+        remarks += fit.remarks
+        for parameter in fit.parameters.values():
+            path = model.parameters[f"{name}/{parameter.name}"].path
+            if parameter.seen and path:
+                updates[path] = {"value": parameter.value, "sd": parameter.sd, "status": "fitted",
+                                 "source": CALIBRATION, "note": f"{parameter.before:.6g} before"}
+    if not fits:
+        raise refused[0]
+    text = edit.set_values(edit.robot_text(robot), updates)
+    count = len(logs)
+    text = edit.set_source(text, CALIBRATION, f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(logs)}")
+    return Refit(text, tuple(fits), tuple(dict.fromkeys(remarks)))

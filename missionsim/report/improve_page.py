@@ -1,0 +1,66 @@
+"""The interactive page of an improvement: the waterfall of the error, and the diagnosis before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from missionsim.diagnose.findings import Diagnosis
+from missionsim.diagnose.improve import Improved
+from missionsim.report.blocks import Block, Chart, Section, Table, Tiles, Verdict
+from missionsim.report.diagnosis_page import diagnosis_sections
+from missionsim.report.page import COLOURS, format_cell, label, page
+
+
+def improve_page(robot: str, done: Sequence[Improved], *, footer: str = "") -> str:
+    """The page as HTML.
+
+    Parameters
+    ----------
+    robot : str
+    done : sequence of Improved
+        One a battery.
+    footer : str
+        How it was made.
+    """
+    sections: list[Section] = []
+    for one in done:
+        prefix = f"Battery {one.battery}: " if len(done) > 1 else ""
+        sections.append(Section(f"{prefix}Result", _result(one)))
+        for title, diagnosis in (("Before", one.first), ("After", one.last)):
+            inner = diagnosis_sections(Diagnosis(robot, {one.battery: diagnosis}))
+            sections += [Section(f"{prefix}{title}: {part.title}", part.blocks) for part in inner]
+    return page(f"{robot}: model improved", sections, subtitle="compare, diagnose, add, compare again", footer=footer)
+
+
+def _result(one: Improved) -> list[Block]:
+    which = "held-out runs" if one.heldout else "the fitted runs; none were held out"
+    first, last = one.steps[0], one.steps[-2]
+    text = (f"Battery {one.battery}: {', '.join(one.added) or 'nothing'} added; the power error on {which} went from "
+            f"{first.power_rmse_w:.3g} to {last.power_rmse_w:.3g} W, the energy error from "
+            f"{first.energy_error_pct:.2f} to {last.energy_error_pct:.2f} %. {one.stopped[:1].upper()}{one.stopped[1:]}")
+    names = [label(step.name) for step in one.steps]
+    floor = one.steps[-1]
+    charts: list[Block] = []
+    for title, values, level in (
+        ("power error (RMS), W", [s.power_rmse_w for s in one.steps], floor.power_rmse_w),
+        ("energy error, mean over runs, %", [s.energy_error_pct for s in one.steps], floor.energy_error_pct),
+    ):
+        colours = [COLOURS[1], *([COLOURS[4]] * (len(values) > 2)), *([COLOURS[2]] * (len(values) - 3)), "#aab2bd"]
+        traces: list[dict[str, Any]] = [
+            {"type": "bar", "x": names, "y": values, "marker": {"color": colours}, "showlegend": False,
+             "text": [format_cell(v, 3) for v in values], "textposition": "outside",
+             "hovertemplate": "%{x}: %{y:.3g}<extra></extra>"},
+            {"type": "scatter", "mode": "lines", "x": names, "y": [level] * len(names), "name": "noise floor",
+             "line": {"color": "#52606d", "dash": "dot"}, "hoverinfo": "skip"}]
+        layout = {"yaxis": {"title": {"text": title}, "rangemode": "tozero"}, "hovermode": "closest"}
+        charts.append(Chart(traces, layout,
+                            f"The {title.split(',')[0]} on {which}, step by step; the noise floor is what a true model "
+                            "would still show.", 360))
+    tone: Any = "good" if one.added and last.power_rmse_w < first.power_rmse_w else "neutral"
+    table = Table(["model", "energy error, %", "power error (RMS), W"],
+                  [[s.name, s.energy_error_pct, s.power_rmse_w] for s in one.steps], digits=3)
+    tiles = Tiles([("Added", str(len(one.added)), ", ".join(one.added)),
+                   ("Power error", f"{first.power_rmse_w:.3g} → {last.power_rmse_w:.3g} W", which),
+                   ("Noise floor", f"{floor.power_rmse_w:.3g} W", "noise and meters that differ between runs")])
+    return [Verdict(text, tone), tiles, *charts, table]
