@@ -111,3 +111,31 @@ def test_no_printed_number_is_dropped(paper: str, shared: Path) -> None:
 )
 def test_tables_are_whole(paper: str, prefix: str, count: int) -> None:
     assert sum(key.startswith(prefix) for key in load_figures(paper)) == count
+
+
+def test_table_4_is_transcribed_cell_by_cell(shared: Path) -> None:
+    """The rows of the paper's text against the data file; labels of merged cells stand before the numbers."""
+    text = (shared / "seeds" / SEEDS["jaiem2021"]).read_text(encoding="utf-8")
+    rows = [re.findall(r"(?<=\t)-?\d+(?:\.\d+)?(?=\t|$)", "\t" + line.strip()) for line in text.splitlines()]
+    rows = [row for row in rows if len(row) == 21]
+    assert len(rows) == 26
+    columns = ["P_R", "P_L_kinect", "P_L_laser", "P_L_watt", "P_L_switch1", "P_L_switch2", "P_L_screen", "P_L_proc",
+               "P_L", "pct_screen", "P_total", "pct_P_R", "pct_P_L", "delta_P"]
+    data, configurations = load_figures("jaiem2021"), figures.load_table("jaiem2021_table4_rows")
+    for number, (row, configuration) in enumerate(zip(rows, configurations, strict=True), start=1):
+        assert row[:3] == [configuration[name] for name in ("sonar", "laser", "kinect")]
+        assert row[7:] == [data[f"table4.r{number:02d}.{name}"].printed for name in columns]
+
+
+@pytest.mark.parametrize("table", ["3", "4"])
+def test_hous_tables_are_transcribed_cell_by_cell(shared: Path, table: str) -> None:
+    text = (shared / "seeds" / SEEDS["hou2019"]).read_text(encoding="utf-8")
+    part = text[text.index(f"\nTable {table}. ") :]
+    rows = [line.split("\t") for line in part.splitlines() if re.fullmatch(r"[\d.]+(\t[\d.]+){3}", line.strip())][:14]
+    data = load_figures("hou2019")
+    assert len(rows) == 14
+    for time, speed, modelled, measured in rows:
+        key = f"table{table}.t{float(time):.1f}"
+        assert (speed, modelled, measured) == tuple(
+            data[f"{key}.{name}"].printed for name in ("speed", "modelled", "measured")
+        )
