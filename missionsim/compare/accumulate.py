@@ -96,8 +96,7 @@ class Accumulator:
         if self.driven is not None:
             _add_driven(self.driven, block)
         for axis, cells in placed:
-            for key, values in weights.items():
-                axis.add(cells, key, values)
+            axis.add(cells, weights)
         self.places.add(block.covariates, weights)
 
     def segment_names(self) -> tuple[str, ...]:

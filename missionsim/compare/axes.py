@@ -7,6 +7,7 @@ the bins shown at the end are made of whole cells of that grid.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,14 +112,11 @@ class NumberAxis:
             cells[~known] = -1
         return cells
 
-    def add(self, cells: NDArray[np.int64], key: str, weights: NDArray[np.float64]) -> None:
-        """Add `weights` to the sum `key` of the cells given by `place` for the same rows."""
-        known = cells >= 0
-        if not known.all():
-            cells, weights = cells[known], weights[known]
-        found = _sums_by(cells, weights)
-        sums = self._array(key)
-        sums[: len(found)] += found
+    def add(self, cells: NDArray[np.int64], weights: Mapping[str, NDArray[np.float64]]) -> None:
+        """Add each of the `weights` to the sum of its key in the cells given by `place` for the same rows."""
+        for key, found in _sums_of(cells, weights).items():
+            sums = self._array(key)
+            sums[: len(found)] += found
 
     def bins(
         self, seconds: str, gap: str, square: str, wanted: int = WANTED_BINS, thin: float = THIN_SHARE
@@ -208,14 +206,14 @@ class LabelAxis:
             codes[~known] = -1
         return codes
 
-    def add(self, cells: NDArray[np.int64], key: str, weights: NDArray[np.float64]) -> None:
-        """Add `weights` to the sum `key` of the codes given by `place` for the same rows."""
-        known = cells >= 0
-        if not known.all():
-            cells, weights = cells[known], weights[known]
-        found = _sums_by(cells, weights, len(self._codes))
-        old = self._sums.get(key, np.zeros(0))
-        self._sums[key] = found + np.pad(old, (0, len(found) - len(old)))
+    def add(self, cells: NDArray[np.int64], weights: Mapping[str, NDArray[np.float64]]) -> None:
+        """Add each of the `weights` to the sum of its key in the codes given by `place` for the same rows."""
+        for key, found in _sums_of(cells, weights).items():
+            old = self._sums.get(key, np.zeros(0))
+            sums = np.zeros(max(len(found), len(old)))
+            sums[: len(old)] = old
+            sums[: len(found)] += found
+            self._sums[key] = sums
 
     def bins(
         self, seconds: str, gap: str, square: str, wanted: int = WANTED_BINS, thin: float = THIN_SHARE
@@ -247,8 +245,21 @@ def tidy(number: float) -> str:
     return f"{_rounded(number):.10g}".replace("-", "−")
 
 
-def _sums_by(index: NDArray[np.int64], weights: NDArray[np.float64], size: int = 0) -> NDArray[np.float64]:
-    return np.asarray(np.bincount(index, weights, minlength=size), dtype=np.float64)
+def _sums_of(
+    cells: NDArray[np.int64], weights: Mapping[str, NDArray[np.float64]]
+) -> dict[str, NDArray[np.float64]]:
+    """Sum of each weight by cell, cells from 0 up to the highest one; rows with cell -1 are left out."""
+    low, high = int(cells.min()), int(cells.max())
+    if low == high:
+        # one value in the whole block, as for most columns of a long log: no need to count
+        return {} if low < 0 else {key: np.append(np.zeros(low), values.sum()) for key, values in weights.items()}
+    if low < 0:
+        return {key: _sums_by(cells + 1, values)[1:] for key, values in weights.items()}
+    return {key: _sums_by(cells, values) for key, values in weights.items()}
+
+
+def _sums_by(index: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.bincount(index, weights), dtype=np.float64)
 
 
 def _rounded(number: float) -> float:

@@ -24,8 +24,7 @@ def filled(axis: NumberAxis | LabelAxis, column: object, pieces: int = 1) -> Num
     for part in np.array_split(np.arange(size), pieces):
         cells = axis.place(column[part])  # type: ignore[index]
         if cells is not None:
-            for key in KEYS:
-                axis.add(cells, key, weights[key][part])
+            axis.add(cells, {key: values[part] for key, values in weights.items()})
     return axis
 
 
@@ -59,8 +58,7 @@ def test_a_wider_block_later_makes_the_grid_coarser_without_loss() -> None:
     for column in (np.linspace(0, 1, 100), np.linspace(0, 1e5, 100)):
         cells = axis.place(column)
         assert cells is not None
-        for key in KEYS:
-            axis.add(cells, key, np.ones(100))
+        axis.add(cells, dict.fromkeys(KEYS, np.ones(100)))
     bins = axis.bins(*KEYS)
     assert sum(b.seconds for b in bins) == 200
     assert bins[0].seconds >= 100
@@ -71,7 +69,7 @@ def test_missing_numbers_are_left_out() -> None:
     cells = axis.place(np.array([1.0, np.nan, 2.0]))
     assert cells is not None
     assert cells[1] == -1
-    axis.add(cells, "seconds", np.array([1.0, 10.0, 1.0]))
+    axis.add(cells, {"seconds": np.array([1.0, 10.0, 1.0])})
     assert sum(b.seconds for b in axis.bins(*KEYS)) == 2.0
     assert NumberAxis("x", "x", "").place(np.array([np.nan])) is None
 
@@ -81,8 +79,7 @@ def test_labels_keep_their_code_when_blocks_name_them_in_another_order() -> None
     for texts in (["tile", "carpet"], ["carpet", "carpet", "", "grass"]):
         cells = axis.place(Labels.of(texts))
         assert cells is not None
-        for key in KEYS:
-            axis.add(cells, key, np.ones(len(texts)))
+        axis.add(cells, dict.fromkeys(KEYS, np.ones(len(texts))))
     assert {b.value: b.seconds for b in axis.bins(*KEYS)} == {"tile": 1.0, "carpet": 3.0, "grass": 1.0}
 
 
