@@ -13,13 +13,14 @@ import os
 import sys
 import tempfile
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from . import features, peers, product
 from .judge import in_library, judge
@@ -155,20 +156,34 @@ def tasks(arguments: argparse.Namespace) -> Iterator[Task]:
                 yield Task(name, seed, **kinds)
 
 
-def run(todo: Sequence[Task], workers: int, quiet: bool = False) -> list[Row]:
-    """Score all tasks, in parallel; the rows come in the order of the tasks whatever the number of workers."""
+def run(
+    todo: Sequence[Task], workers: int, quiet: bool = False, save: Callable[[list[Row]], None] | None = None
+) -> list[Row]:
+    """Score all tasks, in parallel; the rows come in the order of the tasks whatever the number of workers.
+
+    ``save`` gets all rows so far after every 25 tasks, so that a long study that is cut off has not been in vain.
+    """
     rows: dict[int, list[Row]] = {}
+
+    def ordered() -> list[Row]:
+        return [row for i in sorted(rows) for row in rows[i]]
+
+    def done(i: int, result: list[Row]) -> None:
+        rows[i] = result
+        _progress(len(rows), len(todo), quiet)
+        if save is not None and (len(rows) % 25 == 0 or len(rows) == len(todo)):
+            save(ordered())
+
     if workers <= 1:
-        for i, task in enumerate(todo):
-            rows[i] = score_task(task)
-            _progress(i + 1, len(todo), quiet)
+        with threadpool_limits(1):
+            for i, task in enumerate(todo):
+                done(i, score_task(task))
     else:
-        with ProcessPoolExecutor(workers) as pool:
+        with ProcessPoolExecutor(workers, initializer=threadpool_limits, initargs=(1,)) as pool:
             futures = {pool.submit(score_task, task): i for i, task in enumerate(todo)}
-            for done, future in enumerate(as_completed(futures), start=1):
-                rows[futures[future]] = future.result()
-                _progress(done, len(todo), quiet)
-    return [row for i in sorted(rows) for row in rows[i]]
+            for future in as_completed(futures):
+                done(futures[future], future.result())
+    return ordered()
 
 
 def _progress(done: int, total: int, quiet: bool) -> None:
@@ -242,13 +257,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not todo:
         print("no such cases", file=sys.stderr)
         return 2
-    rows = run(todo, options.workers, options.quiet)
-    print(markdown(rows, heading(rows, options.practice is not None)))
-    if options.out:
-        stem = "practice" if options.practice else "world"
+    practice = options.practice is not None
+    stem = "practice" if practice else "world"
+
+    def save(rows: list[Row]) -> None:
         kept = earlier(options.out / f"{stem}.csv", rows) if options.add else []
         every = [*kept, *rows]
-        write_results(every, options.out, stem, heading(every, options.practice is not None))
+        write_results(every, options.out, stem, heading(every, practice))
+
+    rows = run(todo, options.workers, options.quiet, save if options.out else None)
+    print(markdown(rows, heading(rows, practice)))
     failures = [row for row in rows if row.get("failure")]
     for row in failures[:5]:
         print(f"FAILED {row['case']} seed {row['seed']}: {row['failure']}", file=sys.stderr)
