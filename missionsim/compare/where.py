@@ -13,6 +13,8 @@ BLOCK_S = 20.0
 """Errors nearer in time than this count as one observation, since power errors last for many seconds."""
 WORTH_SAYING = 0.02
 """Explained share of the squared error below which a covariate is not spoken of."""
+LESSER_SHARE = 0.15
+"""Nor of one that explains less than this share of what the strongest explains."""
 CHART_BINS = 40
 CHART_THIN_SHARE = 0.0005
 
@@ -144,7 +146,8 @@ def _dependence(by: str, title: str, unit: str, bins: list[Bin], fine: list[Bin]
 
 def in_words(found: Sequence[Dependence], limit: int = 3) -> list[str]:
     """Sentences on the covariates that explain most; one sentence where none explains anything."""
-    telling = [dependence for dependence in found if dependence.explained >= WORTH_SAYING][:limit]
+    least = max(WORTH_SAYING, LESSER_SHARE * max((dependence.explained for dependence in found), default=0.0))
+    telling = [dependence for dependence in found if dependence.explained >= least][:limit]
     if not telling:
         return ["The error shows no clear dependence on any logged quantity."]
     sentences = []

@@ -113,7 +113,10 @@ def _table(title: str) -> Any:
 
 
 def _signed(value: float | None) -> str:
-    return "–" if value is None or not math.isfinite(value) else f"{value:+.4f}"
+    if value is None or not math.isfinite(value):
+        return "–"
+    # adding zero makes a negative zero positive
+    return f"{round(value, 4) + 0.0:+.4f}".replace("-", "−")
 
 
 def _ratio(value: float | None) -> str:
