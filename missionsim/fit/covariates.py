@@ -21,8 +21,8 @@ MOST_MISSING = 0.2
 MOST_TEXTS = 12
 # electrical quantities follow the load, so they can never be its cause; places and clocks of memory are no physics
 _NO_CAUSE = re.compile(
-    r"^(power|voltage|current|energy)_.*|^(x_m|y_m|segment|starts|starts_per_s|body_mass_kg|mass_kg|regeneration"
-    r"|drive_w|load_w|moving)$|^on_time_.*"
+    r"(^|_)(power|voltage|volts?|current|amps?|energy|soc|charge)(_|$)"
+    r"|^(x_m|y_m|segment|starts|starts_per_s|body_mass_kg|mass_kg|regeneration|drive_w|load_w|moving)$|^on_time_"
 )
 
 
@@ -107,7 +107,7 @@ def shared_names(runs: Sequence[Run], remarks: list[str]) -> set[str]:
                 run.cov[name] = np.zeros(len(run.time_s))
                 run.cov[f"on_time_{name[3:]}_s"] = np.zeros(len(run.time_s))
             remarks.append(f"{name} is not logged in {told}: counted as switched off there")
-        elif not _NO_CAUSE.match(name):
+        elif not _NO_CAUSE.search(name):
             remarks.append(f"{name} is not logged in {told}: effects that need it are not tested")
     return set.intersection(*(set(run.cov) for run in runs))
 
@@ -130,7 +130,7 @@ def watched(run: Run, names: set[str], known: Mapping[str, tuple[str, ...]]) -> 
     """
     found: dict[str, Array] = {}
     for name in sorted(names):
-        if _NO_CAUSE.match(name):
+        if _NO_CAUSE.search(name):
             continue
         value = run.cov[name]
         if isinstance(value, Labels):

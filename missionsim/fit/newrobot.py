@@ -14,6 +14,7 @@ import numpy as np
 
 from missionsim.effects.base_terms import ALIASES
 from missionsim.effects.covariates import is_moving
+from missionsim.effects.derive import derive, elapsed
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError, did_you_mean
 from missionsim.expressions import FUNCTIONS, Expression, compile_expression
@@ -24,6 +25,8 @@ from missionsim.glossary import column_of
 SHORTEST_STANDING_S = 5.0
 """Time at rest from which the standing power is fitted on its own."""
 LEAST_CHANGES = 2
+SETTLING_S = 3.0
+REST_BLOCK_S = 10.0
 _UNKNOWN = "not known from logs; put your own"
 
 
@@ -91,6 +94,8 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Any]) -> Calibration:
     model = _load(draft)
     fit = fit_parameters(model, logs, robot.battery, free=True)
     _refuse_unseen(fit, [*names, *(f"{c}.power" for c in components)])
+    if standing:
+        fit = _with_rest(fit, logs, robot.battery)
     for name, value in fit.parameters.items():
         if value.value < 0.0:
             remarks.append(f"{name} came out negative ({value.value:.3g}, 95 % {value.low:.3g} to {value.high:.3g}): "
@@ -149,6 +154,43 @@ def _has_standing(logs: Sequence[Any], battery: str, remarks: list[str]) -> bool
     if rest < SHORTEST_STANDING_S:
         remarks.append(f"the robot stood still for {rest:.0f} s only: power at rest is the formula's at zero speed")
     return rest >= SHORTEST_STANDING_S
+
+
+def _with_rest(fit: ModelFit, logs: Sequence[Any], battery: str) -> ModelFit:
+    """Power at rest from the rows at rest alone, where they say more of it than all rows together.
+
+    Noise of a driving robot can be far larger than everything that it draws at rest. Rows just after a stop are left
+    out, because meters lag; blocks of `REST_BLOCK_S` count as one observation.
+    """
+    blocks: list[float] = []
+    for log in logs:
+        if battery not in log.power_w:
+            continue
+        still = ~np.asarray(is_moving(log.columns))
+        seconds = np.asarray(log.dt_s)
+        clock = elapsed(still, seconds, reset=True)
+        rows = still & (clock > SETTLING_S) & np.isfinite(log.power_w[battery])
+        if not rows.any():
+            continue
+        model = np.broadcast_to(np.asarray(fit.model.total(_complete(log), battery), dtype=float), seconds.shape)
+        left = (log.power_w[battery] - model)[rows]
+        number = np.floor(np.cumsum(seconds[rows]) / REST_BLOCK_S).astype(int)
+        weight = np.bincount(number, seconds[rows])
+        mean = np.bincount(number, left * seconds[rows]) / np.maximum(weight, 1e-9)
+        blocks += mean[weight > 0.0].tolist()
+    old = fit.parameters["standing"]
+    if len(blocks) < 3:
+        return fit
+    sd = float(np.std(blocks, ddof=1) / np.sqrt(len(blocks)))
+    if sd >= old.sd:
+        return fit
+    value = old.value + float(np.mean(blocks))
+    new = replace(old, value=value, sd=sd, low=value - 1.96 * sd, high=value + 1.96 * sd)
+    return replace(fit, parameters={**fit.parameters, "standing": new})
+
+
+def _complete(log: Any) -> dict[str, Any]:
+    return derive(log.columns, np.asarray(log.time_s), np.asarray(log.dt_s))
 
 
 def _refuse_unseen(fit: ModelFit, names: Sequence[str]) -> None:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from missionsim.effects.model import PowerModel
+from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.fit.prepare import Prepared, prepare
 from missionsim.identify.data import Settings
 from missionsim.identify.design import make_source
@@ -16,6 +17,10 @@ from missionsim.identify.model import Model, fit_model
 
 FREE_SD = 100.0
 """Relative prior standard deviation that leaves a parameter to the data."""
+BLOCK_S = 20.0
+WORSE = 0.01
+"""Share of the variance by which generalised least squares may explain less than ordinary ones before it is doubted."""
+LARGEST_INFLATION = 1e8
 ROUNDS = 5
 Z95 = 1.959963984540054
 
@@ -109,11 +114,15 @@ def fit_parameters(
     settings = settings or Settings()
     ready = prepare(model, logs, battery)
     before = ready
+    plain: Plain | None = None
     if free:
         model = _least_squares_start(model, ready)
         ready = prepare(model, logs, battery)
+        model, plain = _settled(model, ready, logs)
+        ready = prepare(model, logs, battery)
     known = {name: p for name, p in ready.parameters.items() if p.value != 0.0}
-    prior_sd = {name: FREE_SD if free else p.prior_sd for name, p in known.items()}
+    prior_sd = _free_priors(ready, known) if free else {name: p.prior_sd for name, p in known.items()}
+    told = _told_apart(ready) if free else frozenset(known)
     prior_value = {name: p.value for name, p in known.items()}
     fitted: Model | None = None
     for step in range(ROUNDS):
@@ -134,10 +143,13 @@ def fit_parameters(
     final = _moved(model, battery, moved)
     sd = {name: float(np.sqrt(covariance[i, i])) for i, name in enumerate(names)}
     parameters = {
-        name: _fitted(name, p.unit, p.value, moved.get(name), sd.get(name), prior_sd[name], prior_value[name], free)
+        name: _fitted(name, p.unit, p.value, moved.get(name), sd.get(name), prior_sd[name], prior_value[name],
+                      name in told)
         for name, p in ((n, ready.parameters[n]) for n in known)
     }
     errors = _errors(fitted, before, ready, moved)
+    if plain is not None and errors[2] < plain.explained - WORSE:
+        return _plain_fit(battery, plain, fitted, before, told, errors[0])
     return ModelFit(
         battery, final, parameters, fitted.clock.delay_s, fitted.clock.lag_s, fitted.noise.total_sd_w, *errors,
         tuple(run.name for run in ready.runs), float(sum(np.sum(run.dt_s) for run in ready.runs)),
@@ -152,12 +164,122 @@ def _moved(model: PowerModel, battery: str, moved: Mapping[str, float]) -> Power
 
 def _fitted(
     name: str, unit: str, value: float, moved: float | None, sd: float | None, prior_sd: float, before: float,
-    free: bool,
+    told: bool,
 ) -> FittedParameter:
-    seen = moved is not None and sd is not None and (not free or sd < 0.5 * FREE_SD)
+    seen = moved is not None and sd is not None and told
     new = value * (1.0 + (moved or 0.0))
     absolute = abs(value) * (prior_sd if sd is None else sd)
     return FittedParameter(name, unit, new, absolute, new - Z95 * absolute, new + Z95 * absolute, before, seen)
+
+
+@dataclass(frozen=True)
+class Plain:
+    """Ordinary least squares: model, covariance of the relative shifts clustered in blocks, what it explains."""
+
+    model: PowerModel
+    names: tuple[str, ...]
+    covariance: NDArray[np.float64]
+    explained: float
+    rmse_w: float
+    noise_w: float
+
+
+def _settled(model: PowerModel, ready: Prepared, logs: Sequence[Any]) -> tuple[PowerModel, Plain]:
+    """Ordinary least squares repeated until a formula that is not linear settles, with errors clustered in blocks."""
+    for _ in range(ROUNDS):
+        again = _least_squares_start(model, ready)
+        new = prepare(again, logs, ready.battery)
+        change = max(
+            (abs(new.parameters[n].value - p.value) / max(abs(p.value), 1e-300) for n, p in ready.parameters.items()),
+            default=0.0,
+        )
+        model, ready = again, new
+        if change < 1e-6:
+            break
+    names, x, y, seconds = _stacked(ready)
+    mean = float(np.average(y, weights=seconds))
+    square = float(np.average(y**2, weights=seconds)) if len(y) else 0.0
+    measured = np.concatenate([run.measured_w for run in ready.runs])
+    usable = np.isfinite(measured)
+    level = float(np.average(measured[usable], weights=_seconds(ready)[usable]))
+    spread = float(np.average((measured[usable] - level) ** 2, weights=_seconds(ready)[usable]))
+    inverse = np.linalg.pinv((x * seconds[:, None]).T @ x, rcond=1e-12)
+    block = _blocks(ready)
+    score = np.zeros((int(block.max()) + 1, len(names)))
+    np.add.at(score, block, x * (y * seconds)[:, None])
+    count = int(np.sum(np.any(score != 0.0, axis=1)))
+    factor = count / max(count - len(names), 1)
+    covariance = factor * inverse @ (score.T @ score) @ inverse
+    explained = 1.0 - square / spread if spread > 0.0 else 0.0
+    return model, Plain(model, names, covariance, explained, float(np.sqrt(square)), float(np.sqrt(square - mean**2)))
+
+
+def _seconds(ready: Prepared) -> NDArray[np.float64]:
+    return np.concatenate([run.dt_s for run in ready.runs])
+
+
+def _stacked(
+    ready: Prepared,
+) -> tuple[tuple[str, ...], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Names, gradient rows, residual and seconds of all rows; rows without a measurement weigh nothing."""
+    names = tuple(name for name in ready.gradients[0] if any(np.any(g[name]) for g in ready.gradients))
+    x = np.column_stack([np.concatenate([g[name] for g in ready.gradients]) for name in names])
+    y = np.concatenate([run.measured_w - base for run, base in zip(ready.runs, ready.base_w, strict=True)])
+    usable = np.isfinite(y) & np.all(np.isfinite(x), axis=1)
+    return names, np.where(usable[:, None], x, 0.0), np.where(usable, y, 0.0), np.where(usable, _seconds(ready), 0.0)
+
+
+def _blocks(ready: Prepared) -> NDArray[np.intp]:
+    """Number of the block of `BLOCK_S` of each row; blocks never span two runs."""
+    numbers, total = [], 0
+    for run in ready.runs:
+        own = np.floor((run.time_s - run.time_s[0]) / BLOCK_S).astype(np.intp)
+        numbers.append(total + own)
+        total += int(own.max()) + 1
+    return np.concatenate(numbers)
+
+
+def _plain_fit(
+    battery: str, plain: Plain, fitted: Model, before: Prepared, told: frozenset[str], rmse_before_w: float
+) -> ModelFit:
+    parameters = {}
+    for i, name in enumerate(plain.names):
+        p = plain.model.parameters[f"{battery}/{name}"]
+        sd = abs(p.value) * float(np.sqrt(plain.covariance[i, i]))
+        parameters[name] = FittedParameter(
+            name, p.unit, p.value, sd, p.value - Z95 * sd, p.value + Z95 * sd, before.parameters[name].value,
+            name in told,
+        )  # fmt: skip
+    remark = ("the formula leaves so much unexplained that weighting by a noise model would mislead: ordinary least "
+              f"squares, errors clustered in blocks of {BLOCK_S:.0f} s")
+    return ModelFit(
+        battery, plain.model, parameters, fitted.clock.delay_s, fitted.clock.lag_s, plain.noise_w, rmse_before_w,
+        plain.rmse_w, plain.explained, tuple(run.name for run in before.runs), float(np.sum(_seconds(before))),
+        tuple(dict.fromkeys([*before.remarks, remark])),
+    )  # fmt: skip
+
+
+def _free_priors(ready: Prepared, known: Mapping[str, ModelParameter]) -> dict[str, float]:
+    """Priors so wide that they say nothing: many times the value, and many times what would make all the power."""
+    power = float(np.mean([np.nanmean(np.abs(run.measured_w)) for run in ready.runs]))
+    wide = {}
+    for name in known:
+        size = float(np.mean([float(np.mean(np.abs(g[name]))) for g in ready.gradients if name in g] or [0.0]))
+        wide[name] = max(FREE_SD, 10.0 * power / size) if size > 0.0 else FREE_SD
+    return wide
+
+
+def _told_apart(ready: Prepared) -> frozenset[str]:
+    """Parameters whose influence no combination of the others can imitate."""
+    names = [name for name in ready.gradients[0] if any(np.any(g[name]) for g in ready.gradients)]
+    if not names:
+        return frozenset()
+    x = np.column_stack([np.concatenate([g[name] for g in ready.gradients]) for name in names])
+    x = x / np.linalg.norm(x, axis=0)
+    # the variance inflation of a column is the diagonal of the inverse of the correlations
+    values, vectors = np.linalg.eigh(x.T @ x)
+    inflation = np.sum(vectors**2 / np.maximum(values, 1e-14), axis=1)
+    return frozenset(name for name, size in zip(names, inflation, strict=True) if size < LARGEST_INFLATION)
 
 
 def _least_squares_start(model: PowerModel, ready: Prepared) -> PowerModel:

@@ -38,7 +38,8 @@ def _result(one: Improved) -> list[Block]:
     first, last = one.steps[0], one.steps[-2]
     text = (f"Battery {one.battery}: {', '.join(one.added) or 'nothing'} added; the power error on {which} went from "
             f"{first.power_rmse_w:.3g} to {last.power_rmse_w:.3g} W, the energy error from "
-            f"{first.energy_error_pct:.2f} to {last.energy_error_pct:.2f} %. {one.stopped[:1].upper()}{one.stopped[1:]}")
+            f"{first.energy_error_pct:.2f} to {last.energy_error_pct:.2f} %. "
+            f"{one.stopped[:1].upper()}{one.stopped[1:]}")
     names = [label(step.name) for step in one.steps]
     floor = one.steps[-1]
     charts: list[Block] = []
