@@ -127,13 +127,13 @@ def check_files(paths: Iterable[str | os.PathLike[str]]) -> list[Fault]:
             _load_mission(Path(path), faults, document=document)
         elif kind == "study":
             study = _load(Path(path), StudySpec, faults, document=document)
-            if study is not None:
+            if study is not None and study.whole:
                 target = Path(path).parent / study.mission
-                if target.exists():
+                if _is_file(target):
                     _check_study(study, target, faults)
                 else:
                     faults.append(document.fault(("mission",), "no such mission file", got=as_written(study.mission)))
-        elif kind in KINDS:
+        elif isinstance(kind, str) and kind in KINDS:
             _load(Path(path), KINDS[str(kind)], faults, document=document)
         else:
             faults.append(_kind_fault(document, tuple(KINDS)))

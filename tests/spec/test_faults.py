@@ -71,7 +71,8 @@ def test_the_three_files_are_valid(folder: Path) -> None:
                 "robot.yaml:3:7: error: 'max_speed' is missing\n    at: body\n    got: a mapping with drive, max_sped\n"
                 "    allowed: max_speed: …",
                 "robot.yaml:3:29: error: unknown key 'max_sped'\n    at: body.max_sped\n    got: max_sped\n"
-                "    allowed: mass, drive, max_speed, max_lateral_speed, max_acceleration, max_deceleration, max_yaw_rate, "
+                "    allowed: mass, drive, max_speed, max_lateral_speed, max_acceleration, max_deceleration,"
+                " max_yaw_rate, "
                 "max_yaw_acceleration, max_payload, track_width, regeneration\n    did you mean: max_speed",
             ],
         ),
@@ -103,7 +104,8 @@ def test_the_three_files_are_valid(folder: Path) -> None:
             "c3: 2, c4: 3",
             "c4: 3",
             [
-                "robot.yaml:5:44: error: parameter 'c3' of motion model 'polynomial' is missing\n    at: motion.parameters\n"
+                "robot.yaml:5:44: error: parameter 'c3' of motion model 'polynomial' is missing"
+                "\n    at: motion.parameters\n"
                 "    allowed: c3: rolling friction, W s/m"
             ],
         ),
@@ -161,14 +163,16 @@ def test_robot(folder: Path, old: str, new: str, expected: list[str]) -> None:
             "to: B",
             "to: Bee",
             [
-                "mission.yaml:8:17: error: no place 'Bee'\n    at: segments.0.drive.to\n    got: 'Bee'\n    allowed: A, B, C"
+                "mission.yaml:8:17: error: no place 'Bee'\n    at: segments.0.drive.to\n    got: 'Bee'"
+                "\n    allowed: A, B, C"
             ],
         ),
         (
             "to: B",
             "to: C",
             [
-                "mission.yaml:8:17: error: no way from 'A' to 'C'\n    at: segments.0.drive.to\n    got: C\n    allowed: A, B"
+                "mission.yaml:8:17: error: no way from 'A' to 'C'\n    at: segments.0.drive.to\n    got: C"
+                "\n    allowed: A, B"
             ],
         ),
         (
@@ -183,7 +187,8 @@ def test_robot(folder: Path, old: str, new: str, expected: list[str]) -> None:
             "scheme: go",
             "scheme: goo",
             [
-                "mission.yaml:6:36: error: no control scheme 'goo'\n    at: defaults.scheme\n    got: 'goo'\n    allowed: go\n"
+                "mission.yaml:6:36: error: no control scheme 'goo'\n    at: defaults.scheme"
+                "\n    got: 'goo'\n    allowed: go\n"
                 "    did you mean: go"
             ],
         ),
@@ -199,7 +204,8 @@ def test_robot(folder: Path, old: str, new: str, expected: list[str]) -> None:
             "{to: B}",
             "{to: B, sensors: {lidar: 2}}",
             [
-                "mission.yaml:8:37: error: more units of 'lidar' than the robot has\n    at: segments.0.drive.sensors.lidar\n"
+                "mission.yaml:8:37: error: more units of 'lidar' than the robot has"
+                "\n    at: segments.0.drive.sensors.lidar\n"
                 "    got: 2\n    allowed: 0 to 1"
             ],
         ),
@@ -208,7 +214,8 @@ def test_robot(folder: Path, old: str, new: str, expected: list[str]) -> None:
             "robot: pionear3dx",
             [
                 "mission.yaml:3:8: error: no robot 'pionear3dx'\n    at: robot\n    got: 'pionear3dx'\n"
-                "    allowed: khepera3, mecanum4, pioneer3dx, rover_tx2, or the path of a robot file\n    did you mean: pioneer3dx"
+                "    allowed: khepera3, mecanum4, pioneer3dx, rover_tx2, or the path of a robot file"
+                "\n    did you mean: pioneer3dx"
             ],
         ),
         (
