@@ -9,6 +9,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from missionsim.compare.core import compare_files as compare_files
     from missionsim.engine.outcome import RunResult as RunResult
     from missionsim.engine.simulate import simulate as simulate
     from missionsim.errors import InputError as InputError
@@ -28,6 +29,7 @@ _PUBLIC = {
     "RunResult": "missionsim.engine.outcome",
     "tables": "missionsim.results.tables",
     "write_results": "missionsim.results.write",
+    "compare_files": "missionsim.compare.core",
     "InputError": "missionsim.errors",
 }
 """Public name → module; at most fifteen."""

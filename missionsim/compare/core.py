@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -73,7 +74,7 @@ def compare(
         Faults of the logs, or nothing to compare.
     """
     sums = Accumulator(by, behaviour=plan is not None)
-    notes: dict[str, list[str]] = {}
+    notes: dict[Any, tuple[str, list[str]]] = {}
     sources: list[tuple[str, str]] = []
     wanted = tuple(by)
     for run, source, blocks in _runs(logs, robot):
@@ -83,12 +84,13 @@ def compare(
         _check_by(wanted, first)
         replay = plan_replay(model, first.columns, first.batteries, source=source or run)
         for note in replay.notes:
-            notes.setdefault(note, []).append(run)
+            notes.setdefault(note, (note, []))[1].append(run)
         remarks: list[Remark] = []
         for block in replay_blocks(replay, _noting(chain([first], blocks), remarks)):
             sums.add(run, block)
         for remark in merge(remarks):
-            notes.setdefault(str(remark), []).append(run)
+            # the numbers in a remark differ from run to run, the finding does not
+            notes.setdefault((remark.kind, remark.column, remark.action), (str(remark), []))[1].append(run)
         sources.append((run, source))
         if on_run is not None:
             on_run(run)
@@ -96,7 +98,7 @@ def compare(
     return Comparison(
         getattr(robot, "name", ""), tuple(run for run, _ in sources),
         {name: _battery(name, sums, model, plan, segments, batteries) for name in batteries},
-        tuple(_told(note, runs, len(sources)) for note, runs in notes.items()), tuple(sources), sums.rows, mission,
+        tuple(_told(note, runs, len(sources)) for note, runs in notes.values()), tuple(sources), sums.rows, mission,
     )
 
 
@@ -130,10 +132,13 @@ def compare_files(
     from missionsim.engine.simulate import simulate
 
     result = simulate(loaded)
-    return compare(
+    found = compare(
         model, files, robot=spec, plan=result.timeline, segments=tuple(info.name for info in result.segments),
         mission=loaded.name, by=by, on_run=on_run,
     )
+    if result.feasible:
+        return found
+    return replace(found, notes=(f"the simulated mission is not feasible: {result.reason}", *found.notes))
 
 
 def _all_or_faults(loading: Sequence[Callable[[], Any]]) -> list[Any]:
@@ -187,7 +192,7 @@ def _check_by(by: Sequence[str], log: LogTable) -> None:
 
 
 def _told(note: str, runs: list[str], all_runs: int) -> str:
-    if len(runs) == all_runs and all_runs > 1:
+    if len(runs) == all_runs and note.startswith(("no column", "battery")):
         return note
     return f"{runs[0]}: {note}" if len(runs) == 1 else f"{runs[0]} and {len(runs) - 1} more: {note}"
 

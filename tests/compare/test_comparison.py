@@ -232,6 +232,12 @@ def test_the_patrol_as_driven_against_its_plan(root: Path, tmp_path: Path) -> No
     assert final["laptop"] == pytest.approx(12.1, abs=0.4)
 
 
+def test_an_infeasible_plan_is_said(root: Path) -> None:
+    log = root / "docs/examples/patrol_driven.csv"
+    result = compare_files("pioneer3dx", [log], mission=root / "missions/pioneer3dx/infeasible.yaml")
+    assert result.notes[0].startswith("the simulated mission is not feasible: battery ")
+
+
 def _log_of_mission(mission: Path, out: Path, step_s: float = 0.1) -> None:
     from missionsim.engine.simulate import simulate
     from missionsim.spec import load_mission
