@@ -25,6 +25,7 @@ def diagnose(
     holdout: HoldoutOption = None,
     battery: Annotated[str | None, Parameter(name="--battery")] = None,
     alpha: Annotated[float, Parameter(name="--alpha")] = 0.01,
+    no_align: Annotated[bool, Parameter(name="--no-align", negative="")] = False,
     report: ReportOption = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
@@ -47,6 +48,8 @@ def diagnose(
         Only this battery.
     alpha
         Family-wise rate of false alarms.
+    no_align
+        Take the clocks of meter and motion as they are, for logs that were aligned already.
     report
         Write an interactive page to this HTML file.
     json
@@ -61,7 +64,8 @@ def diagnose(
         raise InputError.single("give at least one log", allowed="files or folders")
     if not 0.0 < alpha < 0.5:
         raise InputError.single("--alpha is a probability", got=alpha, allowed="such as 0.01 or 0.05")
-    result = diagnose_files(robot, list(logs), holdout=holdout, mission=mission, battery=battery, alpha=alpha)
+    result = diagnose_files(robot, list(logs), holdout=holdout, mission=mission, battery=battery, alpha=alpha,
+                            align=not no_align)
     emit_json(result.to_json(), json)
     if report is not None:
         from missionsim.files import write_text

@@ -100,7 +100,7 @@ class Subject:
 
 def diagnose_files(
     robot: str | Path, logs: Sequence[str | Path], *, holdout: str | Sequence[str | Path] | None = None,
-    mission: str | Path | None = None, battery: str | None = None, alpha: float = 0.01,
+    mission: str | Path | None = None, battery: str | None = None, alpha: float = 0.01, align: bool = True,
 ) -> Diagnosis:
     """Diagnose from files.
 
@@ -118,6 +118,8 @@ def diagnose_files(
         Only this one.
     alpha : float
         Family-wise rate of false alarms.
+    align : bool
+        Find and apply delay and lag of the meter behind the motion.
 
     Raises
     ------
@@ -136,7 +138,7 @@ def diagnose_files(
         timeline = simulate(load_mission(mission, robot=spec)).timeline
     tables = read_logs(list(logs), robot=spec)
     return diagnose(Subject.of(spec), tables, holdout=holdout, timeline=timeline, battery=battery,
-                    settings=Settings(alpha=alpha))
+                    settings=Settings(alpha=alpha, align=align))
 
 
 def diagnose(
