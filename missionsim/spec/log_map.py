@@ -16,7 +16,7 @@ from missionsim.spec.values import AnyNumber, Parameter, Period, quantity
 
 Formula = Annotated[
     str,
-    BeforeValidator(lambda raw: f"{raw!r}" if type(raw) in (int, float) else raw),
+    BeforeValidator(lambda raw: f"{raw!r}" if type(raw) in (int, float) else raw, json_schema_input_type=str | float),
     StringConstraints(max_length=2000),
 ]
 """An arithmetic expression over columns, constants and helpers (`missionsim.expressions`); a number is a constant."""
@@ -122,6 +122,10 @@ def _column(raw: Any) -> Any:
     return {"value": raw} if isinstance(raw, (str, int, float)) and not isinstance(raw, bool) else raw
 
 
+Signal = Annotated[SignalMap, BeforeValidator(_signal, json_schema_input_type=str | SignalMap)]
+Target = Annotated[ColumnMap, BeforeValidator(_column, json_schema_input_type=str | float | ColumnMap)]
+
+
 class RunsMap(Model):
     """Where one file holds several runs.
 
@@ -192,16 +196,21 @@ class MapSpec(FileModel):
     name: Name = "map"
     title: Text = ""
     table: TableMap = TableMap()
-    signals: dict[Alias, Annotated[SignalMap, BeforeValidator(_signal)]] = Field(default_factory=dict)
+    signals: dict[Alias, Signal] = Field(default_factory=dict)
     timeline: Name | None = None
     stamp: Literal["header", "bag"] = "header"
     constants: dict[Alias, AnyNumber] = Field(default_factory=dict)
     let: dict[Alias, Formula] = Field(default_factory=dict)
     keep: Formula | None = None
     runs: RunsMap = RunsMap()
-    refresh: Annotated[tuple[Name, ...], BeforeValidator(lambda raw: [raw] if isinstance(raw, str) else raw)] = ()
+    refresh: Annotated[
+        tuple[Name, ...],
+        BeforeValidator(
+            lambda raw: [raw] if isinstance(raw, str) else raw, json_schema_input_type=str | tuple[Name, ...]
+        ),
+    ] = ()
     step: Period | None = None
-    columns: Annotated[dict[Alias, Annotated[ColumnMap, BeforeValidator(_column)]], Field(min_length=1)]
+    columns: Annotated[dict[Alias, Target], Field(min_length=1)]
     others: bool = False
 
     def faults(self, document: Document) -> list[Fault]:

@@ -9,6 +9,7 @@ from typing import Any
 
 from missionsim.errors import InputError, did_you_mean
 from missionsim.spec.loading import KINDS
+from missionsim.spec.segments import SEGMENT_KINDS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 SCHEMA_FOLDER = Path(__file__).resolve().parent.parent / "schemas"
@@ -40,6 +41,8 @@ def schema(kind: str) -> dict[str, Any]:
     shared: dict[str, Any] = {}
     body = _tidy(raw, shared)
     definitions = {**body.pop("$defs", {}), **shared}
+    for definition in definitions.values():
+        _unwrap_segment(definition)
     head = {"$schema": DIALECT, "title": f"missionsim {kind} file"}
     return {**head, **body, "$defs": dict(sorted(definitions.items()))}
 
@@ -47,6 +50,14 @@ def schema(kind: str) -> dict[str, Any]:
 def schema_text(kind: str) -> str:
     """The schema as it is written to files."""
     return json.dumps(schema(kind), indent=1, ensure_ascii=False) + "\n"
+
+
+def _unwrap_segment(definition: dict[str, Any]) -> None:
+    """A segment's kind is the key that it stands under, not a key inside it."""
+    kind = definition.get("properties", {}).get("kind", {}).get("const")
+    if kind in SEGMENT_KINDS:
+        del definition["properties"]["kind"]
+        definition["required"] = [key for key in definition.get("required", []) if key != "kind"]
 
 
 def _tidy(node: Any, shared: dict[str, Any], properties: bool = False) -> Any:

@@ -157,7 +157,7 @@ class RepeatSegment(Model):
     segments: Annotated[tuple[Segment, ...], Field(min_length=1)]
 
 
-_KINDS = ("drive", "arc", "turn", "move", "inspect", "wait", "dock", "repeat")
+SEGMENT_KINDS = ("drive", "arc", "turn", "move", "inspect", "wait", "dock", "repeat")
 
 
 def _unwrap(raw: Any, handler: Any) -> Any:
@@ -167,9 +167,9 @@ def _unwrap(raw: Any, handler: Any) -> Any:
             return raw
         raise _segment_fault("a segment is a mapping with its kind", as_written(raw), "")
     keys = list(raw)
-    if len(keys) != 1 or keys[0] not in _KINDS:
-        unknown = [key for key in keys if key not in _KINDS]
-        hint = did_you_mean(str(unknown[0]), _KINDS) if unknown else ""
+    if len(keys) != 1 or keys[0] not in SEGMENT_KINDS:
+        unknown = [key for key in keys if key not in SEGMENT_KINDS]
+        hint = did_you_mean(str(unknown[0]), SEGMENT_KINDS) if unknown else ""
         if len(keys) == 1:
             raise _segment_fault(f"unknown kind of segment '{keys[0]}'", str(keys[0]), hint, keys[0])
         raise _segment_fault("a segment has one key, its kind", ", ".join(map(str, keys[:6])) or "no key", hint)
@@ -183,7 +183,7 @@ def _unwrap(raw: Any, handler: Any) -> Any:
 
 
 def _segment_fault(message: str, got: str, hint: str, *at: str) -> PydanticCustomError:
-    entry = {"message": message, "got": got, "allowed": "one of " + ", ".join(_KINDS), "hint": hint, "at": at}
+    entry = {"message": message, "got": got, "allowed": "one of " + ", ".join(SEGMENT_KINDS), "hint": hint, "at": at}
     return PydanticCustomError("quantity", "{text}", {"text": message, "entries": [entry]})
 
 
