@@ -24,7 +24,7 @@ from missionsim.diagnose.findings import (
     Unexplained,
     Where,
 )
-from missionsim.diagnose.heldout import Tested, on_heldout, prediction
+from missionsim.diagnose.heldout import Tested, on_heldout, on_left_out, prediction
 from missionsim.diagnose.manoeuvres import site_of
 from missionsim.diagnose.split import Split, choose_split
 from missionsim.effects.base import Effect
@@ -234,7 +234,7 @@ def diagnose_battery(
         clock.at_edge, noise_of(found), untestable,
         Unexplained(left.share_of_residual, tuple(left.depends_on), left.shape),
         _next(subject, seen, effects, settings), None if tested is None else tested.summary,
-        _shifted(seen, settings), execution, found.mean_power_w, tuple(run.run for run in features.runs),
+        _shifted(seen), execution, found.mean_power_w, tuple(run.run for run in features.runs),
         float(sum(np.sum(run.dt_s) for run in features.runs)), tuple(dict.fromkeys(remarks)), _confounding(found),
         _where(subject, split, battery), _series(found),
     )  # fmt: skip
@@ -296,10 +296,10 @@ def _next(
     return tuple(proposed)
 
 
-def _shifted(seen: Examined, settings: Settings) -> HeldOut | None:
+def _shifted(seen: Examined) -> HeldOut | None:
     """The same test on runs that differ in kind: the runs in which the main effect's covariate is largest are left out.
 
-    Only where enough runs differ in it; effects and base are fitted again on the others.
+    Only where enough runs differ in it; the size of effects and base is fitted again on the others.
     """
     found, features = seen.found, seen.features
     if not found.effects or len(features.runs) < 4:
@@ -311,18 +311,12 @@ def _shifted(seen: Examined, settings: Settings) -> HeldOut | None:
     level = np.array([float(np.average(np.abs(r.covariates[covariate]), weights=r.dt_s)) for r in features.runs])
     count = max(1, len(level) // 3)
     order = np.argsort(level, kind="stable")
-    held, kept = order[-count:], np.sort(order[:-count])
+    held, kept = order[-count:], order[:-count]
     if level[held].min() < 1.2 * level[kept].max() and level[held].mean() < 1.5 * level[kept].mean():
-        return None
-    train, test = features.select(kept.tolist()), features.select(sorted(held.tolist()))
-    from missionsim.diagnose.forced import forced_choice
-
-    choice = forced_choice(train, found, settings)
-    if choice is None:
         return None
     how = f"the {count} run{'s' * (count > 1)} with most {covariate} left out and predicted"
     names = [effect.effect for effect in found.effects]
-    return on_heldout(choice, test.runs, features.candidates, features.prior_sd, settings, how, True, names).summary
+    return on_left_out(found.choice, [features.runs[i].run for i in held], features.candidates, how, names)
 
 
 def _confounding(found: Identification) -> dict[str, dict[str, float]]:

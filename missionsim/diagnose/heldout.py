@@ -12,6 +12,7 @@ from missionsim.diagnose.findings import HeldOut
 from missionsim.identify.choose import Choice
 from missionsim.identify.data import Candidate, RunData, Settings
 from missionsim.identify.design import Design, make_source
+from missionsim.identify.gram import Gram
 from missionsim.identify.model import Model
 
 Array = NDArray[np.float64]
@@ -74,15 +75,52 @@ def on_heldout(
     return Tested(summary, _leaving_out(model, chosen, candidates, with_effects))
 
 
-def prediction(model: Model, chosen: Sequence[int], design: Design) -> Array:
+def on_left_out(
+    choice: Choice, held: Sequence[str], candidates: Sequence[Candidate], how: str, effects: Sequence[str]
+) -> HeldOut | None:
+    """Leave some of the fitted runs out, fit sizes of effects and base to the others, predict those.
+
+    Names of effects, clock and noise stay those of all runs; nothing else of the left-out runs is used.
+
+    Parameters
+    ----------
+    choice : Choice
+    held : sequence of str
+        Names of the runs to leave out.
+    candidates, how, effects
+        As for `on_heldout`.
+    """
+    model, empty = choice.model, choice.empty
+    design = model.design
+    out = np.array([name in set(held) for name in design.names])
+    if not out.any() or out.all():
+        return None
+    columns = design.layout.columns
+    chosen = tuple(k for k in model.chosen if candidates[columns[k].candidate].effect in effects)
+    powers = {
+        "nominal": (empty.design, empty.design.base),
+        "recalibrated": (empty.design, prediction(empty, (), empty.design, ~out)),
+        "with_effects": (design, prediction(model, chosen, design, ~out)),
+    }
+    rows = [part for part, left in zip(design.runs, out, strict=True) if left]
+    energy = {name: energy_error_pct(d, power, rows) for name, (d, power) in powers.items()}
+    rmse = {name: power_rmse_w(d, power, rows) for name, (d, power) in powers.items()}
+    return HeldOut(how, tuple(held), energy, rmse, True)
+
+
+def prediction(
+    model: Model, chosen: Sequence[int], design: Design, fitted: NDArray[np.bool_] | None = None
+) -> Array:
     """Power that a model with some of its effects predicts at the rows of a design [W], shape (n,).
 
-    Base parameters at their most probable values with these effects in, offsets and gains of single runs left out.
+    Base parameters at their most probable values with these effects in, offsets and gains of single runs left out;
+    with `fitted`, from these runs of the model only.
     """
-    shifts, _ = model.gram.shifts(chosen)
+    gram = model.gram if fitted is None else Gram(model.gram.per_run[fitted], model.gram.prior_precision)
+    shifts, _ = gram.shifts(chosen)
     power = design.base + shifts @ design.gradient
     if len(chosen):
-        shares, _ = model.gram.coefficients(chosen)
+        shares, _ = gram.coefficients(chosen)
         power = power + shares @ design.phi[list(chosen)]
     return np.asarray(power)
 
@@ -98,16 +136,17 @@ def _leaving_out(
     return found
 
 
-def energy_error_pct(design: Design, power_w: Array) -> float:
+def energy_error_pct(design: Design, power_w: Array, runs: Sequence[slice] | None = None) -> float:
     """Mean over runs of the absolute energy error, relative to measured [%]."""
     errors = []
-    for rows in design.runs:
+    for rows in design.runs if runs is None else runs:
         seconds = design.duration_s[rows]
         measured = float(np.sum(design.y[rows] * seconds))
         errors.append(100.0 * abs(float(np.sum((power_w[rows] - design.y[rows]) * seconds)) / measured))
     return float(np.mean(errors))
 
 
-def power_rmse_w(design: Design, power_w: Array) -> float:
+def power_rmse_w(design: Design, power_w: Array, runs: Sequence[slice] | None = None) -> float:
     """Root mean square of the power error over time [W], at the analysis rate."""
-    return float(np.sqrt(np.average((power_w - design.y) ** 2, weights=design.duration_s)))
+    rows = np.concatenate([np.arange(len(design.y))[part] for part in (design.runs if runs is None else runs)])
+    return float(np.sqrt(np.average((power_w - design.y)[rows] ** 2, weights=design.duration_s[rows])))
