@@ -83,6 +83,22 @@ def test_values_of_each_covariate_add_up_to_the_gap() -> None:
         assert all(0.0 <= w.share_of_gap <= 1.0 and w.explains >= 0.0 for w in values)
 
 
+@pytest.mark.parametrize("rows", [2, 3, 5])
+def test_a_log_of_a_few_rows_is_compared(rows: int) -> None:
+    columns = {name: c[:rows] for name, c in drive().items()}
+    one = compare(friction_model(), [log_of(columns, true_power(columns) + 1.0)]).batteries["robot"]
+    assert one.power_bias_w == pytest.approx(-1.0)
+    assert one.power_rmse_w == pytest.approx(1.0)
+
+
+def test_a_battery_that_delivered_nothing() -> None:
+    columns = drive()
+    result = compare(friction_model(), [log_of(columns, np.zeros(600))])
+    assert np.isnan(result.batteries["robot"].energy_error_pct)
+    assert result.batteries["robot"].words[0] == "No energy was measured on battery robot."
+    assert not result.within(1e6)
+
+
 def test_noise_alone_explains_nothing() -> None:
     telling = 0
     for seed in range(20):

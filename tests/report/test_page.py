@@ -56,6 +56,17 @@ def test_page_asks_for_nothing_and_forbids_it(comparison: Comparison) -> None:
     assert len(html) < 8e6
 
 
+def test_many_long_runs_still_make_a_small_page() -> None:
+    logs = []
+    for i in range(60):
+        columns = drive(rows=3000, seed=i)
+        noise = np.random.default_rng(i).normal(0.0, 0.5, 3000)
+        logs.append(log_of(columns, true_power(columns) + noise, f"run_{i:02d}"))
+    html = compare_page(compare(friction_model(), logs))
+    assert len(html) < 8e6
+    assert "The 40 runs with the largest power error of 60." in html
+
+
 def test_text_of_users_is_never_markup() -> None:
     sections = [Section(EVIL, [
         Verdict(EVIL), Paragraph(EVIL), Bullets([EVIL]), Tiles([(EVIL, EVIL, EVIL)]), Table([EVIL], [[EVIL]], EVIL),
