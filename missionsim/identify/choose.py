@@ -14,6 +14,10 @@ from missionsim.identify.model import Model, fit_model, log_likelihood
 from missionsim.identify.search import Rules, best_set, single_gains
 
 TRIED = 2
+PROMISING = 0.5
+"""A candidate is fitted when its gain before the refit reaches this part of what is needed."""
+CLOSE = 0.6
+"""The second best is fitted too when it reaches this part of the best."""
 
 
 @dataclass
@@ -64,13 +68,23 @@ def _next_step(
     effects: int,
     found: Choice,
 ) -> Choice | None:
+    from scipy.stats import norm
+
     model = found.model
     gains = single_gains(model.gram, rules, model.chosen)
-    order = [int(k) for k in np.argsort(-gains) if np.isfinite(gains[k]) and gains[k] > 2.0]
+    needed = 0.5 * float(norm.isf(settings.alpha / effects / 2)) ** 2
+    order = [int(k) for k in np.argsort(-gains) if np.isfinite(gains[k]) and gains[k] > PROMISING * needed]
     first_of: list[int] = []
+    rest = model.gram.conditional(model.chosen)
     for k in order:
-        if all(rules.effect[k] != rules.effect[o] for o in first_of):
-            first_of.append(k)
+        if any(rules.effect[k] == rules.effect[o] for o in first_of):
+            continue
+        if abs(rest[0, 1 + k]) / rest[1 + k, 1 + k] < 0.6 * settings.min_share:
+            found.refused.setdefault(k, _at_a_glance(model, k, float(gains[k]), found.spread))
+            continue
+        if first_of and gains[k] < CLOSE * gains[first_of[0]]:
+            break
+        first_of.append(k)
     trials: list[tuple[int, ...]] = [(*model.chosen, k) for k in first_of[:TRIED]]
     if not trials:
         return None
@@ -96,6 +110,18 @@ def _next_step(
     best = max(options, key=lambda o: o[0])[1]
     best.refused.update(refused)
     return best
+
+
+def _at_a_glance(model: Model, column: int, gain: float, spread: float) -> Evidence:
+    """Evidence of a candidate too small to matter, without a refit."""
+    from scipy.stats import chi2
+
+    rest = model.gram.conditional(model.chosen)
+    share = float(rest[0, 1 + column] / rest[1 + column, 1 + column])
+    sd = float(np.sqrt(spread / rest[1 + column, 1 + column]))
+    p_value = float(chi2.sf(2 * gain / spread, 1))
+    nan = float("nan")
+    return Evidence(column, gain, spread, share, sd, p_value, nan, nan, 0, 0, {"practical": False})
 
 
 def _with_twin_limit(e: Evidence, model: Model, candidates: Sequence[Candidate], settings: Settings) -> Evidence:

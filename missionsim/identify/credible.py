@@ -9,6 +9,7 @@ import numpy as np
 from missionsim.identify.data import Candidate, Settings
 from missionsim.identify.gram import Gram
 from missionsim.identify.model import Model
+from missionsim.identify.remainder import steady
 from missionsim.identify.result import Pair
 from missionsim.identify.search import Rules, all_sets, set_gains, single_gains
 
@@ -24,31 +25,42 @@ def rivals(
     """Effects that could stand in the place of `effect` (a candidate number) in the model.
 
     A rival replaces all columns of the effect, alone or (at a price) with one further effect. Forms are never
-    exact, so a rival is kept also when it loses only a small part of the effect's own gain.
+    exact, so a rival is kept also when it loses only a small part of the effect's own gain. What only rows beside
+    ramps can tell apart is not told apart, unless the effect itself lives there.
     """
+    full = _close_ones(model.gram, model, effect, rules, settings, spread)
+    flat = steady(model, free_base=False)
+    rest = [k for k in model.chosen if rules.effect[k] != effect]
+    own = flat.gram.gain(model.chosen) - flat.gram.gain(rest)
+    if own > 0.5 * (model.gram.gain(model.chosen) - model.gram.gain(rest)):
+        for other, behind in _close_ones(flat.gram, flat, effect, rules, settings, spread).items():
+            full[other] = min(full.get(other, np.inf), behind)
+    return tuple(candidates[o].effect for o in sorted(full, key=lambda o: full[o]))
+
+
+def _close_ones(
+    gram: Gram, model: Model, effect: int, rules: Rules, settings: Settings, spread: float
+) -> dict[int, float]:
+    """Rivals and how many nats they are behind."""
     own = [k for k in model.chosen if rules.effect[k] == effect]
     rest = [k for k in model.chosen if rules.effect[k] != effect]
-    base = model.gram.gain(rest)
-    gain = model.gram.gain(model.chosen) - base
+    base = gram.gain(rest)
+    gain = gram.gain(model.chosen) - base
     tolerance = max(ODDS_NATS * spread, settings.rival_loss * gain)
     found: dict[int, float] = {}
-    singles = single_gains(model.gram, rules, rest)
+    singles = single_gains(gram, rules, rest)
     for k, value in enumerate(singles):
         other = int(rules.effect[k])
         if other != effect and np.isfinite(value) and value > 0:
             found[other] = max(found.get(other, -np.inf), float(value))
-    if len(own) == 1:
-        for other, value in _pairs_without(model.gram, rules, rest, effect).items():
+    if len(own) == 1 and len(rest) <= 1:
+        for other, value in _pairs_without(gram, rules, rest, effect, settings).items():
             found[other] = max(found.get(other, -np.inf), value - base - EXTRA_EFFECT_NATS * spread)
-    close = {other: value for other, value in found.items() if gain - value < tolerance}
-    ordered = sorted(close, key=lambda o: -close[o])
-    return tuple(candidates[o].effect for o in ordered)
+    return {other: gain - value for other, value in found.items() if gain - value < tolerance}
 
 
-def _pairs_without(gram: Gram, rules: Rules, rest: Sequence[int], effect: int) -> dict[int, float]:
-    """Best total gain of rest plus two effects other than `effect`, credited to the more important of the two."""
-    if len(rest) > 1:
-        return {}
+def _pairs_without(gram: Gram, rules: Rules, rest: Sequence[int], effect: int, settings: Settings) -> dict[int, float]:
+    """Best total gain of rest plus two effects other than `effect`, credited to those that are not negligible."""
     sets = all_sets(rules, 2 + len(rest))
     keep = np.all(rules.effect[sets] != effect, axis=1)
     for k in rest:
@@ -62,11 +74,13 @@ def _pairs_without(gram: Gram, rules: Rules, rest: Sequence[int], effect: int) -
     for row in np.argsort(-gains)[:40]:
         if not np.isfinite(gains[row]):
             break
-        new = [k for k in sets[row] if k not in rest]
-        for k in new if len(new) == 2 and singles[new].min() > 0.5 * singles[new].max() else [max(
-            new, key=lambda k: singles[k])]:  # fmt: skip
-            other = int(rules.effect[k])
-            out[other] = max(out.get(other, -np.inf), float(gains[row]))
+        values, _ = gram.coefficients([int(k) for k in sets[row]])
+        share = dict(zip((int(k) for k in sets[row]), np.abs(values), strict=True))
+        new = [k for k in share if k not in rest and share[k] > settings.min_share]
+        for k in new:
+            if singles[k] >= 0.5 * max(singles[j] for j in new):
+                other = int(rules.effect[k])
+                out[other] = max(out.get(other, -np.inf), float(gains[row]))
     return out
 
 

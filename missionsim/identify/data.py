@@ -115,6 +115,6 @@ class Settings:
     recalibration_limit: float = 4.0
     block_s: float = 20.0
     form_ratio: float = 0.85
-    rival_loss: float = 0.05
+    rival_loss: float = 0.03
     systematic: float = 0.03
     align: bool = True

@@ -54,9 +54,9 @@ class Design:
     """Rows of all runs one after the other, at the analysis rate.
 
     Shapes: ``y``, ``base``, ``duration_s``, ``time_s`` (n,); ``gradient`` (q+3, n); ``phi`` (p, n), in watts for a
-    coefficient that makes 100 % of the mean measured power; ``random`` (5, n). ``gradient`` ends with three nuisances: the
-    first and second derivative of the base model after the delay, and the jumps at rows where a term switches. ``runs`` are slices, ``stretches``
-    are slices without a gap.
+    coefficient that makes 100 % of the mean measured power; ``random`` (5, n). ``gradient`` ends with three
+    nuisances: the first and second derivative of the base model after the delay, and the jumps at rows where a term
+    switches. ``runs`` are slices, ``stretches`` are slices without a gap.
     """
 
     layout: Layout

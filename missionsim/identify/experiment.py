@@ -11,6 +11,7 @@ from missionsim.identify.credible import pairs
 from missionsim.identify.data import RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.gram import Gram, make_gram
+from missionsim.identify.noise import for_rows
 from missionsim.identify.result import Identification
 from missionsim.identify.search import Rules
 
@@ -23,8 +24,7 @@ def gram_with(identification: Identification, extra: Sequence[RunData]) -> Gram:
     model = identification.choice.model
     source = make_source(extra, identification.library, {}, identification.settings, like=model.source)
     design = source.design(replace(model.clock, run_delay_s=tuple(0.0 for _ in source.runs)))
-    level = np.maximum(design.base, 0.05 * design.layout.mean_power_w) / design.layout.mean_power_w
-    noise = replace(model.noise, weight=np.ones(len(design.y)), scale=level**model.noise.exponent)
+    noise = for_rows(design, model.noise)
     own = make_gram(design, noise)
     return Gram(np.concatenate([model.gram.per_run, own.per_run]), model.gram.prior_precision)
 

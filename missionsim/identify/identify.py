@@ -120,7 +120,7 @@ def _report(
             noise.gain,
             noise.motion_gain,
             choice.spread,
-        ),  # fmt: skip
+        ),
         unexplained=_unexplained(choice, structures),
         pairs=pairs(model, rules, candidates),
         remarks=_remarks(choice, given_runs),
@@ -144,7 +144,7 @@ def _structures(
     found: list[Structure] = []
     for column in model.chosen:
         candidate = candidates[int(rules.effect[column])]
-        wrong = wrong_form(model, column, candidate.covariate, choice.evidence[column].gain, spread, settings)
+        wrong = wrong_form(model, column, candidate.covariate, spread, settings)
         if wrong is not None:
             found.append(wrong)
             doubtful.add(column)

@@ -103,7 +103,7 @@ def fit_model(source: Source, chosen: Sequence[int], start: Model | None = None,
     design = source.design(clock)
     noise = fit_noise(design, chosen, start.noise if start else None, thorough=start is None)
     if source.aligned:
-        clock = refine_clock(source, clock, noise, chosen)
+        clock = refine_clock(source, clock, noise, chosen, 2 if start is None else 1)
         design = source.design(clock)
         noise = fit_noise(design, chosen, noise, thorough=thorough)
     return Model(source, chosen, clock, design, noise)

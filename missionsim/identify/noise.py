@@ -19,6 +19,8 @@ from missionsim.identify.design import Design
 JITTER_SD_S = 0.10
 LAG_JITTER_SD_S2 = 0.05
 HUBER = 2.5
+FLOOR = 0.3
+"""The noise no longer falls below this part of the mean power (a rest that draws next to nothing)."""
 START_ROWS = 40
 SPLIT_S = 25.0
 """Border between the correlation times of the fast and of the slow part [s]."""
@@ -31,7 +33,8 @@ class Noise:
     ``sigma_w`` is the standard deviation of the one-step innovation at mean power; ``fast_share`` and ``slow_share``
     are parts of the variance; ``exponent`` says how the noise grows with power; ``offset_w``, ``gain`` and
     ``motion_gain`` are the standard deviations between runs (W, relative, share of mean power); ``ramp_error`` and
-    ``switch_error`` are squared relative errors where the base model changes or switches; ``weight`` (n,) down-weights such rows and outliers.
+    ``switch_error`` are squared relative errors where the base model changes or switches; ``weight`` (n,)
+    down-weights such rows and outliers.
     """
 
     step_s: float
@@ -148,8 +151,8 @@ def start_noise(design: Design) -> Noise:
     sigma = 0.02 * power * min(1.0, np.sqrt(step))
     has_motion = 0.005 if np.any(design.random[2]) else 1e-6
     return Noise(
-        step, max(4.0, 2 * step), max(60.0, 20 * step), 0.6, 0.1, sigma, 0.0, 0.005 * power, 0.005, has_motion, 0.0, 0.0,
-        np.ones(n), np.ones(n),
+        step, max(4.0, 2 * step), max(60.0, 20 * step), 0.6, 0.1, sigma, 0.0, 0.005 * power, 0.005, has_motion,
+        0.0, 0.0, np.ones(n), np.ones(n),
     )  # fmt: skip
 
 
@@ -162,11 +165,12 @@ def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None,
     from missionsim.identify.gram import raw_blocks
 
     noise = guess or start_noise(design)
+    effort = (90, 50) if thorough else (45,)
     rows = np.vstack([design.residual, design.gradient, design.phi[list(chosen)], design.random])
-    for round_ in range(2 if thorough else 1):
-        noise = _fit_filter(design, noise, rows, len(chosen), 110 if round_ == 0 else 60)
+    for round_, evaluations in enumerate(effort):
+        noise = _fit_filter(design, noise, rows, len(chosen), evaluations)
         blocks, _ = raw_blocks(design, replace(noise, sigma_w=1.0), rows)
-        noise = _fit_levels(design, noise, blocks, len(chosen))
+        noise = _fit_levels(design, noise, blocks, len(chosen), evaluations + 20)
         if round_ == 0:
             noise = _fit_scale(design, noise, chosen)
     return noise
@@ -240,9 +244,10 @@ def _fit_filter(design: Design, noise: Noise, rows: Array, chosen: int, evaluati
             np.log(noise.fast_share / white),
             np.log(noise.slow_share / white),
             np.log(noise.sigma_w),
-        ]  # fmt: skip
+        ]
     )
-    simplex = np.vstack([x0] + [x0 + step for step in np.diag([0.5, 0.4, 0.7, 0.7, 0.3])])
+    size = 1.0 if evaluations > 60 else 0.6
+    simplex = np.vstack([x0] + [x0 + size * step for step in np.diag([0.5, 0.4, 0.7, 0.7, 0.3])])
     found = minimize(
         cost, x0, method="Nelder-Mead",
         options={"maxfev": evaluations, "initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05},
@@ -250,7 +255,7 @@ def _fit_filter(design: Design, noise: Noise, rows: Array, chosen: int, evaluati
     return at(found.x)
 
 
-def _fit_levels(design: Design, noise: Noise, blocks: Array, chosen: int) -> Noise:
+def _fit_levels(design: Design, noise: Noise, blocks: Array, chosen: int, evaluations: int) -> Noise:
     from scipy.optimize import minimize
 
     count = len(design.y)
@@ -262,7 +267,7 @@ def _fit_levels(design: Design, noise: Noise, blocks: Array, chosen: int) -> Noi
     x0 = np.log([getattr(noise, n) for n in names])
     found = minimize(
         lambda x: _objective(design, at(x), blocks, count, chosen), x0, method="Nelder-Mead",
-        options={"maxfev": 160, "xatol": 0.03, "fatol": 0.05,
+        options={"maxfev": evaluations, "xatol": 0.03, "fatol": 0.05,
                  "initial_simplex": np.vstack([x0] + [x0 + s for s in np.diag([0.1, *([0.5] * (len(names) - 1))])])},
     )  # fmt: skip
     return at(found.x)
@@ -273,14 +278,14 @@ def _fit_scale(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:
     from missionsim.identify.gram import innovations
 
     e = innovations(design, replace(noise, weight=np.minimum(1.0, noise.weight)), chosen) / np.sqrt(noise.weight)
-    level = np.log(np.maximum(design.base, 0.05 * design.layout.mean_power_w) / design.layout.mean_power_w)
+    level = _log_level(design)
     spread = float(np.var(level))
     exponent = noise.exponent
     if spread > 1e-4:
         size = np.log(np.maximum(np.abs(e), 0.05))
         slope = float(np.mean((level - level.mean()) * (size - size.mean()))) / spread
         certainty = len(e) * spread / (len(e) * spread + 1.2 / 0.25)
-        exponent = float(np.clip(noise.exponent + certainty * slope, 0.0, 1.5))
+        exponent = float(np.clip(noise.exponent + certainty * slope, 0.0, 1.0))
     scale = np.exp(exponent * level)
     e = e * noise.scale / scale
     ramp, switch = _edge_variance(design, noise, scale)
@@ -298,6 +303,16 @@ def _fit_scale(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:
     return replace(
         noise, exponent=exponent, scale=scale, ramp_error=ramp_error, switch_error=switch_error, weight=huber / variance
     )
+
+
+def _log_level(design: Design) -> Array:
+    mean = design.layout.mean_power_w
+    return np.log(np.maximum(design.base, FLOOR * mean) / mean)
+
+
+def for_rows(design: Design, noise: Noise) -> Noise:
+    """The same noise for the rows of another design (held-out or imagined runs), none of them an outlier."""
+    return replace(noise, weight=np.ones(len(design.y)), scale=np.exp(noise.exponent * _log_level(design)))
 
 
 def _edge_variance(design: Design, noise: Noise, scale: Array) -> tuple[Array, Array]:
