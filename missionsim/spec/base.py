@@ -12,7 +12,11 @@ def _text_of_int(raw: Any) -> Any:
     return str(raw) if type(raw) is int else raw
 
 
-Name = Annotated[str, BeforeValidator(_text_of_int), StringConstraints(strict=True, min_length=1, max_length=200)]
+Name = Annotated[
+    str,
+    BeforeValidator(_text_of_int, json_schema_input_type=str | int),
+    StringConstraints(strict=True, min_length=1, max_length=200),
+]
 """Name of a place, segment, surface…: any text (a whole number counts as text)."""
 Identifier = Annotated[str, StringConstraints(strict=True, pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 """Name that becomes part of a log column (``power_<battery>_w``): lower case, digits, underscore."""

@@ -13,7 +13,7 @@ Count = Annotated[int, Field(strict=True, ge=0, le=1000)]
 ParameterName = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=60)]
 Expression = Annotated[
     str,
-    BeforeValidator(lambda raw: str(raw) if type(raw) in (int, float) else raw),
+    BeforeValidator(lambda raw: str(raw) if type(raw) in (int, float) else raw, json_schema_input_type=str | float),
     StringConstraints(strict=True, min_length=1, max_length=2000),
 ]
 Sensors = dict[Identifier, Count]
