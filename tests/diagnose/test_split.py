@@ -27,7 +27,8 @@ def test_last_quarter_is_the_default() -> None:
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_few_runs_hold_none_out_and_say_so(count: int) -> None:
     split = choose_split(RUNS[:count])
-    assert split.heldout == () and len(split.train) == count
+    assert split.heldout == ()
+    assert len(split.train) == count
     assert "nothing shows how the model does on runs that were not used" in split.how
 
 
@@ -39,7 +40,8 @@ def test_fraction(asked: str, held: int) -> None:
 def test_names_and_condition() -> None:
     assert names(choose_split(RUNS, "run_01,run_03").heldout) == ["run_01", "run_03"]
     split = choose_split(RUNS, "payload_kg > 5")
-    assert names(split.heldout) == ["run_06", "run_07"] and split.shifted
+    assert names(split.heldout) == ["run_06", "run_07"]
+    assert split.shifted
     assert names(choose_split(RUNS, ["run_01", "run_02"]).heldout) == ["run_01", "run_02"]
 
 
