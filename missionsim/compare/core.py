@@ -170,7 +170,18 @@ def _runs(
     for table in [*tables, *(read_logs(small, robot=robot) if small else [])]:
         yield table.run, table.source, iter([table])
     for path in large:
-        yield path.stem, str(path), iter(iter_blocks(path, rows=BLOCK_ROWS, robot=robot))
+        yield path.stem, str(path), _ahead(iter_blocks(path, rows=BLOCK_ROWS, robot=robot))
+
+
+def _ahead(blocks: Iterator[LogTable]) -> Iterator[LogTable]:
+    """The same blocks; the next one is read and checked in a thread while this one is compared."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(1) as reader:
+        coming = reader.submit(next, blocks, None)
+        while (block := coming.result()) is not None:
+            coming = reader.submit(next, blocks, None)
+            yield block
 
 
 def _noting(blocks: Iterable[LogTable], remarks: list[Remark]) -> Iterator[LogTable]:

@@ -127,6 +127,8 @@ def plan_replay(model: PowerModel, columns: Iterable[str], measured: Iterable[st
             "nothing to compare: " + ("; ".join(reasons) or "no power was measured"), file=source,
             got=", ".join(measured), allowed=", ".join(model.batteries),
         )
+    # a term whose only numbers are zero (acceleration in a model without it) costs time and says nothing
+    kept = tuple(term for term in kept if any(p.value != 0.0 for p in term.parameters.values()) or not term.parameters)
     used = {name for battery in batteries for term in model.of(battery) for name in (term.effect.covariate,)}
     for name in sorted(name for name in used if name.startswith("on_") and name not in have):
         notes.append(f"no column {name}: {name[3:]} counts as switched off")
@@ -198,6 +200,9 @@ class _Carry:
             columns["accel_m_s2"] = _acceleration(block, before, after)
         for name, value in self._plan.assumed.items():
             columns.setdefault(name, np.full(block.time_s.shape, value))
+        if "speed_m_s" in columns:
+            # asked for by every term of the drive
+            columns.setdefault("moving", np.asarray(is_moving(columns)))
         cov = derive(columns, block.time_s, block.dt_s)
         cov["time_s"] = block.time_s - self._start_s
         if "moving_time_s" in cov:
