@@ -84,6 +84,10 @@ class Battery(Protocol):
         """State at a fraction of the capacity."""
         ...
 
+    def fraction(self, state: float) -> float:
+        """Fraction of the capacity at a state: of energy, or of charge for an equivalent circuit."""
+        ...
+
     def reach(self, state: float, loads: Loads, interval: int, level: float, horizon_s: float) -> float | None:
         """Time within an interval [s] at which the state comes to `level`, or None if not before the horizon."""
         ...
@@ -116,6 +120,10 @@ class ConstantEnergy:
     def charge_j(self, state: Array | float) -> Array:
         """The state itself."""
         return np.asarray(state, dtype=float)
+
+    def fraction(self, state: float) -> float:
+        """Energy left over the capacity."""
+        return state / self.capacity_j
 
     def state_of(self, fraction: float) -> float:
         """Energy at a fraction of the capacity [J]."""
@@ -210,8 +218,21 @@ class EquivalentCircuit:
         return -current / self.charge_c
 
     def charge_j(self, state: Array | float) -> Array:
-        """Energy between a state and empty at no load, relative to the whole, times the capacity [J]."""
-        return np.asarray(state, dtype=float) * self.capacity_j
+        """Energy between a state and empty at no load, ``Q ∫ U ds`` [J]; straight on below empty."""
+        states, volts = self.curve
+        areas = np.concatenate([[0.0], np.cumsum(0.5 * (volts[1:] + volts[:-1]) * np.diff(states))])
+        s = np.asarray(state, dtype=float)
+        piece = np.clip(np.searchsorted(states, s, side="right") - 1, 0, len(states) - 2)
+        beyond = s - states[piece]
+        slope = np.where((s < 0.0) | (s > 1.0), 0.0, np.diff(volts)[piece] / np.diff(states)[piece])
+        start = np.where(s > 1.0, volts[-1], volts[piece])
+        whole = np.where(s > 1.0, areas[-1], areas[piece])
+        beyond = np.where(s > 1.0, s - 1.0, beyond)
+        return np.asarray(self.charge_c * (whole + start * beyond + 0.5 * slope * beyond**2))
+
+    def fraction(self, state: float) -> float:
+        """The state of charge itself."""
+        return state
 
     def state_of(self, fraction: float) -> float:
         """The fraction itself."""

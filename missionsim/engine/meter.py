@@ -38,11 +38,12 @@ class Batch:
 
 @dataclass(frozen=True, order=True)
 class Alarm:
-    """A battery that comes to a threshold: when, which, and whether it is ``empty`` or at its ``reserve``."""
+    """A battery at a threshold: when, which, whether ``empty`` or at its ``reserve``, and in which segment."""
 
     time_s: float
     battery: str
     kind: str
+    segment: int = 0
 
 
 class Meter:
@@ -212,7 +213,7 @@ def _first_empty(battery: Battery, batch: Batch, name: str) -> Alarm | None:
     for i in battery.suspects(before, states, loads):
         time = battery.empty_in(float(before[i]), loads, int(i))
         if time is not None:
-            return Alarm(float(batch.timeline.start_s[i]) + time, name, "empty")
+            return Alarm(float(batch.timeline.start_s[i]) + time, name, "empty", int(batch.timeline.segment[i]))
     return None
 
 
@@ -223,5 +224,5 @@ def _first_reserve(battery: Battery, batch: Batch, name: str, level: float) -> A
         time = 0.0 if before[i] < level else battery.reach(
             float(before[i]), loads, int(i), level, float(loads.duration_s[i]))
         if time is not None:
-            return Alarm(float(batch.timeline.start_s[i]) + time, name, "reserve")
+            return Alarm(float(batch.timeline.start_s[i]) + time, name, "reserve", int(batch.timeline.segment[i]))
     return None

@@ -34,7 +34,8 @@ class BatteryResult:
     charged_wh : float
         Received from chargers.
     charge_left_wh, charge_left_fraction : float
-        At the end; below zero where more was asked than there was.
+        At the end; below zero where more was asked than there was. The fraction is one of energy, and the state of
+        charge for an `equivalent_circuit`.
     internal_loss_wh : float
         Lost inside the battery beyond what it delivered (0 for `constant_energy`).
     reserve_required_wh : float

@@ -220,10 +220,10 @@ class _Setup:
         duration = float(world.env.now)
         return BatteryResult(
             name, used / J_PER_WH, used / duration if duration else 0.0, capacity / J_PER_WH, initial / J_PER_WH,
-            charged / J_PER_WH, left / J_PER_WH, left / capacity, loss / J_PER_WH,
-            self.required[name] * capacity / J_PER_WH, None if way is None else way,
+            charged / J_PER_WH, left / J_PER_WH, battery.fraction(meter.state[name]), loss / J_PER_WH,
+            float(battery.charge_j(battery.state_of(self.required[name]))) / J_PER_WH, None if way is None else way,
             left / J_PER_WH - (way or 0.0), None if empty is None else empty.time_s,
-            "" if empty is None else _segment_at(world, empty.time_s), max(0.0, -lowest) / J_PER_WH,
+            "" if empty is None else world.segments[empty.segment].name, max(0.0, -lowest) / J_PER_WH,
             audit,
         )
 
@@ -281,13 +281,6 @@ def _refuse_nan(line: Timeline, energies: Mapping[str, Mapping[TermKey, Any]], w
                     got=", ".join(f"no {name}" for name in lacking) or "an expression without a value there",
                     allowed="every covariate that the robot's effects read, on every segment",
                 )
-
-
-def _segment_at(world: World, time_s: float) -> str:
-    for row in reversed(world.recorder.rows):
-        if row.start_s < time_s or row.start_s == 0.0:
-            return world.segments[world.legs[row.leg].settings.segment].name
-    return ""
 
 
 def with_provenance(result: RunResult, provenance: Mapping[str, Any]) -> RunResult:
