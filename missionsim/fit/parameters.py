@@ -250,8 +250,8 @@ def _plain_fit(
             name, p.unit, p.value, sd, p.value - Z95 * sd, p.value + Z95 * sd, before.parameters[name].value,
             name in told,
         )  # fmt: skip
-    remark = ("the formula leaves so much unexplained that weighting by a noise model would mislead: ordinary least "
-              f"squares, errors clustered in blocks of {BLOCK_S:.0f} s")
+    remark = ("weighting by the noise model explains clearly less than ordinary least squares, so these are used, with "
+              f"errors clustered in blocks of {BLOCK_S:.0f} s")
     return ModelFit(
         battery, plain.model, parameters, fitted.clock.delay_s, fitted.clock.lag_s, plain.noise_w, rmse_before_w,
         plain.rmse_w, plain.explained, tuple(run.name for run in before.runs), float(np.sum(_seconds(before))),
