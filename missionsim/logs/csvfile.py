@@ -374,13 +374,15 @@ def _bad_text(path: Path, file: str, error: UnicodeError) -> Fault:
 
 
 def line_finder(path: Path, dialect: Dialect) -> Callable[[int], int]:
-    """Function from row number (0-based) to line number (1-based); empty lines hold no row."""
+    """Function from row number (0-based, -1 the header) to line number (1-based); empty lines hold no row."""
 
     blank: list[int] = []
     scanned = False
 
     def line_of(row: int) -> int:
         nonlocal scanned
+        if row < 0:
+            return dialect.header_line
         if not scanned:  # once, and only where a line is asked for
             scanned = True
             with open(path, encoding=dialect.encoding, errors="replace") as handle:

@@ -29,7 +29,7 @@ class RawTable:
     columns : dict
         Name → array of float64 of shape (n,), missing values NaN; or `Labels`.
     lines : callable
-        Row number (0-based) → line of a text file (1-based); 0 for formats without lines.
+        Row number (0-based; -1 for the header) → line of a text file (1-based); 0 for formats without lines.
     remarks : list of Remark
         What the reader of the format found.
     first_row : int

@@ -178,14 +178,14 @@ def make_log(
     statistics : bool
         Whether to run the checks that look at the values as a whole (units, frozen sensors, clock).
     """
-    faults = missing_columns(raw.columns, raw.file, lambda: max(raw.line(0) - 1, 0))
+    faults = missing_columns(raw.columns, raw.file, lambda: raw.lines(-1))
     faults += [
         Fault(raw.file, raw.line(0), 0, "this column holds text, not numbers", name)
         for name, data in raw.columns.items()
         if isinstance(data, Labels) and (found := column_of(name)) is not None and found[0].kind != "text"
     ]
     if raw.rows == 0:
-        faults.append(Fault(raw.file, 0, 0, "there is a header but no rows", allowed="at least two rows"))
+        faults.append(Fault(raw.file, raw.lines(-1), 0, "there is a header but no rows", allowed="at least two rows"))
     if faults:
         raise InputError(faults)
     rows = Rows(raw, dict(raw.columns), np.arange(raw.rows), list(raw.remarks))

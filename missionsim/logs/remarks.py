@@ -52,10 +52,10 @@ class Remark:
 
 
 def merge(remarks: Iterable[Remark]) -> list[Remark]:
-    """Join the remarks of several blocks: same check, column and action count as one, the first message stays."""
-    joined: dict[tuple[str, str, str], Remark] = {}
+    """Join the remarks of several blocks: one for the same check, column, severity and action."""
+    joined: dict[tuple[str, ...], Remark] = {}
     for remark in remarks:
-        key = (remark.kind, remark.column, remark.action)
+        key = (remark.kind, remark.column, remark.severity, remark.action)
         seen = joined.get(key)
         joined[key] = remark if seen is None else replace(seen, count=seen.count + remark.count)
     return list(joined.values())

@@ -197,7 +197,9 @@ def average_windows(
     window = np.searchsorted(stop_s, time_s, side="left")
     inside = window < len(stop_s)
     inside[inside] &= time_s[inside] > start_s[window[inside]]
-    group, weight = window[inside], np.maximum(row_durations(time_s)[inside], 1e-12)
+    # times before zero, so that the first row keeps its full weight
+    durations = row_durations(time_s - time_s[-1] - 1.0)
+    group, weight = window[inside], np.maximum(durations[inside], 1e-12)
     last = np.full(len(stop_s), -1)
     last[group] = np.flatnonzero(inside)
     full = last >= 0

@@ -96,7 +96,7 @@ def read_ulog(path: Path, spec: MapSpec) -> RawTable:
 def _dataset(log: Any, match: re.Match[str]) -> dict[str, Any] | None:
     instance = int(match["instance"] or 0)
     for data in log.data_list:
-        if data.name == match["topic"] and data.multi_id == instance and len(data.data["timestamp"]):
+        if data.name == match["topic"] and data.multi_id == instance and len(data.data.get("timestamp", ())):
             found: dict[str, Any] = data.data
             return found
     return None

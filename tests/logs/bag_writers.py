@@ -1,0 +1,157 @@
+"""Small real bags and ULogs for the tests, written with the formats' own writers."""
+
+from __future__ import annotations
+
+import io
+import struct
+from pathlib import Path
+
+import numpy as np
+
+STEP_S = 0.1
+
+
+def battery_volts(t: float) -> float:
+    return 25.0 - 0.01 * t
+
+
+def speed(t: float) -> float:
+    return 0.5 + 0.3 * np.sin(0.5 * t)
+
+
+def amps(t: float) -> float:
+    return 1.0 + 2.0 * speed(t)
+
+
+def write_bag(path: Path, kind: str, duration_s: float = 30.0) -> Path:
+    """A ROS 1 bag (`kind` ros1), ROS 2 bag (sqlite3 or mcap): /battery at 2 Hz, /odom at 10 Hz, /imu at 20 Hz."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
+    types = store.types
+    stamp_type, header_type = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
+    start = 1_700_000_000
+
+    def header(t: float):  # type: ignore[no-untyped-def]
+        seconds = int(start + t)
+        stamp = stamp_type(sec=seconds, nanosec=round((start + t - seconds) * 1e9))
+        extra = {"seq": 0} if kind == "ros1" else {}
+        return header_type(stamp=stamp, frame_id="base", **extra)
+
+    vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
+    point, pose = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Pose"]
+    twist = types["geometry_msgs/msg/Twist"]
+    slope = 0.05
+    attitude = quaternion(x=0.0, y=-np.sin(slope / 2), z=0.0, w=np.cos(slope / 2))
+
+    def battery(t: float):  # type: ignore[no-untyped-def]
+        return types["sensor_msgs/msg/BatteryState"](
+            header=header(t),
+            voltage=battery_volts(t),
+            current=-amps(t),
+            charge=1.0,
+            capacity=2.0,
+            design_capacity=2.0,
+            percentage=0.5,
+            power_supply_status=2,
+            power_supply_health=1,
+            power_supply_technology=2,
+            present=True,
+            cell_voltage=np.array([4.1, 4.2], dtype=np.float32),
+            temperature=20.0,
+            cell_temperature=np.array([], dtype=np.float32),
+            location="",
+            serial_number="",
+        )
+
+    def odometry(t: float):  # type: ignore[no-untyped-def]
+        zero = vector(x=0.0, y=0.0, z=0.0)
+        return types["nav_msgs/msg/Odometry"](
+            header=header(t),
+            child_frame_id="base",
+            pose=types["geometry_msgs/msg/PoseWithCovariance"](
+                pose=pose(position=point(x=t, y=0.0, z=0.0), orientation=attitude), covariance=np.zeros(36)
+            ),
+            twist=types["geometry_msgs/msg/TwistWithCovariance"](
+                twist=twist(linear=vector(x=speed(t), y=0.0, z=0.0), angular=zero), covariance=np.zeros(36)
+            ),
+        )
+
+    def imu(t: float):  # type: ignore[no-untyped-def]
+        return types["sensor_msgs/msg/Imu"](
+            header=header(t),
+            orientation=attitude,
+            orientation_covariance=np.zeros(9),
+            angular_velocity=vector(x=0.0, y=0.0, z=0.2 * np.cos(t)),
+            angular_velocity_covariance=np.zeros(9),
+            linear_acceleration=vector(x=0.0, y=0.0, z=9.8),
+            linear_acceleration_covariance=np.zeros(9),
+        )
+
+    topics = [
+        ("/battery", "sensor_msgs/msg/BatteryState", battery, 0.5),
+        ("/odom", "nav_msgs/msg/Odometry", odometry, STEP_S),
+        ("/imu", "sensor_msgs/msg/Imu", imu, 0.05),
+    ]
+    messages = sorted(
+        (t, index) for index, (_, _, _, step) in enumerate(topics) for t in np.arange(0.0, duration_s, step).tolist()
+    )
+    if kind == "ros1":
+        from rosbags.rosbag1 import Writer as Writer1
+
+        writer = Writer1(path)
+        serialise = store.serialize_ros1
+    else:
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import Writer as Writer2
+
+        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+        writer = Writer2(path, version=9, storage_plugin=plugin)  # type: ignore[assignment]
+        serialise = store.serialize_cdr  # type: ignore[assignment]
+    with writer:
+        connections = [writer.add_connection(topic, kind_, typestore=store) for topic, kind_, _, _ in topics]
+        for t, index in messages:
+            _, name, make, _ = topics[index]
+            writer.write(connections[index], int((start + t) * 1e9), bytes(serialise(make(t), name)))
+    return path
+
+
+def write_ulog(path: Path, duration_s: float = 20.0) -> Path:
+    """A ULog by its specification: battery_status at 2 Hz, vehicle_local_position and vehicle_attitude at 10 Hz."""
+    out = io.BytesIO()
+    out.write(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0))
+
+    def message(kind: bytes, payload: bytes) -> None:
+        out.write(struct.pack("<HB", len(payload), kind[0]) + payload)
+
+    message(b"B", bytes(16) + struct.pack("<QQQ", 0, 0, 0))
+    formats = {
+        "battery_status": "uint64_t timestamp;float voltage_v;float current_a;",
+        "vehicle_local_position": "uint64_t timestamp;float x;float y;float vx;float vy;",
+        "vehicle_attitude": "uint64_t timestamp;float[4] q;",
+    }
+    for name, fields in formats.items():
+        message(b"F", f"{name}:{fields}".encode())
+    for number, name in enumerate(formats):
+        message(b"A", struct.pack("<BH", 0, number) + name.encode())
+    heading = 0.5
+    rows = []
+    for t in np.arange(0.0, duration_s, 0.1):
+        stamp = int(1e6 * (5.0 + t))
+        v = speed(t)
+        rows.append((t, 1, struct.pack("<Qffff", stamp, t, 0.0, v * np.cos(heading), v * np.sin(heading))))
+        slope = 0.04
+        # heading about z (down), then nose up about y (right): positive pitch
+        q = (
+            np.cos(heading / 2) * np.cos(slope / 2),
+            -np.sin(heading / 2) * np.sin(slope / 2),
+            np.cos(heading / 2) * np.sin(slope / 2),
+            np.sin(heading / 2) * np.cos(slope / 2),
+        )
+        rows.append((t, 2, struct.pack("<Qffff", stamp, *q)))
+        if round(t * 10) % 5 == 0:
+            rows.append((t, 0, struct.pack("<Qff", stamp, battery_volts(t), amps(t))))
+    for _, number, payload in rows:
+        message(b"D", struct.pack("<H", number) + payload)
+    path.write_bytes(out.getvalue())
+    return path

@@ -1,0 +1,221 @@
+"""Bags and ULogs written with the formats' own writers, read through maps."""
+
+from __future__ import annotations
+
+import builtins
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from missionsim.errors import InputError
+from missionsim.logs import LogTable, transform
+from missionsim.logs.mapping import import_source
+from missionsim.logs.sources import list_fields
+from missionsim.logs.timeline import Signal, merge_signals
+from missionsim.spec.loading import load_map
+from tests.logs.bag_writers import amps, battery_volts, speed, write_bag, write_ulog
+
+pytest.importorskip("rosbags", reason="the extra 'logs' is not installed")
+pytest.importorskip("pyulog", reason="the extra 'logs' is not installed")
+
+BAG_MAP = """\
+kind: map
+signals:
+  volts: /battery.voltage
+  amps: /battery.current
+  cell: /battery.cell_voltage[1]
+  frame: /odom.child_frame_id
+  v: /odom.twist.twist.linear.x
+  yaw_rate: {field: /imu.angular_velocity.z, fill: linear}
+  qx: /imu.orientation.x
+  qy: /imu.orientation.y
+  qz: /imu.orientation.z
+  qw: /imu.orientation.w
+timeline: v
+columns:
+  time_s: time_s
+  voltage_robot_v: volts
+  current_robot_a: -amps
+  speed_m_s: v
+  yaw_rate_rad_s: yaw_rate
+  slope_rad: {quaternion: [qx, qy, qz, qw], give: slope}
+  cell_v: cell
+  frame: frame
+"""
+
+
+def run(tmp_path: Path, source: Path, text: str) -> LogTable:
+    (tmp_path / "m.yaml").write_text(text)
+    (log,) = import_source(source, load_map(tmp_path / "m.yaml"))
+    return log
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap"])
+def test_every_kind_of_bag(tmp_path: Path, kind: str) -> None:
+    bag = write_bag(tmp_path / ("run.bag" if kind == "ros1" else "run"), kind)
+    log = run(tmp_path, bag, BAG_MAP)
+    time = np.arange(300) * 0.1
+    np.testing.assert_allclose(log.time_s, time, atol=2e-6)
+    np.testing.assert_allclose(log.number("speed_m_s"), speed(time), rtol=1e-12)
+    np.testing.assert_allclose(log.number("yaw_rate_rad_s"), 0.2 * np.cos(time), atol=1e-6)
+    np.testing.assert_allclose(log.number("slope_rad"), 0.05, atol=1e-12)
+    seen = np.floor(time / 0.5 + 1e-6) * 0.5
+    np.testing.assert_allclose(log.power_w["robot"], battery_volts(seen) * amps(seen), rtol=1e-6)
+    fresh = log.fresh["robot"]
+    assert fresh is not None
+    assert np.flatnonzero(fresh).tolist() == list(range(0, 300, 5))
+    assert set(log.number("cell_v").round(3)) == {4.2}
+    assert log.columns["frame"].names == ("base",)  # type: ignore[union-attr]
+
+
+def test_lone_mcap_and_file_inside_a_bag(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "run", "mcap", 10.0)
+    inside = next(bag.glob("*.mcap"))
+    lone = shutil.copy(inside, tmp_path / "lone.mcap")
+    for source in (inside, Path(lone)):
+        assert run(tmp_path, source, BAG_MAP).rows == 100
+
+
+def test_fields_are_listed(tmp_path: Path) -> None:
+    fields = {field.name: field for field in list_fields(write_bag(tmp_path / "run", "sqlite3", 2.0))}
+    assert fields["/battery.voltage"].count == 4
+    assert fields["/odom.child_frame_id"].kind == "text"
+    assert {"/imu.orientation.w", "/odom.twist.twist.linear.x", "/battery.cell_voltage[0]"} <= fields.keys()
+    names = {field.name for field in list_fields(write_ulog(tmp_path / "a.ulg"))}
+    assert {"battery_status.voltage_v", "vehicle_attitude.q[3]"} <= names
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message", "hint"),
+    [
+        ("/battery.voltage", "/batery.voltage", "'/batery' is not in", "/battery"),
+        ("/battery.voltage", "/battery.volts", "'/battery.volts' is not in", "/battery.voltage"),
+        (
+            "/battery.voltage",
+            "/battery.cell_voltage[9]",
+            "'/battery.cell_voltage[9]' is not in",
+            "/battery.cell_voltage[1]",
+        ),
+        ("/battery.voltage", "/battery.header", "neither a number nor text", ""),
+        ("/battery.voltage", "voltage", "'voltage' is not in", ""),
+        ("/battery.voltage", "/battery.__class__", "'/battery.__class__' is not in", ""),
+        ("timeline: v", "timeline: vv", "timeline 'vv' is not a signal", ""),
+    ],
+)
+def test_faults_in_signals(tmp_path: Path, old: str, new: str, message: str, hint: str) -> None:
+    bag = write_bag(tmp_path / "run", "sqlite3", 3.0)
+    with pytest.raises(InputError) as caught:
+        run(tmp_path, bag, BAG_MAP.replace(old, new))
+    fault = caught.value.faults[0]
+    assert message in fault.message
+    if hint:
+        assert fault.hint == hint
+        assert fault.line == 3
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap", "sqlite3", "ulog"])
+def test_broken_files_are_told(tmp_path: Path, kind: str) -> None:
+    if kind == "ulog":
+        path = write_ulog(tmp_path / "a.ulg")
+    else:
+        bag = write_bag(tmp_path / ("run.bag" if kind == "ros1" else "run"), kind, 3.0)
+        path = bag if kind == "ros1" else next(p for p in bag.iterdir() if p.suffix in (".mcap", ".db3"))
+    whole = path.read_bytes()
+    rng = np.random.default_rng(1)
+    (tmp_path / "m.yaml").write_text(ULOG_MAP if kind == "ulog" else BAG_MAP)
+    spec = load_map(tmp_path / "m.yaml")
+    told = 0
+    for trial in range(40):
+        data = bytearray(whole)
+        if trial % 2:
+            data = data[: int(rng.integers(16, len(whole)))]
+        for at in rng.integers(16, len(data), size=20):
+            data[at] = int(rng.integers(0, 256))
+        path.write_bytes(data)
+        try:
+            import_source(path, spec)
+        except InputError as error:
+            told += bool(str(error))
+    assert told > 0
+
+
+ULOG_MAP = """\
+kind: map
+signals:
+  volts: battery_status.voltage_v
+  amps: battery_status.current_a
+  vx: vehicle_local_position.vx
+  vy: vehicle_local_position.vy
+  q0: vehicle_attitude.q[0]
+timeline: vx
+columns:
+  time_s: time_s
+  voltage_robot_v: volts
+  current_robot_a: amps
+  speed_m_s: hypot(vx, vy)
+"""
+
+
+def test_ulog(tmp_path: Path) -> None:
+    log = run(tmp_path, write_ulog(tmp_path / "a.ulg"), ULOG_MAP)
+    time = np.arange(200) * 0.1
+    np.testing.assert_allclose(log.time_s, time, atol=2e-6)
+    np.testing.assert_allclose(log.number("speed_m_s"), speed(time), rtol=1e-6)
+    seen = np.floor(time / 0.5 + 1e-6) * 0.5
+    np.testing.assert_allclose(log.power_w["robot"], battery_volts(seen) * amps(seen), rtol=1e-6)
+
+
+def test_shipped_ulog_map(tmp_path: Path, root: Path) -> None:
+    (log,) = import_source(write_ulog(tmp_path / "a.ulg"), load_map(root / "docs" / "maps" / "px4_rover.yaml"))
+    np.testing.assert_allclose(log.number("slope_rad"), 0.04, atol=1e-6)
+    np.testing.assert_allclose(log.number("heading_rad"), -0.5, atol=1e-6)
+    np.testing.assert_allclose(log.number("speed_m_s"), speed(np.arange(200) * 0.1), rtol=1e-5)
+
+
+def test_unknown_ulog_field(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"vehicle_attitude\.q\[3\]"):
+        run(tmp_path, write_ulog(tmp_path / "a.ulg"), ULOG_MAP.replace("q[0]", "q[7]"))
+
+
+@pytest.mark.parametrize("package", ["rosbags", "pyulog"])
+def test_the_extra_is_named_when_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str) -> None:
+    path = write_bag(tmp_path / "run", "sqlite3", 2.0) if package == "rosbags" else write_ulog(tmp_path / "a.ulg")
+    real = builtins.__import__
+
+    def without(name: str, *args: Any, **kwargs: Any) -> Any:
+        if name.split(".")[0] == package:
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(InputError, match=r"pip install 'missionsim\[logs\]'"):
+        list_fields(path)
+
+
+def test_signals_out_of_order_silent_and_late() -> None:
+    time = np.arange(100) * 0.1
+    shuffled = time.copy()
+    shuffled[[10, 11]] = shuffled[[11, 10]]
+    raw = merge_signals(
+        {
+            "v": Signal(time, np.arange(100.0), "hold", "/odom"),
+            "p": Signal(shuffled[5:90], shuffled[5:90], "linear", "/power"),
+            "q": Signal(np.r_[time[:20], time[60:]], np.ones(60), "hold", "/quiet"),
+        },
+        None,
+        "x",
+    )
+    assert raw.rows == 90
+    np.testing.assert_allclose(raw.columns["time_s"], time[:90], atol=1e-12)
+    np.testing.assert_allclose(np.asarray(raw.columns["p"])[:85], time[5:90])
+    assert sorted((r.kind, r.column) for r in raw.remarks) == [("gap", ""), ("gap", "q"), ("time_backwards", "p")]
+
+
+def test_unwrap_keeps_missing_values() -> None:
+    angle = np.array([3.0, np.nan, -3.0, -2.9])
+    result = transform.unwrap(angle)
+    assert np.isnan(result[1])
+    np.testing.assert_allclose(result[[0, 2, 3]], [3.0, -3.0 + 2 * np.pi, -2.9 + 2 * np.pi])

@@ -1,0 +1,366 @@
+"""What the checks find in a log, what they do about it, and that a healthy log raises nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from missionsim.logs import LogTable, Remark, check_log, read_log
+from missionsim.logs.clock import clock_delay
+from missionsim.logs.power import power_from_energy, refreshes
+from tests.logs.conftest import motion, write_csv
+
+
+def read(tmp_path: Path, columns: dict[str, np.ndarray]) -> LogTable:
+    return read_log(write_csv(tmp_path / "run.csv", columns))
+
+
+def found(log: LogTable, kind: str, column: str | None = None) -> Remark:
+    hits = [r for r in log.remarks if r.kind == kind and (column is None or r.column == column)]
+    assert len(hits) == 1, [str(r) for r in log.remarks]
+    return hits[0]
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("step_s", [0.05, 0.5, 1.0])
+def test_healthy_logs_raise_nothing(tmp_path: Path, seed: int, step_s: float) -> None:
+    log = read(tmp_path, motion(400 if step_s > 0.1 else 3000, step_s, seed))
+    assert [str(r) for r in log.remarks] == []
+    assert check_log(tmp_path / "run.csv") == []
+
+
+def test_a_coarse_meter_and_a_plateau_are_no_slow_topic(tmp_path: Path) -> None:
+    columns = motion()
+    columns["power_robot_w"] = np.round(columns["power_robot_w"])
+    columns["speed_m_s"] = np.where(columns["time_s"] < 100, 0.3, 0.6)
+    assert [r.kind for r in read(tmp_path, columns).remarks] == []
+
+
+def test_time_backwards_is_sorted_and_told(tmp_path: Path) -> None:
+    columns = motion()
+    order = np.arange(400)
+    order[[100, 101]] = [101, 100]
+    log = read(tmp_path, {name: data[order] for name, data in columns.items()})
+    remark = found(log, "time_backwards")
+    assert (remark.line, remark.count, remark.severity, remark.action) == (
+        103,
+        1,
+        "error",
+        "the rows were sorted by time",
+    )
+    np.testing.assert_allclose(log.power_w["robot"], columns["power_robot_w"], rtol=1e-8)
+    assert [fault.line for fault in check_log(tmp_path / "run.csv") if fault.severity == "error"] == [103]
+
+
+def test_two_runs_in_one_file_are_refused(tmp_path: Path, faults_of) -> None:
+    columns = {name: np.r_[data, data] for name, data in motion().items()}
+    fault = faults_of(read, tmp_path, columns).faults[0]
+    assert fault.message == "time runs backwards by 199.5 s, from 199.75 s to 0.25 s"
+    assert fault.line == 402
+
+
+def test_duplicates(tmp_path: Path) -> None:
+    columns = motion()
+    again = {name: np.insert(data, 50, data[49]) for name, data in columns.items()}
+    log = read(tmp_path, again)
+    remark = found(log, "duplicate")
+    assert (remark.severity, remark.line, remark.count) == ("warning", 52, 1)
+    np.testing.assert_allclose(log.power_w["robot"], columns["power_robot_w"], rtol=1e-8)
+    again["power_robot_w"][50] += 2.0
+    log = read(tmp_path, again)
+    assert found(log, "duplicate").severity == "error"
+    assert log.power_w["robot"][49] == pytest.approx(columns["power_robot_w"][49] + 1.0, rel=1e-8)
+
+
+def test_gap_and_lost_rows_keep_the_time(tmp_path: Path) -> None:
+    columns = motion()
+    keep = np.ones(400, dtype=bool)
+    keep[100:160] = False
+    log = read(tmp_path, {name: data[keep] for name, data in columns.items()})
+    remark = found(log, "gap")
+    assert "1 gap, the longest 30.5 s after 49.75 s" in remark.message
+    assert log.duration_s == pytest.approx(200.0)
+
+
+def test_missing_values_are_filled_near_and_left_out_far(tmp_path: Path) -> None:
+    columns = motion()
+    columns["power_robot_w"][[10, 50]] = np.nan
+    columns["speed_m_s"][200:240] = np.nan
+    log = read(tmp_path, columns)
+    kinds = [(r.column, r.count) for r in log.remarks if r.kind == "missing"]
+    assert kinds == [("power_robot_w", 2), ("speed_m_s", 40), ("", 40)]
+    assert log.rows == 360
+    expected = 0.5 * (columns["power_robot_w"][9] + columns["power_robot_w"][11])
+    assert log.power_w["robot"][10] == pytest.approx(expected)
+    assert not np.isnan(log.number("speed_m_s")).any()
+    assert log.duration_s == pytest.approx(180.0)
+
+
+def test_an_optional_column_missing_too_long_is_left_out(tmp_path: Path) -> None:
+    columns = motion()
+    columns["slope_rad"] = np.where(np.arange(400) < 250, 0.01 * np.sin(np.arange(400)), np.nan)
+    log = read(tmp_path, columns)
+    assert "slope_rad" not in log.columns
+    assert log.rows == 400
+    assert any(r.column == "slope_rad" and r.action == "the column was left out" for r in log.remarks)
+
+
+def test_temperature_is_held(tmp_path: Path) -> None:
+    columns = motion()
+    columns["temp_ambient_c"] = np.where(np.arange(400) % 40 == 3, 20.0 + np.arange(400) // 40, np.nan)
+    log = read(tmp_path, columns)
+    assert log.rows == 400
+    assert log.number("temp_ambient_c")[[0, 3, 42, 43, 399]].tolist() == [20.0, 20.0, 20.0, 21.0, 29.0]
+
+
+def test_sparse_power_is_a_slow_topic(tmp_path: Path) -> None:
+    columns = motion(2000, 0.1)
+    columns["power_robot_w"] = np.where(np.arange(2000) % 10 == 5, columns["power_robot_w"], np.nan)
+    log = read(tmp_path, columns)
+    fresh = log.fresh["robot"]
+    assert fresh is not None
+    assert np.flatnonzero(fresh).tolist() == list(range(5, 2000, 10))
+
+
+def test_power_repeated_from_a_slower_topic_counts_once(tmp_path: Path) -> None:
+    columns = motion(4000, 0.05)
+    slow = columns["power_robot_w"][::20]
+    columns["power_robot_w"] = np.repeat(slow, 20)
+    log = read(tmp_path, columns)
+    assert "about 1 Hz in rows of 20 Hz" in found(log, "repeated").message
+    fresh = log.fresh["robot"]
+    assert fresh is not None
+    assert np.flatnonzero(fresh).tolist() == list(range(0, 4000, 20))
+    short = log.at_refresh("robot")
+    assert short.rows == 199
+    np.testing.assert_allclose(short.power_w["robot"], slow[1:], rtol=1e-8)
+    np.testing.assert_allclose(short.number("speed_m_s")[0], columns["speed_m_s"][1:21].mean(), rtol=1e-7)
+    np.testing.assert_allclose(short.dt_s, 1.0)
+
+
+def test_frozen_sensor(tmp_path: Path) -> None:
+    columns = motion()
+    columns["power_robot_w"][100:150] = columns["power_robot_w"][100]
+    log = read(tmp_path, columns)
+    remark = found(log, "frozen")
+    assert (remark.column, remark.line, remark.count) == ("power_robot_w", 102, 49)
+    fresh = log.fresh["robot"]
+    assert fresh is not None
+    assert (~fresh).sum() == 49
+
+
+def test_a_robot_that_stands_is_not_frozen(tmp_path: Path) -> None:
+    columns = motion()
+    columns["speed_m_s"][100:200] = 0.0
+    assert not [r for r in read(tmp_path, columns).remarks if r.kind == "frozen"]
+
+
+def test_meter_off_while_driving(tmp_path: Path) -> None:
+    columns = motion()
+    columns["power_robot_w"][:40] = 0.0
+    remark = found(read(tmp_path, columns), "frozen")
+    assert "exactly zero in" in remark.message
+
+
+@pytest.mark.parametrize(
+    ("column", "change", "severity", "said"),
+    [
+        ("speed_m_s", lambda c: c["speed_m_s"] * 36.0, "warning", "km/h"),
+        ("yaw_rate_rad_s", lambda c: np.degrees(c["yaw_rate_rad_s"]), "warning", "degrees"),
+        ("power_robot_w", lambda c: c["power_robot_w"] * 1e4, "warning", "milliwatts"),
+    ],
+)
+def test_units_without_a_second_witness(tmp_path: Path, column: str, change, severity: str, said: str) -> None:
+    columns = motion()
+    columns[column] = change(columns)
+    remark = found(read(tmp_path, columns), "unit", column)
+    assert remark.severity == severity
+    assert said in remark.message
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "said"),
+    [
+        ("power_robot_w", 1000.0, "1,000 times voltage × current"),
+        ("current_robot_a", 1000.0, "1/1,000 times voltage × current"),
+        ("voltage_robot_v", 1000.0, "1/1,000 times voltage × current"),
+        ("current_robot_a", -1.0, "−1 (the sign) times voltage × current"),
+        ("energy_robot_wh", 3600.0, "3,600 times the sum of power"),
+        ("speed_m_s", 3.6, "3.6 (km/h) times the path of x_m, y_m"),
+        ("yaw_rate_rad_s", 180 / np.pi, "57.3 (degrees) times the changes of heading_rad"),
+        ("accel_m_s2", 1000.0, "1,000 times the changes of speed_m_s"),
+    ],
+)
+def test_units_against_another_column(tmp_path: Path, column: str, factor: float, said: str) -> None:
+    columns = _rich()
+    assert [r.kind for r in read(tmp_path, columns).remarks] == []
+    columns[column] = columns[column] * factor
+    log = read(tmp_path, columns)
+    messages = [r.message for r in log.remarks if r.kind == "unit" and r.severity == "error"]
+    assert any(said in message for message in messages), [str(r) for r in log.remarks]
+    assert any(fault.severity == "error" for fault in check_log(tmp_path / "run.csv"))
+
+
+def _rich() -> dict[str, np.ndarray]:
+    columns = motion()
+    time, speed, power = columns["time_s"], columns["speed_m_s"], columns["power_robot_w"]
+    columns["voltage_robot_v"] = 24.0 - 0.05 * power
+    columns["current_robot_a"] = power / columns["voltage_robot_v"]
+    columns["energy_robot_wh"] = np.cumsum(power) * 0.5 / 3600
+    columns["heading_rad"] = np.cumsum(columns["yaw_rate_rad_s"]) * 0.5
+    columns["x_m"] = np.cumsum(speed * np.cos(columns["heading_rad"])) * 0.5
+    columns["y_m"] = np.cumsum(speed * np.sin(columns["heading_rad"])) * 0.5
+    columns["accel_m_s2"] = np.gradient(speed, time)
+    return columns
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "said"),
+    [
+        ("slope_rad", 4.0, "outside -1.3 … 1.3 rad"),
+        ("cpu_load", 55.0, "outside 0 … 1 1"),
+        ("temp_ambient_c", 293.0, "outside -90 … 90 degC"),
+    ],
+)
+def test_a_whole_column_out_of_range(tmp_path: Path, column: str, value: float, said: str) -> None:
+    columns = motion()
+    columns[column] = value * (1 + 0.01 * np.sin(np.arange(400)))
+    remark = found(read(tmp_path, columns), "range", column)
+    assert said in remark.message
+    assert remark.severity == "error"
+    assert remark.count == 400
+
+
+def test_single_readings_out_of_range_count_as_missing(tmp_path: Path) -> None:
+    columns = motion()
+    columns["power_robot_w"][33] = 1e9
+    log = read(tmp_path, columns)
+    assert found(log, "range").line == 35
+    assert log.power_w["robot"][33] == pytest.approx(
+        0.5 * (columns["power_robot_w"][32] + columns["power_robot_w"][34])
+    )
+
+
+def test_charging_sign(tmp_path: Path) -> None:
+    columns = motion()
+    columns["power_robot_w"] *= -1
+    remark = found(read(tmp_path, columns), "sign")
+    assert remark.severity == "error"
+    assert "what it delivers is positive" in remark.message
+
+
+def test_clock_times(tmp_path: Path, faults_of) -> None:
+    columns = motion()
+    start = columns["time_s"].copy()
+    columns["time_s"] = start + 1_700_000_000.0
+    path = tmp_path / "run.csv"
+    rows = zip(columns["time_s"], columns["power_robot_w"], strict=True)
+    path.write_text("time_s,power_robot_w\n" + "".join(f"{t:.3f},{p:.4f}\n" for t, p in rows))
+    log = read_log(path)
+    assert log.time_s[0] == 0.0
+    assert "clock times" in found(log, "unit").message
+    path.write_text("time_s,power_robot_w\n" + "".join(f"{t * 1e9:.0f},1\n" for t in columns["time_s"]))
+    assert "nanoseconds since 1970" in faults_of(read_log, path).faults[0].message
+
+
+def test_names(tmp_path: Path) -> None:
+    columns = motion()
+    columns["yaw_rate_rads"] = columns.pop("yaw_rate_rad_s")
+    columns["fan_rpm"] = np.sin(np.arange(400))
+    remark = found(read(tmp_path, columns), "name")
+    assert remark.message == "not a name of the glossary; did you mean yaw_rate_rad_s?"
+    assert remark.column == "yaw_rate_rads"
+
+
+@pytest.mark.parametrize("delay_s", [-0.8, 0.0, 0.4, 1.1])
+@pytest.mark.parametrize("step_s", [0.1, 0.25])
+def test_clock_delay(delay_s: float, step_s: float) -> None:
+    columns = motion(1500, step_s)
+    time = columns["time_s"]
+    power = np.interp(time - delay_s, time, columns["power_robot_w"])
+    estimate = clock_delay(time, power, columns["speed_m_s"], columns["yaw_rate_rad_s"])
+    assert estimate is not None
+    assert estimate.delay_s == pytest.approx(delay_s, abs=0.5 * step_s)
+
+
+def test_clock_remark(tmp_path: Path) -> None:
+    columns = motion(1500, 0.1)
+    columns["power_robot_w"] = np.interp(columns["time_s"] - 0.6, columns["time_s"], columns["power_robot_w"])
+    remark = found(read(tmp_path, columns), "clock")
+    assert "later than the motion" in remark.message
+    assert remark.severity == "note"
+
+
+def test_no_clock_from_noise() -> None:
+    rng = np.random.default_rng(3)
+    time = np.arange(500) * 0.5
+    assert clock_delay(time, rng.normal(size=500), rng.normal(size=500)) is None
+    assert clock_delay(time, np.ones(500), np.zeros(500)) is None
+    assert clock_delay(time[:20], np.ones(20), np.ones(20)) is None
+
+
+def test_voltage_times_current(tmp_path: Path) -> None:
+    columns = _rich()
+    del columns["power_robot_w"], columns["energy_robot_wh"]
+    log = read(tmp_path, columns)
+    assert log.power_from["robot"] == "voltage*current"
+    np.testing.assert_allclose(log.power_w["robot"], motion()["power_robot_w"], rtol=1e-7)
+
+
+def test_energy_counter_fine_and_coarse(tmp_path: Path) -> None:
+    columns = _rich()
+    total = columns["energy_robot_wh"][-1] - columns["energy_robot_wh"][0]
+    for name in ("power_robot_w", "voltage_robot_v", "current_robot_a"):
+        del columns[name]
+    log = read(tmp_path, columns)
+    assert (log.power_from["robot"], log.fresh["robot"]) == ("energy", None)
+    inside = log.power_w["robot"][1:-1] @ log.dt_s[1:-1] / 3600
+    assert inside == pytest.approx(total, rel=0.01)
+    coarse = dict(columns, energy_robot_wh=np.floor(columns["energy_robot_wh"] / 0.01) * 0.01)
+    log = read(tmp_path, coarse)
+    fresh = log.fresh["robot"]
+    assert fresh is not None
+    assert fresh.sum() == len(np.unique(coarse["energy_robot_wh"])) - 1
+    assert log.energy_wh("robot") == pytest.approx(total, abs=0.02)
+    assert "the counter moves in" in found(log, "repeated").message
+
+
+def test_power_from_energy_is_exact_where_power_is_constant() -> None:
+    time = np.array([0.0, 1.0, 3.0, 4.0, 8.0])
+    power, fresh = power_from_energy(7.2 * time / 3600, time)
+    np.testing.assert_allclose(power, 7.2)
+    assert fresh is None
+    power, fresh = power_from_energy(np.array([0.0, 0.0, 0.0, 8.0, 8.0]) / 3600, time)
+    np.testing.assert_allclose(power, 2.0)
+    assert fresh is not None
+    assert fresh.tolist() == [False, False, False, True, False]
+    power, _ = power_from_energy(np.zeros(5), time)
+    np.testing.assert_array_equal(power, np.zeros(5))
+
+
+def test_refreshes_period() -> None:
+    rng = np.random.default_rng(0)
+    time = np.arange(1000) * 0.1
+    slow = refreshes(np.repeat(rng.normal(size=200), 5), time)
+    assert slow is not None
+    assert slow.period_s == pytest.approx(0.5)
+    assert refreshes(rng.normal(size=1000), time) is None
+    assert refreshes(np.full(1000, 3.0), time) is None
+    assert refreshes(np.repeat([1.0, 2.0, 1.0, 2.0], 250), time) is None
+
+
+def test_the_robot_sharpens_the_checks(tmp_path: Path) -> None:
+    from missionsim.spec import load_robot
+
+    robot = load_robot("pioneer3dx")
+    columns = motion()
+    columns["speed_m_s"] = columns["speed_m_s"] * 3.6
+    columns["on_kinectt"] = np.ones(400)
+    columns["power_robott_w"] = columns["power_robot_w"] * 2
+    log = read_log(write_csv(tmp_path / "run.csv", columns), robot=robot)
+    messages = {r.column: r.message for r in log.remarks if r.kind in ("unit", "name")}
+    assert "did you mean kinect?" in messages["on_kinectt"]
+    assert "did you mean robot?" in messages["power_robott_w"]
+    assert "the robot drives" in messages["speed_m_s"]
