@@ -1,4 +1,4 @@
-"""What other tools make of the same data: PySINDy, LASSO by run, stepwise BIC, gradient-boosted trees, and the oracle.
+"""What other tools make of the same data: PySINDy, LASSO by run, stepwise BIC, gradient-boosted trees.
 
 All get the same 1 s table and the same library columns; none gets the clock aligned, since none offers it. Base columns
 are candidates as well; they count as a name only where the shift exceeds four prior standard deviations.
@@ -100,34 +100,6 @@ def ridge(x: Array, y: Array, prior_sd: Array, independent: float = 0.1) -> Arra
     scale = np.sqrt(np.sum(x * x, axis=0)) + 1e-12
     gram = (x / scale).T @ (x / scale) + np.diag(precision / scale**2 + 1e-10)
     return np.asarray(np.linalg.solve(gram, (x / scale).T @ y) / scale)
-
-
-def oracle(
-    train: Sequence[Table],
-    heldout: Sequence[Table],
-    hidden: Sequence[Sequence[Array]],
-    robot: str,
-) -> tuple[float, float]:
-    """Held-out error when the truth is known: least squares with the true columns and the recalibrated base.
-
-    Parameters
-    ----------
-    hidden
-        Per run (training then held-out), the true power of each hidden effect at the table's rows [W].
-    """
-    keys = tuple(nominal_base(robot))
-    sds = [PRIOR_SD * nominal_base(robot)[key] for key in keys]
-
-    def columns(table: Table, parts: Sequence[Array]) -> Array:
-        return np.column_stack([*(table.base[key] for key in keys), *parts])
-
-    everything = [columns(t, parts) for t, parts in zip([*train, *heldout], hidden, strict=True)]
-    x = np.concatenate(everything[: len(train)])
-    y = np.concatenate([t.measured_w - t.base_w for t in train])
-    prior = np.array(sds + [np.inf] * (x.shape[1] - len(keys)))
-    coefficients = ridge(x, y, prior)
-    predictions = [t.base_w + part @ coefficients for t, part in zip(heldout, everything[len(train) :], strict=True)]
-    return heldout_error(heldout, predictions)
 
 
 def _finish(method: str, design: Design, chosen: Sequence[str], heldout: Sequence[Table], start: float) -> Outcome:

@@ -19,12 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
-from . import features, peers, product
-from .judge import in_library, judge
-from .planned import EXECUTION
+from . import features, peers, product, truth
+from .judge import judge
 from .study import ALL_CASES
 from .table import markdown
 from .world import World, experiment, make, write, write_csv
@@ -57,10 +55,11 @@ def score_task(task: Task) -> list[Row]:
         logs = {k: [features.read_log(p) for p in sorted((folder / k).glob("*.csv"))] for k in ("train", "heldout")}
         train, heldout = ([features.table(log, robot) for log in logs[k]] for k in ("train", "heldout"))
         errors = {"nominal": peers.nominal(heldout)}
-        hidden = _true_columns(world, logs, answer, [*train, *heldout])
         planned = (folder / "mission.yaml").exists()
-        if hidden is not None and not planned:
-            errors["oracle"] = peers.oracle(train, heldout, hidden, robot)
+        if not planned:
+            columns = truth.columns(world, [*logs["train"], *logs["heldout"]], answer["hidden"], [*train, *heldout])
+            if columns is not None:
+                errors["oracle"] = truth.oracle(train, heldout, columns, robot)
         rows = []
         if task.with_product:
             rows.append(_product_row(task, folder, robot, answer, world))
@@ -111,34 +110,6 @@ def _experiment(
             row["resolved_by_two"] = row[key]
             return row
     return row
-
-
-def _true_columns(
-    world: Any, logs: dict[str, list[features.Log]], answer: dict[str, Any], tables: Sequence[features.Table]
-) -> list[list[features.Array]] | None:
-    """True power of the hidden effects at each table's rows; None where it cannot be known (practice, outside)."""
-    names = [e for e in answer["hidden"] if e not in EXECUTION]
-    if world is None:
-        if not all(in_library(e) for e in names):
-            return None
-        keys = [next(iter(k for k in tables[0].library if features.effect_of(k) == e), "") for e in names]
-        return [[_practice_column(t, e, k) for e, k in zip(names, keys, strict=True)] for t in tables]
-    every = [*logs["train"], *logs["heldout"]]
-    out = []
-    for log, true, table in zip(every, world.truth.values(), tables, strict=True):
-        time_s = np.asarray(log["time_s"], dtype=float)
-        dt = features.windows(time_s)
-        group = features.seconds_of(time_s)
-        parts = [np.bincount(group, true[f"hidden:{e}"] * dt) / np.bincount(group, dt) for e in names]
-        assert all(len(p) == len(table.measured_w) for p in parts)
-        out.append(parts)
-    return out
-
-
-def _practice_column(table: features.Table, effect: str, key: str) -> features.Array:
-    if key:
-        return table.library.get(key, np.zeros_like(table.measured_w))
-    return next(column for name, column in table.base.items() if features.effect_of(name) == effect)
 
 
 def tasks(arguments: argparse.Namespace) -> Iterator[Task]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from . import features, peers
+from . import features, peers, truth
 from .judge import judge
 from .meter import Rows
 from .motion import ROBOTS, STEP_S
@@ -161,12 +161,14 @@ def test_peers_find_a_loud_effect_and_trees_beat_the_nominal_model():
     assert rows["LASSO, by run"]["oracle_rmse_w"] < rows["LASSO, by run"]["nominal_rmse_w"]
 
 
-def test_oracle_knows_the_truth():
+def test_knowing_the_truth_leaves_the_meter_alone():
+    """With the true columns what remains is the meter's own noise, gain and offset."""
     world = make(replace(ALL_CASES["grade-10pct"], noise_level=1), 1)
-    tables = [features.table(log, "pioneer3dx") for log in (*world.train.values(), *world.heldout.values())]
-    hidden = [[world.truth[name]["hidden:grade"]] for name in world.truth]
-    energy, rmse = peers.oracle(tables[:8], tables[8:], hidden, "pioneer3dx")
+    logs = [*world.train.values(), *world.heldout.values()]
+    tables = [features.table(log, "pioneer3dx") for log in logs]
+    energy, rmse = truth.oracle(tables[:8], tables[8:], truth.columns(world, logs, ["grade"], tables), "pioneer3dx")
     nominal = peers.nominal(tables[8:])
+    assert rmse < 0.05 * np.mean(tables[8].measured_w)
     assert rmse < 0.5 * nominal[1]
     assert energy < nominal[0]
 
