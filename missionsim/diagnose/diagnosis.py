@@ -34,6 +34,7 @@ from missionsim.fit.provenance import fitted_to
 from missionsim.identify.data import Settings
 from missionsim.identify.identify import identify
 from missionsim.identify.result import Identification
+from missionsim.labels import Labels
 
 if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
@@ -307,6 +308,8 @@ def _shifted(seen: Examined) -> HeldOut | None:
     main = found.effects[0].effect
     covariate = next((c.covariate for c in features.candidates if c.effect == main), "")
     if not all(covariate in run.covariates for run in features.runs):
+        return None
+    if isinstance(features.covariates[0].get(covariate), Labels):
         return None
     level = np.array([float(np.average(np.abs(r.covariates[covariate]), weights=r.dt_s)) for r in features.runs])
     count = max(1, len(level) // 3)

@@ -7,6 +7,8 @@ import math
 from missionsim.diagnose.findings import BatteryDiagnosis, Experiment, Finding, HeldOut
 
 MOST_NOT_SEEN = 8
+BLIND_SHARE = 0.5
+"""Detection limits from here on mean that the data say nothing of an effect."""
 
 
 def headline(battery: BatteryDiagnosis) -> str:
@@ -142,17 +144,19 @@ def _not_seen(battery: BatteryDiagnosis) -> str:
         (c.smallest_detectable_share, c.effect) for c in battery.candidates
         if not c.accepted and c.smallest_detectable_share is not None and math.isfinite(c.smallest_detectable_share)
     ]
-    limits.sort()
+    blind = [name for share, name in limits if share >= BLIND_SHARE]
+    limits = sorted((share, name) for share, name in limits if share < BLIND_SHARE)
     shown = [f"{name} < {100 * share:.1f} %" for share, name in limits[:MOST_NOT_SEEN]]
     rest = len(limits) - len(shown)
     text = ", ".join(shown) + (f" and {rest} more with higher limits" if rest > 0 else "")
-    return (text or "nothing could be excluded") + " of energy"
+    text = (text or "nothing could be excluded") + " of energy"
+    return text + (f"; these data say nothing of {', '.join(blind)}" if blind else "")
 
 
 def _smallest_limits(battery: BatteryDiagnosis) -> str:
     limits = sorted(
         c.smallest_detectable_share for c in battery.candidates
-        if c.smallest_detectable_share is not None and math.isfinite(c.smallest_detectable_share)
+        if c.smallest_detectable_share is not None and c.smallest_detectable_share < BLIND_SHARE
     )
     if not limits:
         return ""
