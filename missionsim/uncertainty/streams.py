@@ -1,8 +1,8 @@
 """Random numbers by name and run index: the same bits for any block, any number of workers, any other parameter.
 
-A stream is a Philox counter-based generator (Salmon et al. 2011) keyed by the seed and the stream's name; run *i* owns the
-*i*-th number of it. Adding a parameter adds a stream and changes no other; two alternatives with the same seed and names
-share common random numbers; run 731 can be drawn alone.
+A stream is a Philox counter-based generator (Salmon et al. 2011) keyed by the seed and the stream's name; run *i* owns
+the *i*-th number of it. Adding a parameter adds a stream and changes no other; two alternatives with the same seed and
+names share common random numbers; run 731 can be drawn alone.
 """
 
 from __future__ import annotations

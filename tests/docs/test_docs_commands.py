@@ -61,9 +61,11 @@ def test_commands_of_page(page: Path, tmp_path: Path) -> None:
         (tmp_path / "shared").symlink_to(ROOT.parent / "shared")
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "COLUMNS": "100"}
     for language, code in parts:
-        command = ["bash", "-euo", "pipefail", "-c", script(code)] if language == "bash" else [sys.executable, "-c", code]
+        shell = ["bash", "-euo", "pipefail", "-c", script(code)]
+        command = shell if language == "bash" else [sys.executable, "-c", code]
         done = subprocess.run(
             command, cwd=here, env=environment, capture_output=True, text=True, timeout=600, check=False,
             stdin=subprocess.DEVNULL,
         )
-        assert done.returncode == 0, f"{page.name}:\n{code}\n--- out\n{done.stdout[-3000:]}\n--- err\n{done.stderr[-3000:]}"
+        told = f"--- out\n{done.stdout[-3000:]}\n--- err\n{done.stderr[-3000:]}"
+        assert done.returncode == 0, f"{page.name}:\n{code}\n{told}"

@@ -22,7 +22,7 @@ def test_streams_are_uniform_and_independent_of_each_other() -> None:
     assert stats.kstest(one, "uniform").pvalue > 1e-3
     assert abs(np.corrcoef(one, two)[0, 1]) < 0.01
     assert abs(np.corrcoef(one[1:], one[:-1])[0, 1]) < 0.01
-    assert 0.0 < one.min()
+    assert one.min() > 0.0
     assert one.max() < 1.0
 
 
