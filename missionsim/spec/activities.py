@@ -1,7 +1,5 @@
 """Activities that overlap with driving, and the policy for a battery that runs out."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, WrapValidator, model_validator
@@ -22,7 +20,7 @@ class AnchorSpec(Model):
     segment: Name | None = None
 
     @model_validator(mode="after")
-    def _one(self) -> AnchorSpec:
+    def _one(self) -> "AnchorSpec":
         if sum(item is not None for item in (self.place, self.time, self.segment)) != 1:
             raise wrong("a moment is one of place, time, segment", "none or several", "{place: V1}")
         return self
@@ -47,7 +45,7 @@ class ActivitySpec(Model):
     duration: Period | None = None
 
     @model_validator(mode="after")
-    def _bursts(self) -> ActivitySpec:
+    def _bursts(self) -> "ActivitySpec":
         if self.every is not None and self.duration is None:
             raise wrong("bursts need a duration", "every without duration", "every: 60 s, duration: 2 s")
         if self.duration is not None and self.until is not None and self.every is None:
@@ -70,7 +68,7 @@ class PolicySpec(Model):
     dock: Name | None = None
 
     @model_validator(mode="after")
-    def _dock(self) -> PolicySpec:
+    def _dock(self) -> "PolicySpec":
         if self.on_empty == "return_to_dock" and self.dock is None:
             raise wrong("return_to_dock needs a dock", "no dock", "dock: <place with a charger>")
         return self

@@ -1,11 +1,11 @@
 """Base of all YAML models: frozen, unknown keys refused, with file and line of each object."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, PrivateAttr, StringConstraints
+
+from missionsim.errors import Fault
 
 
 def _text_of_int(raw: Any) -> Any:
@@ -58,6 +58,10 @@ class FileModel(Model):
     _document: Any = PrivateAttr(default=None)
     _whole: bool = PrivateAttr(default=True)
     _sound: bool = PrivateAttr(default=True)
+
+    def faults(self, document: Any) -> list[Fault]:
+        """Faults across parts of the file that the model itself knows to look for."""
+        return []
 
     @property
     def path(self) -> Path:

@@ -1,7 +1,5 @@
 """Batteries of a robot file."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -62,7 +60,7 @@ class EquivalentCircuit(Model):
     cut_off: Voltage | None = None
 
     @model_validator(mode="after")
-    def _increasing(self) -> EquivalentCircuit:
+    def _increasing(self) -> "EquivalentCircuit":
         charges = [point[0].value for point in self.open_circuit_voltage]
         voltages = [point[1].value for point in self.open_circuit_voltage]
         if any(later <= earlier for earlier, later in pairwise(charges)):
@@ -95,12 +93,12 @@ class BatterySpec(Model):
     nominal_voltage: Voltage | None = None
     reserve: Fraction = Parameter(0.0, status="assumed")
     initial_charge: Fraction = Parameter(1.0, status="assumed")
-    model: BatteryModel = ConstantEnergy()
+    model: BatteryModel = ConstantEnergy.model_construct()
     max_charge_power: Power | None = None
     charge_efficiency: Efficiency = Parameter(1.0, status="assumed")
 
     @model_validator(mode="after")
-    def _voltage_known(self) -> BatterySpec:
+    def _voltage_known(self) -> "BatterySpec":
         needs_voltage = self.capacity.unit == "C" or isinstance(self.model, EquivalentCircuit)
         if needs_voltage and self.nominal_voltage is None and self.capacity.unit == "C":
             raise wrong(

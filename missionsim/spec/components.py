@@ -1,7 +1,5 @@
 """Components of a robot file: loads, laws, links and switchboards."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field, model_validator
@@ -21,7 +19,7 @@ class LawSpec(Model):
     parameters: dict[ParameterName, AnyNumber] = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _one(self) -> LawSpec:
+    def _one(self) -> "LawSpec":
         if (self.power is None) == (self.model is None):
             raise wrong(
                 "a law has either a power or a model",
@@ -40,7 +38,7 @@ class LoadSpec(Model):
     through: Identifier | None = None
 
     @model_validator(mode="after")
-    def _one(self) -> LoadSpec:
+    def _one(self) -> "LoadSpec":
         if (self.power is None) == (self.law is None):
             raise wrong(
                 "a load has either a power or a law",

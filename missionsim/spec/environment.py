@@ -1,7 +1,5 @@
 """The environment file: places, ways between them, chargers, ambient."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, Literal
 
@@ -43,7 +41,7 @@ class PlaceSpec(Model):
     title: Text = ""
 
     @model_validator(mode="after")
-    def _both(self) -> PlaceSpec:
+    def _both(self) -> "PlaceSpec":
         if (self.x is None) != (self.y is None):
             raise wrong("a place has both coordinates or none", "x" if self.x else "y", "x: 0 m, y: 0 m")
         return self
@@ -96,7 +94,7 @@ class EnvironmentSpec(FileModel):
     sources: dict[Identifier, Text] = Field(default_factory=dict)
     places: Annotated[dict[Name, PlaceSpec], Field(min_length=1, max_length=20_000)]
     edges: Annotated[tuple[EdgeSpec, ...], Field(max_length=50_000)] = ()
-    ambient: AmbientSpec = AmbientSpec()
+    ambient: AmbientSpec = AmbientSpec.model_construct()
     access_points: dict[Name, AccessPointSpec] = Field(default_factory=dict)
 
     def length_m(self, edge: EdgeSpec) -> float | None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.spec import overrides as override_rules
@@ -18,20 +18,16 @@ from missionsim.spec.check_mission import check_mission
 from missionsim.spec.check_robot import check_robot
 from missionsim.spec.environment import EnvironmentSpec
 from missionsim.spec.faults import to_faults
-from missionsim.spec.log_map import MapSpec
 from missionsim.spec.mission import MissionSpec, StudySpec
 from missionsim.spec.robot import RobotSpec
 from missionsim.spec.salvage import related, repaired, view_of
 from missionsim.spec.tree import Document, as_written, parse_document, read_document
 from missionsim.spec.values import Parameter
 
-KINDS: dict[str, type[FileModel]] = {
-    "robot": RobotSpec,
-    "environment": EnvironmentSpec,
-    "mission": MissionSpec,
-    "study": StudySpec,
-    "map": MapSpec,
-}
+if TYPE_CHECKING:
+    from missionsim.spec.log_map import MapSpec
+
+KINDS = ("robot", "environment", "mission", "study", "map")
 Override = tuple[str, Any]
 Loaded = TypeVar("Loaded", bound=FileModel)
 _ROUNDS = 30
@@ -111,8 +107,26 @@ def load_study(path: str | os.PathLike[str]) -> StudySpec:
 
 def load_map(path: str | os.PathLike[str]) -> MapSpec:
     """Load a map for ``missionsim import``; faults in its formulas are told too."""
+    from missionsim.spec.log_map import MapSpec
+
     faults: list[Fault] = []
     return _finish(_load(Path(path), MapSpec, faults), faults)
+
+
+def model_of(kind: str) -> type[FileModel]:
+    """Model of a kind of file, one of `KINDS`."""
+    if kind == "map":
+        # only `import` and `validate` of maps need it; every run would pay for it
+        from missionsim.spec.log_map import MapSpec
+
+        return MapSpec
+    models: dict[str, type[FileModel]] = {
+        "robot": RobotSpec,
+        "environment": EnvironmentSpec,
+        "mission": MissionSpec,
+        "study": StudySpec,
+    }
+    return models[kind]
 
 
 def check_files(paths: Iterable[str | os.PathLike[str]]) -> list[Fault]:
@@ -134,9 +148,9 @@ def check_files(paths: Iterable[str | os.PathLike[str]]) -> list[Fault]:
                 else:
                     faults.append(document.fault(("mission",), "no such mission file", got=as_written(study.mission)))
         elif isinstance(kind, str) and kind in KINDS:
-            _load(Path(path), KINDS[str(kind)], faults, document=document)
+            _load(Path(path), model_of(kind), faults, document=document)
         else:
-            faults.append(_kind_fault(document, tuple(KINDS)))
+            faults.append(_kind_fault(document, KINDS))
     return sorted(set(faults))
 
 
@@ -208,7 +222,7 @@ def _load(
         found = check_robot(result, result.document)
     elif isinstance(result, EnvironmentSpec):
         found = check_environment(result, result.document)
-    elif isinstance(result, MapSpec):
+    else:
         found = list(result.faults(result.document))
     result._sound = not any(fault.severity == "error" for fault in found)
     faults.extend(found)
@@ -375,8 +389,3 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):
         return False
-
-
-def models() -> Mapping[str, type[BaseModel]]:
-    """Model of each kind of file."""
-    return KINDS

@@ -1,7 +1,5 @@
 """Model of a map: how a file of any layout becomes a log in the columns of the glossary."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
@@ -101,7 +99,7 @@ class ColumnMap(Model):
     hold: bool | None = None
 
     @model_validator(mode="after")
-    def _one_way(self) -> ColumnMap:
+    def _one_way(self) -> "ColumnMap":
         ways = [way for way in _WAYS if getattr(self, way) is not None]
         if len(ways) != 1:
             raise ValueError(f"a column needs exactly one of {', '.join(_WAYS)}, not {' and '.join(ways) or 'none'}")
@@ -195,14 +193,14 @@ class MapSpec(FileModel):
     kind: Literal["map"]
     name: Name = "map"
     title: Text = ""
-    table: TableMap = TableMap()
+    table: TableMap = TableMap.model_construct()
     signals: dict[Alias, Signal] = Field(default_factory=dict)
     timeline: Name | None = None
     stamp: Literal["header", "bag"] = "header"
     constants: dict[Alias, AnyNumber] = Field(default_factory=dict)
     let: dict[Alias, Formula] = Field(default_factory=dict)
     keep: Formula | None = None
-    runs: RunsMap = RunsMap()
+    runs: RunsMap = RunsMap.model_construct()
     refresh: Annotated[
         tuple[Name, ...],
         BeforeValidator(

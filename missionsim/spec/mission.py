@@ -1,7 +1,5 @@
 """The mission file: robot, environment, segments, activities that overlap with them."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr
@@ -76,11 +74,11 @@ class MissionSpec(FileModel):
     start: Name | None = None
     start_heading: Angle | None = None
     initial_charge: dict[Identifier, Fraction] = Field(default_factory=dict)
-    defaults: DefaultSpec = DefaultSpec()
-    policy: PolicySpec = PolicySpec()
+    defaults: DefaultSpec = DefaultSpec.model_construct()
+    policy: PolicySpec = PolicySpec.model_construct()
     segments: Annotated[tuple[Segment, ...], Field(min_length=1)]
     activities: tuple[ActivitySpec, ...] = ()
-    behaviour: MissionBehaviour = MissionBehaviour()
+    behaviour: MissionBehaviour = MissionBehaviour.model_construct()
     correlations: tuple[CorrelationSpec, ...] = ()
 
     _robot: Any = PrivateAttr(default=None)

@@ -1,7 +1,5 @@
 """Names, counts and formulas as pydantic types, and the fault of a whole object."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import BeforeValidator, Field, StringConstraints

@@ -1,7 +1,5 @@
 """The robot file: body, batteries, components, motion, control schemes and effects."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, Literal
@@ -82,7 +80,7 @@ class MotionSpec(Model):
     options: dict[Identifier, JsonValue] = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _expression(self) -> MotionSpec:
+    def _expression(self) -> "MotionSpec":
         if self.model == "expression" and self.power is None:
             raise wrong("motion model 'expression' needs 'power'", "no power", 'power: "c3*v + c4"')
         if self.model != "expression" and self.power is not None:
@@ -109,7 +107,7 @@ class EffectSpec(Model):
     origin: dict[str, JsonValue] = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _one(self) -> EffectSpec:
+    def _one(self) -> "EffectSpec":
         if (self.effect is None) == (self.power is None):
             raise wrong(
                 "an effect is one of the library or an expression",

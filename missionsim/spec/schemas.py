@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from missionsim.errors import InputError, did_you_mean
-from missionsim.spec.loading import KINDS
+from missionsim.spec.loading import KINDS, model_of
 from missionsim.spec.segments import SEGMENT_KINDS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -17,7 +17,7 @@ SCHEMA_FOLDER = Path(__file__).resolve().parent.parent / "schemas"
 
 def schema_kinds() -> tuple[str, ...]:
     """Kinds of YAML files that have a schema."""
-    return tuple(KINDS)
+    return KINDS
 
 
 def schema(kind: str) -> dict[str, Any]:
@@ -37,7 +37,7 @@ def schema(kind: str) -> dict[str, Any]:
         raise InputError.single(
             f"no schema '{kind}'", got=kind, allowed=", ".join(schema_kinds()), hint=did_you_mean(kind, schema_kinds())
         )
-    raw = KINDS[kind].model_json_schema(by_alias=True)
+    raw = model_of(kind).model_json_schema(by_alias=True)
     shared: dict[str, Any] = {}
     body = _tidy(raw, shared)
     definitions = {**body.pop("$defs", {}), **shared}

@@ -1,7 +1,5 @@
 """Control schemes of a robot file: sensors, processor power, behaviour."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Literal
 
@@ -34,7 +32,7 @@ class ProcessorRow(Model):
     status: Literal["", "published", "fitted", "assumed", "measured"] = ""
 
     @model_validator(mode="after")
-    def _tell_power(self) -> ProcessorRow:
+    def _tell_power(self) -> "ProcessorRow":
         """Status and source of the row belong to its power."""
         told = replace(self.power, status=self.power.status or self.status, source=self.power.source or self.source)
         self.__dict__["power"] = told
@@ -63,12 +61,12 @@ class SchemeSpec(Model):
     motion: bool = True
     image_analysis: bool = False
     max_speed: Speed | None = None
-    sensors: SensorRules = SensorRules()
+    sensors: SensorRules = SensorRules.model_construct()
     default_sensors: Sensors = Field(default_factory=dict)
     navigation: dict[Identifier, SensorRules] = Field(default_factory=dict)
     default_navigation: Identifier | None = None
     processor: tuple[ProcessorRow, ...] = ()
-    behaviour: BehaviourSpec = BehaviourSpec()
+    behaviour: BehaviourSpec = BehaviourSpec.model_construct()
 
     def sensor_rules(self, navigation: str | None = None) -> tuple[dict[str, int], dict[str, int]]:
         """Required units, and the most units allowed (required ones among them), under a navigation."""

@@ -1,7 +1,5 @@
 """Segments of a mission, and the settings that they share with `defaults`."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, GetJsonSchemaHandler, WrapValidator, model_validator
@@ -73,7 +71,7 @@ class DriveSegment(SegmentSpec):
     heading: Angle | None = None
 
     @model_validator(mode="after")
-    def _one(self) -> DriveSegment:
+    def _one(self) -> "DriveSegment":
         given = [key for key in ("to", "along", "distance") if getattr(self, key) is not None]
         if len(given) != 1:
             raise wrong("a drive needs one of to, along, distance", " and ".join(given) or "none of them", "to: V1")
@@ -135,7 +133,7 @@ class RechargeSpec(Model):
     batteries: tuple[Identifier, ...] = ()
 
     @model_validator(mode="after")
-    def _one(self) -> RechargeSpec:
+    def _one(self) -> "RechargeSpec":
         if (self.until is None) == (self.duration is None):
             raise wrong("recharge until a charge or for a duration", "both" if self.until else "neither", "until: 95 %")
         return self
@@ -154,7 +152,7 @@ class RepeatSegment(Model):
     kind: Literal["repeat"]
     name: Name | None = None
     times: Annotated[int, Field(strict=True, ge=1, le=100_000)]
-    segments: Annotated[tuple[Segment, ...], Field(min_length=1)]
+    segments: Annotated[tuple["Segment", ...], Field(min_length=1)]
 
 
 SEGMENT_KINDS = ("drive", "arc", "turn", "move", "inspect", "wait", "dock", "repeat")

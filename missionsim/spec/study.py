@@ -1,7 +1,5 @@
 """The study file: alternatives of a mission as differences to a baseline."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field, JsonValue, model_validator
@@ -32,7 +30,7 @@ class StudySpec(FileModel):
     vary: dict[Text, Annotated[tuple[JsonValue, ...], Field(min_length=1)]] = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _some(self) -> StudySpec:
+    def _some(self) -> "StudySpec":
         if not self.alternatives and not self.vary:
             raise wrong(
                 "a study needs alternatives or vary",
