@@ -42,7 +42,8 @@ def test_start_up_within_three_times_the_bare_interpreter(root: Path, command: s
 def test_slow_libraries_are_not_loaded(root: Path, command: str) -> None:
     code = (
         "import sys; from missionsim.cli.app import run_command; code = run_command(sys.argv[1:]);"
-        "print([m for m in ('pandas', 'scipy', 'matplotlib', 'plotly', 'sklearn', 'networkx', 'pint') if m in sys.modules]);"
+        "slow = ('pandas', 'scipy', 'matplotlib', 'plotly', 'sklearn', 'networkx', 'pint');"
+        "print([name for name in slow if name in sys.modules]);"
         "sys.exit(code)"
     )
     mission = str(root / "missions" / "pioneer3dx" / "valve_patrol.yaml")
