@@ -13,6 +13,7 @@ from missionsim.effects.timeline import Timeline
 
 RELATIVE_TOLERANCE = 1e-11
 _MAX_DEPTH = 40
+_NOISE_DEPTH, _MOST_PIECES = 9, 4096
 
 # Gauss–Kronrod nodes and weights on [-1, 1], 7 and 15 points (Kronrod 1965; QUADPACK, Piessens et al. 1983)
 _NODES = np.array([
@@ -119,7 +120,8 @@ def _quadrature(
             scale += half * (np.abs(samples) @ WEIGHTS)
             spread += np.abs(half * (samples @ _GAUSS_WEIGHTS) - integral)
         bad |= spread > RELATIVE_TOLERANCE * scale
-    if depth >= _MAX_DEPTH:
+    # a jump needs one piece a level; where pieces go on multiplying, the power is noise that no halving resolves
+    if depth >= _MAX_DEPTH or (depth >= _NOISE_DEPTH and index.size > max(_MOST_PIECES, 8 * len(timeline))):
         bad[:] = False
     good = ~bad
     for battery, terms in powers.items():
