@@ -50,7 +50,7 @@ def import_(
         return _list(source, json, text)
     if out is None:
         raise InputError.single("--out is missing", allowed="--out LOG.parquet, or a folder for several runs")
-    from missionsim.logs.mapping import import_source, provenance
+    from missionsim.importer.mapping import import_source, provenance
     from missionsim.logs.write import write_log
     from missionsim.spec.loading import load_map
 
@@ -146,7 +146,7 @@ def _print(logs: list[LogTable], targets: list[Path]) -> None:
 
 def _list(source: Path, json: str | None, text: bool) -> int:
     from missionsim.cli.common import console, emit_json, simple_table
-    from missionsim.logs.sources import find_sources, list_fields
+    from missionsim.importer.sources import find_sources, list_fields
 
     path = find_sources(source)[0]
     fields = list_fields(path)

@@ -188,17 +188,20 @@ def make_log(
         faults.append(Fault(raw.file, raw.lines(-1), 0, "there is a header but no rows", allowed="at least two rows"))
     if faults:
         raise InputError(faults)
-    rows = Rows(raw, dict(raw.columns), np.arange(raw.rows), list(raw.remarks))
-    order_time(rows)
-    rows.dt = row_durations(rows.time)
-    kinds = measured_batteries(rows.columns)
-    held = fill_missing(
-        rows, {name for name in rows.columns if name.startswith(("power_", "voltage_", "current_", "energy_"))}
-    )
-    kinds = measured_batteries(rows.columns)
-    if not kinds or len(rows.row) < 2:
-        raise InputError(Fault(raw.file, 0, 0, "no battery has values in two rows or more", path="power_<battery>_w"))
-    return _freeze(rows, run, kinds, held, robot, own, statistics)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers beside all reason are told, not warned of
+        rows = Rows(raw, dict(raw.columns), np.arange(raw.rows), list(raw.remarks))
+        order_time(rows)
+        rows.dt = row_durations(rows.time)
+        kinds = measured_batteries(rows.columns)
+        held = fill_missing(
+            rows, {name for name in rows.columns if name.startswith(("power_", "voltage_", "current_", "energy_"))}
+        )
+        kinds = measured_batteries(rows.columns)
+        if not kinds or len(rows.row) < 2:
+            raise InputError(
+                Fault(raw.file, 0, 0, "no battery has values in two rows or more", path="power_<battery>_w")
+            )
+        return _freeze(rows, run, kinds, held, robot, own, statistics)
 
 
 def _freeze(

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from missionsim.errors import InputError
-from missionsim.logs import LogTable, transform
-from missionsim.logs.mapping import import_source
-from missionsim.logs.sources import list_fields
-from missionsim.logs.timeline import Signal, merge_signals
+from missionsim.importer import transform
+from missionsim.importer.mapping import import_source
+from missionsim.importer.sources import list_fields
+from missionsim.importer.timeline import Signal, merge_signals
+from missionsim.logs import LogTable
 from missionsim.spec.loading import load_map
 from tests.logs.bag_writers import amps, battery_volts, speed, write_bag, write_ulog
 

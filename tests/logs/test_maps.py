@@ -10,10 +10,11 @@ import pytest
 
 from missionsim.cli.app import run_command as main
 from missionsim.errors import InputError
+from missionsim.importer import transform
+from missionsim.importer.mapping import import_source
+from missionsim.importer.mapunits import to_glossary
 from missionsim.labels import Labels
-from missionsim.logs import LogTable, read_log, transform
-from missionsim.logs.mapping import import_source
-from missionsim.logs.mapunits import to_glossary
+from missionsim.logs import LogTable, read_log
 from missionsim.spec.loading import check_files, load_map
 from tests.logs.conftest import motion, write_csv
 

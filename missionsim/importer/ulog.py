@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from missionsim.errors import Fault, InputError
+from missionsim.importer.sources import Field, missing_field
+from missionsim.importer.timeline import Signal, merge_signals
 from missionsim.logs.raw import RawTable
 from missionsim.logs.remarks import Remark
-from missionsim.logs.sources import Field, missing_field
-from missionsim.logs.timeline import Signal, merge_signals
 from missionsim.spec.log_map import MapSpec
 
 _FIELD = re.compile(r"(?P<topic>[A-Za-z0-9_]+)(?:\[(?P<instance>\d+)\])?\.(?P<field>[A-Za-z0-9_.\[\]]+)\Z")

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.files import sha256
-from missionsim.logs import transform
-from missionsim.logs.mapper import Mapper
+from missionsim.importer import transform
+from missionsim.importer.mapper import Mapper
+from missionsim.importer.runs import Part, split_at_gaps, split_runs
+from missionsim.importer.sources import find_sources, read_source
 from missionsim.logs.raw import ColumnData, RawTable
 from missionsim.logs.read import PathLike, make_log
 from missionsim.logs.remarks import Remark
-from missionsim.logs.runs import Part, split_at_gaps, split_runs
-from missionsim.logs.sources import find_sources, read_source
 from missionsim.logs.table import LogTable
 from missionsim.spec.log_map import MapSpec
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import Expression, compile_expression
 from missionsim.glossary import column_of
+from missionsim.importer import transform
+from missionsim.importer.mapunits import to_glossary
 from missionsim.labels import Labels
-from missionsim.logs import transform
-from missionsim.logs.mapunits import to_glossary
 from missionsim.logs.raw import ColumnData, RawTable
 from missionsim.spec.log_map import ColumnMap, MapSpec
 

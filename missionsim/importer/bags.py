@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.importer.sources import Field, missing_field
+from missionsim.importer.timeline import Signal, merge_signals
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
 from missionsim.logs.remarks import Remark
-from missionsim.logs.sources import Field, missing_field
-from missionsim.logs.timeline import Signal, merge_signals
 from missionsim.spec.log_map import MapSpec
 
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[\d+\])*)\Z")

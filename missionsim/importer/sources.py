@@ -100,11 +100,11 @@ def read_source(path: Path, spec: MapSpec) -> RawTable:
     """
     kind = kind_of_source(path)
     if kind == "bag":
-        from missionsim.logs.bags import read_bag
+        from missionsim.importer.bags import read_bag
 
         return read_bag(path, spec)
     if kind == "ulog":
-        from missionsim.logs.ulog import read_ulog
+        from missionsim.importer.ulog import read_ulog
 
         return read_ulog(path, spec)
     raw = _read_table(path, spec)
@@ -154,11 +154,11 @@ def list_fields(path: Path) -> list[Field]:
     """What a source holds, for the user who writes a map: columns of a table, fields of the topics of a bag or ULog."""
     kind = kind_of_source(path)
     if kind == "bag":
-        from missionsim.logs.bags import bag_fields
+        from missionsim.importer.bags import bag_fields
 
         return bag_fields(path)
     if kind == "ulog":
-        from missionsim.logs.ulog import ulog_fields
+        from missionsim.importer.ulog import ulog_fields
 
         return ulog_fields(path)
     from missionsim.labels import Labels

@@ -1,0 +1,1 @@
+"""Files of any layout into logs: tables, ROS bags and ULog, by a map in YAML."""
