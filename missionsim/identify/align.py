@@ -117,7 +117,7 @@ class RunColumns:
         """Mean of columns over every bin, shape (columns, bins), as a late and sluggish meter would see it."""
         if self._curve is None:
             self._curve = _integral_curve(self.values)
-        parts = (self.values, *self._curve)
+        parts: tuple[Array, ...] = (self.values, *self._curve)
         if rows is not None and len(rows) < self.values.shape[0]:
             parts = tuple(p[list(rows)] for p in parts)
         low, high = self.bins.low_s, self.bins.high_s

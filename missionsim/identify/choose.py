@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from missionsim.identify.data import Candidate, Settings
 from missionsim.identify.design import Layout, Source
 from missionsim.identify.gates import Evidence, overdispersion, weigh
+from missionsim.identify.gram import make_gram
 from missionsim.identify.model import Model, fit_model, log_likelihood
 from missionsim.identify.search import Rules, best_set, single_gains
 
 TRIED = 2
 PROMISING = 0.5
 """A candidate is fitted when its gain before the refit reaches this part of what is needed."""
+USUAL_OFFSET = 0.006
+USUAL_GAIN = 0.008
+"""Differences between runs that a power meter and a drive usually show."""
+REPEATED = 0.02
 CLOSE = 0.6
 """The second best is fitted too when it reaches this part of the best."""
 
@@ -86,6 +91,9 @@ def _next_step(
             break
         first_of.append(k)
     trials: list[tuple[int, ...]] = [(*model.chosen, k) for k in first_of[:TRIED]]
+    hidden = _hidden_in_runs(model, rules, needed, settings)
+    if hidden is not None and hidden not in first_of[:TRIED]:
+        trials.append((*model.chosen, hidden))
     if not trials:
         return None
     if model.chosen:
@@ -99,6 +107,8 @@ def _next_step(
         spread = overdispersion(fitted, settings)
         weighed = {c: _with_twin_limit(weigh(fitted, c, rules, settings, spread, effects), fitted, candidates,
                                        settings) for c in trial}  # fmt: skip
+        if hidden is not None and trial[-1] == hidden and hidden not in first_of:
+            weighed[hidden].passed["repeated in the runs"] = weighed[hidden].p_runs < REPEATED
         if all(e.accepted for e in weighed.values()):
             options.append((log_likelihood(fitted), Choice(fitted, found.empty, spread, weighed, refused)))
         else:
@@ -110,6 +120,26 @@ def _next_step(
     best = max(options, key=lambda o: o[0])[1]
     best.refused.update(refused)
     return best
+
+
+def _hidden_in_runs(model: Model, rules: Rules, needed: float, settings: Settings) -> int | None:
+    """Candidate that differences between runs may have swallowed: it stands out once these are as small as usual."""
+    noise, mean = model.noise, model.design.layout.mean_power_w
+    usual = replace(
+        noise,
+        offset_w=min(noise.offset_w, USUAL_OFFSET * mean),
+        gain=min(noise.gain, USUAL_GAIN),
+        motion_gain=min(noise.motion_gain, USUAL_GAIN),
+    )
+    same = (usual.offset_w, usual.gain, usual.motion_gain) == (noise.offset_w, noise.gain, noise.motion_gain)
+    if same or len(model.design.runs) < 4:
+        return None
+    gram = make_gram(model.design, usual)
+    gains = single_gains(gram, rules, model.chosen)
+    top = int(np.argmax(gains))
+    rest = gram.conditional(model.chosen)
+    share = abs(rest[0, 1 + top]) / max(rest[1 + top, 1 + top], 1e-300)
+    return top if gains[top] > needed and share > settings.min_share else None
 
 
 def _at_a_glance(model: Model, column: int, gain: float, spread: float) -> Evidence:
@@ -153,8 +183,7 @@ def forced(source: Source, candidates: Sequence[Candidate], effects: Sequence[st
             gains = single_gains(model.gram, rules, model.chosen)
             new = [k for k in own if np.isfinite(gains[k]) and gains[k] > 0.5] or [own[int(np.argmax(gains[own]))]]
         else:
-            gains = _unsigned_gains(model, own)
-            new = [own[int(np.argmax(gains))]]
+            new = [own[int(np.argmax(_unsigned_gains(model, own)))]]
         model = fit_model(source, (*model.chosen, *new), model, thorough=False)
     spread = overdispersion(model, settings)
     return Choice(model, empty, spread, {c: weigh(model, c, rules, settings, spread, count) for c in model.chosen})

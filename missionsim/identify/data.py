@@ -65,7 +65,8 @@ class Candidate:
     ----------
     effect : identifier of the effect
     columns : names in `RunData.columns`
-    sign : +1 or -1 where physics fixes the sign of the coefficient, 0 where it is free
+    sign : +1 or -1 where physics fixes the sign of the coefficient, 0 where it is free (the search still lets a
+        calibration twin only add power: a base that asks too much is recalibration, however far)
     unit : unit of the coefficient
     coefficient : name of the coefficient
     shape : values of the shape parameters of each column
@@ -110,7 +111,7 @@ class Settings:
 
     alpha: float = 0.01
     period_s: float = 1.0
-    min_share: float = 0.0025
+    min_share: float = 0.004
     max_effects: int = 6
     recalibration_limit: float = 4.0
     block_s: float = 20.0

@@ -17,7 +17,10 @@ CLOCK_SD_S2 = 0.05
 """What is left of the common delay and lag after they were found [s, s2]."""
 SWITCH_SD = 0.5
 """Part of a row that counts as switched on though the switch fell inside it (row values hold whole rows)."""
-NUISANCE_COUNT = 3
+CURVATURE_SD = 0.8
+"""Curvature of power over speed, in units of mean power over mean square speed."""
+HEAD_ROWS = 4
+"""Rows before the gradient in a run's columns: base, motion, switching, speed change inside a row."""
 RANDOM_NAMES = ("meter offset", "meter gain", "motion gain", "clock jitter", "lag jitter")
 
 
@@ -38,8 +41,7 @@ class Column:
 class Layout:
     """What all runs have in common: parameter order, priors, column scales, analysis step.
 
-    ``prior_sd`` holds the relative sd of each base parameter, then those of the common delay, of the lag, and
-    of switching inside a row.
+    ``prior_sd`` holds the relative sd of each base parameter, then those of the nuisances.
     """
 
     parameters: tuple[str, ...]
@@ -53,10 +55,11 @@ class Layout:
 class Design:
     """Rows of all runs one after the other, at the analysis rate.
 
-    Shapes: ``y``, ``base``, ``duration_s``, ``time_s`` (n,); ``gradient`` (q+3, n); ``phi`` (p, n), in watts for a
-    coefficient that makes 100 % of the mean measured power; ``random`` (5, n). ``gradient`` ends with three
-    nuisances: the first and second derivative of the base model after the delay, and the jumps at rows where a term
-    switches. ``runs`` are slices, ``stretches`` are slices without a gap.
+    Shapes: ``y``, ``base``, ``duration_s``, ``time_s`` (n,); ``gradient`` (q+4, n); ``phi`` (p, n), in watts for a
+    coefficient that makes 100 % of the mean measured power; ``random`` (5, n). ``gradient`` ends with four
+    nuisances: the first and second derivative of the base model after the delay, what a change of speed inside a
+    row adds to a curved model, and the jumps at rows where a term switches. ``runs`` are slices, ``stretches`` are
+    slices without a gap.
     """
 
     layout: Layout
@@ -101,7 +104,7 @@ class Source:
         """Build the regression for a clock, with all candidate columns or some only."""
         q = len(self.layout.parameters)
         chosen = list(range(len(self.layout.columns))) if only is None else list(only)
-        rows_wanted = [*range(3 + q), *(3 + q + k for k in chosen)]
+        rows_wanted = [*range(HEAD_ROWS + q), *(HEAD_ROWS + q + k for k in chosen)]
         blocks: list[Array] = []
         runs: list[slice] = []
         stretches: list[slice] = []
@@ -135,8 +138,8 @@ class Source:
         base = rows[3]
         random = np.vstack([np.ones(total), base, rows[6], rows[4], rows[5]])
         return Design(
-            self.layout, rows[0], base, rows[1], rows[2], np.vstack([rows[8 : 8 + q], rows[4:6], rows[7]]),
-            rows[8 + q :] * scale[:, None], random,
+            self.layout, rows[0], base, rows[1], rows[2], np.vstack([rows[9 : 9 + q], rows[4:6], rows[8], rows[7]]),
+            rows[9 + q :] * scale[:, None], random,
             tuple(runs), tuple(stretches), tuple(r.run for r in self.runs),
         )  # fmt: skip
 
@@ -164,6 +167,14 @@ def switch_jumps(run: RunData) -> Array:
     out[1:] += np.maximum(jump, 0.0)
     out[:-1] += np.maximum(-jump, 0.0)
     return out
+
+
+def _speed_spread(run: RunData, speed: Array) -> Array:
+    """Variance of the speed inside each row when it changes evenly [m2/s2]: a row holds the power of its mean speed,
+    but the mean of a curved power is more (Jensen)."""
+    step = np.diff(speed)
+    inside = 0.5 * (np.pad(step, (1, 0), mode="edge") + np.pad(step, (0, 1), mode="edge"))
+    return np.asarray(inside**2 / 12.0)
 
 
 def analysis_step(runs: Sequence[RunData], period_s: float) -> float:
@@ -200,15 +211,17 @@ def make_source(
         zero = np.zeros_like(run.base_w)
         speed = np.abs(run.covariates.get("speed_m_s", zero))
         motion = np.nan_to_num(speed)
-        rows = [run.base_w, motion, switch_jumps(run)]
+        rows = [run.base_w, motion, switch_jumps(run), _speed_spread(run, motion)]
         rows += [run.gradient[name] for name in layout.parameters]
         rows += [_raw_column(run, c) for c in layout.columns]
         columns.append(RunColumns.of(run, b, rows))
     # a unit of the random "motion gain" is the mean measured power
     moving = np.concatenate([c.values[1] for c in columns])
     level = float(np.mean(moving))
+    square = float(np.mean(moving**2))
     for c in columns:
         c.values[1] *= layout.mean_power_w / level if level > 0 else 0.0
+        c.values[3] *= layout.mean_power_w / square if square > 0 else 0.0
     clock = like.clock if like else Clock(0.0, 0.0, ())
     clock = replace(clock, run_delay_s=tuple(0.0 for _ in runs))
     source = Source(tuple(runs), columns, _common_covariates(runs), layout, clock, kept=kept)
@@ -252,5 +265,7 @@ def _layout(
             mean = total / sum(float(np.sum(r.dt_s)) for r in runs)
             if np.isfinite(mean) and mean > 1e-12 * mean_power:
                 columns.append(Column(number, position, name, mean))
-    sd = np.array([*(prior_sd.get(n, DEFAULT_PRIOR_SD) for n in parameters), CLOCK_SD_S, CLOCK_SD_S2, SWITCH_SD])
+    sd = np.array(
+        [*(prior_sd.get(n, DEFAULT_PRIOR_SD) for n in parameters), CLOCK_SD_S, CLOCK_SD_S2, CURVATURE_SD, SWITCH_SD]
+    )
     return Layout(parameters, sd, tuple(columns), mean_power, analysis_step(runs, settings.period_s))

@@ -99,7 +99,7 @@ class Gram:
         """Shares of the chosen columns and their covariance (model-based)."""
         index = 1 + np.asarray(chosen, dtype=int)
         inner = _steady(self.full[np.ix_(index, index)])
-        return np.linalg.solve(inner, self.full[index, 0]), np.linalg.inv(inner)
+        return np.asarray(np.linalg.solve(inner, self.full[index, 0])), np.asarray(np.linalg.inv(inner))
 
     def shifts(self, chosen: Sequence[int]) -> tuple[Array, Array]:
         """Relative shifts of the base parameters and their posterior covariance, with the chosen columns in."""
@@ -175,7 +175,7 @@ def project(design: Design, noise: Noise, rows: Array, chosen: Sequence[int]) ->
 
 def innovations(design: Design, noise: Noise, chosen: Sequence[int]) -> Array:
     """Whitened residual with the chosen columns in, shape (n,); unit variance if the noise model is right."""
-    return project(design, noise, design.residual[None, :], chosen).rows[0]
+    return np.asarray(project(design, noise, design.residual[None, :], chosen).rows[0])
 
 
 def random_effects(design: Design, noise: Noise, chosen: Sequence[int]) -> Array:

@@ -75,8 +75,7 @@ def _prepared(identification: Identification, runs: Sequence[RunData]) -> Source
 
 def _predict(model: Model, design: Design, chosen: Sequence[int]) -> Array:
     shifts, _ = model.gram.shifts(chosen)
-    q = len(design.layout.parameters)
-    out = design.base + shifts[:q] @ design.gradient[:q] + shifts[-1] * design.gradient[-1]
+    out = design.base + shifts @ design.gradient
     if len(chosen):
         values, _ = model.gram.coefficients(chosen)
         out = out + values @ design.phi[list(chosen)]

@@ -27,6 +27,8 @@ from missionsim.identify.search import Rules
 from missionsim.identify.shape import refit_shapes
 
 FEW_RUNS = 3
+STEADY_LOADS = ("standby_load", "component_power", "component_warmup", "conversion_loss")
+FAINT_NATS = 50.0
 
 
 def identify(
@@ -154,10 +156,16 @@ def _structures(
     if line is not None:
         rest.append(line)
         # the mean of a load that comes and goes looks like a load that is always there
-        doubtful |= {k for k in model.chosen if candidates[int(rules.effect[k])].effect in ("standby_load",)}
+        doubtful |= {
+            k
+            for k in model.chosen
+            if candidates[int(rules.effect[k])].effect.partition(":")[0] in STEADY_LOADS
+            or choice.evidence[k].gain < FAINT_NATS
+        }
     strongest = max((s.gain_nats for s in found + rest if s is not line), default=0.0)
+    largest = max((s.size_share for s in found + rest if s is not line), default=0.0)
     for column in model.chosen:
-        if choice.evidence[column].gain < 0.5 * strongest:
+        if choice.evidence[column].gain < 0.5 * strongest or abs(choice.evidence[column].share) < largest:
             doubtful.add(column)  # the structure is much louder than the effect: the effect may be its shadow
     return found + rest, doubtful
 
@@ -233,6 +241,7 @@ GATE_WORDS = {
     "runs": "left-out runs are not predicted better",
     "robust": "not significant with errors that allow for correlated noise",
     "practical": "significant but negligible",
+    "repeated in the runs": "seen as differences between runs that do not repeat well enough",
     "beyond recalibration": "within what recalibration of the base model allows",
 }
 

@@ -57,14 +57,14 @@ def score(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> 
 def refine_clock(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int], rounds: int = 2) -> Clock:
     """Common delay and lag by pattern search, delays of single runs from their jitter effect, in turns."""
     reach = max(1.0, source.layout.step_s)
-    for _ in range(rounds):
-        clock = _search_common(source, clock, noise, chosen, reach)
+    for round_ in range(rounds):
+        clock = _search_common(source, clock, noise, chosen, reach, round_ == 0)
         if len(source.runs) > 1:
             clock = _move_runs(source, clock, noise, chosen)
     return clock
 
 
-def _search_common(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int], reach: float) -> Clock:
+def _search_common(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int], reach: float, far: bool) -> Clock:
     seen: dict[tuple[float, float], float] = {}
 
     def value(delay: float, lag: float) -> float:
@@ -74,6 +74,9 @@ def _search_common(source: Source, clock: Clock, noise: Noise, chosen: Sequence[
         return seen[key]
 
     centre = (round(clock.delay_s, 3), round(clock.lag_s, 3))
+    if far:  # a delay is easily taken for a lag: look along the ridge of equal sums
+        ridge = [(round(centre[0] - d * reach, 3), round(centre[1] + d * reach, 3)) for d in (-0.4, -0.2, 0, 0.2, 0.4)]
+        centre = max((r for r in ridge if r[1] >= 0), key=lambda k: value(*k))
     for width in (0.1 * reach, 0.05 * reach):
         for _ in range(6):
             steps = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, -1), (-1, 1), (-1, 2), (1, -2)]

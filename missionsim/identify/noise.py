@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -262,7 +263,8 @@ def _fit_levels(design: Design, noise: Noise, blocks: Array, chosen: int, evalua
     names = ["sigma_w", "offset_w", "gain"] + (["motion_gain"] if np.any(design.random[2]) else [])
 
     def at(x: Array) -> Noise:
-        return replace(noise, **{n: float(v) for n, v in zip(names, np.exp(np.clip(x, -25, 15)), strict=True)})
+        levels: dict[str, Any] = {n: float(v) for n, v in zip(names, np.exp(np.clip(x, -25, 15)), strict=True)}
+        return replace(noise, **levels)
 
     x0 = np.log([getattr(noise, n) for n in names])
     found = minimize(

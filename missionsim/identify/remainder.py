@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.identify.data import Array, Settings
 from missionsim.identify.gates import block_numbers
@@ -17,6 +18,8 @@ KNOTS = 6
 LONG_BLOCK_S = 60.0
 LOUD = 1e-4
 RAMP = 0.03
+SUPPORT_S = 20.0
+FEWEST_HATS = 3
 RAMP_WEIGHT = 0.02
 FREER = 3.0
 RAMP_FORM_RATIO = 0.5
@@ -27,17 +30,24 @@ ABOUT_RAMPS = {"accel_m_s2"}
 TIMES_SPEED = {"slope_rad", "payload_kg", "temp_ambient_c", "temp_motor_c"}
 
 
-def steady(model: Model, free_base: bool = True) -> Model:
-    """The same model for tests of form: rows beside a ramp of the base model hardly count, because averaging over a
-    ramp bends every curve, and (with `free_base`) the base parameters are freer than their priors."""
+def ramps(model: Model) -> NDArray[np.bool_]:
+    """Rows beside a change of the base model, shape (n,)."""
     design = model.design
     change = np.zeros(len(design.y))
     for part in design.stretches:
         base = design.base[part]
         step = np.abs(np.diff(base, prepend=base[0], append=base[-1]))
         change[part] = np.maximum(step[1:], step[:-1])
-        change[part][1:] = np.maximum(change[part][1:], step[:-2] if len(step) > 2 else 0.0)
-    ramp = change > RAMP * design.layout.mean_power_w
+        if len(base) > 2:
+            change[part][1:] = np.maximum(change[part][1:], step[:-2])
+    return np.asarray(change > RAMP * design.layout.mean_power_w)
+
+
+def steady(model: Model, free_base: bool = True) -> Model:
+    """The same model for tests of form: rows beside a ramp of the base model hardly count, because averaging over a
+    ramp bends every curve, and (with `free_base`) the base parameters are freer than their priors."""
+    design = model.design
+    ramp = ramps(model)
     weight = np.where(ramp, RAMP_WEIGHT, 1.0) * model.noise.weight
     free = design.layout.prior_sd.copy()
     if free_base:
@@ -87,8 +97,12 @@ def curve_rows(model: Model, covariate: str, times: str = "") -> tuple[Array, Ar
     if len(knots) < 2:
         return np.zeros((0, len(model.design.y))), knots
     averaged = model.source.averaged(rows, model.clock)
-    size = np.mean(np.abs(averaged), axis=1, keepdims=True)
-    return averaged[size[:, 0] > 1e-9], knots
+    # a stretch of the curve that only rows beside ramps support says nothing about its shape
+    seconds = np.abs(averaged) @ (model.design.duration_s * ~ramps(model))
+    limit = SUPPORT_S * (1.0 if not times else float(np.mean(np.abs(averaged))))
+    if covariate in ABOUT_RAMPS:
+        return averaged, knots
+    return averaged[seconds > limit], knots
 
 
 def test_curve(model: Model, rows: Array, spread: float, chosen: Sequence[int]) -> tuple[float, float, Array]:
@@ -137,6 +151,8 @@ def dependences(model: Model, spread: float, settings: Settings, chosen: Sequenc
     out: dict[str, Structure] = {}
     for name, times in tests:
         rows, knots = curve_rows(model, name, times)
+        if len(knots) > 3 and rows.shape[0] < FEWEST_HATS:
+            continue
         gain, p_value, values = test_curve(flat, rows, spread, chosen)
         if p_value * max(1, len(tests)) > LOUD:
             continue
@@ -202,6 +218,8 @@ def wrong_form(model: Model, column: int, covariate: str, spread: float, setting
     rest = [k for k in model.chosen if k != column]
     times = "speed_m_s" if covariate in TIMES_SPEED and "speed_m_s" in model.source.covariates else ""
     rows, knots = curve_rows(model, covariate, times)
+    if rows.shape[0] < FEWEST_HATS and covariate not in ABOUT_RAMPS:
+        return None  # too few values of the covariate to judge a form
     for judge, ratio in ((steady(model), settings.form_ratio), (model, RAMP_FORM_RATIO)):
         beyond, p_value, values = test_curve(judge, rows, spread, model.chosen)
         if p_value > LOUD or beyond < 8 * spread:

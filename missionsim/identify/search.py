@@ -33,7 +33,7 @@ class Rules:
         """Rules of the columns of a layout."""
         own = [candidates[c.candidate] for c in layout.columns]
         return cls(
-            np.array([c.sign for c in own], dtype=np.intp),
+            np.array([c.sign if c.prior is None or c.sign else 1 for c in own], dtype=np.intp),
             np.array([c.candidate for c in layout.columns], dtype=np.intp),
             np.array([bool(c.levels) for c in own]),
         )

@@ -10,7 +10,7 @@ import numpy as np
 from missionsim.identify.align import RunColumns
 from missionsim.identify.choose import Choice
 from missionsim.identify.data import Array, Candidate, Settings
-from missionsim.identify.design import Source
+from missionsim.identify.design import HEAD_ROWS, Source
 from missionsim.identify.gates import weigh
 from missionsim.identify.model import Model, score
 from missionsim.identify.search import Rules
@@ -123,7 +123,7 @@ def _replaced(source: Source, column: int, candidate: Candidate, shape: Mapping[
     """The same runs with one column evaluated at another shape."""
     assert candidate.refit is not None
     raw = candidate.refit(shape)
-    position = 3 + len(source.layout.parameters) + column
+    position = HEAD_ROWS + len(source.layout.parameters) + column
     columns: list[RunColumns] = []
     energy, seconds = 0.0, 0.0
     for run, old, values in zip(source.runs, source.columns, _matching(source, raw), strict=True):
