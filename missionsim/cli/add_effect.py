@@ -27,6 +27,7 @@ def add_effect(
     alpha: Annotated[float, Parameter(name="--alpha")] = 0.01,
     force: Annotated[bool, Parameter(name="--force", negative="")] = False,
     keep_base: Annotated[bool, Parameter(name="--keep-base", negative="")] = False,
+    no_align: Annotated[bool, Parameter(name="--no-align", negative="")] = False,
     json: JsonOption = None,
     quiet: QuietOption = False,
 ) -> int:
@@ -54,6 +55,8 @@ def add_effect(
         Write it even if the logs do not support it.
     keep_base
         Leave the base parameters as they are instead of writing the values that were fitted with the effect.
+    no_align
+        Take the clocks of meter and motion as they are.
     json
         Write what was fitted as JSON to this file, or - for standard output.
     quiet
@@ -75,7 +78,8 @@ def add_effect(
     split = choose_split(tables, "none" if holdout is None else holdout)
     chosen = battery or motors_battery(spec, tables)
     try:
-        made = adopt(robot_text(robot), spec, split, effect, chosen, Settings(alpha=alpha), force=force,
+        settings = Settings(alpha=alpha, align=not no_align)
+        made = adopt(robot_text(robot), spec, split, effect, chosen, settings, force=force,
                      recalibrate=not keep_base)
     except NotSignificant as error:
         emit_json({"schema": "missionsim.add_effect/1", "effect": effect, "battery": chosen, "added": False,

@@ -24,6 +24,7 @@ def improve(
     holdout: HoldoutOption = None,
     alpha: Annotated[float, Parameter(name="--alpha")] = 0.01,
     yes: Annotated[bool, Parameter(name="--yes", negative="")] = False,
+    no_align: Annotated[bool, Parameter(name="--no-align", negative="")] = False,
     report: ReportOption = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
@@ -48,6 +49,8 @@ def improve(
         Family-wise rate of false alarms.
     yes
         Add every effect that was identified, without asking.
+    no_align
+        Take the clocks of meter and motion as they are.
     report
         Write an interactive page to this HTML file.
     json
@@ -78,7 +81,7 @@ def improve(
     skipped: dict[str, InputError] = {}
     for name in wanted:
         try:
-            result = run_improve(text, split, name, Settings(alpha=alpha), _always if yes else _ask)
+            result = run_improve(text, split, name, Settings(alpha=alpha, align=not no_align), _always if yes else _ask)
         except InputError as error:
             skipped[name] = error
             continue

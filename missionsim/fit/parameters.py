@@ -149,7 +149,7 @@ def fit_parameters(
     }
     errors = _errors(fitted, before, ready, moved)
     if plain is not None and errors[2] < plain.explained - WORSE:
-        return _plain_fit(battery, plain, fitted, before, told, errors[0])
+        return _plain_fit(battery, plain, before, told, errors[0])
     return ModelFit(
         battery, final, parameters, fitted.clock.delay_s, fitted.clock.lag_s, fitted.noise.total_sd_w, *errors,
         tuple(run.name for run in ready.runs), float(sum(np.sum(run.dt_s) for run in ready.runs)),
@@ -240,7 +240,7 @@ def _blocks(ready: Prepared) -> NDArray[np.intp]:
 
 
 def _plain_fit(
-    battery: str, plain: Plain, fitted: Model, before: Prepared, told: frozenset[str], rmse_before_w: float
+    battery: str, plain: Plain, before: Prepared, told: frozenset[str], rmse_before_w: float
 ) -> ModelFit:
     parameters = {}
     for i, name in enumerate(plain.names):
@@ -253,7 +253,7 @@ def _plain_fit(
     remark = ("weighting by the noise model explains clearly less than ordinary least squares, so these are used, with "
               f"errors clustered in blocks of {BLOCK_S:.0f} s")
     return ModelFit(
-        battery, plain.model, parameters, fitted.clock.delay_s, fitted.clock.lag_s, plain.noise_w, rmse_before_w,
+        battery, plain.model, parameters, 0.0, 0.0, plain.noise_w, rmse_before_w,
         plain.rmse_w, plain.explained, tuple(run.name for run in before.runs), float(np.sum(_seconds(before))),
         tuple(dict.fromkeys([*before.remarks, remark])),
     )  # fmt: skip
