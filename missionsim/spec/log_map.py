@@ -18,6 +18,11 @@ Formula = Annotated[
     StringConstraints(max_length=2000),
 ]
 """An arithmetic expression over columns, constants and helpers (`missionsim.expressions`); a number is a constant."""
+Names = Annotated[
+    tuple[Name, ...],
+    BeforeValidator(lambda raw: [raw] if isinstance(raw, str) else raw, json_schema_input_type=str | tuple[Name, ...]),
+]
+"""One name, or a list of them."""
 Alias = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=80)]
 Lag = Annotated[Parameter, quantity("duration")]
 _WAYS = ("value", "quaternion", "differentiate", "text", "lookup", "file_name")
@@ -139,7 +144,7 @@ class RunsMap(Model):
         Shorter runs are left out, and told.
     """
 
-    by: tuple[Name, ...] = ()
+    by: Names = ()
     restart: bool = False
     gap: Period | None = None
     shortest: Period | None = None

@@ -286,6 +286,28 @@ def test_shipped_maps_are_valid(root: Path) -> None:
     assert check_files(maps) == []
 
 
+def test_shipped_maps_fit_the_schema_that_editors_use(root: Path) -> None:
+    import jsonschema
+    import yaml
+
+    schema = json.loads((root / "missionsim" / "schemas" / "map.schema.json").read_text())
+    short = {
+        "kind": "map",
+        "refresh": "amp",
+        "runs": {"by": "mode"},
+        "signals": {"v": {"field": "x", "fill": "linear"}},
+        "columns": {
+            "time_s": "t",
+            "power_robot_w": 5,
+            "on_laser": {"lookup": "mode", "values": {"auto": 1, "b": "two"}},
+        },
+    }
+    for text in [yaml.safe_dump(short), *(path.read_text() for path in (root / "docs" / "maps").glob("*.yaml"))]:
+        jsonschema.validate(yaml.safe_load(text), schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({**short, "colums": {}}, schema)
+
+
 def test_command_writes_and_lists(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "m.yaml").write_text(BASE)
     path = source(tmp_path)
