@@ -132,19 +132,22 @@ def diagnose_files(
 
     spec = load_robot(robot)
     timeline = None
+    segments: tuple[str, ...] = ()
     if mission is not None:
         from missionsim.engine.simulate import simulate
         from missionsim.spec.loading import load_mission
 
-        timeline = simulate(load_mission(mission, robot=spec)).timeline
+        run = simulate(load_mission(mission, robot=spec))
+        timeline, segments = run.timeline, tuple(segment.name for segment in run.segments)
     tables = read_logs(list(logs), robot=spec)
-    return diagnose(Subject.of(spec), tables, holdout=holdout, timeline=timeline, battery=battery,
+    return diagnose(Subject.of(spec), tables, holdout=holdout, timeline=timeline, segments=segments, battery=battery,
                     settings=Settings(alpha=alpha, align=align))
 
 
 def diagnose(
     subject: Subject, logs: Sequence[Any], *, holdout: str | Sequence[str | Path] | None = None,
-    timeline: Timeline | None = None, battery: str | None = None, settings: Settings | None = None,
+    timeline: Timeline | None = None, segments: Sequence[str] = (), battery: str | None = None,
+    settings: Settings | None = None,
 ) -> Diagnosis:
     """Diagnose every battery that the logs measure; see `diagnose_files`.
 
@@ -156,6 +159,8 @@ def diagnose(
         As for `diagnose_files`.
     timeline : Timeline, optional
         The simulated mission.
+    segments : sequence of str
+        Names of its segments.
     settings : Settings, optional
     """
     settings = settings or Settings()
@@ -172,7 +177,7 @@ def diagnose(
                                               allowed=", ".join(subject.model.batteries))
             continue
         try:
-            done[name] = diagnose_battery(subject, split, name, timeline, settings)
+            done[name] = diagnose_battery(subject, split, name, timeline, settings, segments)
         except InputError as error:
             skipped[name] = error
     if not done:
@@ -206,7 +211,8 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings) ->
 
 
 def diagnose_battery(
-    subject: Subject, split: Split, battery: str, timeline: Timeline | None, settings: Settings
+    subject: Subject, split: Split, battery: str, timeline: Timeline | None, settings: Settings,
+    segments: Sequence[str] = (),
 ) -> BatteryDiagnosis:
     """The diagnosis of one battery."""
     seen = examine(subject, split, battery, settings)
@@ -216,7 +222,7 @@ def diagnose_battery(
         tested = on_heldout(found.choice, seen.heldout.runs, features.candidates, features.prior_sd, settings,
                             split.how, split.shifted, [e.effect for e in found.effects])  # fmt: skip
     effects = effects_of(found, features, tested)
-    execution = _execution(subject, split, battery, timeline, settings)
+    execution = _execution(split, battery, timeline, settings, segments)
     verdict = found.verdict
     if verdict == "nothing_missing" and execution:
         verdict = "effects_found"
@@ -260,7 +266,7 @@ def _priors(subject: Subject, features: Features, logs: Sequence[Any]) -> dict[s
 
 
 def _execution(
-    subject: Subject, split: Split, battery: str, timeline: Timeline | None, settings: Settings
+    split: Split, battery: str, timeline: Timeline | None, settings: Settings, segments: Sequence[str]
 ) -> tuple[Finding, ...]:
     if timeline is None:
         return ()
@@ -274,7 +280,7 @@ def _execution(
             one.effect, {"k": Estimate(one.value, one.low, one.high, one.unit)}, one.energy_share, one.p_value,
             scheme=one.scheme, level="identified", remark=one.reason,
         )
-        for one in execution_effects(subject.model, timeline, logs, battery, settings.alpha) if one.found
+        for one in execution_effects(timeline, logs, battery, settings.alpha, segments) if one.found
     )  # fmt: skip
 
 

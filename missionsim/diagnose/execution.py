@@ -13,10 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import is_moving
-from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
-from missionsim.glossary import STILL_SPEED_M_S
+from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S
 from missionsim.labels import Labels
 
 ODOMETRY_SCALE = 0.01
@@ -34,11 +32,8 @@ class Motion:
     standing_s: float
     driving_w: float = 0.0
     standing_w: float = 0.0
-
-    @property
-    def speed_m_s(self) -> float:
-        """Mean speed while driving; NaN where nothing was driven."""
-        return self.distance_m / self.driving_s if self.driving_s > 0.0 else float("nan")
+    speed_m_s: float = float("nan")
+    """Mean over the way, not over time, so that ramps from and to rest hardly count; NaN where nothing was driven."""
 
 
 @dataclass(frozen=True)
@@ -76,14 +71,12 @@ class ExecutionEffect:
 
 
 def execution_effects(
-    model: PowerModel, timeline: Timeline, logs: Sequence[Any], battery: str, alpha: float = 0.01
+    timeline: Timeline, logs: Sequence[Any], battery: str, alpha: float = 0.01, segments: Sequence[str] = ()
 ) -> list[ExecutionEffect]:
     """Path stretch, speed tracking and dwell of every scheme, from the plan's intervals and the motion in the logs.
 
     Parameters
     ----------
-    model : PowerModel
-        For the energy that the differences take.
     timeline : Timeline
         The simulated mission; each log is one drive of it.
     logs : sequence of LogTable
@@ -91,10 +84,24 @@ def execution_effects(
     battery : str
     alpha : float
         Family-wise rate of false alarms over all effects and schemes.
+    segments : sequence of str
+        Names of the mission's segments by their number; where the logs name them too, speeds are compared segment by
+        segment.
     """
-    schemes = all("scheme" in log.columns for log in logs)
-    planned = _planned(timeline, schemes)
-    driven = [_driven(model, log, battery, schemes) for log in logs]
+    planned = _planned(timeline, True)
+    still = _thresholds(timeline)
+    known = {name for name, motion in planned.items() if motion.distance_m > 0.0}
+    logged = [set(log.columns["scheme"].texts().tolist()) if "scheme" in log.columns else set() for log in logs]
+    # schemes are compared one by one only where plan and logs speak of the same ones
+    if not all(known == own & known and known for own in logged) or len(known) == 1:
+        planned = _planned(timeline, False)
+        schemes = False
+    else:
+        schemes = True
+    driven = [_driven(log, battery, schemes, still) for log in logs]
+    cruises = _cruises(timeline, segments)
+    ratios = [_tracking(log, cruises, still[0]) for log in logs]
+    whole = [_driven(log, battery, False, still)[""] for log in logs]
     measured_j = sum(float(np.nansum(log.power_w[battery] * log.dt_s)) for log in logs)
     names = [name for name, motion in planned.items() if motion.distance_m > 0.0]
     count = max(1, 3 * len(names))
@@ -103,33 +110,40 @@ def execution_effects(
         plan = planned[name]
         runs = [run[name] for run in driven if name in run and run[name].distance_m > 0.0]
         if runs:
-            found += _of_scheme(name, plan, runs, measured_j, len(logs), alpha / count)
+            by_segment = [r for r in ratios if r is not None] if not schemes else []
+            found += _of_scheme(name, plan, runs, measured_j, alpha / count, by_segment)
+    # a log says its scheme while it waits, a plan need not: standing still is compared over the whole mission
+    found.append(_dwell(_planned(timeline, False)[""], whole, measured_j, alpha / count))
     return found
 
 
 def _of_scheme(
-    name: str, plan: Motion, runs: Sequence[Motion], measured_j: float, logs: int, level: float
+    name: str, plan: Motion, runs: Sequence[Motion], measured_j: float, level: float, by_segment: Sequence[float]
 ) -> list[ExecutionEffect]:
     power = float(np.mean([run.driving_w for run in runs]))
-    still = float(np.mean([run.standing_w for run in runs]))
     stretch = np.array([run.distance_m / plan.distance_m for run in runs])
     tracking = np.array([run.speed_m_s / plan.speed_m_s for run in runs])
-    dwell = np.array([run.standing_s - plan.standing_s for run in runs])
+    if len(by_segment) == len(runs):
+        tracking = np.asarray(by_segment)
     extra_m = float(np.sum(stretch - 1.0)) * plan.distance_m
     way_j = power * extra_m / plan.speed_m_s
     # the slower way takes longer at the power that was drawn while driving
-    longer_s = sum(run.driving_s - run.distance_m / plan.speed_m_s for run in runs)
-    still_w = still if still > 0.0 else 0.5 * power
-    shares = [way_j / measured_j, power * longer_s / measured_j, still_w * float(dwell.sum()) / measured_j]
+    longer_s = sum(run.driving_s * (1.0 - float(r)) for run, r in zip(runs, tracking, strict=True))
     return [
-        _ratio("path_stretch", name, stretch, shares[0], level, logs),
-        _ratio("speed_tracking", name, tracking, shares[1], level, logs),
-        _seconds(name, dwell, shares[2], level, logs),
+        _ratio("path_stretch", name, stretch, way_j / measured_j, level),
+        _ratio("speed_tracking", name, tracking, power * longer_s / measured_j, level),
     ]
 
 
+def _dwell(plan: Motion, runs: Sequence[Motion], measured_j: float, level: float) -> ExecutionEffect:
+    seconds = np.array([run.standing_s - plan.standing_s for run in runs])
+    drawn = [run.standing_w for run in runs if run.standing_s > 0.0]
+    still_w = float(np.mean(drawn)) if drawn else 0.5 * float(np.mean([run.driving_w for run in runs]))
+    return _seconds("", seconds, still_w * float(seconds.sum()) / measured_j, level)
+
+
 def _ratio(
-    effect: str, scheme: str, ratios: NDArray[np.float64], share: float, level: float, logs: int
+    effect: str, scheme: str, ratios: NDArray[np.float64], share: float, level: float
 ) -> ExecutionEffect:
     logs_of = np.log(ratios)
     middle, low, high, p = _student(logs_of)
@@ -140,9 +154,7 @@ def _ratio(
     return ExecutionEffect(effect, scheme, value, float(np.exp(low)), float(np.exp(high)), p, "1", share, found, reason)
 
 
-def _seconds(
-    scheme: str, seconds: NDArray[np.float64], share: float, level: float, logs: int
-) -> ExecutionEffect:
+def _seconds(scheme: str, seconds: NDArray[np.float64], share: float, level: float) -> ExecutionEffect:
     middle, low, high, p = _student(seconds)
     away = abs(middle) > SHORTEST_DWELL_S
     found = bool(p < level and away and middle > 0.0)
@@ -188,9 +200,42 @@ def _planned(timeline: Timeline, by_scheme: bool) -> dict[str, Motion]:
         str(name): Motion(
             float(np.sum((speed * length)[names == name])), float(np.sum(length[driving & (names == name)])),
             float(np.sum(length[standing & (names == name)])),
+            speed_m_s=_over_way(speed[names == name], length[names == name]),
         )
         for name in dict.fromkeys(names.tolist())
     }
+
+
+def _over_way(speed: NDArray[np.float64], seconds: NDArray[np.float64]) -> float:
+    way = float(np.sum(speed * seconds))
+    return float(np.sum(speed**2 * seconds)) / way if way > 0.0 else float("nan")
+
+
+def _cruises(timeline: Timeline, segments: Sequence[str]) -> dict[str, float]:
+    """Highest planned speed of each named segment that drives; names that come twice are left out."""
+    top = np.abs(_mean_of(timeline, "speed_m_s"))
+    steady = np.abs(np.asarray(timeline.rates.get("speed_m_s", np.zeros_like(top)))) == 0.0
+    found: dict[str, float] = {}
+    for number, name in enumerate(segments):
+        own = (np.asarray(timeline.segment) == number) & steady
+        if name and list(segments).count(name) == 1 and own.any() and top[own].max() > 0.0:
+            found[name] = float(top[own].max())
+    return found
+
+
+def _tracking(log: Any, cruises: Mapping[str, float], still_m_s: float) -> float | None:
+    """Speed reached over speed planned, mean over the way of the segments that log and plan both name."""
+    segment = log.columns.get("segment")
+    if not isinstance(segment, Labels) or not cruises:
+        return None
+    speed = np.abs(np.asarray(log.columns["speed_m_s"], dtype=float))
+    weights, ratios = [], []
+    for name, planned in cruises.items():
+        rows = segment.equals(name) & (speed > max(still_m_s, 0.3 * planned))
+        if int(rows.sum()) >= 5:
+            weights.append(float(np.sum(speed[rows] * log.dt_s[rows])))
+            ratios.append(float(np.median(speed[rows])) / planned)
+    return float(np.average(ratios, weights=weights)) if ratios else None
 
 
 def _mean_of(timeline: Timeline, name: str) -> NDArray[np.float64]:
@@ -202,14 +247,25 @@ def _mean_of(timeline: Timeline, name: str) -> NDArray[np.float64]:
     return np.asarray(start + 0.5 * np.asarray(timeline.rates.get(name, 0.0)) * length)
 
 
-def _driven(model: PowerModel, log: Any, battery: str, by_scheme: bool) -> dict[str, Motion]:
+def _thresholds(timeline: Timeline) -> tuple[float, float]:
+    """Speed and yaw rate below which a noisy log counts as standing: a tenth of the slowest that the plan drives."""
+    slowest = []
+    for name, floor in (("speed_m_s", STILL_SPEED_M_S), ("yaw_rate_rad_s", STILL_YAW_RATE_RAD_S)):
+        level = np.abs(_mean_of(timeline, name))
+        steady = level[(level > 0.0) & (np.abs(np.asarray(timeline.rates.get(name, np.zeros_like(level)))) == 0.0)]
+        slowest.append(max(floor, 0.1 * float(steady.min())) if len(steady) else floor)
+    return slowest[0], slowest[1]
+
+
+def _driven(log: Any, battery: str, by_scheme: bool, still: tuple[float, float]) -> dict[str, Motion]:
     seconds = np.asarray(log.dt_s, dtype=float)
     speed = np.abs(np.asarray(log.columns["speed_m_s"], dtype=float))
     if "lateral_speed_m_s" in log.columns:
         speed = np.hypot(speed, log.columns["lateral_speed_m_s"])
     power = np.asarray(log.power_w[battery], dtype=float)
-    driving = speed >= STILL_SPEED_M_S
-    standing = ~np.asarray(is_moving(log.columns))
+    turn = np.abs(np.asarray(log.columns["yaw_rate_rad_s"], dtype=float)) if "yaw_rate_rad_s" in log.columns else 0.0
+    driving = speed >= still[0]
+    standing = ~driving & (turn < still[1])
     names = _names(log.columns["scheme"], len(seconds)) if by_scheme else np.full(len(seconds), "", dtype=object)
     found = {}
     for name in dict.fromkeys(names.tolist()):
@@ -217,7 +273,7 @@ def _driven(model: PowerModel, log: Any, battery: str, by_scheme: bool) -> dict[
         found[str(name)] = Motion(
             float(np.sum((speed * seconds)[own & driving])), float(np.sum(seconds[own & driving])),
             float(np.sum(seconds[own & standing])), _mean(power, seconds, own & driving),
-            _mean(power, seconds, own & standing),
+            _mean(power, seconds, own & standing), _over_way(speed[own & driving], seconds[own & driving]),
         )
     return found
 
