@@ -25,18 +25,23 @@ def _mean(rows: Sequence[Row], key: str, digits: int = 2) -> str:
 
 
 def removed(rows: Sequence[Row], key: str, power: float = 1.0) -> float:
-    """Part of the removable held-out error that is removed: Σ(nominal − method) / Σ(nominal − oracle)."""
-    complete = [r for r in rows if all(np.isfinite(r.get(k, np.nan)) for k in (key, f"nominal_{key}", f"oracle_{key}"))]
-    if not complete:
-        return float("nan")
-    gain = sum(r[f"nominal_{key}"] ** power - r[key] ** power for r in complete)
-    best = sum(r[f"nominal_{key}"] ** power - r[f"oracle_{key}"] ** power for r in complete)
+    """Part of the removable held-out error that is removed: Σ(nominal − method) / Σ(nominal − truth known).
+
+    Errors in W are divided by the nominal one first, so that a strong robot weighs no more than a weak one.
+    """
+    gain, best = 0.0, 0.0
+    for row in rows:
+        method, base, known = (float(row.get(k) or np.nan) for k in (key, f"nominal_{key}", f"oracle_{key}"))
+        if np.isfinite(method + base + known):
+            scale = base if key.endswith("_w") else 1.0
+            gain += (base / scale) ** power - (method / scale) ** power
+            best += (base / scale) ** power - (known / scale) ** power
     return gain / best if best > 0 else float("nan")
 
 
 def _removed(rows: Sequence[Row], key: str, power: float = 1.0) -> str:
     value = removed(rows, key, power)
-    return f"{100.0 * value:.0f} %" if np.isfinite(value) else "–"
+    return "–" if not np.isfinite(value) else f"{100.0 * value:.0f} %" if value > -1.0 else "worse than nominal"
 
 
 def markdown(rows: Sequence[Row], heading: str) -> str:
