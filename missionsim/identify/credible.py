@@ -28,25 +28,30 @@ def rivals(
     exact, so a rival is kept also when it loses only a small part of the effect's own gain. What only rows beside
     ramps can tell apart is not told apart, unless the effect itself lives there.
     """
-    full = _close_ones(model.gram, model, effect, rules, settings, spread)
+    full = _close_ones(model.gram, model, effect, rules, candidates, settings, spread)
     flat = steady(model, free_base=False)
     rest = [k for k in model.chosen if rules.effect[k] != effect]
     own = flat.gram.gain(model.chosen) - flat.gram.gain(rest)
     if own > 0.5 * (model.gram.gain(model.chosen) - model.gram.gain(rest)):
-        for other, behind in _close_ones(flat.gram, flat, effect, rules, settings, spread).items():
+        for other, behind in _close_ones(flat.gram, flat, effect, rules, candidates, settings, spread).items():
             full[other] = min(full.get(other, np.inf), behind)
     return tuple(candidates[o].effect for o in sorted(full, key=lambda o: full[o]))
 
 
 def _close_ones(
-    gram: Gram, model: Model, effect: int, rules: Rules, settings: Settings, spread: float
+    gram: Gram,
+    model: Model,
+    effect: int,
+    rules: Rules,
+    candidates: Sequence[Candidate],
+    settings: Settings,
+    spread: float,
 ) -> dict[int, float]:
     """Rivals and how many nats they are behind."""
     own = [k for k in model.chosen if rules.effect[k] == effect]
     rest = [k for k in model.chosen if rules.effect[k] != effect]
     base = gram.gain(rest)
     gain = gram.gain(model.chosen) - base
-    tolerance = max(ODDS_NATS * spread, settings.rival_loss * gain)
     found: dict[int, float] = {}
     singles = single_gains(gram, rules, rest)
     for k, value in enumerate(singles):
@@ -56,7 +61,13 @@ def _close_ones(
     if len(own) == 1 and len(rest) <= 1:
         for other, value in _pairs_without(gram, rules, rest, effect, settings).items():
             found[other] = max(found.get(other, -np.inf), value - base - EXTRA_EFFECT_NATS * spread)
-    return {other: gain - value for other, value in found.items() if gain - value < tolerance}
+    close: dict[int, float] = {}
+    for other, value in found.items():
+        same = candidates[other].covariate == candidates[effect].covariate
+        loss = (settings.rival_loss if same else settings.noisy_rival_loss) * gain
+        if gain - value < max(ODDS_NATS * spread, loss):
+            close[other] = gain - value
+    return close
 
 
 def _pairs_without(gram: Gram, rules: Rules, rest: Sequence[int], effect: int, settings: Settings) -> dict[int, float]:

@@ -104,7 +104,9 @@ class Settings:
     block_s : length of the blocks of the robust standard errors [s]
     form_ratio : an effect explaining less than this part of what a free curve over its covariate explains has
         the wrong form
-    rival_loss : a rival within this part of the effect's own gain is not told apart, because forms are never exact
+    rival_loss : a rival of the same covariate within this part of the effect's own gain is not told apart, because
+        forms are never exact
+    noisy_rival_loss : the same for a rival of another covariate, whose noise weakens what it explains
     systematic : relative systematic allowance of a coefficient (covariate noise, form), measured on synthetic worlds
     align : estimate delay and lag of the power meter
     """
@@ -117,5 +119,6 @@ class Settings:
     block_s: float = 20.0
     form_ratio: float = 0.85
     rival_loss: float = 0.03
+    noisy_rival_loss: float = 0.12
     systematic: float = 0.03
     align: bool = True

@@ -18,9 +18,10 @@ KNOTS = 6
 LONG_BLOCK_S = 60.0
 LOUD = 1e-4
 RAMP = 0.03
+RAMP_TAIL_ROWS = 2
 SUPPORT_S = 20.0
 FEWEST_HATS = 3
-RAMP_WEIGHT = 0.02
+RAMP_WEIGHT = 0.002
 FREER = 3.0
 RAMP_FORM_RATIO = 0.5
 """Rows beside ramps bend curves, so with them in only a gross misfit counts."""
@@ -38,8 +39,8 @@ def ramps(model: Model) -> NDArray[np.bool_]:
         base = design.base[part]
         step = np.abs(np.diff(base, prepend=base[0], append=base[-1]))
         change[part] = np.maximum(step[1:], step[:-1])
-        if len(base) > 2:
-            change[part][1:] = np.maximum(change[part][1:], step[:-2])
+        for later in range(1, min(RAMP_TAIL_ROWS, len(base) - 1) + 1):
+            change[part][later:] = np.maximum(change[part][later:], step[: -later - 1])
     return np.asarray(change > RAMP * design.layout.mean_power_w)
 
 

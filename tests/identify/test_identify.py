@@ -1,0 +1,147 @@
+"""The whole identification on a tiny world: nothing, one effect, twins, confounding, structure outside the library."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from missionsim.identify.data import Settings
+from missionsim.identify.experiment import separation_after
+from missionsim.identify.heldout import heldout
+from missionsim.identify.identify import fit_effects, identify
+
+from .world import coefficient, library, make_run, make_runs
+
+
+def _names(found):
+    return [e.effect for e in found.effects]
+
+
+def _strength(column, share):
+    return {column: coefficient(make_runs(0), column, share)}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_hidden_nothing_named(seed):
+    found = identify(make_runs(seed, delay_s=0.25 if seed % 2 else 0.0), library(), {})
+    assert found.verdict == "nothing_missing"
+    assert not found.effects
+    assert all(c.smallest_detectable_share > 0 for c in found.candidates)
+
+
+@pytest.mark.parametrize(
+    ("column", "effect"),
+    [
+        ("grade", "grade"), ("payload", "payload"), ("turning_scrub", "turning_scrub"),
+        ("surface|carpet", "surface_rolling_resistance"), ("aerodynamic_drag", "aerodynamic_drag"),
+        ("component_power:camera", "component_power:camera"),
+    ],
+)  # fmt: skip
+def test_one_effect_is_named_and_measured(column, effect):
+    hidden = _strength(column, 0.05)
+    found = identify(make_runs(11, hidden), library(), {})
+    assert _names(found) == [effect]
+    estimate = found.effects[0].parameters[0]
+    # 1.5 half-widths: one seed must not decide whether 95 % intervals are right
+    half = 0.5 * (estimate.high - estimate.low)
+    assert abs(estimate.value - hidden[column]) < 1.5 * half
+    assert found.effects[0].p_value < 1e-3
+
+
+def test_effect_helps_on_runs_not_used():
+    runs = make_runs(5, _strength("payload", 0.06), count=9)
+    found = identify(runs[:6], library(), {})
+    errors = heldout(found, runs[6:])
+    nominal, recalibrated, with_effects = errors.rmse_w
+    assert with_effects < 0.8 * min(nominal, recalibrated)
+    oracle = heldout(fit_effects(runs[:6], library(), ["payload"], {}), runs[6:])
+    assert with_effects == pytest.approx(oracle.rmse_w[2], rel=0.03)
+    assert errors.steps[-1][1] == pytest.approx(with_effects, rel=1e-9)
+
+
+def test_small_shift_of_a_base_parameter_is_recalibration():
+    found = identify(make_runs(3, base_error={"camera.power": 0.05}), library(), {})
+    assert not found.effects
+    shift = {s.parameter: s for s in found.recalibration}["camera.power"]
+    assert shift.shift == pytest.approx(0.05, abs=0.03)
+
+
+def test_payload_only_on_carpet_names_both():
+    hidden = _strength("payload", 0.05)
+    found = identify(make_runs(8, hidden, count=8, payload_only_on_carpet=True), library(), {})
+    assert found.verdict == "ambiguous"
+    first = found.effects[0]
+    assert {"payload", "surface_rolling_resistance"} <= {first.effect, *first.indistinguishable_from}
+    other = ({"payload", "surface_rolling_resistance"} - {first.effect}).pop()
+    before = separation_after(found, [], first.effect, other)
+    extra = [make_run(np.random.default_rng(k), f"x{k}", {}, n=180) for k in (1, 2)]
+    assert before < 1.0
+    assert separation_after(found, extra, first.effect, other) > before + 5.0
+
+
+def test_periodic_load_is_structure_not_an_effect():
+    found = identify(make_runs(4, periodic_w=1.2, count=8), library(), {})
+    assert found.verdict == "unexplained_structure"
+    assert not found.effects
+    assert "period" in found.unexplained.shape
+    period = float(found.unexplained.shape.split("period")[-1].split()[0])
+    assert 50 < period < 70
+
+
+def test_dead_zone_is_not_called_scrub():
+    found = identify(make_runs(6, dead_zone_w=25.0, count=8), library(), {})
+    assert found.verdict == "unexplained_structure"
+    assert "turning_scrub" not in _names(found)
+    assert "yaw_rate_rad_s" in found.unexplained.depends_on
+
+
+@pytest.mark.parametrize("delay", [-0.3, 0.5])
+def test_clock_error_is_found_and_does_no_harm(delay):
+    found = identify(make_runs(9, _strength("turning_scrub", 0.05), delay_s=delay), library(), {})
+    assert _names(found) == ["turning_scrub"]
+    assert found.clock.delay_s + found.clock.lag_s == pytest.approx(delay, abs=0.15)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_few_runs_work_and_say_so(count):
+    found = identify(make_runs(10, _strength("grade", 0.08), count=count), library(), {})
+    assert _names(found)[:1] == ["grade"]
+    assert any("run" in remark for remark in found.remarks)
+    assert np.isnan(found.effects[0].p_runs)
+
+
+def test_shape_is_refitted_exactly():
+    runs = make_runs(12, {"cold": 6.0}, count=8)
+    moved = [np.cumsum((np.abs(r.covariates["speed_m_s"]) > 0.005) | (np.abs(r.covariates["yaw_rate_rad_s"]) > 0.02))
+             for r in runs]  # fmt: skip
+
+    def refit(shape):
+        return [r.columns["rolling_friction"] * np.exp(-m / shape["tau_s"]) for r, m in zip(runs, moved, strict=True)]
+
+    candidates = [replace(c, refit=refit) if c.effect == "cold_friction" else c for c in library()]
+    found = identify(runs, candidates, {})
+    assert _names(found) == ["cold_friction"]
+    tau = {p.name: p for p in found.effects[0].parameters}["tau_s"]
+    assert tau.low < 70 < tau.high
+    assert tau.value == pytest.approx(70, rel=0.25)
+    assert np.isfinite(heldout(found, make_runs(13, {"cold": 6.0}, count=2)).rmse_w[2])
+
+
+def test_forced_fit_refuses_what_never_acts():
+    runs = make_runs(1, count=2)
+    with pytest.raises(ValueError, match="no column that acts"):
+        fit_effects(runs, library(), ["radio_range"], {})
+
+
+def test_no_run_is_refused():
+    with pytest.raises(ValueError, match="at least one run"):
+        identify([], library(), {}, Settings())
+
+
+def test_result_does_not_depend_on_the_order_of_the_runs():
+    runs = make_runs(14, _strength("grade", 0.04))
+    one, two = (identify(r, library(), {}) for r in (runs, runs[::-1]))
+    assert _names(one) == _names(two) == ["grade"]
+    assert one.effects[0].energy_share == pytest.approx(two.effects[0].energy_share, rel=2e-2)

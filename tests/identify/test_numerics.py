@@ -1,0 +1,182 @@
+"""The pieces against closed forms and dense linear algebra."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from missionsim.identify.align import RunColumns, make_bins
+from missionsim.identify.data import RunData, Settings
+from missionsim.identify.design import make_source, switch_jumps
+from missionsim.identify.gram import make_gram, project
+from missionsim.identify.noise import arma_of, start_noise, whiten
+from missionsim.identify.remainder import hats, knots_of
+from missionsim.identify.search import Rules, all_sets, set_gains
+
+from .world import library, make_runs, with_gap
+
+
+@pytest.fixture(scope="module")
+def source():
+    return make_source(make_runs(1, count=3), library(), {}, Settings(align=False))
+
+
+def _autocovariance(noise, count):
+    lags = noise.step_s * np.arange(count)
+    out = noise.fast_share * np.exp(-lags / noise.fast_s) + noise.slow_share * np.exp(-lags / noise.slow_s)
+    out[0] = 1.0
+    return out * noise.total_sd_w**2
+
+
+def _dense(noise, count):
+    c = _autocovariance(noise, count)
+    return c[np.abs(np.subtract.outer(np.arange(count), np.arange(count)))]
+
+
+@pytest.mark.parametrize(("fast_s", "slow_s", "fast", "slow"), [(3, 60, 0.6, 0.1), (8, 200, 0.2, 0.7), (1, 30, 0.9, 0)])
+def test_arma_has_the_autocovariance_of_the_sum(fast_s, slow_s, fast, slow):
+    ar, ma, ratio = arma_of(1.0, fast_s, slow_s, fast, slow)
+    impulse = np.zeros(4000)
+    impulse[0] = 1.0
+    from scipy.signal import lfilter
+
+    response = lfilter(ma, ar, impulse) / ratio
+    for lag in (0, 1, 2, 7):
+        expected = fast * np.exp(-lag / fast_s) + slow * np.exp(-lag / slow_s) if lag else 1.0
+        assert response[: 4000 - lag] @ response[lag:] == pytest.approx(expected, rel=1e-3)
+
+
+def test_whitening_is_the_inverse_cholesky_factor(source):
+    design = source.design(source.clock)
+    noise = start_noise(design)
+    rows = np.random.default_rng(0).standard_normal((2, len(design.y)))
+    white = whiten(design, noise, rows)
+    part = design.runs[1]
+    factor = np.linalg.cholesky(_dense(noise, part.stop - part.start))
+    exact = np.linalg.solve(factor, rows[:, part].T).T
+    assert np.abs(white[:, part] - exact).max() < 0.02 * np.abs(exact).max()
+
+
+def test_gram_is_dense_generalised_least_squares(source):
+    """Estimate and covariance with random effects and priors equal those of the dense covariance matrix."""
+    design = source.design(source.clock)
+    noise = start_noise(design)
+    chosen = [0, 2]
+    values, covariance = make_gram(design, noise).coefficients(chosen)
+    n = len(design.y)
+    v = np.zeros((n, n))
+    for part in design.runs:
+        z = design.random[:, part] * noise.random_sd()[:, None]
+        v[part, part] = _dense(noise, part.stop - part.start) + z.T @ z
+    nuisance = design.gradient * design.layout.prior_sd[:, None]
+    v += nuisance.T @ nuisance
+    x = design.phi[chosen]
+    solved = np.linalg.solve(v, np.vstack([x, design.residual]).T)
+    info = x @ solved[:, :2]
+    assert covariance == pytest.approx(np.linalg.inv(info), rel=2e-2)
+    expected = np.linalg.solve(info, x @ solved[:, 2])
+    assert np.abs(values - expected).max() < 0.03 * np.sqrt(np.diag(covariance)).max()
+
+
+def test_projection_and_gram_agree(source):
+    design = source.design(source.clock)
+    noise = start_noise(design)
+    p = project(design, noise, np.vstack([design.residual, design.phi[3]]), [0])
+    score = p.rows[0] @ p.rows[1] + p.pseudo[0] @ p.pseudo[1]
+    rest = make_gram(design, noise).conditional([0])
+    assert score == pytest.approx(rest[0, 4], rel=1e-6)
+    assert p.rows[1] @ p.rows[1] + p.pseudo[1] @ p.pseudo[1] == pytest.approx(rest[4, 4], rel=1e-6)
+
+
+def test_best_feasible_set_is_non_negative_least_squares(source):
+    from scipy.optimize import nnls
+
+    design = source.design(source.clock)
+    gram = make_gram(design, start_noise(design))
+    rules = Rules.of(design.layout, library())
+    columns = [0, 1, 2]
+    info = gram.full[1:4, 1:4]
+    factor = np.linalg.cholesky(info).T
+    x, _ = nnls(factor, np.linalg.solve(factor.T, gram.full[0, 1:4]))
+    expected = gram.full[0, 1:4] @ x - 0.5 * x @ info @ x
+    best = 0.0
+    for size in (1, 2, 3):
+        sets = all_sets(rules, size)
+        sets = sets[np.all(np.isin(sets, columns), axis=1)]
+        best = max(best, float(set_gains(gram, rules, sets).max()))
+    assert best == pytest.approx(expected, rel=1e-6)
+
+
+def _ramp_run(step=1.0, n=200):
+    t = step * (np.arange(n) + 0.5)
+    return RunData("r", t, np.full(n, step), np.zeros(n), 3.0 + 0.1 * t, {"c": 3.0 + 0.1 * t})
+
+
+@pytest.mark.parametrize("delay", [0.3, -0.3, 1.7])
+@pytest.mark.parametrize("lag", [0.0, 0.4])
+def test_a_delayed_ramp_is_exact(delay, lag):
+    run = _ramp_run()
+    bins = make_bins(run, 1.0)
+    mean = RunColumns.of(run, bins, [run.base_w]).averaged(delay, lag)[0]
+    inside = slice(8, -8)  # away from where the log begins and ends
+    expected = 3.0 + 0.1 * (run.time_s - delay - lag)
+    assert mean[inside] == pytest.approx(expected[inside], abs=1e-6)
+
+
+def test_averages_keep_the_integral():
+    rng = np.random.default_rng(2)
+    run = replace(_ramp_run(0.1, 2000), base_w=rng.uniform(1, 9, 2000))
+    bins = make_bins(run, 1.0)
+    columns = RunColumns.of(run, bins, [run.base_w])
+    mean = columns.averaged(0.0, 0.0)[0]
+    assert len(mean) == 200
+    assert mean @ (bins.high_s - bins.low_s) == pytest.approx(run.base_w.sum() * 0.1, rel=1e-9)
+
+
+def test_bins_do_not_span_a_gap():
+    run = with_gap(make_runs(1, count=1)[0], 100, 140)
+    bins = make_bins(run, 5.0)
+    assert list(bins.starts) == [0, 20]
+    assert np.all(bins.high_s - bins.low_s < 6.5)
+    assert len(bins.measured_w) == len(bins.low_s) == len(bins.high_s)
+
+
+def test_a_repeated_value_counts_once():
+    run = _ramp_run(0.05, 4000)
+    second = np.floor(run.time_s)
+    fresh = np.r_[True, np.diff(second) > 0]
+    run = replace(run, measured_w=second.astype(float), fresh=fresh)
+    bins = make_bins(run, 1.0)
+    assert len(bins.measured_w) == int(fresh.sum()) - 1
+    # the value first seen at t stands for the second before t
+    assert bins.high_s[10] == pytest.approx(bins.measured_w[10], abs=0.06)
+
+
+def test_switch_jumps_are_booked_on_the_higher_side():
+    on = np.r_[np.zeros(5), np.full(5, 2.0), np.zeros(5)]
+    run = RunData("r", np.arange(15.0), np.ones(15), on, on, {"x": on})
+    jumps = switch_jumps(run)
+    assert np.flatnonzero(jumps).tolist() == [5, 9]
+    assert jumps[5] == jumps[9] == 2.0
+
+
+def test_hats_add_up_to_one_beside_the_reference():
+    values = np.linspace(0, 1, 50)
+    knots = knots_of(values)
+    rows = hats(values, knots)
+    beyond_second = values >= knots[1]
+    assert rows[:, beyond_second].sum(axis=0) == pytest.approx(np.ones(beyond_second.sum()))
+
+
+@pytest.mark.parametrize("field", ["measured_w", "base_w"])
+def test_arrays_of_different_length_are_refused(field):
+    good = _ramp_run()
+    with pytest.raises(ValueError, match=field):
+        replace(good, **{field: np.zeros(3)})
+
+
+def test_time_must_increase():
+    with pytest.raises(ValueError, match="increasing"):
+        RunData("r", np.array([0.0, 0.0, 1.0]), np.ones(3), np.ones(3), np.ones(3))
