@@ -117,8 +117,8 @@ def _finish(
         run = {key: data[order] for key, data in run.items()}
         source = {key: data[order] for key, data in source.items()}
         time, number = time[order], number[order]
-    if len(time):
-        run["time_s"] = time = time - time[0]
+    if len(time) > 1 and not 0.0 <= time[0] <= 1.01 * float(np.median(np.diff(time))):
+        run["time_s"] = time = time - time[0]  # a start within a step of zero is the middle of the first interval
     lags = {key: float(column.lag) for key, column in mapper.spec.columns.items() if column.lag is not None}
     lines = mapper.raw.lines
     if mapper.spec.refresh:
@@ -148,6 +148,7 @@ def _one_row_a_refresh(
         )
     late = max((lags[name] for name in held if name in lags), default=0.0)
     short = transform.average_windows(run, time, start - late, stop - late, held)
+    short["time_s"] = np.asarray(short["time_s"]) - (start[0] - late)
     usual = float(np.median(stop - start))
     remarks.append(
         Remark(
@@ -168,7 +169,9 @@ def _one_row_a_refresh(
 def _averaged(run: dict[str, ColumnData], step_s: float) -> dict[str, ColumnData]:
     time = np.asarray(run["time_s"])
     edges = time[0] - 1e-9 + step_s * np.arange(int((time[-1] - time[0]) // step_s) + 2)
-    return transform.average_windows(run, time, edges[:-1], edges[1:], {})
+    short = transform.average_windows(run, time, edges[:-1], edges[1:], {})
+    short["time_s"] = np.asarray(short["time_s"]) - edges[0]
+    return short
 
 
 def provenance(log: LogTable, spec: MapSpec) -> dict[str, str]:

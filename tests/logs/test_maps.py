@@ -65,7 +65,8 @@ def run(tmp_path: Path, text: str, path: Path | None = None) -> list[LogTable]:
 def test_columns_units_constants_sign(tmp_path: Path) -> None:
     (log,) = run(tmp_path, BASE)
     truth = motion(N, 0.1)
-    np.testing.assert_allclose(log.time_s, np.arange(N) * 0.1, atol=1e-7)
+    np.testing.assert_allclose(log.time_s, truth["time_s"], rtol=1e-8)
+    assert log.duration_s == pytest.approx(N * 0.1)
     np.testing.assert_allclose(log.power_w["robot"], truth["power_robot_w"], rtol=1e-7)
     np.testing.assert_allclose(log.number("speed_m_s"), truth["speed_m_s"], atol=1e-8)
     assert list(log.columns) == ["time_s", "voltage_robot_v", "current_robot_a", "speed_m_s"]
