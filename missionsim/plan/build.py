@@ -17,7 +17,7 @@ from missionsim.plan.legs import (
     Settings,
     Trigger,
 )
-from missionsim.plan.routes import Routes, Way
+from missionsim.plan.routes import Routes, Way, along
 from missionsim.plan.steps import group
 from missionsim.spec.mission import AnchorSpec, MissionSpec
 from missionsim.spec.values import Parameter
@@ -383,12 +383,6 @@ def _trigger(builder: _Builder, anchor: AnchorSpec | None) -> Trigger | None:
         return None
     time = None if anchor.time is None else builder.number(anchor.time)
     return Trigger(time, anchor.place or "", anchor.segment or "")
-
-
-def along(base: Settings, way: Way, surface: str | None = None) -> Settings:
-    """Settings on a way: its slope, its surface unless the segment names one, the covariates that the edge gives."""
-    extra = base.extra if not way.extra else tuple(sorted({**dict(base.extra), **way.extra}.items()))
-    return base._replace(slope_rad=way.slope_rad, surface=surface or way.surface or base.surface, extra=extra)
 
 
 def slow_components(robot: Any) -> frozenset[str]:

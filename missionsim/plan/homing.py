@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from missionsim.plan.build import along
 from missionsim.plan.legs import Leg, Limits, Settings, Step
-from missionsim.plan.routes import Routes, Way
+from missionsim.plan.routes import Routes, Way, along
 from missionsim.plan.steps import group
 from missionsim.spec.mission import MissionSpec
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from missionsim.errors import InputError, did_you_mean
+from missionsim.plan.legs import Settings
 from missionsim.spec.environment import EnvironmentSpec
 from missionsim.spec.values import Parameter
 
@@ -143,3 +144,9 @@ class Routes:
         """Length of the shortest route [m], infinite where there is none."""
         found = self.shortest(begin, end)
         return math.inf if found is None else math.fsum(way.length_m for way in found)
+
+
+def along(base: Settings, way: Way, surface: str | None = None) -> Settings:
+    """Settings on a way: its slope, its surface unless the segment names one, the covariates that the edge gives."""
+    extra = base.extra if not way.extra else tuple(sorted({**dict(base.extra), **way.extra}.items()))
+    return base._replace(slope_rad=way.slope_rad, surface=surface or way.surface or base.surface, extra=extra)
