@@ -156,7 +156,7 @@ class Mapper:
     def _column(
         self, name: str, column: ColumnMap, values: dict[str, Any], result: dict[str, ColumnData], rows: int
     ) -> ColumnData:
-        parts = [self.run(formula, values, rows) for formula in self.columns[name].values()]
+        parts = [self.run(formula, values, rows) for key, formula in self.columns[name].items() if key != "travel"]
         if column.text is not None:
             return Labels(np.zeros(rows, dtype=np.int64), (column.text,))
         if column.file_name is not None:
@@ -182,6 +182,9 @@ class Mapper:
             return Labels.of("" if np.isnan(number) else f"{number:g}" for number in data)
         if column.average is not None and column.differentiate is None:
             data = transform.moving_average(data, np.asarray(result["time_s"]), float(column.average))
+        if column.travel is not None:
+            (speed,) = self._numbers(name, [self.run(self.columns[name]["travel"], values, rows)])
+            data = np.where(speed < 0, -data, data)
         return data
 
     def _numbers(self, name: str, parts: list[ColumnData]) -> list[Floats]:

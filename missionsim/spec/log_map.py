@@ -86,6 +86,8 @@ class ColumnMap(Model):
         Moving average over that time.
     lag : duration
         The source comes that much too late; it is shifted back.
+    travel : formula
+        The forward speed: where it is negative the column changes its sign (a slope of the body, driven backwards).
     hold : bool
         Refresh: take the value at the refresh instead of the mean since the one before. Found out by default.
     """
@@ -101,6 +103,7 @@ class ColumnMap(Model):
     unit: Text | None = None
     average: Period | None = None
     lag: Lag | None = None
+    travel: Formula | None = None
     hold: bool | None = None
 
     @model_validator(mode="after")
@@ -114,7 +117,7 @@ class ColumnMap(Model):
 
     def formulas(self) -> Iterable[tuple[str | int, str]]:
         """Every formula of the column, with the key it stands under."""
-        for way in ("value", "differentiate", "lookup"):
+        for way in ("value", "differentiate", "lookup", "travel"):
             if (formula := getattr(self, way)) is not None:
                 yield way, formula
         for index, formula in enumerate(self.quaternion or ()):

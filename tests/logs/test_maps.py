@@ -112,6 +112,17 @@ def test_attitude_rates_texts(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.number("power_ratio"), truth["power_robot_w"] / 7, rtol=1e-7)
 
 
+def test_slope_is_that_of_the_direction_of_travel(tmp_path: Path) -> None:
+    (log,) = run(
+        tmp_path,
+        BASE.replace("(v_left + v_right) / 2", "(v_left + v_right) / 2 - 0.4")
+        + "  slope_rad: {quaternion: [qx, qy, qz, qw], travel: speed_m_s}\n",
+    )
+    speed = log.number("speed_m_s")
+    assert (speed < 0).any()
+    np.testing.assert_allclose(log.number("slope_rad"), np.where(speed < 0, -0.1, 0.1), atol=1e-8)
+
+
 def test_keep_others_and_gaps(tmp_path: Path) -> None:
     kept = BASE.replace("columns:", "keep: floor == 1 or mode == 'manual' and t_ms > 45000\nothers: true\ncolumns:")
     (log,) = run(tmp_path, kept)
