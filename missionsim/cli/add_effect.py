@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text
+from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text, tell_logs
 from missionsim.cli.diagnose import HoldoutOption, RobotOption
 
 if TYPE_CHECKING:
@@ -75,6 +75,7 @@ def add_effect(
         raise InputError.single("give at least one log", allowed="files or folders")
     spec = load_robot(robot)
     tables = read_logs(list(logs), robot=spec)
+    tell_logs(tables, quiet)
     split = choose_split(tables, "none" if holdout is None else holdout)
     chosen = battery or motors_battery(spec, tables)
     try:

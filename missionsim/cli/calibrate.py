@@ -59,7 +59,7 @@ def calibrate(
     """
     from missionsim.errors import InputError
     from missionsim.files import write_text
-    from missionsim.logs import read_logs
+    from missionsim.logs import describe, read_logs
 
     if (new is None) == (robot is None):
         raise InputError.single("give either --new NAME with --base, or --robot R", got="both" if new else "neither")
@@ -82,6 +82,7 @@ def calibrate(
 
         again = refit_robot(str(robot), tables, battery)
         text, fits, remarks = again.text, list(again.fits), list(again.remarks)
+    remarks = [*describe(tables), *remarks]
     write_text(out, text)
     emit_json(_as_json(fits, remarks, out), json)
     if shows_text(json, quiet):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +17,8 @@ from missionsim.files import write_text
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
+
+    from missionsim.logs import LogTable
 
 JsonOption = Annotated[str | None, Parameter(name="--json", allow_leading_hyphen=True)]
 """Where to write the result as JSON: a file, or - for standard output."""
@@ -87,6 +89,14 @@ def progress(quiet: bool = False) -> Iterator[Progress]:
         TimeRemainingColumn(), console=terminal, transient=True, disable=quiet or not terminal.is_terminal,
     ) as bar:
         yield bar
+
+
+def tell_logs(logs: Sequence[LogTable], quiet: bool = False) -> None:
+    """Say on standard error what the checks of the logs found and what was done about it."""
+    from missionsim.logs import describe
+
+    for line in [] if quiet else describe(logs):
+        print(line, file=sys.stderr)
 
 
 def simple_table(title: str, columns: Iterable[str | tuple[str, str]], rows: Iterable[Iterable[Any]]) -> Any:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text, simple_table
+from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text, simple_table, tell_logs
 from missionsim.cli.diagnose import HoldoutOption, ReportOption, RobotOption
 
 if TYPE_CHECKING:
@@ -74,6 +74,7 @@ def improve(
                                 allowed="--yes to add every effect that was identified")
     spec = load_robot(robot)
     tables = read_logs(list(logs), robot=spec)
+    tell_logs(tables, quiet)
     split = choose_split(tables, holdout)
     text = robot_text(robot)
     wanted = [battery] if battery is not None else _batteries(spec, tables)

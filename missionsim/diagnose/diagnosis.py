@@ -35,6 +35,7 @@ from missionsim.identify.data import Settings
 from missionsim.identify.identify import identify
 from missionsim.identify.result import Identification
 from missionsim.labels import Labels
+from missionsim.logs import describe
 
 if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
@@ -230,7 +231,7 @@ def diagnose_battery(
     if timeline is not None:
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
     clock, left = found.clock, found.unexplained
-    remarks = [*features.remarks, *found.remarks]
+    remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks]
     if tested is None:
         remarks.append(split.how)
     if len(features.runs) < 3:
