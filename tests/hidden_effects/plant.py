@@ -168,8 +168,9 @@ def planted(
         oil = np.exp((world.reference_c - motion.temp) / 60.0) - 1.0
         return lambda k: mech(oil * np.tanh(v / 0.03), k)
     if name == "start_surge":
-        from_rest = (v > 0.01) & np.concatenate([[False], v[:-1] <= 0.01])
-        from_rest[0], from_rest[1] = False, from_rest[1] or v[0] > 0.01  # a run that starts at once surges too
+        moving = (v > 0.01) | (np.abs(motion.yaw) > 0.03)  # turning on the spot is moving: no surge when it drives on
+        from_rest = moving & np.concatenate([[False], ~moving[:-1]])
+        from_rest[1] |= bool(moving[0])  # a run that starts at once surges too
         return lambda k: smooth(np.where(from_rest, k / 0.1, 0.0), world.pulse_s)
     if name == "conversion_loss":
         return lambda k: k * (base_w / volt * robot.voltage_v) ** 2
