@@ -149,7 +149,7 @@ def _not_seen(battery: BatteryDiagnosis) -> str:
     shown = [f"{name} < {100 * share:.1f} %" for share, name in limits[:MOST_NOT_SEEN]]
     rest = len(limits) - len(shown)
     text = ", ".join(shown) + (f" and {rest} more with higher limits" if rest > 0 else "")
-    text = (text or "nothing could be excluded") + " of energy"
+    text = f"{text} of energy" if text else "no limit below half of the energy"
     return text + (f"; these data say nothing of {', '.join(blind)}" if blind else "")
 
 

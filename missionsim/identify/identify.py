@@ -11,7 +11,8 @@ from missionsim.identify.credible import pairs, rivals
 from missionsim.identify.data import Candidate, RunData, Settings
 from missionsim.identify.design import Source, make_source
 from missionsim.identify.gates import Evidence, smallest_detectable
-from missionsim.identify.remainder import dependences, periodic, wrong_form
+from missionsim.identify.model import Model
+from missionsim.identify.remainder import dependences, periodic, stands_without, wrong_form
 from missionsim.identify.result import (
     BaseShift,
     CandidateReport,
@@ -160,14 +161,20 @@ def _structures(
             k
             for k in model.chosen
             if candidates[int(rules.effect[k])].effect.partition(":")[0] in STEADY_LOADS
-            or choice.evidence[k].gain < FAINT_NATS
+            or (choice.evidence[k].gain < FAINT_NATS and not _between_runs(model, k))
         }
-    strongest = max((s.gain_nats for s in found + rest if s is not line), default=0.0)
-    largest = max((s.size_share for s in found + rest if s is not line), default=0.0)
-    for column in model.chosen:
-        if choice.evidence[column].gain < 0.5 * strongest or abs(choice.evidence[column].share) < largest:
-            doubtful.add(column)  # the structure is much louder than the effect: the effect may be its shadow
+    for column in set(model.chosen) - doubtful:
+        if any(not stands_without(model, column, s, spread) for s in found + rest if s is not line):
+            doubtful.add(column)
     return found + rest, doubtful
+
+
+def _between_runs(model: Model, column: int) -> bool:
+    """Whether a column hardly changes within runs, so that only differences between runs speak for it."""
+    design = model.design
+    values = design.phi[column]
+    within = sum(float(np.sum((values[rows] - values[rows].mean()) ** 2)) for rows in design.runs)
+    return within < 0.1 * float(np.sum((values - values.mean()) ** 2))
 
 
 def _effects(
