@@ -19,7 +19,7 @@ from tests.logs.conftest import motion, write_csv
 from tests.logs.test_maps import BASE, source
 
 Result = TypeVar("Result")
-SETTINGS = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+SETTINGS = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 CELLS = st.sampled_from(
     [
         "",
