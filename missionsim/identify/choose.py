@@ -101,6 +101,7 @@ def _next_step(
         if set(swapped) not in [set(t) for t in trials]:
             trials.append(swapped)
     refused = dict(found.refused)
+    before = log_likelihood(model)
     options: list[tuple[float, Choice]] = []
     for trial in trials:
         fitted = fit_model(source, trial, model, thorough=False)
@@ -109,8 +110,12 @@ def _next_step(
                                        settings) for c in trial}  # fmt: skip
         if hidden is not None and trial[-1] == hidden and hidden not in first_of:
             weighed[hidden].passed["repeated in the runs"] = weighed[hidden].p_runs < REPEATED
+        rise = log_likelihood(fitted) - before
+        for c in set(trial) - set(model.chosen):
+            # noise refitted on both sides: an effect must not live on a noise model of its own
+            weighed[c].passed["likelihood"] &= rise > 0
         if all(e.accepted for e in weighed.values()):
-            options.append((log_likelihood(fitted), Choice(fitted, found.empty, spread, weighed, refused)))
+            options.append((rise, Choice(fitted, found.empty, spread, weighed, refused)))
         else:
             new = [c for c in trial if c not in model.chosen]
             refused.update({c: weighed[c] for c in new if not weighed[c].accepted})

@@ -204,8 +204,8 @@ def _prior(design: Design, noise: Noise) -> float:
     white = max(1e-6, 1 - noise.fast_share - noise.slow_share)
     terms = [
         (np.log(noise.offset_w / (0.005 * power)), 1.0),
-        (np.log(noise.gain / 0.005), 1.0),
-        (np.log(noise.motion_gain / 0.005), 1.0),
+        (np.log(noise.gain / 0.005), 0.7),
+        (np.log(noise.motion_gain / 0.005), 0.7),
         (np.log(noise.fast_s / max(4.0, 1.5 * h)), 0.9),
         (np.log(noise.slow_s / max(50.0, 20 * h)), 0.6),
         (np.log(noise.slow_share / white) + 1.5, 1.5),

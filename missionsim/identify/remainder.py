@@ -17,6 +17,8 @@ from missionsim.identify.result import Structure
 KNOTS = 6
 LONG_BLOCK_S = 60.0
 LOUD = 1e-4
+VERY_LOUD_NATS = 50.0
+"""Rows beside ramps bend curves: with them in, only this much counts."""
 RAMP = 0.03
 RAMP_TAIL_ROWS = 2
 SUPPORT_S = 20.0
@@ -26,6 +28,8 @@ FREER = 3.0
 RAMP_FORM_RATIO = 0.5
 """Rows beside ramps bend curves, so with them in only a gross misfit counts."""
 PERIODIC = 1e-6
+LINE_RATIO = 8.0
+"""Imperfect whitening makes small bumps; a line stands out this much at least."""
 MAGNITUDE_OF = {"yaw_rate_rad_s", "speed_m_s", "lateral_speed_m_s"}
 ABOUT_RAMPS = {"accel_m_s2"}
 TIMES_SPEED = {"slope_rad", "payload_kg", "temp_ambient_c", "temp_motor_c"}
@@ -154,16 +158,22 @@ def dependences(model: Model, spread: float, settings: Settings, chosen: Sequenc
         rows, knots = curve_rows(model, name, times)
         if len(knots) > 3 and rows.shape[0] < FEWEST_HATS:
             continue
-        gain, p_value, values = test_curve(flat, rows, spread, chosen)
-        if p_value * max(1, len(tests)) > LOUD:
+        best: tuple[float, float, Array, float] | None = None
+        for judge, least, level in ((flat, 8.0, LOUD), (model, VERY_LOUD_NATS, 0.1 * LOUD)):
+            gain, p_value, values = test_curve(judge, rows, spread, chosen)
+            fitted = values @ rows
+            size = float(np.mean(np.abs(fitted - np.average(fitted)))) / model.design.layout.mean_power_w
+            loud = p_value * max(1, len(tests)) < level and gain > least * spread
+            if loud and size > 2 * settings.min_share:
+                best = (gain, p_value, values, size)
+                break
+        if best is None:
             continue
-        fitted = values @ rows
-        size = float(np.mean(np.abs(fitted - np.average(fitted)))) / model.design.layout.mean_power_w
-        if size < 2 * settings.min_share or gain < 8 * spread:
-            continue
+        gain, p_value, values, size = best
         curve = (0.0, *values) if len(values) == len(knots) - 1 else tuple(values)
         shape = _words(name, times, knots, np.asarray(curve))
-        found = Structure(name, p_value * len(tests), gain, size, shape, tuple(knots), tuple(float(c) for c in curve))
+        points = tuple(float(c) for c in curve)
+        found = Structure(name, p_value * len(tests), gain, size, shape, tuple(knots), points, times)
         if name not in out or out[name].gain_nats < gain:
             out[name] = found
     return sorted(out.values(), key=lambda s: -s.gain_nats)
@@ -206,7 +216,7 @@ def periodic(model: Model, chosen_rows: Array) -> Structure | None:
     p_value = float(gamma.sf(ratio[top] * 0.97, 1.3 * len(parts), scale=1 / (1.3 * len(parts)))) * int(
         usable_mask.sum()
     )
-    if p_value > PERIODIC:
+    if p_value > PERIODIC or ratio[top] < LINE_RATIO:
         return None
     period = length * step / (top + 1)
     return Structure("time_s", p_value, float(ratio[top]), 0.0, f"periodic load, period {period:.0f} s")
@@ -221,7 +231,10 @@ def wrong_form(model: Model, column: int, covariate: str, spread: float, setting
     rows, knots = curve_rows(model, covariate, times)
     if rows.shape[0] < FEWEST_HATS and covariate not in ABOUT_RAMPS:
         return None  # too few values of the covariate to judge a form
-    for judge, ratio in ((steady(model), settings.form_ratio), (model, RAMP_FORM_RATIO)):
+    judges = [(model, RAMP_FORM_RATIO)]
+    if covariate not in ABOUT_RAMPS:
+        judges.insert(0, (steady(model), settings.form_ratio))
+    for judge, ratio in judges:
         beyond, p_value, values = test_curve(judge, rows, spread, model.chosen)
         if p_value > LOUD or beyond < 8 * spread:
             continue
@@ -237,3 +250,18 @@ def wrong_form(model: Model, column: int, covariate: str, spread: float, setting
     return replace(
         structure, shape=f"{covariate}: form not right ({_words(covariate, times, knots, np.asarray(curve))})"
     )
+
+
+def stands_without(model: Model, column: int, structure: Structure, spread: float) -> bool:
+    """Whether an effect keeps at least half of its gain when a structure's free curve is in as well.
+
+    If not, the effect may be no more than the shadow of the structure.
+    """
+    if structure.covariate not in model.source.covariates:
+        return True
+    rest = [k for k in model.chosen if k != column]
+    rows, _ = curve_rows(model, structure.covariate, structure.times)
+    own, _, _ = test_curve(model, model.design.phi[[column]], spread, rest)
+    curve, _, _ = test_curve(model, rows, spread, rest)
+    both, _, _ = test_curve(model, np.vstack([rows, model.design.phi[column]]), spread, rest)
+    return both - curve >= 0.5 * own

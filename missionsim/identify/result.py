@@ -85,7 +85,8 @@ class Pair:
 class Structure:
     """Something that remains in the residual and depends on a covariate (or is periodic).
 
-    ``size_share`` is its mean size as share of the mean power; ``knots`` and ``curve_w`` give its shape.
+    ``size_share`` is its mean size as share of the mean power; ``knots`` and ``curve_w`` give its shape
+    (multiplied by the covariate ``times``, if any).
     """
 
     covariate: str
@@ -95,7 +96,7 @@ class Structure:
     shape: str
     knots: tuple[float, ...] = ()
     curve_w: tuple[float, ...] = ()
-    form_of: str = ""
+    times: str = ""
 
 
 @dataclass(frozen=True)
