@@ -169,10 +169,8 @@ def planted(
         return lambda k: mech(oil * np.tanh(v / 0.03), k)
     if name == "start_surge":
         moving = (v > 0.01) | (np.abs(motion.yaw) > 0.03)  # turning on the spot is moving: no surge when it drives on
-        moved = np.concatenate([[0], np.cumsum(moving)])  # shorter halts than 2 s keep the drive warm and cost nothing
-        from_rest = moving & (moved[:-1] - moved[np.clip(np.arange(len(v)) - 20, 0, None)] == 0)
-        from_rest[1] |= bool(from_rest[0])  # the lag below starts in its steady state, so nothing may come at once
-        from_rest[0] = False
+        from_rest = moving & np.concatenate([[False], ~moving[:-1]])
+        from_rest[1] |= bool(moving[0])  # a run that starts at once surges too
         return lambda k: smooth(np.where(from_rest, k / 0.1, 0.0), world.pulse_s)
     if name == "conversion_loss":
         return lambda k: k * (base_w / volt * robot.voltage_v) ** 2
