@@ -21,6 +21,8 @@ USUAL_OFFSET = 0.006
 USUAL_GAIN = 0.008
 """Differences between runs that a power meter and a drive usually show."""
 REPEATED = 0.02
+PLAIN_RISE = 1.02
+"""An effect must not need opposite gains of the single runs to make up for it."""
 CLOSE = 0.6
 """The second best is fitted too when it reaches this part of the best."""
 
@@ -114,6 +116,7 @@ def _next_step(
         for c in set(trial) - set(model.chosen):
             # noise refitted on both sides: an effect must not live on a noise model of its own
             weighed[c].passed["likelihood"] &= rise > 0
+            weighed[c].passed["plain error"] = plain_error(fitted) < PLAIN_RISE * plain_error(model)
         if all(e.accepted for e in weighed.values()):
             options.append((rise, Choice(fitted, found.empty, spread, weighed, refused)))
         else:
@@ -145,6 +148,16 @@ def _hidden_in_runs(model: Model, rules: Rules, needed: float, settings: Setting
     rest = gram.conditional(model.chosen)
     share = abs(rest[0, 1 + top]) / max(rest[1 + top, 1 + top], 1e-300)
     return top if gains[top] > needed and share > settings.min_share else None
+
+
+def plain_error(model: Model) -> float:
+    """Mean square error of what the model predicts without meter offsets and gains of single runs [W2]."""
+    design = model.design
+    shifts, _ = model.gram.shifts(model.chosen)
+    left = design.residual - shifts @ design.gradient
+    if model.chosen:
+        left = left - model.gram.coefficients(model.chosen)[0] @ design.phi[list(model.chosen)]
+    return float(np.average(left**2, weights=design.duration_s))
 
 
 def _at_a_glance(model: Model, column: int, gain: float, spread: float) -> Evidence:

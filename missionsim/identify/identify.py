@@ -249,6 +249,7 @@ GATE_WORDS = {
     "robust": "not significant with errors that allow for correlated noise",
     "practical": "significant but negligible",
     "repeated in the runs": "seen as differences between runs that do not repeat well enough",
+    "plain error": "helps only with gains of single runs that make up for it",
     "beyond recalibration": "within what recalibration of the base model allows",
 }
 

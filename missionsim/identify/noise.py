@@ -20,6 +20,8 @@ from missionsim.identify.design import Design
 JITTER_SD_S = 0.10
 LAG_JITTER_SD_S2 = 0.05
 HUBER = 2.5
+LARGEST_GAIN = 0.05
+"""Runs that differ by more than this in gain differ by something that should be named."""
 FLOOR = 0.3
 """The noise no longer falls below this part of the mean power (a rest that draws next to nothing)."""
 START_ROWS = 40
@@ -264,6 +266,8 @@ def _fit_levels(design: Design, noise: Noise, blocks: Array, chosen: int, evalua
 
     def at(x: Array) -> Noise:
         levels: dict[str, Any] = {n: float(v) for n, v in zip(names, np.exp(np.clip(x, -25, 15)), strict=True)}
+        for name in ("gain", "motion_gain"):
+            levels[name] = min(levels.get(name, 0.0), LARGEST_GAIN) if name in levels else getattr(noise, name)
         return replace(noise, **levels)
 
     x0 = np.log([getattr(noise, n) for n in names])
