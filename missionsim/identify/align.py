@@ -8,7 +8,7 @@ their value.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -96,7 +96,8 @@ class RunColumns:
     start_s: float
     step_s: float
     values: Array
-    _curve: tuple[Array, Array] | None = None
+    _curve: tuple[Array, ...] | None = None
+    _picked: dict[tuple[int, ...], tuple[Array, ...]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, run: RunData, bins: Bins, rows: Sequence[Array]) -> RunColumns:
@@ -116,10 +117,16 @@ class RunColumns:
     def averaged(self, delay_s: float, lag_s: float, rows: Sequence[int] | None = None) -> Array:
         """Mean of columns over every bin, shape (columns, bins), as a late and sluggish meter would see it."""
         if self._curve is None:
-            self._curve = _integral_curve(self.values)
-        parts: tuple[Array, ...] = (self.values, *self._curve)
+            # one row of memory for each row of the log: picking rows is then fast
+            self._curve = tuple(np.ascontiguousarray(p.T) for p in (self.values, *_integral_curve(self.values)))
+        parts = self._curve
         if rows is not None and len(rows) < self.values.shape[0]:
-            parts = tuple(p[list(rows)] for p in parts)
+            key = tuple(rows)
+            if key not in self._picked:
+                if len(self._picked) > 3:
+                    self._picked.clear()
+                self._picked[key] = tuple(np.ascontiguousarray(p[:, list(rows)]) for p in parts)
+            parts = self._picked[key]
         low, high = self.bins.low_s, self.bins.high_s
         joined = bool(np.all(np.abs(high[:-1] - low[1:]) < 1e-9))
         edges = np.append(low, high[-1]) if joined else np.concatenate([low, high])
@@ -160,17 +167,17 @@ def _integral_curve(values: Array) -> tuple[Array, Array]:
 
 
 def _integral_at(parts: tuple[Array, ...], position: Array) -> Array:
-    """Cubic Hermite interpolation of the cumulative integral at fractional row positions."""
+    """Cubic Hermite interpolation of the cumulative integral at fractional row positions; parts have a row each."""
     values, cumulative, slope = parts
-    left = np.minimum(position.astype(np.intp), values.shape[1] - 1)
-    s = position - left
-    s2, s3 = s * s, s * s * s
-    return np.asarray(
-        cumulative[:, left]
-        + values[:, left] * (3 * s2 - 2 * s3)
-        + slope[:, left] * (s - 2 * s2 + s3)
-        + slope[:, left + 1] * (s3 - s2)
-    )
+    left = np.minimum(position.astype(np.intp), values.shape[0] - 1)
+    s = (position - left)[:, None]
+    s2 = s * s
+    s3 = s2 * s
+    out = cumulative.take(left, axis=0)
+    out += values.take(left, axis=0) * (3 * s2 - 2 * s3)
+    out += slope.take(left, axis=0) * (s - 2 * s2 + s3)
+    out += slope.take(left + 1, axis=0) * (s3 - s2)
+    return np.asarray(out.T)
 
 
 @dataclass(frozen=True)
