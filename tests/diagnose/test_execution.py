@@ -1,0 +1,93 @@
+"""How the robot drove otherwise than planned: found where it did, not where it did not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from missionsim.diagnose.execution import ExecutionEffect, execution_effects
+from missionsim.effects.timeline import Timeline
+from missionsim.engine.simulate import simulate
+from missionsim.labels import Labels
+from missionsim.logs import LogTable
+from missionsim.spec.loading import load_mission
+
+MISSION = """kind: mission
+name: there_and_back
+robot: pioneer3dx
+defaults: {scheme: forward_motion, profile: constant_speed}
+segments:
+  - drive: {name: out, distance: 20 m, speed: 0.5 m/s}
+  - wait: {name: pause, duration: 20 s}
+  - drive: {name: back, distance: 12 m, speed: 0.3 m/s}
+"""
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Timeline:
+    path: Path = tmp_path_factory.mktemp("plan") / "mission.yaml"
+    path.write_text(MISSION, encoding="utf-8")
+    return simulate(load_mission(path)).timeline
+
+
+def log(seed: int, *, stretch: float = 1.0, tracking: float = 1.0, dwell_s: float = 0.0) -> LogTable:
+    """A drive of the mission at 1 Hz with 0.5 % of scatter in way and speed."""
+    rng = np.random.default_rng(seed)
+    speeds: list[np.ndarray] = []
+    names: list[str] = []
+    for name, distance, speed in (("out", 20.0, 0.5), ("pause", 0.0, 0.0), ("back", 12.0, 0.3)):
+        if speed:
+            reached = speed * tracking * (1.0 + 0.005 * rng.standard_normal())
+            seconds = round(distance * stretch * (1.0 + 0.005 * rng.standard_normal()) / reached)
+            speeds.append(np.full(seconds, reached))
+        else:
+            seconds = round(20.0 + dwell_s + rng.uniform(-1.0, 1.0))
+            speeds.append(np.zeros(seconds))
+        names += [name] * seconds
+    v = np.concatenate(speeds)
+    count = len(v)
+    columns = {"time_s": np.arange(count) + 0.5, "speed_m_s": np.abs(v + 0.002 * rng.standard_normal(count)),
+               "yaw_rate_rad_s": np.zeros(count), "segment": Labels.of(names)}
+    power = 6.25 * v**2 + 9.79 * v + np.where(v > 0, 3.66, 2.67)
+    return LogTable(f"run_{seed}", columns, np.ones(count), {"robot": power}, {"robot": None}, {"robot": "power"})
+
+
+def found(plan: Timeline, logs: list[LogTable], segments: tuple[str, ...] = ()) -> dict[str, ExecutionEffect]:
+    effects = execution_effects(plan, logs, "robot", 0.01, segments)
+    return {one.effect: one for one in effects if one.found}
+
+
+@pytest.mark.parametrize("segments", [(), ("out", "pause", "back")])
+def test_driven_as_planned_names_nothing(plan: Timeline, segments: tuple[str, ...]) -> None:
+    assert found(plan, [log(seed) for seed in range(6)], segments) == {}
+
+
+@pytest.mark.parametrize(
+    ("more", "effect", "value"),
+    [({"stretch": 1.06}, "path_stretch", 1.06), ({"tracking": 0.94}, "speed_tracking", 0.94),
+     ({"dwell_s": 15.0}, "dwell", 15.0)],
+)
+def test_each_effect_is_named_alone_with_its_size(
+    plan: Timeline, more: dict[str, float], effect: str, value: float
+) -> None:
+    named = found(plan, [log(seed, **more) for seed in range(6)], ("out", "pause", "back"))
+    assert set(named) == {effect}
+    one = named[effect]
+    assert one.low < one.value < one.high
+    assert one.value == pytest.approx(value, rel=0.05)
+    assert one.p_value < 0.01
+
+
+def test_longer_and_slower_take_energy(plan: Timeline) -> None:
+    longer = found(plan, [log(seed, stretch=1.10) for seed in range(6)])["path_stretch"]
+    assert 0.02 < longer.energy_share < 0.10
+    waiting = found(plan, [log(seed, dwell_s=30.0) for seed in range(6)])["dwell"]
+    assert waiting.energy_share > 0.0
+
+
+def test_one_run_says_that_it_cannot_show_scatter(plan: Timeline) -> None:
+    effects = execution_effects(plan, [log(0, stretch=1.2)], "robot")
+    assert not any(one.found for one in effects)
+    assert "one run cannot show how it scatters" in {one.reason for one in effects}

@@ -1,0 +1,69 @@
+"""Manoeuvres: what they vary, how they look as columns, and whether the proposed one separates what it should."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from missionsim.diagnose.experiments import power_of
+from missionsim.diagnose.manoeuvres import Part, library, script, site_of
+from missionsim.effects.derive import derive
+from missionsim.labels import Labels
+
+LIMITS = {"max_speed": 0.75, "max_yaw_rate": 1.0, "acceleration": 0.3}
+
+
+def covariates(**more: object) -> dict[str, object]:
+    count = 200
+    v = np.tile(np.repeat([0.0, 0.5], 50), 2)
+    columns: dict[str, object] = {
+        "time_s": np.arange(count) + 0.5, "speed_m_s": v, "yaw_rate_rad_s": np.zeros(count),
+        "on_kinect": (v > 0).astype(float), **more,
+    }  # fmt: skip
+    return derive(columns, np.arange(count) + 0.5, np.ones(count))
+
+
+def test_only_what_the_place_has_is_proposed() -> None:
+    plain = {m.name for m in library(site_of([covariates()], LIMITS))}
+    assert {"speed sweep", "stop and go", "spin", "kinect on and off"} <= plain
+    assert not plain & {"ramp", "payload on and off", "cold and warm", "processor stress"}
+    rich = covariates(payload_kg=np.repeat([0.0, 5.0], 100), slope_rad=np.linspace(-0.05, 0.05, 200),
+                      surface=Labels.of(["tile"] * 120 + ["carpet"] * 80))
+    names = {m.name: m for m in library(site_of([rich], LIMITS))}
+    assert {"ramp", "payload on and off", "tile and carpet"} <= set(names)
+    assert names["tile and carpet"].varies == {"surface"}
+    assert names["payload on and off"].varies == {"payload_kg"}
+    assert names["tile and carpet"].do == "drive tile then carpet at 0.37 m/s without payload, level, 90 s each"
+
+
+def test_a_script_keeps_the_robots_limits_and_the_length() -> None:
+    rich = covariates(payload_kg=np.repeat([0.0, 5.0], 100), surface=Labels.of(["tile"] * 120 + ["carpet"] * 80))
+    site = site_of([rich], LIMITS)
+    for manoeuvre in library(site):
+        columns = script(manoeuvre, site)
+        v, t = columns["speed_m_s"], columns["time_s"]
+        assert manoeuvre.duration_s == 180.0
+        assert t[-1] == pytest.approx(180.0, abs=1.0)
+        assert v.min() >= 0.0
+        assert v.max() <= 0.75
+        assert np.abs(np.diff(v)).max() <= 0.3 * 0.5 + 1e-9
+        assert np.abs(columns["yaw_rate_rad_s"]).max() <= 1.0
+        assert {"payload_kg", "surface", "on_kinect"} <= set(columns)
+
+
+def test_parts_as_plain_data() -> None:
+    part = Part(90.0, (0.5,), set={"payload_kg": 4.0, "on_kinect": 1.0, "surface": "tile"})
+    assert part.to_json() == {"seconds": 90.0, "speeds_m_s": [0.5], "yaw_rate_rad_s": 0.0, "stops": 0,
+                              "payload_kg": 4.0, "surface": "tile", "on": {"kinect": 1.0}}
+
+
+def test_power_of_a_lead_grows_from_nothing_to_certainty() -> None:
+    leads = [0.0, 1.0, 2.944, 10.0, 40.0]
+    powers = [power_of(lead) for lead in leads]
+    assert powers == sorted(powers)
+    assert powers[0] == 0.0
+    assert powers[2] == pytest.approx(0.5)
+    assert powers[-1] > 0.999
+    # by simulation: the log-likelihood ratio is normal with mean D and variance 2 D
+    draws = np.random.default_rng(1).normal(10.0, np.sqrt(20.0), 200_000)
+    assert power_of(10.0) == pytest.approx(float(np.mean(draws > np.log(19.0))), abs=0.005)

@@ -1,0 +1,56 @@
+"""Practice folders: a right name, an honest set with the experiment that separates it, a form that is not right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from missionsim.diagnose import diagnose_files, words
+from missionsim.diagnose.findings import BatteryDiagnosis
+
+
+def diagnosis(shared: Path, case: str) -> BatteryDiagnosis:
+    folder = shared / "practice" / case
+    return diagnose_files("pioneer3dx", [folder / "train"], holdout=[folder / "heldout"]).batteries["robot"]
+
+
+@pytest.mark.parametrize("effect", ["turning_scrub", "payload"])
+def test_the_right_name_first_and_the_heldout_error_falls(shared: Path, effect: str) -> None:
+    found = diagnosis(shared, f"{effect}-5pct")
+    assert found.effects[0].effect == effect
+    assert found.heldout is not None
+    assert found.heldout.power_rmse_w["with_effects"] < 0.8 * found.heldout.power_rmse_w["nominal"]
+
+
+@pytest.mark.parametrize("case", ["a", "b"])
+def test_confounded_names_both_and_proposes_to_vary_one(shared: Path, case: str) -> None:
+    found = diagnosis(shared, f"confounded-carpet-payload-{case}")
+    assert found.verdict == "ambiguous"
+    first = found.effects[0]
+    assert {first.effect, *first.indistinguishable_from} == {"payload", "surface_rolling_resistance"}
+    told = words.headline(found)
+    assert "payload" in told
+    assert "surface_rolling_resistance" in told
+    assert "cannot tell" in told
+    experiment = found.next_experiments[0]
+    varied = {name for name in ("payload_kg", "surface") if len({part.get(name) for part in experiment.manoeuvre}) > 1}
+    assert len(varied) == 1
+    assert experiment.separation_now < 1.0
+    assert experiment.separation_after > 5.0
+    assert experiment.expected_power > 0.9
+
+
+def test_a_form_that_the_library_does_not_have_is_not_named(shared: Path) -> None:
+    found = diagnosis(shared, "outside-om_v2")
+    assert found.verdict == "unexplained_structure"
+    assert "turning_scrub" not in {effect.effect for effect in found.effects}
+    assert "yaw_rate_rad_s" in found.unexplained.depends_on
+    assert any("turn" in e.do or "circles" in e.do for e in found.next_experiments)
+
+
+def test_nothing_hidden_nothing_named(shared: Path) -> None:
+    found = diagnosis(shared, "nothing-1")
+    assert found.verdict == "nothing_missing"
+    assert found.effects == ()
+    assert "no evidence of anything missing" in words.headline(found)
