@@ -77,9 +77,9 @@ def simulate(
     overdraws the battery.
     """
     model = build_power_model(mission.robot) if model is None else model
-    numbers, drawn = _split(values or {}, model)
+    numbers, drawn = split_values(values or {}, model)
     plan = make_plan(mission, numbers, rng) if plan is None else plan
-    setup = _Setup(mission, plan, model, numbers, drawn)
+    setup = RunSetup(mission, plan, model, numbers, drawn)
     whole = world = setup.execute(())
     alarms: list[Alarm] = []
     while len(alarms) < MOST_ALARMS:
@@ -93,7 +93,7 @@ def simulate(
     return setup.result(world, whole, alarms, trace)
 
 
-class _Setup:
+class RunSetup:
     """What all executions of one mission share."""
 
     def __init__(
@@ -252,7 +252,7 @@ def check_covariates(plan: Plan, model: PowerModel) -> None:
                 )
 
 
-def _split(values: Mapping[str, float], model: PowerModel) -> tuple[dict[str, float], dict[str, float]]:
+def split_values(values: Mapping[str, float], model: PowerModel) -> tuple[dict[str, float], dict[str, float]]:
     """Numbers of files by path, and parameters of the power model; a path into the robot file is both."""
     if not values:
         return {}, {}

@@ -1,0 +1,232 @@
+"""`missionsim montecarlo`: many draws of the uncertain values."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, progress, shows_text, simple_table
+from missionsim.errors import InputError
+
+if TYPE_CHECKING:
+    from missionsim.uncertainty.batch import Prepared, Task
+
+RESUMABLE = 130
+
+
+def montecarlo(
+    mission: Path,
+    *,
+    runs: Annotated[int, Parameter(name="--runs")] = 1000,
+    seed: Annotated[int, Parameter(name="--seed")] = 0,
+    workers: Annotated[int, Parameter(name="--workers")] = 1,
+    scheduler: Annotated[str | None, Parameter(name="--scheduler")] = None,
+    engine: Annotated[Literal["auto", "arrays", "simpy"], Parameter(name="--engine")] = "auto",
+    only: Annotated[int | None, Parameter(name="--only")] = None,
+    until: Annotated[float | None, Parameter(name="--until")] = None,
+    sobol: Annotated[int, Parameter(name="--sobol")] = 0,
+    out: Annotated[Path | None, Parameter(name="--out")] = None,
+    resume: Annotated[bool, Parameter(name="--resume", negative="")] = False,
+    plot: Annotated[bool, Parameter(name="--plot", negative="")] = False,
+    set_: Annotated[list[str] | None, Parameter(name="--set")] = None,
+    robot: str | None = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Draw the uncertain values of a mission many times and run it with each draw.
+
+    Exit code 0: done; 1: a run asked with --only is infeasible; 130: interrupted, go on with --resume.
+
+    Parameters
+    ----------
+    mission
+        Mission file.
+    runs
+        How many runs.
+    seed
+        Of all random numbers; run i of a seed is the same however many runs or workers there are.
+    workers
+        Processes on this machine.
+    scheduler
+        Address of a running Dask scheduler, in place of processes here (needs missionsim[dask]).
+    engine
+        arrays evaluates many runs at once, simpy runs each; auto takes arrays where the mission allows it.
+    only
+        Run this one run of the batch alone, with SimPy, and print its draws and its result.
+    until
+        Stop as soon as the 95 % interval of the probability of success is at most this wide.
+    sobol
+        Also estimate Sobol indices, from so many base samples (a power of two) times the number of values plus two.
+    out
+        Folder for the runs (Parquet, block by block), the summary and the figures.
+    resume
+        Go on with the batch in --out.
+    plot
+        Draw histogram and charge over time into --out.
+    set_
+        path=value, as in run.
+    robot
+        Robot in place of the mission's own.
+    json
+        Write the summary as JSON to this file, or - for standard output.
+    quiet
+        Print no tables.
+    """
+    from missionsim.spec.overrides import split_assignment
+    from missionsim.uncertainty.batch import Task, prepare
+
+    _check(runs, workers, until, only, sobol, out, resume, plot)
+    overrides = tuple(split_assignment(text) for text in set_ or ())
+    chosen = "simpy" if only is not None and engine == "auto" else engine
+    task = Task(str(mission), overrides, robot, seed, chosen)
+    prepared = prepare(task)
+    if not prepared.sampler.values and shows_text(json, quiet):
+        print("warning: no number of this mission is uncertain; all runs are the same unless the mission itself is "
+              "left to chance", file=sys.stderr)
+    if only is not None:
+        return _only(prepared, seed, only, json, quiet)
+    if out is not None:
+        return _batch(task, prepared, runs, workers, scheduler, until, sobol, out, resume, plot, json, quiet)
+    with tempfile.TemporaryDirectory(prefix="missionsim-") as folder:
+        target = Path(folder) / "batch"
+        return _batch(task, prepared, runs, workers, scheduler, until, sobol, target, False, False, json, quiet)
+
+
+def _check(
+    runs: int, workers: int, until: float | None, only: int | None, sobol: int, out: Path | None, resume: bool,
+    plot: bool,
+) -> None:
+    faults = []
+    for name, bad, got, allowed in (
+        ("--runs", runs < 1, runs, "1 or more"),
+        ("--workers", workers < 1, workers, "1 or more"),
+        ("--until", until is not None and not 0.0 < until < 1.0, until, "a width between 0 and 1, such as 0.02"),
+        ("--only", only is not None and only < 0, only, "a run's number, 0 or more"),
+        ("--sobol", sobol != 0 and (sobol < 16 or sobol & (sobol - 1)), sobol, "a power of two, 16 or more"),
+        ("--resume", resume and out is None, "no --out", "--out with the folder of the batch"),
+        ("--plot", plot and out is None, "no --out", "--out with a folder for the figures"),
+    ):
+        if bad:
+            faults += InputError.single(f"{name} cannot be used so", got=got, allowed=allowed).faults
+    if faults:
+        raise InputError(faults)
+
+
+def _only(prepared: Prepared, seed: int, run: int, json: str | None, quiet: bool) -> int:
+    from missionsim.uncertainty.single import simulate_run
+
+    drawn, result = simulate_run(prepared.mission, prepared.model, prepared.sampler, seed, run)
+    emit_json({**result.summary(), "run": run, "seed": seed, "drawn": drawn}, json)
+    if shows_text(json, quiet):
+        terminal = console()
+        units = {value.name: value.unit for value in prepared.sampler.values}
+        rows = [(name, f"{value:.6g}", units[name]) for name, value in drawn.items()]
+        terminal.print(simple_table(f"Run {run} of seed {seed}: drawn values", ["value", ("drawn", "right"), "unit"], rows))
+        from missionsim.cli.run import show
+
+        show(result)
+    return 0 if result.feasible else 1
+
+
+def _batch(
+    task: Task, prepared: Prepared, runs: int, workers: int, scheduler: str | None, until: float | None, sobol: int,
+    out: Path, resume: bool, plot: bool, json: str | None, quiet: bool,
+) -> int:
+    from missionsim.cli.common import to_json
+    from missionsim.files import write_text
+    from missionsim.uncertainty.answers import summarise
+    from missionsim.uncertainty.batch import identity, run_batch
+    from missionsim.uncertainty.store import BlockStore
+
+    engine = "simpy" if prepared.arrays is None else "arrays"
+    store = BlockStore(out)
+    store.begin(identity(task, runs, engine), resume=resume)
+    try:
+        with progress(quiet) as bar, _executor(scheduler) as executor:
+            row = bar.add_task(f"runs ({engine})", total=runs)
+            firsts = run_batch(task, runs, store, engine=engine, workers=workers, executor=executor, until=until,
+                               advance=lambda count: bar.advance(row, count))
+    except KeyboardInterrupt:
+        print(f"interrupted; finished blocks are in {out}; go on with the same command and --resume", file=sys.stderr)
+        return RESUMABLE
+    batteries = tuple(prepared.mission.robot.batteries)
+    answer: dict[str, Any] = {
+        "schema": "missionsim.montecarlo/1", "mission": prepared.mission.name, "robot": prepared.mission.robot.name,
+        "seed": task.seed, "engine": engine, "why_not_arrays": prepared.why_not_arrays,
+        **summarise(store, firsts, batteries),
+    }
+    if sobol:
+        from missionsim.uncertainty.importance import sobol_importance
+
+        answer["importance"] = sobol_importance(prepared, task.seed, sobol, answer["importance"])
+    write_text(out / "summary.json", to_json(answer))
+    if plot:
+        from missionsim.report.figures_montecarlo import write_figures
+
+        write_figures(store, firsts, batteries, out)
+    emit_json(answer, json)
+    if shows_text(json, quiet):
+        _print(answer, prepared)
+    return 0
+
+
+class _executor:
+    """A Dask client for the address of a scheduler, or nothing."""
+
+    def __init__(self, address: str | None) -> None:
+        self.address = address
+        self.client: Any = None
+
+    def __enter__(self) -> Any:
+        if self.address is None:
+            return None
+        try:
+            from distributed import Client
+        except ImportError:
+            raise InputError.single("--scheduler needs the extra 'dask'", got="no package 'distributed'",
+                                    allowed='pip install "missionsim[dask]"') from None
+        try:
+            self.client = Client(self.address, timeout=10)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise InputError.single("no Dask scheduler answers at this address", got=self.address,
+                                    allowed="an address such as tcp://localhost:8786", hint=str(error)[:80]) from error
+        return self.client
+
+    def __exit__(self, *_: object) -> None:
+        if self.client is not None:
+            self.client.close()
+
+
+def _print(answer: dict[str, Any], prepared: Prepared) -> None:
+    terminal = console()
+    p = answer["p_feasible"]
+    why = f" (not arrays: {answer['why_not_arrays']})" if answer["why_not_arrays"] else ""
+    terminal.print(f"{answer['mission']} with {answer['robot']}: {answer['runs']} runs, seed {answer['seed']}, "
+                   f"engine {answer['engine']}{why}", markup=False)
+    terminal.print(f"succeeds with its reserve in {100 * p['value']:.2f} % of the runs "
+                   f"(95 % interval {100 * p['low']:.2f} to {100 * p['high']:.2f} %)")
+    rows = []
+    for name, battery in answer["batteries"].items():
+        energy, capacity = battery["energy_wh"], battery["capacity_needed_wh"]
+        if energy["mean"] is None:
+            continue
+        cells = [energy[key] for key in ("mean", "sd", "q05", "q50", "q95")] + [capacity["value"]]
+        low, high = battery["energy_wh"]["intervals"]["q95"]
+        rows.append([name, *(f"{cell:.4g}" for cell in cells), f"{low:.4g} … {high:.4g}"])
+    terminal.print(simple_table("Energy [Wh]", ["battery", *[(h, "right") for h in (
+        "mean", "sd", "5 %", "50 %", "95 %", "99 % need")], "95 % quantile lies in"], rows))
+    failures = answer["failures"]
+    for item in failures["empty"][:5]:
+        terminal.print(f"  battery '{item['battery']}' is empty in {item['segment']}: {100 * item['share']:.1f} % of the "
+                       f"runs, typically after {item['median_time_s']:.0f} s", markup=False)
+    for item in failures["reasons"][:5]:
+        terminal.print(f"  {100 * item['share']:.1f} %: {item['reason']}", markup=False)
+    rows = [(row["battery"], row["parameter"], f"{row.get('rank_correlation', float('nan')):+.2f}", f"{row['first']:.3f}",
+             "–" if row["total"] is None else f"{row['total']:.3f}") for row in answer["importance"][:12]]
+    if rows:
+        terminal.print(simple_table("What matters", ["battery", "value", ("rank corr.", "right"), ("first order", "right"),
+                                                     ("total", "right")], rows))

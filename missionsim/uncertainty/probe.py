@@ -1,0 +1,123 @@
+"""How the numbers of a plan follow from the uncertain values, found by varying one at a time and checked on draws.
+
+A leg's length is a map's length times a path stretch, its speed the speed asked times the part of it that is reached: the
+plan's numbers are products of powers, or sums, of the files' numbers. That is found here without writing the planner a
+second time; what does not fit such a form is not evaluated as arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+RELATIVE_TOLERANCE = 1e-12
+_STEPS = (0.01, -0.013)
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """Numbers of a plan as functions of uncertain values.
+
+    Attributes
+    ----------
+    base : ndarray, shape (entries,)
+        The numbers at the nominal values.
+    nominal : mapping of str to float
+    powers : mapping of str to (entries, exponents)
+        For products: value name → indices of `base` and the exponent of the value's ratio to its nominal one.
+    slopes : mapping of str to (entries, slopes)
+        For sums.
+    """
+
+    base: Array
+    nominal: Mapping[str, float]
+    powers: Mapping[str, tuple[NDArray[np.intp], Array]]
+    slopes: Mapping[str, tuple[NDArray[np.intp], Array]]
+
+    @property
+    def varying(self) -> NDArray[np.intp]:
+        """Entries that depend on any value."""
+        parts = [index for index, _ in (*self.powers.values(), *self.slopes.values())]
+        return np.unique(np.concatenate(parts)) if parts else np.zeros(0, dtype=np.intp)
+
+    def at(self, draws: Mapping[str, Array], entry: int) -> Array | float:
+        """One entry at draws of shape (n,): an array of shape (n, 1), or the number where it does not vary."""
+        result: Array | float = float(self.base[entry])
+        for name, (index, exponents) in self.powers.items():
+            found = np.flatnonzero(index == entry)
+            if found.size and name in draws:
+                ratio = np.asarray(draws[name])[:, None] / self.nominal[name]
+                result = result * (ratio if exponents[found[0]] == 1.0 else 1.0 / ratio)
+        for name, (index, slopes) in self.slopes.items():
+            found = np.flatnonzero(index == entry)
+            if found.size and name in draws:
+                result = result + slopes[found[0]] * (np.asarray(draws[name])[:, None] - self.nominal[name])
+        return result
+
+
+def probe(
+    numbers_of: Callable[[Mapping[str, float]], Array], nominal: Mapping[str, float], checks: list[Mapping[str, float]]
+) -> Dependence | str:
+    """Find the form of every entry and check it on draws.
+
+    Parameters
+    ----------
+    numbers_of : callable
+        Values by name → numbers, shape (entries,); raises ValueError where the structure changes.
+    nominal : mapping
+        Value by name.
+    checks : list of mapping
+        Draws on which the form must hold.
+
+    Returns
+    -------
+    Dependence or str
+        The forms, or why there are none.
+    """
+    try:
+        base = numbers_of(nominal)
+        powers: dict[str, tuple[NDArray[np.intp], Array]] = {}
+        slopes: dict[str, tuple[NDArray[np.intp], Array]] = {}
+        for name, value in nominal.items():
+            steps = [value * step if value else step for step in _STEPS]
+            changed = [numbers_of({**nominal, name: value + step}) for step in steps]
+            index = np.flatnonzero(np.any([~_same(numbers, base) for numbers in changed], axis=0))
+            if not index.size:
+                continue
+            form = _form(base[index], [numbers[index] for numbers in changed], value, steps)
+            if isinstance(form, str):
+                return f"{form} {name}"
+            kind, coefficients = form
+            (powers if kind == "power" else slopes)[name] = (index, coefficients)
+        found = Dependence(base, dict(nominal), powers, slopes)
+        for draw in checks:
+            drawn = {name: np.array([value]) for name, value in draw.items()}
+            predicted = base.copy()
+            for entry in found.varying:
+                predicted[entry] = np.ravel(found.at(drawn, int(entry)))[0]
+            if not np.all(_same(predicted, numbers_of(draw), 1e-9 * RELATIVE_TOLERANCE, 4 * RELATIVE_TOLERANCE)):
+                return "the plan's numbers are no products or sums of the uncertain values"
+    except ValueError as error:
+        return str(error)
+    return found
+
+
+def _same(a: Array, b: Array, absolute: float = 0.0, relative: float = 1e-14) -> NDArray[np.bool_]:
+    return np.asarray(np.isclose(a, b, rtol=relative, atol=absolute, equal_nan=True))
+
+
+def _form(base: Array, changed: list[Array], value: float, steps: list[float]) -> tuple[str, Array] | str:
+    if value and np.all(base != 0.0):
+        ratios = [(numbers / base, 1.0 + step / value) for numbers, step in zip(changed, steps, strict=True)]
+        up = np.all([_same(got, np.full_like(got, want), 0.0, RELATIVE_TOLERANCE) for got, want in ratios], axis=0)
+        down = np.all([_same(got, np.full_like(got, 1 / want), 0.0, RELATIVE_TOLERANCE) for got, want in ratios], axis=0)
+        if np.all(up | down):
+            return "power", np.where(up, 1.0, -1.0)
+    slope = [(numbers - base) / step for numbers, step in zip(changed, steps, strict=True)]
+    if np.all(_same(slope[0], slope[1], 0.0, 1e-9)):
+        return "slope", slope[0]
+    return "the plan depends neither as a product nor as a sum on"

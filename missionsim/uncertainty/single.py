@@ -1,0 +1,115 @@
+"""One run of a batch with SimPy, and a block of them as columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.model import PowerModel
+from missionsim.engine.outcome import RunResult
+from missionsim.engine.simulate import simulate
+from missionsim.errors import MissionsimError
+from missionsim.spec.mission import MissionSpec
+from missionsim.uncertainty.draws import Draws, Sampler
+from missionsim.uncertainty.streams import run_generator
+
+PROGRESS_POINTS = 41
+"""Charge of each battery is kept at so many instants, evenly over a run's duration."""
+
+
+def simulate_run(
+    mission: MissionSpec, model: PowerModel, sampler: Sampler, seed: int, run: int, *, trace: bool = True
+) -> tuple[dict[str, float], RunResult]:
+    """Run number `run` of a batch alone, with SimPy.
+
+    Returns
+    -------
+    tuple
+        The drawn values by name, and the result.
+    """
+    drawn = {name: float(values[0]) for name, values in sampler.draw(seed, run, 1).items()}
+    rng = run_generator(seed, "chance", run)
+    return drawn, simulate(mission, values=drawn, rng=rng, model=model, trace=trace)
+
+
+def simulate_block(
+    mission: MissionSpec, model: PowerModel, sampler: Sampler, seed: int, first: int, count: int
+) -> dict[str, NDArray[Any]]:
+    """A block of runs with SimPy, as columns; a run that fails is kept with its draws and its message."""
+    draws = sampler.draw(seed, first, count)
+    rows: list[dict[str, Any]] = []
+    for i in range(count):
+        values = {name: float(column[i]) for name, column in draws.items()}
+        try:
+            rng = run_generator(seed, "chance", first + i)
+            rows.append(_row(simulate(mission, values=values, rng=rng, model=model)))
+        except MissionsimError as error:
+            rows.append({"message": f"failed: {error}"})
+        except (ArithmeticError, ValueError, RuntimeError) as error:
+            rows.append({"message": f"failed: {type(error).__name__}: {error}"})
+    return _columns(rows, draws, first, batteries=tuple(mission.robot.batteries), components=components_of(model))
+
+
+def components_of(model: PowerModel) -> tuple[tuple[str, str], ...]:
+    """Battery and component of every term, each pair once."""
+    return tuple(sorted({(term.key.battery, term.key.component) for term in model.terms}))
+
+
+def _row(result: RunResult) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "feasible": result.feasible,
+        "duration_s": result.duration_s,
+        "distance_m": result.distance_m,
+        "message": result.reason,
+    }
+    starts = np.asarray(result.timeline.start_s)
+    ends = starts + np.asarray(result.timeline.duration_s)
+    grid = np.linspace(0.0, result.duration_s, PROGRESS_POINTS)
+    failed = []
+    for name, battery in result.batteries.items():
+        row[f"energy_{name}_wh"] = battery.energy_wh
+        row[f"charge_left_{name}_wh"] = battery.charge_left_wh
+        row[f"margin_{name}_wh"] = battery.charge_left_wh - battery.reserve_required_wh
+        row[f"needed_{name}_wh"] = battery.initial_wh - battery.charge_left_wh + battery.deficit_wh
+        for component, energy in result.by_component_wh(name).items():
+            row[f"component_{name}_{component}_wh"] = energy
+        charge = np.concatenate([[battery.initial_wh], np.asarray(result.charge_wh[name])])
+        row[f"charge_{name}_wh"] = np.interp(grid, np.concatenate([[0.0], ends]), charge)
+        if battery.empty_at_s is not None:
+            failed.append((battery.empty_at_s, battery.empty_in_segment, name))
+    if failed:
+        time_s, segment, name = min(failed)
+        row.update(failed_at_s=time_s, failed_segment=segment, failed_battery=name)
+    return row
+
+
+def _columns(
+    rows: list[dict[str, Any]], draws: Draws, first: int, *, batteries: tuple[str, ...],
+    components: tuple[tuple[str, str], ...],
+) -> dict[str, NDArray[Any]]:
+    count = len(rows)
+    columns: dict[str, NDArray[Any]] = {"run": np.arange(first, first + count, dtype=np.int64)}
+    columns["feasible"] = np.array([bool(row.get("feasible", False)) for row in rows])
+    numbers = ["duration_s", "distance_m", "failed_at_s"]
+    for name in batteries:
+        numbers += [f"energy_{name}_wh", f"charge_left_{name}_wh", f"margin_{name}_wh", f"needed_{name}_wh"]
+    numbers += [f"component_{battery}_{component}_wh" for battery, component in components]
+    for name in numbers:
+        default = 0.0 if name.startswith("component_") else np.nan
+        columns[name] = np.array([row.get(name, default if "duration_s" in row else np.nan) for row in rows])
+    for name in ("failed_segment", "failed_battery", "message"):
+        columns[name] = np.array([row.get(name, "") for row in rows], dtype=object)
+    for name in batteries:
+        lost = np.full(PROGRESS_POINTS, np.nan)
+        columns[f"charge_{name}_wh"] = np.array([row.get(f"charge_{name}_wh", lost) for row in rows]).reshape(count, -1)
+    for name, values in draws.items():
+        columns[f"drawn:{name}"] = values
+    return columns
+
+
+def drawn_columns(columns: Mapping[str, Any]) -> list[str]:
+    """Names of the uncertain values among the columns of a block."""
+    return [name.removeprefix("drawn:") for name in columns if name.startswith("drawn:")]

@@ -1,0 +1,105 @@
+"""Blocks of runs in Parquet files, written as they finish, read back one column at a time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.errors import InputError
+from missionsim.files import atomic_write, write_text
+
+BATCH_FILE = "batch.json"
+
+
+@dataclass(frozen=True)
+class BlockStore:
+    """A folder with one Parquet file a block.
+
+    Attributes
+    ----------
+    folder : Path
+    """
+
+    folder: Path
+
+    def path(self, first: int) -> Path:
+        """File of the block that begins with run `first`."""
+        return self.folder / "blocks" / f"runs_{first:09d}.parquet"
+
+    def has(self, first: int) -> bool:
+        """Whether that block is there, whole."""
+        return self.path(first).is_file()
+
+    def write(self, first: int, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Write a block, whole or not at all; the same columns give the same bytes."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        arrays = {}
+        for name, values in columns.items():
+            if values.ndim == 2:
+                arrays[name] = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+            else:
+                arrays[name] = pa.array(values.tolist() if values.dtype == object else values)
+        with atomic_write(self.path(first)) as temporary:
+            pq.write_table(pa.table(arrays), temporary, compression="zstd")
+
+    def firsts(self) -> list[int]:
+        """First runs of the blocks that are there, in order."""
+        return sorted(int(path.stem.split("_")[1]) for path in (self.folder / "blocks").glob("runs_*.parquet"))
+
+    def names(self) -> list[str]:
+        """Columns of the blocks."""
+        import pyarrow.parquet as pq
+
+        firsts = self.firsts()
+        return list(pq.read_schema(self.path(firsts[0])).names) if firsts else []
+
+    def column(self, name: str, firsts: list[int] | None = None) -> NDArray[Any]:
+        """One column of all blocks, in order of runs; shape (runs,) or (runs, points)."""
+        parts = list(self.parts(name, firsts))
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def parts(self, name: str, firsts: list[int] | None = None) -> Iterator[NDArray[Any]]:
+        """One column, block by block."""
+        import pyarrow.parquet as pq
+
+        for first in self.firsts() if firsts is None else firsts:
+            chunk = pq.read_table(self.path(first), columns=[name]).column(0).combine_chunks()
+            if hasattr(chunk, "flatten") and hasattr(chunk.type, "list_size"):
+                yield np.asarray(chunk.flatten()).reshape(-1, chunk.type.list_size)
+            else:
+                yield np.asarray(chunk.to_numpy(zero_copy_only=False))
+
+    def begin(self, identity: Mapping[str, Any], *, resume: bool) -> None:
+        """Make the folder for a batch, or take up an interrupted one.
+
+        Raises
+        ------
+        missionsim.errors.InputError
+            Where the folder holds a batch and `resume` was not asked, or a different batch.
+        """
+        path = self.folder / BATCH_FILE
+        if path.is_file():
+            if not resume:
+                raise InputError.single(
+                    "this folder holds a batch already", file=str(self.folder), allowed="another --out, or --resume"
+                )
+            before = json.loads(path.read_text(encoding="utf-8"))
+            differing = sorted(key for key in {*before, *identity} if before.get(key) != identity.get(key))
+            if differing:
+                raise InputError.single(
+                    f"the batch in this folder is another one: {', '.join(differing)} differ", file=str(path),
+                    got=", ".join(f"{key}={identity.get(key)}" for key in differing),
+                    allowed=", ".join(f"{key}={before.get(key)}" for key in differing),
+                )
+            return
+        if self.folder.exists() and any(self.folder.iterdir()):
+            raise InputError.single("this folder is not empty and holds no batch", file=str(self.folder))
+        write_text(path, json.dumps(identity, indent=2, sort_keys=True) + "\n")
