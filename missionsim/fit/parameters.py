@@ -22,6 +22,7 @@ WORSE = 0.01
 """Share of the variance by which generalised least squares may explain less than ordinary ones before it is doubted."""
 LARGEST_INFLATION = 1e8
 ROUNDS = 5
+SETTLING_ROUNDS = 30
 Z95 = 1.959963984540054
 
 
@@ -116,8 +117,6 @@ def fit_parameters(
     before = ready
     plain: Plain | None = None
     if free:
-        model = _least_squares_start(model, ready)
-        ready = prepare(model, logs, battery)
         model, plain = _settled(model, ready, logs)
         ready = prepare(model, logs, battery)
     known = {name: p for name, p in ready.parameters.items() if p.value != 0.0}
@@ -186,9 +185,8 @@ class Plain:
 
 def _settled(model: PowerModel, ready: Prepared, logs: Sequence[Any]) -> tuple[PowerModel, Plain]:
     """Ordinary least squares repeated until a formula that is not linear settles, with errors clustered in blocks."""
-    for _ in range(ROUNDS):
-        again = _least_squares_start(model, ready)
-        new = prepare(again, logs, ready.battery)
+    for _ in range(SETTLING_ROUNDS):
+        again, new = _shortened(model, ready, _least_squares_start(model, ready), logs)
         change = max(
             (abs(new.parameters[n].value - p.value) / max(abs(p.value), 1e-300) for n, p in ready.parameters.items()),
             default=0.0,
@@ -212,6 +210,33 @@ def _settled(model: PowerModel, ready: Prepared, logs: Sequence[Any]) -> tuple[P
     covariance = factor * inverse @ (score.T @ score) @ inverse
     explained = 1.0 - square / spread if spread > 0.0 else 0.0
     return model, Plain(model, names, covariance, explained, float(np.sqrt(square)), float(np.sqrt(square - mean**2)))
+
+
+def _shortened(
+    model: PowerModel, ready: Prepared, aim: PowerModel, logs: Sequence[Any]
+) -> tuple[PowerModel, Prepared]:
+    """The step towards `aim`, halved until the squared error does not rise; a linear formula takes the whole step."""
+    before = _square(ready)
+    battery = ready.battery
+    start = {name: p.value for name, p in ready.parameters.items()}
+    goal = {name: aim.parameters[f"{battery}/{name}"].value for name in start}
+    for power in range(10):
+        part = 0.5**power
+        trial = model.with_values({f"{battery}/{n}": start[n] + part * (goal[n] - start[n]) for n in start})
+        with np.errstate(all="ignore"):
+            after = prepare(trial, logs, battery)
+            if _square(after) <= before * (1.0 + 1e-9):
+                return trial, after
+    return model, ready
+
+
+def _square(ready: Prepared) -> float:
+    """Squared error over time; infinite where the model has no value."""
+    total = 0.0
+    for run, base in zip(ready.runs, ready.base_w, strict=True):
+        usable = np.isfinite(run.measured_w)
+        total += float(np.sum((run.measured_w - base)[usable] ** 2 * run.dt_s[usable]))
+    return total if np.isfinite(total) else float("inf")
 
 
 def _seconds(ready: Prepared) -> NDArray[np.float64]:

@@ -1,0 +1,89 @@
+"""The report in words: every heading of the skeleton, and never 'the cause is' for a set of two."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from missionsim.cli.common import to_json
+from missionsim.diagnose import words
+from missionsim.diagnose.findings import (
+    BatteryDiagnosis,
+    Diagnosis,
+    Estimate,
+    Experiment,
+    Finding,
+    HeldOut,
+    Judged,
+    Recalibrated,
+    Unexplained,
+    Where,
+)
+from missionsim.report.diagnosis_page import diagnosis_page
+
+GRADE = Finding("grade", {"k": Estimate(0.98, 0.95, 1.01)}, 0.033, 1e-9, 0.030, 0.036, 2e-9,
+                "identified, repeated across runs", 1.8, 0.5)
+PAYLOAD = Finding("payload", {"k": Estimate(0.7, 0.6, 0.8, "m/s^2")}, 0.05, 1e-7, 0.04, 0.06,
+                  indistinguishable_from=("surface_rolling_resistance",), separation_nats=0.0)
+HELD = {"nominal": 4.6, "recalibrated": 2.7, "with_effects": 1.2}
+BATTERY = BatteryDiagnosis(
+    "robot", "effects_found", (GRADE,), (Judged("aerodynamic_drag", False, "adds nothing", 0.011),
+                                        Judged("conversion_loss", False, "adds nothing", 1.4)),
+    (Recalibrated("c3", 4.2, 1.4, 10.2, 0.2, "W s/m"),), 0.3, 0.3, False,
+    {"sd_w": 0.4, "sd_share": 0.03, "offset_w": 0.18, "gain": 0.01}, {"radio_range": ("access_point_distance_m",)},
+    Unexplained(0.0, (), ""), (), HeldOut("the last 2 runs of 8", ("run_06", "run_07"), HELD, HELD), None, (), 13.0,
+    ("run_00",), 420.0, (), {}, (Where("slope", "2 to 4 °", 0.4, -1.5),),
+)  # fmt: skip
+
+
+def text(battery: BatteryDiagnosis) -> str:
+    return "\n".join(f"{heading} {line}" for heading, line in words.report(battery))
+
+
+def test_found() -> None:
+    assert words.headline(BATTERY) == "Battery robot: missing from the model is grade (3.3 % of the energy)."
+    told = text(BATTERY)
+    assert "WHERE slope 2 to 4 °: 40 % of the squared error" in told
+    assert "CLOCK meter +0.30 s behind the motion, lag 0.30 s (applied)" in told
+    assert "grade: 3.3 % of energy (95 % 3.0 to 3.6); k = 0.98 (95 % 0.95 to 1.01)" in told
+    assert "aerodynamic_drag < 1.1 % of energy; these data say nothing of conversion_loss" in told
+    assert "energy error 4.60 -> 2.70 (recalibrated) -> 1.20 % (with the effects)" in told
+    assert "BASE recalibrated, no discovery: c3 +4.2 % (+1.4 sd)" in told
+    assert "radio_range (needs access_point_distance_m)" in told
+
+
+def test_a_set_of_two_is_never_called_the_cause() -> None:
+    experiment = Experiment(("payload", "surface_rolling_resistance"), "drive tile then carpet", 0.99, 0.0, 70.0, 3.0)
+    unsure = replace(BATTERY, verdict="ambiguous", effects=(PAYLOAD,), next_experiments=(experiment,))
+    head = words.headline(unsure)
+    assert "payload or surface_rolling_resistance" in head
+    assert "These data cannot tell which" in head
+    told = text(unsure)
+    assert "UNSURE payload OR surface_rolling_resistance, 5.0 % of energy: these data cannot tell" in told
+    assert "more of the same data will not help" in told
+    assert "predicted separation 0.0 -> 70 nats" in told
+    assert "cause" not in f"{head} {told}"
+    assert "FOUND" not in told
+
+
+def test_nothing_and_something_unknown() -> None:
+    nothing = replace(BATTERY, verdict="nothing_missing", effects=())
+    assert "nothing missing above" not in words.headline(BATTERY)
+    assert "no evidence of anything missing above the detection limits (1.1 to 1.1 % of" in words.headline(nothing)
+    unknown = replace(nothing, verdict="unexplained_structure",
+                      unexplained=Unexplained(0.3, ("yaw_rate_rad_s",), "form not right"))
+    assert "the library does not contain; it varies with yaw_rate_rad_s (form not right)" in words.headline(unknown)
+
+
+def test_few_runs_say_that_nothing_was_held_out() -> None:
+    assert "nothing held out (1 runs)" in text(replace(BATTERY, heldout=None))
+
+
+@pytest.mark.parametrize("battery", [BATTERY, replace(BATTERY, effects=(PAYLOAD,), heldout=None)])
+def test_json_and_page_hold_for_every_verdict(battery: BatteryDiagnosis) -> None:
+    diagnosis = Diagnosis("pioneer3dx", {"robot": battery})
+    assert '"schema": "missionsim.diagnosis/1"' in to_json(diagnosis.to_json())
+    page = diagnosis_page(diagnosis)
+    assert battery.effects[0].effect in page
+    assert "http" + "://" not in page.split("<script")[0]

@@ -1,0 +1,99 @@
+"""Fits of base models: certified least-squares answers, intervals that cover, priors that are honoured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from missionsim.errors import InputError
+from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.fit.parameters import fit_parameters
+from missionsim.fit.provenance import data_tag, fitted_to, log_hash
+from missionsim.logs import LogTable
+from missionsim.spec.edit import robot_text
+from missionsim.spec.loading import load_robot, robot_from_text
+from missionsim.spec.power import build_power_model
+from tests.diagnose.logs import drive
+
+LOGS = [drive(seed, seconds=300.0) for seed in range(4)]
+
+
+def test_new_robot_covers_the_truth_and_loads() -> None:
+    made = calibrate_new(NewRobot("rover", "c2*v**2 + c3*v + c4", mass="25 kg"), LOGS)
+    truth = {"c2": 6.25, "c3": 9.79, "c4": 6.0, "standing": 5.01, "kinect.power": 2.82}
+    for name, value in truth.items():
+        parameter = made.fit.parameters[name]
+        assert abs(parameter.value - value) < 4.0 * parameter.sd, name
+        assert parameter.low < parameter.value < parameter.high
+    robot = robot_from_text(made.text)
+    model = build_power_model(robot)
+    assert model.parameters["robot/c3"].value == pytest.approx(made.fit.parameters["c3"].value, rel=1e-5)
+    assert any("laser was never switched" in remark for remark in made.remarks)
+    assert fitted_to(robot.sources["calibration"], LOGS)
+    assert not fitted_to(robot.sources["calibration"], [drive(99, seconds=60.0)])
+
+
+def test_without_noise_the_answer_is_exact() -> None:
+    quiet = [drive(seed, seconds=300.0, noise=0.0) for seed in range(3)]
+    fit = calibrate_new(NewRobot("rover", "c2*v**2 + c3*v + c4"), quiet).fit
+    assert fit.explained > 0.9999
+    for name, value in {"c2": 6.25, "c3": 9.79, "c4": 6.0, "standing": 5.01, "kinect.power": 2.82}.items():
+        assert fit.parameters[name].value == pytest.approx(value, rel=0.02), name
+
+
+def test_a_formula_that_is_not_linear() -> None:
+    quiet = [drive(seed, seconds=300.0) for seed in range(4)]
+    fit = calibrate_new(NewRobot("rover", "c4 + c*abs(v)**p"), quiet).fit
+    assert fit.explained > 0.95
+    assert 1.0 < fit.parameters["p"].value < 2.0
+
+
+def test_refit_stays_within_what_is_known() -> None:
+    model = build_power_model(load_robot("pioneer3dx"))
+    fit = fit_parameters(model, LOGS, "robot")
+    assert fit.parameters["c3"].value == pytest.approx(9.79, rel=0.05)
+    assert fit.parameters["c3"].sd < 0.03 * 9.79
+    # the sonar was never on: nothing is learned of it
+    sonar = fit.parameters["sonar.p1"]
+    assert not sonar.seen
+    assert sonar.value == sonar.before
+    assert fit.rmse_w <= fit.rmse_before_w + 1e-9
+
+
+@pytest.mark.parametrize("shift", [0.95, 1.06])
+def test_refit_moves_a_wrong_value_towards_the_truth(shift: float) -> None:
+    model = build_power_model(load_robot("pioneer3dx"))
+    wrong = model.with_values({"robot/c3": 9.79 * shift})
+    fit = fit_parameters(wrong, LOGS, "robot")
+    assert abs(fit.parameters["c3"].value - 9.79) < 0.5 * abs(9.79 * shift - 9.79)
+
+
+def test_noise_that_grows_with_power_does_not_break_a_poor_formula() -> None:
+    """Large noise while driving, almost none at rest, and a formula that explains little: plain least squares hold."""
+    logs: list[LogTable] = []
+    for seed in range(4):
+        log = drive(seed, seconds=300.0, scrub_w_s_rad=40.0)
+        logs.append(log)
+    fit = calibrate_new(NewRobot("skid", "c3*v + c4"), logs).fit
+    speed = np.concatenate([np.asarray(log.columns["speed_m_s"]) for log in logs])
+    power = np.concatenate([log.power_w["robot"] for log in logs])
+    assert fit.explained > 0.0
+    assert fit.parameters["standing"].value == pytest.approx(float(np.mean(power[speed == 0.0])), abs=3.0)
+
+
+def test_a_formula_whose_parameters_cannot_be_told_apart() -> None:
+    with pytest.raises(InputError, match="cannot tell some parameters"):
+        calibrate_new(NewRobot("rover", "k1*v + k2*v + k3"), LOGS)
+    with pytest.raises(InputError, match="which not every log has"):
+        calibrate_new(NewRobot("rover", "k1*theta + k3"), LOGS)
+
+
+def test_hashes_tell_logs_apart(tmp_path: Path) -> None:
+    one, two = LOGS[0], LOGS[1]
+    assert log_hash(one) != log_hash(two)
+    assert data_tag([one, two]) == data_tag([two, one])
+    assert fitted_to(f"fitted to 2 runs, data {data_tag([one, two])}", [two])
+    assert not fitted_to("Table 2", [one])
+    assert "fitted to" not in robot_text("pioneer3dx")

@@ -1,0 +1,68 @@
+"""The pages of diagnose and improve in a real browser: charts drawn, controls at work, nothing asked of the network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from missionsim.diagnose.diagnosis import Subject, diagnose
+from missionsim.diagnose.improve import improve
+from missionsim.diagnose.split import choose_split
+from missionsim.identify.data import Settings
+from missionsim.report.diagnosis_page import diagnosis_page
+from missionsim.report.improve_page import improve_page
+from missionsim.spec.edit import robot_text
+from missionsim.spec.loading import load_robot
+from tests.diagnose.logs import drive
+from tests.report.browser import run_in_page
+
+LOGS = [drive(seed, seconds=240.0, scrub_w_s_rad=3.0) for seed in range(5)]
+
+SCRIPT = """
+  var shown = Array.from(document.querySelectorAll(".chart")).filter(function (c) { return c.offsetParent; });
+  window.found.shown = shown.length;
+  window.found.drawn = shown.filter(function (c) { return c.querySelector(".main-svg"); }).length;
+  window.found.requests = performance.getEntriesByType("resource").filter(function (entry) {
+    return !/^(data|blob):/.test(entry.name); }).length;
+  function over(t) { return t.name === "measured"; }
+  var chart = shown.filter(function (c) { return c.data && c.data.some(over); })[0];
+  function toggle(name) { return Array.from(chart.querySelectorAll(".traces")).filter(function (t) {
+    return t.textContent === name; })[0].querySelector(".legendtoggle"); }
+  function state() { return chart.data.filter(over)[0].visible; }
+  click(toggle("measured")); await pause(900);
+  window.found.hidden = state();
+  click(toggle("measured")); await pause(900);
+  window.found.again = state();
+  var select = Array.from(document.querySelectorAll("select")).filter(function (s) { return s.options.length > 2; })[0];
+  select.selectedIndex = 2; select.dispatchEvent(new Event("change", {bubbles: true})); await pause(600);
+  window.found.run = Array.from(document.querySelectorAll(".chart")).filter(function (c) {
+    return c.offsetParent && c.data && c.data.some(over); }).length;
+"""
+
+
+@pytest.mark.browser
+def test_diagnosis_page(tmp_path: Path) -> None:
+    result = diagnose(Subject.of(load_robot("pioneer3dx")), LOGS)
+    found = run_in_page(diagnosis_page(result), SCRIPT, tmp_path)
+    assert found["errors"] == []
+    assert found["requests"] == 0
+    assert found["drawn"] == found["shown"] >= 2
+    assert found["hidden"] == "legendonly"
+    assert found["again"] is True
+    assert found["run"] == 1
+
+
+@pytest.mark.browser
+def test_improve_page_has_the_waterfall(tmp_path: Path) -> None:
+    done = improve(robot_text("pioneer3dx"), choose_split(LOGS), "robot", Settings(), lambda finding, diagnosis: True)
+    assert done.added == ("turning_scrub",)
+    found = run_in_page(improve_page("pioneer3dx", [done]), """
+      var charts = Array.from(document.querySelectorAll(".chart")).filter(function (c) { return c.offsetParent; });
+      window.found.drawn = charts.filter(function (c) { return c.querySelector(".main-svg"); }).length;
+      window.found.bars = charts[0].querySelectorAll(".bars .point").length;
+      window.found.first = document.querySelector("h2").textContent;
+    """, tmp_path)
+    assert found["errors"] == []
+    assert found["bars"] == len(done.steps) == 4
+    assert found["drawn"] >= 4
