@@ -21,6 +21,8 @@ USUAL_OFFSET = 0.006
 USUAL_GAIN = 0.008
 """Differences between runs that a power meter and a drive usually show."""
 REPEATED = 0.02
+LEAST_RISE = -2.0
+"""Of the log evidence, which already charges some 4 nats for one more coefficient."""
 PLAIN_RISE = 1.02
 """An effect must not need opposite gains of the single runs to make up for it."""
 CLOSE = 0.6
@@ -115,7 +117,7 @@ def _next_step(
         rise = log_likelihood(fitted) - before
         for c in set(trial) - set(model.chosen):
             # noise refitted on both sides: an effect must not live on a noise model of its own
-            weighed[c].passed["likelihood"] &= rise > 0
+            weighed[c].passed["likelihood"] &= rise > LEAST_RISE
             weighed[c].passed["plain error"] = plain_error(fitted) < PLAIN_RISE * plain_error(model)
         if all(e.accepted for e in weighed.values()):
             options.append((rise, Choice(fitted, found.empty, spread, weighed, refused)))

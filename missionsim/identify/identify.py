@@ -164,7 +164,9 @@ def _structures(
             or (choice.evidence[k].gain < FAINT_NATS and not _between_runs(model, k))
         }
     for column in set(model.chosen) - doubtful:
-        if any(not stands_without(model, column, s, spread) for s in found + rest if s is not line):
+        own = candidates[int(rules.effect[column])].covariate  # a curve over it is judged as the effect's form
+        others = [s for s in found + rest if s is not line and s.covariate != own]
+        if any(not stands_without(model, column, s, spread) for s in others):
             doubtful.add(column)
     return found + rest, doubtful
 

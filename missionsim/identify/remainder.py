@@ -21,8 +21,10 @@ VERY_LOUD_NATS = 50.0
 """Rows beside ramps bend curves: with them in, only this much counts."""
 RAMP = 0.03
 RAMP_TAIL_ROWS = 2
-SUPPORT_S = 20.0
+SUPPORT_S = 8.0
 FEWEST_HATS = 3
+FORM_LEVEL = 1e-3
+"""Level of the one test of an effect's form; a misfit must be large as well."""
 RAMP_WEIGHT = 0.002
 FREER = 3.0
 RAMP_FORM_RATIO = 0.5
@@ -229,14 +231,14 @@ def wrong_form(model: Model, column: int, covariate: str, spread: float, setting
     rest = [k for k in model.chosen if k != column]
     times = "speed_m_s" if covariate in TIMES_SPEED and "speed_m_s" in model.source.covariates else ""
     rows, knots = curve_rows(model, covariate, times)
-    if rows.shape[0] < FEWEST_HATS and covariate not in ABOUT_RAMPS:
+    if rows.shape[0] < (FEWEST_HATS if covariate == "speed_m_s" else 2):
         return None  # too few values of the covariate to judge a form
     judges = [(model, RAMP_FORM_RATIO)]
     if covariate not in ABOUT_RAMPS:
         judges.insert(0, (steady(model), settings.form_ratio))
     for judge, ratio in judges:
         beyond, p_value, values = test_curve(judge, rows, spread, model.chosen)
-        if p_value > LOUD or beyond < 8 * spread:
+        if p_value > FORM_LEVEL or beyond < 8 * spread:
             continue
         own, _, _ = test_curve(judge, model.design.phi[[column]], spread, rest)
         free, _, _ = test_curve(judge, np.vstack([rows, model.design.phi[column]]), spread, rest)
