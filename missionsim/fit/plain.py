@@ -1,0 +1,156 @@
+"""Ordinary least squares on a model's gradient: start values, errors clustered in blocks, what can be told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.model import ModelParameter, PowerModel
+from missionsim.fit.prepare import Prepared, prepare
+
+BLOCK_S = 20.0
+FREE_SD = 100.0
+"""Relative prior standard deviation that leaves a parameter to the data."""
+LARGEST_INFLATION = 1e8
+SETTLING_ROUNDS = 30
+
+
+@dataclass(frozen=True)
+class Plain:
+    """Ordinary least squares: model, covariance of the relative shifts clustered in blocks, what it explains."""
+
+    model: PowerModel
+    names: tuple[str, ...]
+    covariance: NDArray[np.float64]
+    explained: float
+    rmse_w: float
+    noise_w: float
+
+
+def settled(model: PowerModel, ready: Prepared, logs: Sequence[Any]) -> tuple[PowerModel, Plain]:
+    """Ordinary least squares repeated until a formula that is not linear settles, with errors clustered in blocks."""
+    for _ in range(SETTLING_ROUNDS):
+        again, new = _shortened(model, ready, _least_squares_start(model, ready), logs)
+        change = max(
+            (abs(new.parameters[n].value - p.value) / max(abs(p.value), 1e-300) for n, p in ready.parameters.items()),
+            default=0.0,
+        )
+        model, ready = again, new
+        if change < 1e-6:
+            break
+    names, x, y, seconds = _stacked(ready)
+    mean = float(np.average(y, weights=seconds))
+    square = float(np.average(y**2, weights=seconds)) if len(y) else 0.0
+    measured = np.concatenate([run.measured_w for run in ready.runs])
+    usable = np.isfinite(measured)
+    level = float(np.average(measured[usable], weights=row_seconds(ready)[usable]))
+    spread = float(np.average((measured[usable] - level) ** 2, weights=row_seconds(ready)[usable]))
+    inverse = np.linalg.pinv((x * seconds[:, None]).T @ x, rcond=1e-12)
+    block = _blocks(ready)
+    score = np.zeros((int(block.max()) + 1, len(names)))
+    np.add.at(score, block, x * (y * seconds)[:, None])
+    count = int(np.sum(np.any(score != 0.0, axis=1)))
+    factor = count / max(count - len(names), 1)
+    covariance = factor * inverse @ (score.T @ score) @ inverse
+    explained = 1.0 - square / spread if spread > 0.0 else 0.0
+    return model, Plain(model, names, covariance, explained, float(np.sqrt(square)), float(np.sqrt(square - mean**2)))
+
+
+def _shortened(
+    model: PowerModel, ready: Prepared, aim: PowerModel, logs: Sequence[Any]
+) -> tuple[PowerModel, Prepared]:
+    """The step towards `aim`, halved until the squared error does not rise; a linear formula takes the whole step."""
+    before = _square(ready)
+    battery = ready.battery
+    start = {name: p.value for name, p in ready.parameters.items()}
+    goal = {name: aim.parameters[f"{battery}/{name}"].value for name in start}
+    for power in range(10):
+        part = 0.5**power
+        trial = model.with_values({f"{battery}/{n}": start[n] + part * (goal[n] - start[n]) for n in start})
+        with np.errstate(all="ignore"):
+            after = prepare(trial, logs, battery)
+            if _square(after) <= before * (1.0 + 1e-9):
+                return trial, after
+    return model, ready
+
+
+def _square(ready: Prepared) -> float:
+    """Squared error over time; infinite where the model has no value."""
+    total = 0.0
+    for run, base in zip(ready.runs, ready.base_w, strict=True):
+        usable = np.isfinite(run.measured_w)
+        total += float(np.sum((run.measured_w - base)[usable] ** 2 * run.dt_s[usable]))
+    return total if np.isfinite(total) else float("inf")
+
+
+def row_seconds(ready: Prepared) -> NDArray[np.float64]:
+    return np.concatenate([run.dt_s for run in ready.runs])
+
+
+def _stacked(
+    ready: Prepared,
+) -> tuple[tuple[str, ...], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Names, gradient rows, residual and seconds of all rows; rows without a measurement weigh nothing."""
+    names = tuple(name for name in ready.gradients[0] if any(np.any(g[name]) for g in ready.gradients))
+    x = np.column_stack([np.concatenate([g[name] for g in ready.gradients]) for name in names])
+    y = np.concatenate([run.measured_w - base for run, base in zip(ready.runs, ready.base_w, strict=True)])
+    usable = np.isfinite(y) & np.all(np.isfinite(x), axis=1)
+    return names, np.where(usable[:, None], x, 0.0), np.where(usable, y, 0.0), np.where(usable, row_seconds(ready), 0.0)
+
+
+def _blocks(ready: Prepared) -> NDArray[np.intp]:
+    """Number of the block of `BLOCK_S` of each row; blocks never span two runs."""
+    numbers, total = [], 0
+    for run in ready.runs:
+        own = np.floor((run.time_s - run.time_s[0]) / BLOCK_S).astype(np.intp)
+        numbers.append(total + own)
+        total += int(own.max()) + 1
+    return np.concatenate(numbers)
+
+
+def free_priors(ready: Prepared, known: Mapping[str, ModelParameter]) -> dict[str, float]:
+    """Priors so wide that they say nothing: many times the value, and many times what would make all the power."""
+    power = float(np.mean([np.nanmean(np.abs(run.measured_w)) for run in ready.runs]))
+    wide = {}
+    for name in known:
+        size = float(np.mean([float(np.mean(np.abs(g[name]))) for g in ready.gradients if name in g] or [0.0]))
+        wide[name] = max(FREE_SD, 10.0 * power / size) if size > 0.0 else FREE_SD
+    return wide
+
+
+def told_apart(ready: Prepared) -> frozenset[str]:
+    """Parameters whose influence no combination of the others can imitate."""
+    names = [name for name in ready.gradients[0] if any(np.any(g[name]) for g in ready.gradients)]
+    if not names:
+        return frozenset()
+    x = np.column_stack([np.concatenate([g[name] for g in ready.gradients]) for name in names])
+    x = x / np.linalg.norm(x, axis=0)
+    # the variance inflation of a column is the diagonal of the inverse of the correlations
+    values, vectors = np.linalg.eigh(x.T @ x)
+    inflation = np.sum(vectors**2 / np.maximum(values, 1e-14), axis=1)
+    return frozenset(name for name, size in zip(names, inflation, strict=True) if size < LARGEST_INFLATION)
+
+
+def _least_squares_start(model: PowerModel, ready: Prepared) -> PowerModel:
+    """Ordinary least squares on the gradient, from the start values; rows count by the time that they stand for."""
+    names = [name for name in ready.gradients[0] if any(np.any(g[name]) for g in ready.gradients)]
+    if not names:
+        return model
+    weight = np.concatenate([np.sqrt(run.dt_s) for run in ready.runs])
+    y = np.concatenate([run.measured_w - base for run, base in zip(ready.runs, ready.base_w, strict=True)])
+    x = np.column_stack([np.concatenate([g[name] for g in ready.gradients]) for name in names])
+    usable = np.isfinite(y) & np.all(np.isfinite(x), axis=1)
+    size = np.linalg.norm(x[usable], axis=0)
+    shift, *_ = np.linalg.lstsq(x[usable] / size * weight[usable, None], y[usable] * weight[usable], rcond=1e-9)
+    shift = shift / size
+    values = {}
+    for name, move in zip(names, shift, strict=True):
+        start = ready.parameters[name].value
+        value = start * (1.0 + float(move))
+        # a parameter at nought has no logarithm; a small one can still grow
+        values[f"{ready.battery}/{name}"] = value if abs(value) > 1e-6 * abs(start) else 1e-3 * start
+    return model.with_values(values)
