@@ -46,6 +46,7 @@ def _removed(rows: Sequence[Row], key: str, power: float = 1.0) -> str:
 
 def markdown(rows: Sequence[Row], heading: str) -> str:
     """The whole study as Markdown: one table by group and method, one by effect and share for the product."""
+    rows = [row | {"found": bool(row["in_set"]) if row["first_right"] is not None else None} for row in rows]
     lines = [f"# Hidden effects: {heading}", ""]
     head = (
         "group", "method", "n", "right name first", "exactly right", "all named", "a wrong name", "truth in the set",
@@ -76,8 +77,46 @@ def markdown(rows: Sequence[Row], heading: str) -> str:
             cells.append(f"{100.0 * covered / intervals:.0f} % ({covered}/{intervals})" if intervals else "–")
             cells.append(_mean(part, "seconds"))
             lines.append("| " + " | ".join(cells) + " |")
+    lines[2:2] = _goals(rows)
     lines += ["", *_by_effect(rows), "", *_troubles(rows)]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _goals(rows: Sequence[Row]) -> list[str]:
+    """The goals of the study beside what missionsim reached."""
+    ours = [row for row in rows if row["method"] == "missionsim"]
+    if not ours:
+        return []
+
+    def of(*groups: str) -> list[Row]:
+        return [row for row in ours if row["group"] in groups]
+
+    effects = of("one effect, 2 %", "one effect, 5 %", "one effect, 10 %", "two effects")
+    covered, intervals = (sum(row[key] for row in ours) for key in ("covered", "intervals"))
+    lines = [
+        ("nothing hidden: nothing named", "≥ 98 %", _rate(of("nothing hidden"), "exact")),
+        ("2 % of the energy: right name first", "≥ 95 %", _rate(of("one effect, 2 %"), "first_right")),
+        ("5 % of the energy: right name first", "100 %", _rate(of("one effect, 5 %"), "first_right")),
+        ("5 %: truth named or in the set of what cannot be told apart", "100 %", _rate(of("one effect, 5 %"), "found")),
+        ("pairs: both named", "≥ 90 %", _rate(of("two effects"), "all_named")),
+        (
+            "removable held-out energy error removed (2, 5, 10 %, pairs)",
+            "≥ 95 %",
+            _removed(effects, "energy_error_pct"),
+        ),
+        ("confounded: a confident wrong name", "0 %", _rate(of("confounded"), "confident_wrong")),
+        ("outside the library: a confident wrong name", "0 %", _rate(of("outside"), "confident_wrong")),
+        ("confounded: cannot tell, kept honest", "100 %", _rate(of("confounded"), "honest")),
+        (
+            "confounded: resolved by at most two proposed experiments",
+            "≥ 95 %",
+            _rate(of("confounded"), "resolved_by_two"),
+        ),
+        ("behaviour: right name first", "–", _rate(of("execution"), "first_right")),
+        ("intervals cover", "95 %", f"{100 * covered / intervals:.0f} % ({covered}/{intervals})" if intervals else "–"),
+    ]
+    out = ["| goal | asked | reached |", "|---|---|---|"]
+    return out + [f"| {' | '.join(line)} |" for line in lines if line[2] != "–"] + [""]
 
 
 def _by_effect(rows: Sequence[Row]) -> list[str]:
