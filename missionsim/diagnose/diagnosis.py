@@ -232,11 +232,6 @@ def diagnose_battery(
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
     clock, left = found.clock, found.unexplained
     remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks]
-    if tested is None:
-        remarks.append(split.how)
-    if len(features.runs) < 3:
-        remarks.append(f"{len(features.runs)} run{'s' * (len(features.runs) > 1)}: whether an effect repeats from run "
-                       "to run, and how much the meter differs between runs, cannot be shown")
     return BatteryDiagnosis(
         battery, verdict, effects, judged(found), recalibrated(found, features), clock.delay_s, clock.lag_s,
         clock.at_edge, noise_of(found), untestable,

@@ -68,8 +68,9 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         if heldout is not None:
             lines.append(("HELD-OUT", heldout_line(heldout)))
     if battery.heldout is None:
-        lines.append(("HELD-OUT", f"nothing held out ({len(battery.runs)} runs): a falling error on other runs is not "
-                      "shown"))
+        count = len(battery.runs)
+        lines.append(("HELD-OUT", f"nothing held out ({count} run{'s' * (count != 1)}): how the model does on runs that "
+                      "were not used is not shown"))
     lines += [("NOTE", remark) for remark in battery.remarks]
     if battery.untestable:
         lines.append(("UNTESTABLE", _untestable(battery)))

@@ -98,7 +98,7 @@ def prepare(model: PowerModel, logs: Sequence[Any], battery: str) -> Prepared:
         needed = sorted({name for columns in lacking.values() for name in columns})
         raise InputError.single(
             f"the model of battery '{battery}' needs columns that the logs lack",
-            got=", ".join(sorted(name for name in names if not name.startswith("on_time_"))), allowed=", ".join(needed),
+            got=", ".join(sorted(set.intersection(*(set(log.columns) for log in tables)))), allowed=", ".join(needed),
         )
     parameters = {
         term.name_of(name): parameter for term in model.of(battery) for name, parameter in term.parameters.items()

@@ -77,7 +77,7 @@ def test_nothing_and_something_unknown() -> None:
 
 
 def test_few_runs_say_that_nothing_was_held_out() -> None:
-    assert "nothing held out (1 runs)" in text(replace(BATTERY, heldout=None))
+    assert "nothing held out (1 run)" in text(replace(BATTERY, heldout=None))
 
 
 @pytest.mark.parametrize("battery", [BATTERY, replace(BATTERY, effects=(PAYLOAD,), heldout=None)])
