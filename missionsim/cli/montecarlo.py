@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, progress, shows_text, simple_table
-from missionsim.errors import InputError
+from missionsim.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from missionsim.uncertainty.batch import Prepared, Task
@@ -85,8 +85,11 @@ def montecarlo(
     task = Task(str(mission), overrides, robot, seed, chosen)
     prepared = prepare(task)
     if not prepared.sampler.values and shows_text(json, quiet):
-        print("warning: no number of this mission is uncertain; all runs are the same unless the mission itself is "
-              "left to chance", file=sys.stderr)
+        print(
+            "warning: no number of this mission is uncertain; all runs are the same unless the mission itself is "
+            "left to chance",
+            file=sys.stderr,
+        )
     if only is not None:
         return _only(prepared, seed, only, json, quiet)
     if out is not None:
@@ -97,10 +100,16 @@ def montecarlo(
 
 
 def _check(
-    runs: int, workers: int, until: float | None, only: int | None, sobol: int, out: Path | None, resume: bool,
+    runs: int,
+    workers: int,
+    until: float | None,
+    only: int | None,
+    sobol: int,
+    out: Path | None,
+    resume: bool,
     plot: bool,
 ) -> None:
-    faults = []
+    faults: list[Fault] = []
     for name, bad, got, allowed in (
         ("--runs", runs < 1, runs, "1 or more"),
         ("--workers", workers < 1, workers, "1 or more"),
@@ -125,7 +134,9 @@ def _only(prepared: Prepared, seed: int, run: int, json: str | None, quiet: bool
         terminal = console()
         units = {value.name: value.unit for value in prepared.sampler.values}
         rows = [(name, f"{value:.6g}", units[name]) for name, value in drawn.items()]
-        terminal.print(simple_table(f"Run {run} of seed {seed}: drawn values", ["value", ("drawn", "right"), "unit"], rows))
+        terminal.print(
+            simple_table(f"Run {run} of seed {seed}: drawn values", ["value", ("drawn", "right"), "unit"], rows)
+        )
         from missionsim.cli.run import show
 
         show(result)
@@ -133,8 +144,18 @@ def _only(prepared: Prepared, seed: int, run: int, json: str | None, quiet: bool
 
 
 def _batch(
-    task: Task, prepared: Prepared, runs: int, workers: int, scheduler: str | None, until: float | None, sobol: int,
-    out: Path, resume: bool, plot: bool, json: str | None, quiet: bool,
+    task: Task,
+    prepared: Prepared,
+    runs: int,
+    workers: int,
+    scheduler: str | None,
+    until: float | None,
+    sobol: int,
+    out: Path,
+    resume: bool,
+    plot: bool,
+    json: str | None,
+    quiet: bool,
 ) -> int:
     from missionsim.cli.common import to_json
     from missionsim.files import write_text
@@ -148,15 +169,27 @@ def _batch(
     try:
         with progress(quiet) as bar, _executor(scheduler) as executor:
             row = bar.add_task(f"runs ({engine})", total=runs)
-            firsts = run_batch(task, runs, store, engine=engine, workers=workers, executor=executor, until=until,
-                               advance=lambda count: bar.advance(row, count))
+            firsts = run_batch(
+                task,
+                runs,
+                store,
+                engine=engine,
+                workers=workers,
+                executor=executor,
+                until=until,
+                advance=lambda count: bar.advance(row, count),
+            )
     except KeyboardInterrupt:
         print(f"interrupted; finished blocks are in {out}; go on with the same command and --resume", file=sys.stderr)
         return RESUMABLE
     batteries = tuple(prepared.mission.robot.batteries)
     answer: dict[str, Any] = {
-        "schema": "missionsim.montecarlo/1", "mission": prepared.mission.name, "robot": prepared.mission.robot.name,
-        "seed": task.seed, "engine": engine, "why_not_arrays": prepared.why_not_arrays,
+        "schema": "missionsim.montecarlo/1",
+        "mission": prepared.mission.name,
+        "robot": prepared.mission.robot.name,
+        "seed": task.seed,
+        "engine": engine,
+        "why_not_arrays": prepared.why_not_arrays,
         **summarise(store, firsts, batteries),
     }
     if sobol:
@@ -187,13 +220,20 @@ class _executor:
         try:
             from distributed import Client
         except ImportError:
-            raise InputError.single("--scheduler needs the extra 'dask'", got="no package 'distributed'",
-                                    allowed='pip install "missionsim[dask]"') from None
+            raise InputError.single(
+                "--scheduler needs the extra 'dask'",
+                got="no package 'distributed'",
+                allowed='pip install "missionsim[dask]"',
+            ) from None
         try:
-            self.client = Client(self.address, timeout=10)
+            self.client = Client(self.address, timeout=10)  # type: ignore[no-untyped-call]
         except (OSError, TimeoutError, ValueError) as error:
-            raise InputError.single("no Dask scheduler answers at this address", got=self.address,
-                                    allowed="an address such as tcp://localhost:8786", hint=str(error)[:80]) from error
+            raise InputError.single(
+                "no Dask scheduler answers at this address",
+                got=self.address,
+                allowed="an address such as tcp://localhost:8786",
+                hint=str(error)[:80],
+            ) from error
         return self.client
 
     def __exit__(self, *_: object) -> None:
@@ -205,10 +245,15 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
     terminal = console()
     p = answer["p_feasible"]
     why = f" (not arrays: {answer['why_not_arrays']})" if answer["why_not_arrays"] else ""
-    terminal.print(f"{answer['mission']} with {answer['robot']}: {answer['runs']} runs, seed {answer['seed']}, "
-                   f"engine {answer['engine']}{why}", markup=False)
-    terminal.print(f"succeeds with its reserve in {100 * p['value']:.2f} % of the runs "
-                   f"(95 % interval {100 * p['low']:.2f} to {100 * p['high']:.2f} %)")
+    terminal.print(
+        f"{answer['mission']} with {answer['robot']}: {answer['runs']} runs, seed {answer['seed']}, "
+        f"engine {answer['engine']}{why}",
+        markup=False,
+    )
+    terminal.print(
+        f"succeeds with its reserve in {100 * p['value']:.2f} % of the runs "
+        f"(95 % interval {100 * p['low']:.2f} to {100 * p['high']:.2f} %)"
+    )
     rows = []
     for name, battery in answer["batteries"].items():
         energy, capacity = battery["energy_wh"], battery["capacity_needed_wh"]
@@ -217,16 +262,41 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
         cells = [energy[key] for key in ("mean", "sd", "q05", "q50", "q95")] + [capacity["value"]]
         low, high = battery["energy_wh"]["intervals"]["q95"]
         rows.append([name, *(f"{cell:.4g}" for cell in cells), f"{low:.4g} … {high:.4g}"])
-    terminal.print(simple_table("Energy [Wh]", ["battery", *[(h, "right") for h in (
-        "mean", "sd", "5 %", "50 %", "95 %", "99 % need")], "95 % quantile lies in"], rows))
+    terminal.print(
+        simple_table(
+            "Energy [Wh]",
+            [
+                "battery",
+                *[(h, "right") for h in ("mean", "sd", "5 %", "50 %", "95 %", "99 % need")],
+                "95 % quantile lies in",
+            ],
+            rows,
+        )
+    )
     failures = answer["failures"]
     for item in failures["empty"][:5]:
-        terminal.print(f"  battery '{item['battery']}' is empty in {item['segment']}: {100 * item['share']:.1f} % of the "
-                       f"runs, typically after {item['median_time_s']:.0f} s", markup=False)
+        terminal.print(
+            f"  battery '{item['battery']}' is empty in {item['segment']}: {100 * item['share']:.1f} % of the "
+            f"runs, typically after {item['median_time_s']:.0f} s",
+            markup=False,
+        )
     for item in failures["reasons"][:5]:
         terminal.print(f"  {100 * item['share']:.1f} %: {item['reason']}", markup=False)
-    rows = [(row["battery"], row["parameter"], f"{row.get('rank_correlation', float('nan')):+.2f}", f"{row['first']:.3f}",
-             "–" if row["total"] is None else f"{row['total']:.3f}") for row in answer["importance"][:12]]
-    if rows:
-        terminal.print(simple_table("What matters", ["battery", "value", ("rank corr.", "right"), ("first order", "right"),
-                                                     ("total", "right")], rows))
+    important = [
+        (
+            row["battery"],
+            row["parameter"],
+            f"{row.get('rank_correlation', float('nan')):+.2f}",
+            f"{row['first']:.3f}",
+            "–" if row["total"] is None else f"{row['total']:.3f}",
+        )
+        for row in answer["importance"][:12]
+    ]
+    if important:
+        terminal.print(
+            simple_table(
+                "What matters",
+                ["battery", "value", ("rank corr.", "right"), ("first order", "right"), ("total", "right")],
+                important,
+            )
+        )

@@ -161,7 +161,8 @@ def processor_term(
 
     def power(cov: Covariates, p: Parameters) -> Any:
         units = {column: np.asarray(_units(cov, column), dtype=float) for column in columns}
-        nearest: Any = np.full(np.shape(np.asarray(number(cov, "speed_m_s"))), np.inf)
+        # grows to the shape of what distinguishes the rows, which is often less than that of the speed
+        nearest: Any = np.asarray(np.inf)
         result: Any = p[idle] if idle else 0.0
         for scheme, navigation, sensors, name in entries:
             distance = sum((np.abs(units[column] - sensors.get(column[3:], 0)) for column in columns), start=0.0)

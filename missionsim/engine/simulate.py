@@ -252,7 +252,7 @@ def check_covariates(plan: Plan, model: PowerModel) -> None:
                 )
 
 
-def split_values(values: Mapping[str, float], model: PowerModel) -> tuple[dict[str, float], dict[str, float]]:
+def split_values(values: Mapping[str, Any], model: PowerModel) -> tuple[dict[str, Any], dict[str, Any]]:
     """Numbers of files by path, and parameters of the power model; a path into the robot file is both."""
     if not values:
         return {}, {}

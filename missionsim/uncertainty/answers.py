@@ -167,8 +167,15 @@ def rank_importance(
         ratio = between / (count * float(np.var(energy[ok])))
         first = 1.0 - (1.0 - ratio) * (count - 1) / (count - classes)
         rho = float(np.corrcoef(np.argsort(order).astype(float), ranks)[0, 1])
-        rows.append({"parameter": name, "battery": battery, "first": max(0.0, float(first)), "total": None,
-                     "rank_correlation": rho})
+        rows.append(
+            {
+                "parameter": name,
+                "battery": battery,
+                "first": max(0.0, float(first)),
+                "total": None,
+                "rank_correlation": rho,
+            }
+        )
     return sorted(rows, key=lambda row: -abs(row["rank_correlation"]))
 
 
@@ -185,7 +192,12 @@ def _failures(store: BlockStore, firsts: list[int], total: int) -> dict[str, Any
                 reasons[message] = reasons.get(message, 0) + 1
     return {
         "empty": [
-            {"battery": battery, "segment": segment, "share": len(times) / total, "median_time_s": float(np.median(times))}
+            {
+                "battery": battery,
+                "segment": segment,
+                "share": len(times) / total,
+                "median_time_s": float(np.median(times)),
+            }
             for (battery, segment), times in sorted(where.items(), key=lambda item: -len(item[1]))
         ],
         "reasons": [

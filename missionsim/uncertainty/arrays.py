@@ -1,9 +1,9 @@
 """Many runs at once: draws × intervals, with the engine's own plan, kinematics and power model.
 
-A mission qualifies when its events cannot change their order: no charger, no activities, no chance, batteries of constant
-energy. Its numbers are found by probing the planner, its phases by the planner's kinematics on arrays, its powers by the
-same `PowerModel`. Before use, runs at the edges and in the middle of the distributions are compared with SimPy; and a run
-in which a battery comes to a threshold is given back to SimPy, since there the events do change.
+A mission qualifies when its events cannot change their order: no charger, no activities, no chance, batteries of
+constant energy. Its numbers are found by probing the planner, its phases by the planner's kinematics on arrays, its
+powers by the same `PowerModel`. Before use, runs at the edges and in the middle of the distributions are compared with
+SimPy; and a run in which a battery comes to a threshold is given back to SimPy, since there the events do change.
 """
 
 from __future__ import annotations
@@ -110,8 +110,12 @@ class ArrayMission:
             feasible &= ~below
             text = f"battery '{name}' ends below its reserve"
             reasons[below] = [f"{old}; {text}" if old else text for old in reasons[below]]
-            numbers[name] = {"energy": spent[:, -1], "charge_left": left, "margin": left - capacity * reserve,
-                             "needed": initial - left}
+            numbers[name] = {
+                "energy": spent[:, -1],
+                "charge_left": left,
+                "margin": left - capacity * reserve,
+                "needed": initial - left,
+            }
             charges[name] = _at(grid, ends, np.concatenate([initial[:, None], lowest], axis=1)) / J_PER_WH
         columns["feasible"] = feasible
         columns["duration_s"], columns["distance_m"] = total, self._distance(cov, duration, rate)
@@ -144,10 +148,16 @@ class ArrayMission:
                 for i in legs:
                     duration[:, at[i, 1]] = np.ravel(entries.leg(i, "duration_s"))
                 continue
-            size = np.concatenate([np.abs(entries.leg(i, "angle_rad") if turn else entries.leg(i, "distance_m"))
-                                   + np.zeros((count, 1)) for i in legs], axis=1)
-            limit = np.concatenate([entries.leg(i, "yaw_rate_rad_s" if turn else "speed_m_s") + np.zeros((count, 1))
-                                    for i in legs], axis=1)
+            size = np.concatenate(
+                [
+                    np.abs(entries.leg(i, "angle_rad") if turn else entries.leg(i, "distance_m")) + np.zeros((count, 1))
+                    for i in legs
+                ],
+                axis=1,
+            )
+            limit = np.concatenate(
+                [entries.leg(i, "yaw_rate_rad_s" if turn else "speed_m_s") + np.zeros((count, 1)) for i in legs], axis=1
+            )
             if instant:
                 made = phases(size, limit)
             else:
@@ -177,12 +187,21 @@ class ArrayMission:
         rates["lateral_speed_m_s"] = cov["lateral_accel_m_s2"]
         bend: Any = np.zeros(len(legs))
         if any(leg.kind == "turn" or leg.curvature_1_m for leg in legs):
-            bend = np.concatenate([
-                np.full((1, 1), np.copysign(1.0, leg.angle_rad)) if leg.kind == "turn"
-                else np.reshape(entries.leg(interval.leg, "curvature_1_m"), (-1, 1)) + np.zeros((1, 1))
-                if leg.kind == "roll" else np.zeros((1, 1))
-                for leg, interval in zip(legs, self.intervals, strict=True)
-            ], axis=1) if not entries.varies("curvature_1_m") else _stack(entries, self.intervals, legs, len(speed))
+            bend = (
+                np.concatenate(
+                    [
+                        np.full((1, 1), np.copysign(1.0, leg.angle_rad))
+                        if leg.kind == "turn"
+                        else np.reshape(entries.leg(interval.leg, "curvature_1_m"), (-1, 1)) + np.zeros((1, 1))
+                        if leg.kind == "roll"
+                        else np.zeros((1, 1))
+                        for leg, interval in zip(legs, self.intervals, strict=True)
+                    ],
+                    axis=1,
+                )
+                if not entries.varies("curvature_1_m")
+                else _stack(entries, self.intervals, legs, len(speed))
+            )
         cov["yaw_rate_rad_s"] = speed * bend
         rates["yaw_rate_rad_s"] = rate * bend
         for name in _SETTINGS:
@@ -219,7 +238,9 @@ class ArrayMission:
                         watts = np.broadcast_to(watts, shape).reshape(shape[0], len(where), -1) @ weights
                     watts = np.broadcast_to(watts, np.broadcast_shapes(watts.shape, (1, len(where))))
                     one = watts.shape[0] == 1
-                    component[battery, key.component] += length @ watts[0] if one else np.einsum("ij,ij->i", length, watts)
+                    component[battery, key.component] += (
+                        length @ watts[0] if one else np.einsum("ij,ij->i", length, watts)
+                    )
                     mean = mean + watts
                 energy[battery][:, where] += length * mean
 
@@ -231,11 +252,17 @@ class ArrayMission:
             times = (0.5 * length[..., None] * (NODES + 1.0)).reshape(count, -1)
             nodes: dict[str, Any] = {}
             for name, value in _take(cov, curved).items():
-                repeated = value[np.repeat(np.arange(curved.size), len(NODES))] if hasattr(value, "codes") else (
-                    np.repeat(value, len(NODES), axis=-1))
+                repeated = (
+                    value[np.repeat(np.arange(curved.size), len(NODES))]
+                    if hasattr(value, "codes")
+                    else (np.repeat(value, len(NODES), axis=-1))
+                )
                 change = rates.get(name)
-                nodes[name] = repeated if change is None else repeated + times * np.repeat(
-                    np.asarray(change)[..., curved], len(NODES), axis=-1)
+                nodes[name] = (
+                    repeated
+                    if change is None
+                    else repeated + times * np.repeat(np.asarray(change)[..., curved], len(NODES), axis=-1)
+                )
             book(self.model.evaluate(nodes, values), curved, length, 0.5 * WEIGHTS)
         for key, joules in self.model.impulses(cov, values).items():
             spread = np.broadcast_to(joules, duration.shape)
@@ -282,11 +309,20 @@ class _Entries:
 
 
 def _stack(entries: _Entries, intervals: tuple[Interval, ...], legs: list[Leg], count: int) -> Array:
-    return np.concatenate([
-        np.zeros((count, 1)) + (np.copysign(1.0, leg.angle_rad) if leg.kind == "turn"
-                                else entries.leg(interval.leg, "curvature_1_m") if leg.kind == "roll" else 0.0)
-        for leg, interval in zip(legs, intervals, strict=True)
-    ], axis=1)
+    return np.concatenate(
+        [
+            np.zeros((count, 1))
+            + (
+                np.copysign(1.0, leg.angle_rad)
+                if leg.kind == "turn"
+                else entries.leg(interval.leg, "curvature_1_m")
+                if leg.kind == "roll"
+                else 0.0
+            )
+            for leg, interval in zip(legs, intervals, strict=True)
+        ],
+        axis=1,
+    )
 
 
 def _ahead(leg: Leg) -> float:
@@ -296,13 +332,25 @@ def _ahead(leg: Leg) -> float:
 
 
 def _take(cov: Mapping[str, Any], index: NDArray[np.intp]) -> dict[str, Any]:
-    return {name: value[index] if hasattr(value, "codes") else np.asarray(value)[..., index]
-            for name, value in cov.items()}
+    return {
+        name: value[index] if hasattr(value, "codes") else np.asarray(value)[..., index] for name, value in cov.items()
+    }
 
 
 def _at(grid: Array, times: Array, values: Array) -> Array:
-    """Linear interpolation of each row; times of a row increase."""
-    return np.array([np.interp(g, t, v) for g, t, v in zip(grid, times, values, strict=True)])
+    """Linear interpolation of each row, of shapes (n, points), (n, knots) and (n, knots); times of a row increase."""
+    count, knots = times.shape
+    # one search over all rows: each row's times, as parts of its last, get a range of their own
+    row = 2.0 * np.arange(count)[:, None]
+    scale = np.where(times[:, -1:] > 0.0, times[:, -1:], 1.0)
+    found = np.searchsorted((times / scale + row).ravel(), (grid / scale + row).ravel(), side="right").reshape(
+        grid.shape
+    )
+    right = np.clip(found - knots * np.arange(count)[:, None], 1, knots - 1)
+    t0, t1 = np.take_along_axis(times, right - 1, axis=1), np.take_along_axis(times, right, axis=1)
+    v0, v1 = np.take_along_axis(values, right - 1, axis=1), np.take_along_axis(values, right, axis=1)
+    part = np.where(t1 > t0, (grid - t0) / np.where(t1 > t0, t1 - t0, 1.0), 1.0)
+    return np.asarray(v0 + (v1 - v0) * np.clip(part, 0.0, 1.0))
 
 
 def _numbers(plan: Plan, setup: RunSetup) -> Array:
@@ -344,20 +392,29 @@ def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) ->
     reason = _obstacle(mission, plan, setup, whole)
     if reason:
         return reason
-    shape = [(leg.kind, leg.instant, leg.direction_rad, leg.settings._replace(payload_kg=0.0, slope_rad=0.0))
-             for leg in plan.legs]
+    shape = [
+        (leg.kind, leg.instant, leg.direction_rad, leg.settings._replace(payload_kg=0.0, slope_rad=0.0))
+        for leg in plan.legs
+    ]
 
     def numbers_of(values: Mapping[str, float]) -> Array:
         numbers, drawn = split_values(values, model)
         varied = make_plan(mission, numbers)
-        same = [(leg.kind, leg.instant, leg.direction_rad, leg.settings._replace(payload_kg=0.0, slope_rad=0.0))
-                for leg in varied.legs]
+        same = [
+            (leg.kind, leg.instant, leg.direction_rad, leg.settings._replace(payload_kg=0.0, slope_rad=0.0))
+            for leg in varied.legs
+        ]
         if same != shape:
             raise ValueError("an uncertain value changes what the plan consists of")
         return _numbers(varied, RunSetup(mission, varied, model, numbers, drawn))
 
-    checks = [{name: float(values[0]) for name, values in sampler.at(
-        {value.name: np.array([p]) for value in sampler.values}).items()} for p in _CHECK_PROBABILITIES]
+    checks = [
+        {
+            name: float(values[0])
+            for name, values in sampler.at({value.name: np.array([p]) for value in sampler.values}).items()
+        }
+        for p in _CHECK_PROBABILITIES
+    ]
     found = probe(numbers_of, nominal, checks)
     if isinstance(found, str):
         return found
@@ -417,11 +474,23 @@ def _assemble(
     if missing:
         return "a leg takes no time at the nominal values"
     pick = np.array([states[interval.leg] for interval in intervals])
-    skip = {"speed_m_s", "accel_m_s2", "lateral_speed_m_s", "lateral_accel_m_s2", "yaw_rate_rad_s", "moving",
-            "moving_time_s", "starts", "slope_rad", "payload_kg", "time_s"}
+    skip = {
+        "speed_m_s",
+        "accel_m_s2",
+        "lateral_speed_m_s",
+        "lateral_accel_m_s2",
+        "yaw_rate_rad_s",
+        "moving",
+        "moving_time_s",
+        "starts",
+        "slope_rad",
+        "payload_kg",
+        "time_s",
+    }
     columns: dict[str, Any] = {
         name: value[pick] if hasattr(value, "codes") else np.asarray(value)[pick]
-        for name, value in line.columns.items() if name not in skip and not name.startswith("on_time_")
+        for name, value in line.columns.items()
+        if name not in skip and not name.startswith("on_time_")
     }
     columns["moving"] = np.array([float(interval.moving) for interval in intervals])
     columns["starts"] = np.array([float(interval.begins) for interval in intervals])
@@ -451,8 +520,10 @@ def _disagreement(made: ArrayMission, checks: list[dict[str, float]]) -> str:
         for name, battery in result.batteries.items():
             ours = float(columns[f"energy_{name}_wh"][i])
             if abs(ours - battery.energy_wh) > AGREEMENT * max(abs(battery.energy_wh), 1e-12):
-                return (f"arrays and SimPy differ by {abs(ours / battery.energy_wh - 1):.1e} on battery '{name}' "
-                        "(a term has a kink or fades inside an interval)")
+                return (
+                    f"arrays and SimPy differ by {abs(ours / battery.energy_wh - 1):.1e} on battery '{name}' "
+                    "(a term has a kink or fades inside an interval)"
+                )
         if bool(columns["feasible"][i]) != result.feasible:
             return "arrays and SimPy do not agree on what is feasible"
     return ""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures import FIRST_COMPLETED as FIRST
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,6 @@ from missionsim.uncertainty.single import simulate_block
 from missionsim.uncertainty.store import BlockStore
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 BLOCK_RUNS = {"simpy": 200, "arrays": 4096}
@@ -66,8 +65,12 @@ def prepare(task: Task) -> Prepared:
     compiled = compile_arrays(mission, model, sampler) if task.engine != "simpy" else "SimPy was asked for"
     if isinstance(compiled, str):
         if task.engine == "arrays":
-            raise InputError.single("this mission cannot be evaluated as arrays", file=task.mission, got=compiled,
-                                    allowed="--engine simpy, or auto")
+            raise InputError.single(
+                "this mission cannot be evaluated as arrays",
+                file=task.mission,
+                got=compiled,
+                allowed="--engine simpy, or auto",
+            )
         return Prepared(mission, model, sampler, None, compiled)
     return Prepared(mission, model, sampler, compiled, "")
 
@@ -88,13 +91,27 @@ def identity(task: Task, runs: int, engine: str) -> dict[str, Any]:
         path = getattr(part, "path", None)
         if path:
             files[name] = sha256(path)
-    return {"missionsim": __version__, "engine": engine, "seed": task.seed, "runs": runs,
-            "block_runs": BLOCK_RUNS[engine], "overrides": [list(pair) for pair in task.overrides], "files": files}
+    return {
+        "missionsim": __version__,
+        "engine": engine,
+        "seed": task.seed,
+        "runs": runs,
+        "block_runs": BLOCK_RUNS[engine],
+        "overrides": [list(pair) for pair in task.overrides],
+        "files": files,
+    }
 
 
 def run_batch(
-    task: Task, runs: int, store: BlockStore, *, engine: str, workers: int = 1, executor: Executor | None = None,
-    until: float | None = None, advance: Callable[[int], None] = lambda runs: None,
+    task: Task,
+    runs: int,
+    store: BlockStore,
+    *,
+    engine: str,
+    workers: int = 1,
+    executor: Executor | None = None,
+    until: float | None = None,
+    advance: Callable[[int], None] = lambda runs: None,
 ) -> list[int]:
     """Compute all blocks that are not there yet.
 
@@ -124,7 +141,7 @@ def run_batch(
     spans = [(first, min(size, runs - first)) for first in range(0, runs, size)]
     counted: list[int] = []
     good = total = 0
-    for (first, count) in _finished(task, spans, store, workers, executor):
+    for first, count in _finished(task, spans, store, workers, executor):
         advance(count)
         counted.append(first)
         if until is not None:
@@ -187,7 +204,7 @@ def wait_for(futures: Iterable[Any]) -> tuple[set[Any], set[Any]]:
     if listed and not isinstance(listed[0], Future):
         from distributed import wait as cluster_wait
 
-        found = cluster_wait(listed, return_when="FIRST_COMPLETED")
+        found = cluster_wait(listed, return_when="FIRST_COMPLETED")  # type: ignore[no-untyped-call]
         return set(found.done), set(found.not_done)
     found_local = wait(listed, return_when=FIRST)
     return set(found_local.done), set(found_local.not_done)

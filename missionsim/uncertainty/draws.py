@@ -95,9 +95,7 @@ def make_sampler(mission: MissionSpec) -> Sampler:
         if part is not None:
             for path, parameter in uncertain_values(part):
                 assert parameter.distribution is not None
-                found.append(
-                    UncertainValue(prefix + path, parameter.value, parameter.unit, parameter.distribution)
-                )
+                found.append(UncertainValue(prefix + path, parameter.value, parameter.unit, parameter.distribution))
     names = [value.name for value in found]
     return Sampler(tuple(found), _groups(mission, names))
 
@@ -108,8 +106,11 @@ def _groups(mission: MissionSpec, names: list[str]) -> tuple[tuple[tuple[str, ..
         for name in item.between:
             if name not in names:
                 raise InputError.single(
-                    "a correlation names a value that is not uncertain", file=str(mission.path), got=name,
-                    allowed=", ".join(names) or "nothing here is uncertain", hint=did_you_mean(name, names),
+                    "a correlation names a value that is not uncertain",
+                    file=str(mission.path),
+                    got=name,
+                    allowed=", ".join(names) or "nothing here is uncertain",
+                    hint=did_you_mean(name, names),
                 )
         pairs[item.between] = item.rho
     linked = {name: {name} for pair in pairs for name in pair}
@@ -117,7 +118,7 @@ def _groups(mission: MissionSpec, names: list[str]) -> tuple[tuple[tuple[str, ..
         together = linked[one] | linked[other]
         for name in together:
             linked[name] = together
-    groups = []
+    groups: list[tuple[tuple[str, ...], NDArray[np.float64]]] = []
     for members in {frozenset(group) for group in linked.values()}:
         ordered = tuple(name for name in names if name in members)
         matrix = np.eye(len(ordered))
@@ -126,10 +127,12 @@ def _groups(mission: MissionSpec, names: list[str]) -> tuple[tuple[tuple[str, ..
                 i, j = ordered.index(one), ordered.index(other)
                 matrix[i, j] = matrix[j, i] = rho
         try:
-            groups.append((ordered, np.linalg.cholesky(matrix)))
+            groups.append((ordered, np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)))
         except np.linalg.LinAlgError:
             raise InputError.single(
                 "these correlations cannot hold together (their matrix is not positive definite)",
-                file=str(mission.path), got=", ".join(ordered), path="correlations",
+                file=str(mission.path),
+                got=", ".join(ordered),
+                path="correlations",
             ) from None
-    return tuple(sorted(groups))
+    return tuple(sorted(groups, key=lambda group: group[0]))

@@ -1,13 +1,13 @@
 """How the numbers of a plan follow from the uncertain values, found by varying one at a time and checked on draws.
 
-A leg's length is a map's length times a path stretch, its speed the speed asked times the part of it that is reached: the
-plan's numbers are products of powers, or sums, of the files' numbers. That is found here without writing the planner a
-second time; what does not fit such a form is not evaluated as arrays.
+A leg's length is a map's length times a path stretch, its speed the speed asked times the part of it that is reached:
+the plan's numbers are products of powers, or sums, of the files' numbers. That is found here without writing the
+planner a second time; what does not fit such a form is not evaluated as arrays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,7 +60,9 @@ class Dependence:
 
 
 def probe(
-    numbers_of: Callable[[Mapping[str, float]], Array], nominal: Mapping[str, float], checks: list[Mapping[str, float]]
+    numbers_of: Callable[[Mapping[str, float]], Array],
+    nominal: Mapping[str, float],
+    checks: Sequence[Mapping[str, float]],
 ) -> Dependence | str:
     """Find the form of every entry and check it on draws.
 
@@ -114,7 +116,9 @@ def _form(base: Array, changed: list[Array], value: float, steps: list[float]) -
     if value and np.all(base != 0.0):
         ratios = [(numbers / base, 1.0 + step / value) for numbers, step in zip(changed, steps, strict=True)]
         up = np.all([_same(got, np.full_like(got, want), 0.0, RELATIVE_TOLERANCE) for got, want in ratios], axis=0)
-        down = np.all([_same(got, np.full_like(got, 1 / want), 0.0, RELATIVE_TOLERANCE) for got, want in ratios], axis=0)
+        down = np.all(
+            [_same(got, np.full_like(got, 1 / want), 0.0, RELATIVE_TOLERANCE) for got, want in ratios], axis=0
+        )
         if np.all(up | down):
             return "power", np.where(up, 1.0, -1.0)
     slope = [(numbers - base) / step for numbers, step in zip(changed, steps, strict=True)]

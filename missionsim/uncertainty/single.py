@@ -87,7 +87,11 @@ def _row(result: RunResult) -> dict[str, Any]:
 
 
 def _columns(
-    rows: list[dict[str, Any]], draws: Draws, first: int, *, batteries: tuple[str, ...],
+    rows: list[dict[str, Any]],
+    draws: Draws,
+    first: int,
+    *,
+    batteries: tuple[str, ...],
     components: tuple[tuple[str, str], ...],
 ) -> dict[str, NDArray[Any]]:
     count = len(rows)

@@ -95,7 +95,8 @@ class BlockStore:
             differing = sorted(key for key in {*before, *identity} if before.get(key) != identity.get(key))
             if differing:
                 raise InputError.single(
-                    f"the batch in this folder is another one: {', '.join(differing)} differ", file=str(path),
+                    f"the batch in this folder is another one: {', '.join(differing)} differ",
+                    file=str(path),
                     got=", ".join(f"{key}={identity.get(key)}" for key in differing),
                     allowed=", ".join(f"{key}={before.get(key)}" for key in differing),
                 )

@@ -1,0 +1,253 @@
+"""Monte Carlo: one physics, the same bits for any workers, resumable, with the error of its own answers."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from missionsim.cli.app import run_command
+from missionsim.uncertainty.answers import proportion_interval, quantile_interval
+from missionsim.uncertainty.batch import Task, prepare
+from missionsim.uncertainty.probe import probe
+from missionsim.uncertainty.single import simulate_block, simulate_run
+from missionsim.uncertainty.store import BlockStore
+
+ROOT = Path(__file__).resolve().parents[2]
+PATROL = str(ROOT / "missions/pioneer3dx/valve_patrol_as_driven.yaml")
+FEEDBACK = str(ROOT / "missions/pioneer3dx/infeasible.yaml")
+
+
+def numbers(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: np.asarray(v, dtype=float) for name, v in columns.items() if v.dtype != object}
+
+
+def assert_agree(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> None:
+    ours, theirs = numbers(one), numbers(other)
+    assert ours.keys() == theirs.keys()
+    for name in ours:
+        np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-9, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "missions").glob("*/*.yaml")), ids=lambda p: p.stem)
+def test_arrays_and_simpy_agree_on_shipped_missions(path: Path) -> None:
+    if "kind: study" in path.read_text(encoding="utf-8"):
+        pytest.skip("a study, not a mission")
+    prepared = prepare(Task(str(path), (), None, 3, "auto"))
+    if prepared.arrays is None:
+        assert prepared.why_not_arrays
+        return
+    assert_agree(
+        prepared.arrays.block(3, 40, 6), simulate_block(prepared.mission, prepared.model, prepared.sampler, 3, 40, 6)
+    )
+
+
+ROBOT = """kind: robot
+name: random_robot
+body: {{mass: 20 kg, drive: differential, max_speed: 2 m/s, max_acceleration: {accel}, max_yaw_rate: 1 rad/s}}
+batteries: {{main: {{capacity: {{value: {capacity} Wh, sd: 5 %}}, reserve: 10 %}}}}
+motion:
+  battery: main
+  model: polynomial
+  parameters: {{c2: {{value: 6, sd: 5 %}}, c3: {{value: 10, sd: 5 %}}, c4: 4, standing: {{value: 3, sd: 0.1}}}}
+components:
+  lidar: {{loads: [{{battery: main, power: {{value: 8 W, sd: 0.3 W}}}}]}}
+schemes: {{follow: {{sensors: {{optional: {{lidar: 1}}}}}}}}
+effects:
+  - {{effect: turning_scrub, battery: main, parameters: {{k: {{value: 3, sd: 0.2}}}}}}
+  - {{effect: conversion_loss, battery: main, parameters: {{k: 0.002}}}}
+"""
+
+SEGMENTS = st.one_of(
+    st.tuples(st.floats(0.5, 80.0), st.floats(0.1, 1.5), st.floats(0.0, 0.2), st.integers(0, 1)).map(
+        lambda t: (
+            f"  - drive: {{distance: {{value: {t[0]:.3f} m, sd: 2 %}}, speed: {{value: {t[1]:.3f} m/s, sd: 3 %}}, "
+            f"behaviour: {{path_stretch: {{value: {1 + t[2]:.3f}, sd: 0.01}}}}, sensors: {{lidar: {t[3]}}}}}"
+        )
+    ),
+    st.floats(1.0, 300.0).map(
+        lambda s: f"  - wait: {{duration: {{value: {s:.2f} s, low: {0.9 * s:.2f} s, high: {1.2 * s:.2f} s}}}}"
+    ),
+    st.floats(10.0, 180.0).map(lambda a: f"  - turn: {{angle: {a:.1f} deg}}"),
+    st.tuples(st.floats(0.5, 5.0), st.floats(10.0, 90.0)).map(
+        lambda t: f"  - arc: {{radius: {t[0]:.2f} m, angle: {t[1]:.1f} deg, speed: {{value: 0.4 m/s, sd: 2 %}}}}"
+    ),
+)
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.lists(SEGMENTS, min_size=1, max_size=7),
+    st.sampled_from(["0.3 m/s^2", "{value: 0.5 m/s^2, sd: 4 %}"]),
+    st.sampled_from([1.0, 500.0]),
+    st.integers(0, 10**6),
+)
+def test_arrays_and_simpy_agree_on_random_missions(
+    tmp_path: Path, segments: list[str], accel: str, capacity: float, seed: int
+) -> None:
+    (tmp_path / "robot.yaml").write_text(ROBOT.format(accel=accel, capacity=capacity), encoding="utf-8")
+    text = "kind: mission\nname: random\nrobot: robot.yaml\ndefaults: {speed: 0.5 m/s, scheme: follow}\nsegments:\n"
+    path = tmp_path / "mission.yaml"
+    path.write_text(text + "\n".join(segments) + "\n", encoding="utf-8")
+    prepare.cache_clear()
+    prepared = prepare(Task(str(path), (), None, seed, "auto"))
+    assert prepared.arrays is not None or prepared.why_not_arrays
+    if prepared.arrays is not None:
+        assert_agree(
+            prepared.arrays.block(seed, 0, 4),
+            simulate_block(prepared.mission, prepared.model, prepared.sampler, seed, 0, 4),
+        )
+
+
+def test_one_run_alone_is_the_run_of_the_batch() -> None:
+    prepared = prepare(Task(PATROL, (), None, 11, "auto"))
+    assert prepared.arrays is not None
+    block = prepared.arrays.block(11, 0, 800)
+    drawn, result = simulate_run(prepared.mission, prepared.model, prepared.sampler, 11, 731)
+    assert all(block[f"drawn:{name}"][731] == value for name, value in drawn.items())
+    assert block["energy_robot_wh"][731] == pytest.approx(result.batteries["robot"].energy_wh, rel=1e-9)
+    assert len(result.timeline) > 1
+
+
+def test_another_uncertain_value_changes_no_other_draw() -> None:
+    plain = prepare(Task(PATROL, (), None, 5, "auto")).sampler.draw(5, 0, 50)
+    more = prepare(
+        Task(PATROL, (("robot.components.kinect.loads.0.power", "{value: 2.82 W, sd: 0.1 W}"),), None, 5, "auto")
+    )
+    drawn = more.sampler.draw(5, 0, 50)
+    assert len(drawn) == len(plain) + 1
+    assert all(np.array_equal(drawn[name], values) for name, values in plain.items())
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def batch(out: Path, *more: str, runs: int = 700) -> int:
+    command = ["montecarlo", PATROL, "--runs", str(runs), "--seed", "9", "--out", str(out), "--quiet", *more]
+    return run_command(command)
+
+
+def test_same_bytes_for_any_number_of_workers(tmp_path: Path) -> None:
+    assert batch(tmp_path / "one", "--engine", "simpy") == 0
+    assert batch(tmp_path / "two", "--engine", "simpy", "--workers", "2") == 0
+    assert files(tmp_path / "one") == files(tmp_path / "two")
+
+
+def test_killed_batch_resumes_to_the_same_bytes(tmp_path: Path) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "missionsim",
+        "montecarlo",
+        PATROL,
+        "--runs",
+        "3000",
+        "--seed",
+        "9",
+        "--engine",
+        "simpy",
+        "--workers",
+        "2",
+        "--quiet",
+        "--out",
+        str(tmp_path / "killed"),
+    ]
+    process = subprocess.Popen(command, start_new_session=True)
+    deadline = time.monotonic() + 120
+    while not list((tmp_path / "killed" / "blocks").glob("runs_*.parquet")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    done = len(list((tmp_path / "killed" / "blocks").glob("runs_*.parquet")))
+    assert 0 < done < 15
+    assert not (tmp_path / "killed" / "summary.json").exists()
+    assert batch(tmp_path / "killed", "--engine", "simpy", runs=3000) == 2
+    assert batch(tmp_path / "killed", "--engine", "simpy", "--resume", runs=3000) == 0
+    assert batch(tmp_path / "whole", "--engine", "simpy", runs=3000) == 0
+    killed = {name: data for name, data in files(tmp_path / "killed").items() if not Path(name).name.startswith(".")}
+    assert killed == files(tmp_path / "whole")
+
+
+def test_json_follows_the_contract(tmp_path: Path) -> None:
+    target = tmp_path / "answer.json"
+    assert run_command(["montecarlo", PATROL, "--runs", "400", "--seed", "7", "--quiet", "--json", str(target)]) == 0
+    answer = json.loads(target.read_text(encoding="utf-8"))
+    assert answer["schema"] == "missionsim.montecarlo/1"
+    assert answer["runs"] == 400
+    assert answer["engine"] == "arrays"
+    assert 0.0 <= answer["p_feasible"]["low"] <= answer["p_feasible"]["value"] <= answer["p_feasible"]["high"] <= 1.0
+    energy = answer["batteries"]["laptop"]["energy_wh"]
+    assert energy["q05"] < energy["q50"] < energy["q95"]
+    assert {"parameter", "battery", "first", "total"} <= answer["importance"][0].keys()
+
+
+def test_until_stops_early_and_only_runs_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "until"
+    assert batch(out, "--engine", "simpy", "--until", "0.05", runs=100_000) == 0
+    assert 0 < len(BlockStore(out).firsts()) < 10
+    assert run_command(["montecarlo", PATROL, "--seed", "9", "--only", "3", "--json", "-"]) == 0
+    alone = json.loads(capsys.readouterr().out)
+    assert alone["run"] == 3
+    assert alone["drawn"]["robot.motion.parameters.c3"] == BlockStore(out).column("drawn:robot.motion.parameters.c3")[3]
+
+
+def test_failures_are_told_where_and_when(tmp_path: Path) -> None:
+    target = tmp_path / "answer.json"
+    assert run_command(["montecarlo", FEEDBACK, "--runs", "30", "--quiet", "--json", str(target)]) == 0
+    answer = json.loads(target.read_text(encoding="utf-8"))
+    assert answer["engine"] == "simpy"
+    assert answer["p_feasible"]["value"] == 0.0
+    assert answer["failures"]["empty"][0]["battery"] == "laptop"
+    assert answer["failures"]["empty"][0]["share"] == 1.0
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--runs", "0"], ["--workers", "0"], ["--until", "2"], ["--only", "-1"], ["--sobol", "100"], ["--resume"]],
+)
+def test_wrong_options_are_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["montecarlo", PATROL, *arguments]) == 2
+    assert arguments[0] in capsys.readouterr().err
+
+
+def test_arrays_are_refused_with_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(ROOT / "missions/pioneer3dx/recharging_patrol.yaml")
+    assert run_command(["montecarlo", path, "--engine", "arrays", "--runs", "5"]) == 2
+    assert "cannot be evaluated as arrays" in capsys.readouterr().err
+
+
+def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(20)
+    covered_p = covered_q = 0
+    for _ in range(1000):
+        good = int(rng.binomial(400, 0.93))
+        low, high = proportion_interval(good, 400)
+        covered_p += low <= 0.93 <= high
+        ordered = np.sort(rng.exponential(size=400))
+        low, high = quantile_interval(ordered, 0.95)
+        covered_q += low <= -np.log(0.05) <= high
+    assert 920 <= covered_p <= 980
+    assert 920 <= covered_q <= 980
+
+
+def test_probing_finds_products_and_sums_and_refuses_other_forms() -> None:
+    nominal = {"a": 2.0, "b": 3.0, "c": 0.0}
+    checks = [{"a": 2.2, "b": 2.5, "c": 0.4}, {"a": 1.7, "b": 3.3, "c": -0.2}]
+    found = probe(lambda v: np.array([v["a"] * v["b"], v["a"] / v["b"], 5.0 + v["c"], 7.0]), nominal, checks)
+    assert not isinstance(found, str)
+    draws = {name: np.array([check[name] for check in checks]) for name in nominal}
+    assert np.ravel(found.at(draws, 0)) == pytest.approx([2.2 * 2.5, 1.7 * 3.3])
+    assert np.ravel(found.at(draws, 1)) == pytest.approx([2.2 / 2.5, 1.7 / 3.3])
+    assert np.ravel(found.at(draws, 2)) == pytest.approx([5.4, 4.8])
+    assert found.at(draws, 3) == 7.0
+    assert isinstance(probe(lambda v: np.array([np.sin(v["a"]), v["a"] + v["b"] * v["a"]]), nominal, checks), str)
