@@ -9,12 +9,13 @@ import numpy as np
 from missionsim.identify.data import Candidate, Settings
 from missionsim.identify.gram import Gram
 from missionsim.identify.model import Model
-from missionsim.identify.remainder import steady
+from missionsim.identify.remainder import ramps, steady
 from missionsim.identify.result import Pair
 from missionsim.identify.search import Rules, all_sets, set_gains, single_gains
 
 ODDS_NATS = 3.0
 """A rival 3 nats behind has one twentieth of the weight."""
+SAME_COLUMN = 0.995
 EXTRA_EFFECT_NATS = 4.0
 """Price of an explanation that needs one effect more."""
 
@@ -35,7 +36,30 @@ def rivals(
     if own > 0.5 * (model.gram.gain(model.chosen) - model.gram.gain(rest)):
         for other, behind in _close_ones(flat.gram, flat, effect, rules, candidates, settings, spread).items():
             full[other] = min(full.get(other, np.inf), behind)
-    return tuple(candidates[o].effect for o in sorted(full, key=lambda o: full[o]))
+    ordered = sorted(full, key=lambda o: full[o])
+    ordered += [o for o in _proportional(model, [effect, *ordered], rules, candidates) if o not in (effect, *ordered)]
+    return tuple(candidates[o].effect for o in ordered)
+
+
+def _proportional(model: Model, named: Sequence[int], rules: Rules, candidates: Sequence[Candidate]) -> list[int]:
+    """Effects of the same covariate whose power is proportional to that of a named one away from ramps.
+
+    At one cruise speed v, v2 and v3 are the same column; what then prefers one of them is noise.
+    """
+    covariates = {candidates[n].covariate for n in named if candidates[n].covariate}
+    rows = model.design.phi[:, ~ramps(model)]
+    size = np.linalg.norm(rows, axis=1)
+    found: list[int] = []
+    for a in (k for k in range(len(rows)) if rules.effect[k] in named):
+        for b in range(len(rows)):
+            other = int(rules.effect[b])
+            if other in named or other in found or candidates[other].covariate not in covariates:
+                continue
+            if candidates[other].covariate != candidates[int(rules.effect[a])].covariate or rules.joint[b]:
+                continue
+            if rows[a] @ rows[b] > SAME_COLUMN * size[a] * size[b] > 0:
+                found.append(other)
+    return found
 
 
 def _close_ones(

@@ -22,6 +22,7 @@ VERY_LOUD_NATS = 50.0
 RAMP = 0.03
 RAMP_TAIL_ROWS = 2
 SUPPORT_S = 8.0
+ONE_SPEED = 0.25
 FEWEST_HATS = 3
 FORM_LEVEL = 1e-3
 """Level of the one test of an effect's form; a misfit must be large as well."""
@@ -91,6 +92,19 @@ def hats(values: Array, knots: Array) -> Array:
     return out
 
 
+def varies(model: Model, covariate: str) -> bool:
+    """Whether the speed took several values away from ramps; at one cruise speed no form can be judged."""
+    if covariate != "speed_m_s":
+        return True
+    raw = [np.abs(np.nan_to_num(run.covariates[covariate]))[None, :] for run in model.source.runs]
+    speed = model.source.averaged(raw, model.clock)[0][~ramps(model)]
+    speed = speed[speed > 0.2 * np.max(speed, initial=0.0)]
+    if len(speed) < 20:
+        return False
+    low, middle, high = np.quantile(speed, [0.05, 0.5, 0.95])
+    return bool(high - low > ONE_SPEED * middle)
+
+
 def curve_rows(model: Model, covariate: str, times: str = "") -> tuple[Array, Array]:
     """Basis of a free curve over a covariate at the analysis rate (k, n), and its knots."""
     runs = model.source.runs
@@ -158,7 +172,7 @@ def dependences(model: Model, spread: float, settings: Settings, chosen: Sequenc
     out: dict[str, Structure] = {}
     for name, times in tests:
         rows, knots = curve_rows(model, name, times)
-        if len(knots) > 3 and rows.shape[0] < FEWEST_HATS:
+        if not varies(model, name) or (len(knots) > 3 and rows.shape[0] < FEWEST_HATS):
             continue
         best: tuple[float, float, Array, float] | None = None
         for judge, least, level in ((flat, 8.0, LOUD), (model, VERY_LOUD_NATS, 0.1 * LOUD)):
@@ -231,7 +245,7 @@ def wrong_form(model: Model, column: int, covariate: str, spread: float, setting
     rest = [k for k in model.chosen if k != column]
     times = "speed_m_s" if covariate in TIMES_SPEED and "speed_m_s" in model.source.covariates else ""
     rows, knots = curve_rows(model, covariate, times)
-    if rows.shape[0] < (FEWEST_HATS if covariate == "speed_m_s" else 2):
+    if rows.shape[0] < 2 or not varies(model, covariate):
         return None  # too few values of the covariate to judge a form
     judges = [(model, RAMP_FORM_RATIO)]
     if covariate not in ABOUT_RAMPS:
