@@ -92,8 +92,8 @@ def execution_effects(
     still = _thresholds(timeline)
     known = {name for name, motion in planned.items() if motion.distance_m > 0.0}
     logged = [set(log.columns["scheme"].texts().tolist()) if "scheme" in log.columns else set() for log in logs]
-    # schemes are compared one by one only where plan and logs speak of the same ones
-    if not all(known == own & known and known for own in logged) or len(known) == 1:
+    # schemes are compared one by one only where the logs name every scheme that the plan drives
+    if len(known) < 2 or not all(known <= own for own in logged):
         planned = _planned(timeline, False)
         schemes = False
     else:

@@ -69,8 +69,8 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
             lines.append(("HELD-OUT", heldout_line(heldout)))
     if battery.heldout is None:
         count = len(battery.runs)
-        lines.append(("HELD-OUT", f"nothing held out ({count} run{'s' * (count != 1)}): how the model does on runs that "
-                      "were not used is not shown"))
+        lines.append(("HELD-OUT", f"nothing held out ({count} run{'s' * (count != 1)}): how the model does on runs "
+                      "that were not used is not shown"))
     lines += [("NOTE", remark) for remark in battery.remarks]
     if battery.untestable:
         lines.append(("UNTESTABLE", _untestable(battery)))

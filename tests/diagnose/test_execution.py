@@ -91,3 +91,28 @@ def test_one_run_says_that_it_cannot_show_scatter(plan: Timeline) -> None:
     effects = execution_effects(plan, [log(0, stretch=1.2)], "robot")
     assert not any(one.found for one in effects)
     assert "one run cannot show how it scatters" in {one.reason for one in effects}
+
+
+def test_each_scheme_has_its_own_stretch(tmp_path: Path) -> None:
+    path = tmp_path / "two.yaml"
+    path.write_text(
+        "kind: mission\nname: two\nrobot: pioneer3dx\ndefaults: {profile: constant_speed, speed: 0.5 m/s}\nsegments:\n"
+        "  - drive: {name: a, distance: 20 m, scheme: forward_motion}\n"
+        "  - inspect: {name: look, duration: 10 s, scheme: image_analysis, sensors: {kinect: 1}}\n"
+        "  - drive: {name: b, distance: 20 m, scheme: path_following, sensors: {laser: 2}}\n", encoding="utf-8")
+    timeline = simulate(load_mission(path)).timeline
+    logs = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        first, second = (round(20.0 * stretch / 0.5 * (1 + 0.004 * rng.standard_normal())) for stretch in (1.0, 1.15))
+        v = np.concatenate([np.full(first, 0.5), np.zeros(10), np.full(second, 0.5)])
+        scheme = ["forward_motion"] * first + ["image_analysis"] * 10 + ["path_following"] * second
+        count = len(v)
+        columns = {"time_s": np.arange(count) + 0.5, "speed_m_s": v, "yaw_rate_rad_s": np.zeros(count),
+                   "scheme": Labels.of(scheme)}
+        power = 6.25 * v**2 + 9.79 * v + 3.0
+        logs.append(LogTable(f"run_{seed}", columns, np.ones(count), {"robot": power}, {"robot": None},
+                             {"robot": "power"}))
+    named = [one for one in execution_effects(timeline, logs, "robot") if one.found]
+    assert [(one.effect, one.scheme) for one in named] == [("path_stretch", "path_following")]
+    assert named[0].value == pytest.approx(1.15, abs=0.01)
