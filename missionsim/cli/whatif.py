@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +13,7 @@ from missionsim.cli.run import clock
 from missionsim.errors import Fault, InputError
 
 if TYPE_CHECKING:
-    from missionsim.results.whatif import WhatIf
+    from missionsim.results.whatif import Alternative, WhatIf
 
 
 def whatif(
@@ -22,6 +23,8 @@ def whatif(
     study: Path | None = None,
     set_: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None,
     robot: str | None = None,
+    montecarlo: Annotated[int, Parameter(name="--montecarlo")] = 0,
+    seed: Annotated[int, Parameter(name="--seed")] = 0,
     out: Path | None = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
@@ -44,6 +47,11 @@ def whatif(
         path=value for the baseline and all alternatives.
     robot
         Shipped robot or robot file in place of the mission's own.
+    montecarlo
+        Also draw the uncertain values of each alternative so many times, the same draws for all, and say which
+        differences are real.
+    seed
+        Of those draws.
     out
         Table as CSV (or Parquet, by its suffix): a row an alternative, battery and term.
     json
@@ -74,6 +82,8 @@ def whatif(
             Alternative(BASELINE, tuple(base), robot),
             *(Alternative(a.name, a.set, robot) for a in varied(pairs, base)),
         ]
+    if montecarlo and montecarlo < 2:
+        raise InputError(Fault("", 0, 0, "--montecarlo needs at least 2 runs", got=str(montecarlo), allowed="such as 500"))
     with progress(quiet or json == "-") as bar:
         task = bar.add_task("alternatives", total=len(alternatives))
         found = run_alternatives(path, alternatives, lambda: bar.advance(task))
@@ -81,12 +91,45 @@ def whatif(
         from missionsim.results.write import write_table
 
         write_table(found.table(), out)
-    emit_json(found.to_json(), json)
+    answer = found.to_json()
+    if montecarlo:
+        answer["montecarlo"] = _draw(path, alternatives, montecarlo, seed, quiet or json == "-")
+    emit_json(answer, json)
     if shows_text(json, quiet):
         show(found)
+        if montecarlo:
+            show_differences(answer["montecarlo"])
         if out is not None:
             console().print(f"Written: {out}")
     return 0 if found.results[0].feasible else 1
+
+
+def _draw(
+    path: Path, alternatives: Sequence[Alternative], runs: int, seed: int, quiet: bool
+) -> dict[str, Any]:
+    from missionsim.uncertainty.batch import Task
+    from missionsim.uncertainty.paired import compare_alternatives
+
+    tasks = [Task(str(path), tuple(a.set), a.robot, seed, "auto") for a in alternatives]
+    with progress(quiet) as bar:
+        task = bar.add_task("runs", total=runs * len(tasks))
+        rows = compare_alternatives(tasks, runs, lambda count: bar.advance(task, count))
+    named = [{"name": a.name, **row} for a, row in zip(alternatives, rows, strict=True)]
+    return {"runs": runs, "seed": seed, "alternatives": named}
+
+
+def show_differences(answer: dict[str, Any]) -> None:
+    """Print which differences of the alternatives hold under the uncertainty."""
+    rows = [
+        (row["name"], f"{100 * row['p_feasible']:.1f} %", d["quantity"], f"{d['mean']:+.4g}",
+         f"{d['low']:+.3g} … {d['high']:+.3g}", "yes" if d["real"] else "cannot be told")
+        for row in answer["alternatives"] for d in row["differences"]
+    ]
+    first = answer["alternatives"][0]
+    terminal = console()
+    terminal.print(f"{answer['runs']} runs each, same draws; {first['name']}: succeeds in {100 * first['p_feasible']:.1f} %")
+    terminal.print(simple_table("Differences to the baseline", [
+        "alternative", ("succeeds", "right"), "quantity", ("mean", "right"), "95 % interval", "real?"], rows))
 
 
 def split_values(text: str) -> list[str]:

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from hypothesis import strategies as st
 from missionsim.cli.app import run_command
 from missionsim.uncertainty.answers import proportion_interval, quantile_interval
 from missionsim.uncertainty.batch import Task, prepare
+from missionsim.uncertainty.paired import paired_difference
 from missionsim.uncertainty.probe import probe
 from missionsim.uncertainty.single import simulate_block, simulate_run
 from missionsim.uncertainty.store import BlockStore
@@ -251,3 +253,53 @@ def test_probing_finds_products_and_sums_and_refuses_other_forms() -> None:
     assert np.ravel(found.at(draws, 2)) == pytest.approx([5.4, 4.8])
     assert found.at(draws, 3) == 7.0
     assert isinstance(probe(lambda v: np.array([np.sin(v["a"]), v["a"] + v["b"] * v["a"]]), nominal, checks), str)
+
+
+def test_alternatives_share_their_draws_and_differences_are_judged(tmp_path: Path) -> None:
+    target = tmp_path / "answer.json"
+    same, slower = "robot.body.mass=25 kg,26 kg", "segments.0.drive.speed=0.46 m/s,0.3 m/s"
+    for vary, real in ((same, False), (slower, True)):
+        command = ["whatif", PATROL, "--vary", vary, "--montecarlo", "300", "--quiet", "--json", str(target)]
+        assert run_command(command) == 0
+        rows = json.loads(target.read_text(encoding="utf-8"))["montecarlo"]["alternatives"]
+        energy = {d["quantity"]: d for d in rows[-1]["differences"]}["energy_robot_wh"]
+        assert energy["real"] is real
+        assert energy["low"] <= energy["mean"] <= energy["high"]
+
+
+def test_paired_intervals_cover_the_true_difference() -> None:
+    rng = np.random.default_rng(5)
+    covered = 0
+    for _ in range(400):
+        common = rng.normal(size=60)
+        found = paired_difference("x", common, common + 0.3 + rng.normal(size=60))
+        assert found is not None
+        covered += found.low <= 0.3 <= found.high
+    assert 368 <= covered <= 392
+
+
+def test_a_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    assert batch(tmp_path / "here", "--engine", "simpy", runs=2000) == 0
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+    ) as cluster:
+        victim = next(iter(cluster.workers.values())).pid
+
+        def strike() -> None:
+            while len(list((tmp_path / "there" / "blocks").glob("runs_*.parquet"))) < 2:
+                time.sleep(0.02)
+            os.kill(victim, signal.SIGKILL)
+
+        killer = threading.Thread(target=strike, daemon=True)
+        killer.start()
+        assert batch(tmp_path / "there", "--engine", "simpy", "--scheduler", cluster.scheduler_address, runs=2000) == 0
+        killer.join(timeout=10)
+        assert not killer.is_alive()
+    assert files(tmp_path / "here") == files(tmp_path / "there")
+
+
+def test_no_scheduler_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("distributed")
+    assert batch(tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9") == 2
+    assert "no Dask scheduler answers" in capsys.readouterr().err

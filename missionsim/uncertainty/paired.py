@@ -1,0 +1,117 @@
+"""Alternatives under common random numbers: is a difference real?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.uncertainty.answers import LEVEL
+from missionsim.uncertainty.batch import BLOCK_RUNS, Task, compute_block, prepare
+
+
+@dataclass(frozen=True)
+class PairedDifference:
+    """Difference of an alternative to the baseline, run by run.
+
+    Attributes
+    ----------
+    quantity : str
+        ``energy_<battery>_wh``, ``duration_s`` or ``feasible``.
+    mean, low, high : float
+        Mean difference (alternative − baseline) and its 95 % interval.
+    real : bool
+        Whether the interval leaves out zero.
+    """
+
+    quantity: str
+    mean: float
+    low: float
+    high: float
+
+    @property
+    def real(self) -> bool:
+        """Whether these runs show a difference at all."""
+        return self.low > 0.0 or self.high < 0.0
+
+    def to_json(self) -> dict[str, Any]:
+        """Numbers and verdict."""
+        return {"quantity": self.quantity, "mean": self.mean, "low": self.low, "high": self.high, "real": self.real}
+
+
+def paired_difference(
+    quantity: str, baseline: NDArray[np.float64], other: NDArray[np.float64]
+) -> PairedDifference | None:
+    """Mean of the differences of paired runs with a Student interval.
+
+    Parameters
+    ----------
+    quantity : str
+    baseline, other : ndarray, shape (n,)
+        Run by run with the same draws; runs that failed in either (NaN) are left out.
+
+    Returns
+    -------
+    PairedDifference or None
+        None with fewer than two pairs.
+    """
+    change = np.asarray(other, dtype=float) - np.asarray(baseline, dtype=float)
+    change = change[np.isfinite(change)]
+    if len(change) < 2:
+        return None
+    from scipy.stats import t
+
+    half = float(t.ppf(0.5 + 0.5 * LEVEL, len(change) - 1)) * float(change.std(ddof=1)) / math.sqrt(len(change))
+    mean = float(change.mean())
+    return PairedDifference(quantity, mean, mean - half, mean + half)
+
+
+def compare_alternatives(
+    tasks: Sequence[Task], runs: int, advance: Callable[[int], object] = lambda count: None
+) -> list[dict[str, Any]]:
+    """Run all alternatives with the same draws.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+        The baseline first; all with the same seed.
+    runs : int
+    advance : callable
+        Told the number of runs of each block that is done.
+
+    Returns
+    -------
+    list of dict
+        One an alternative: engine, share of feasible runs, mean energies, and for all but the first the differences.
+    """
+    found: list[dict[str, Any]] = []
+    baseline: dict[str, NDArray[np.float64]] = {}
+    for task in tasks:
+        prepared = prepare(task)
+        engine = "simpy" if prepared.arrays is None else "arrays"
+        quantities = ["feasible", "duration_s", *(f"energy_{name}_wh" for name in prepared.mission.robot.batteries)]
+        parts: dict[str, list[NDArray[np.float64]]] = {name: [] for name in quantities}
+        for first in range(0, runs, BLOCK_RUNS[engine]):
+            count = min(BLOCK_RUNS[engine], runs - first)
+            block = compute_block(task, first, count)
+            for name in quantities:
+                parts[name].append(np.asarray(block[name], dtype=float))
+            advance(count)
+        columns = {name: np.concatenate(values) for name, values in parts.items()}
+        row: dict[str, Any] = {
+            "engine": engine,
+            "p_feasible": float(columns["feasible"].mean()),
+            "mean": {name: float(np.nanmean(values)) for name, values in columns.items() if name != "feasible"},
+            "differences": [],
+        }
+        if baseline:
+            made = (paired_difference(name, baseline[name], v) for name, v in columns.items() if name in baseline)
+            row["differences"] = [difference.to_json() for difference in made if difference is not None]
+        else:
+            baseline = columns
+        found.append(row)
+    return found
