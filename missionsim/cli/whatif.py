@@ -83,7 +83,9 @@ def whatif(
             *(Alternative(a.name, a.set, robot) for a in varied(pairs, base)),
         ]
     if montecarlo and montecarlo < 2:
-        raise InputError(Fault("", 0, 0, "--montecarlo needs at least 2 runs", got=str(montecarlo), allowed="such as 500"))
+        raise InputError(
+            Fault("", 0, 0, "--montecarlo needs at least 2 runs", got=str(montecarlo), allowed="such as 500")
+        )
     with progress(quiet or json == "-") as bar:
         task = bar.add_task("alternatives", total=len(alternatives))
         found = run_alternatives(path, alternatives, lambda: bar.advance(task))
@@ -127,7 +129,8 @@ def show_differences(answer: dict[str, Any]) -> None:
     ]
     first = answer["alternatives"][0]
     terminal = console()
-    terminal.print(f"{answer['runs']} runs each, same draws; {first['name']}: succeeds in {100 * first['p_feasible']:.1f} %")
+    succeeds = f"{first['name']}: succeeds in {100 * first['p_feasible']:.1f} %"
+    terminal.print(f"{answer['runs']} runs each, same draws; {succeeds}")
     terminal.print(simple_table("Differences to the baseline", [
         "alternative", ("succeeds", "right"), "quantity", ("mean", "right"), "95 % interval", "real?"], rows))
 

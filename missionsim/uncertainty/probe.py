@@ -7,6 +7,7 @@ planner a second time; what does not fit such a form is not evaluated as arrays.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -44,18 +45,28 @@ class Dependence:
         parts = [index for index, _ in (*self.powers.values(), *self.slopes.values())]
         return np.unique(np.concatenate(parts)) if parts else np.zeros(0, dtype=np.intp)
 
+    @functools.cached_property
+    def _of(self) -> Mapping[int, list[tuple[str, str, float]]]:
+        """Entry → (value, kind of dependence, exponent or slope)."""
+        found: dict[int, list[tuple[str, str, float]]] = {}
+        for kind, forms in (("power", self.powers), ("slope", self.slopes)):
+            for name, (index, coefficients) in forms.items():
+                for entry, coefficient in zip(index.tolist(), coefficients.tolist(), strict=True):
+                    found.setdefault(entry, []).append((name, kind, coefficient))
+        return found
+
     def at(self, draws: Mapping[str, Array], entry: int) -> Array | float:
         """One entry at draws of shape (n,): an array of shape (n, 1), or the number where it does not vary."""
         result: Array | float = float(self.base[entry])
-        for name, (index, exponents) in self.powers.items():
-            found = np.flatnonzero(index == entry)
-            if found.size and name in draws:
-                ratio = np.asarray(draws[name])[:, None] / self.nominal[name]
-                result = result * (ratio if exponents[found[0]] == 1.0 else 1.0 / ratio)
-        for name, (index, slopes) in self.slopes.items():
-            found = np.flatnonzero(index == entry)
-            if found.size and name in draws:
-                result = result + slopes[found[0]] * (np.asarray(draws[name])[:, None] - self.nominal[name])
+        for name, kind, coefficient in self._of.get(entry, ()):
+            if name not in draws:
+                continue
+            value = np.asarray(draws[name])[:, None]
+            if kind == "slope":
+                result = result + coefficient * (value - self.nominal[name])
+            else:
+                ratio = value / self.nominal[name]
+                result = result * (ratio if coefficient == 1.0 else 1.0 / ratio)
         return result
 
 
