@@ -16,7 +16,7 @@ from missionsim.spec.mission import MissionSpec
 from missionsim.uncertainty.draws import Draws, Sampler
 from missionsim.uncertainty.streams import run_generator
 
-PROGRESS_POINTS = 41
+PROGRESS_POINTS = 21
 """Charge of each battery is kept at so many instants, evenly over a run's duration."""
 
 
