@@ -31,7 +31,8 @@ from missionsim.effects.base import Effect
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.fit.provenance import fitted_to
-from missionsim.identify.data import Settings
+from missionsim.identify.data import RunData, Settings
+from missionsim.identify.heldout import heldout
 from missionsim.identify.identify import identify
 from missionsim.identify.result import Identification
 from missionsim.labels import Labels
@@ -204,6 +205,11 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings) ->
     every = replace(every, prior_sd=_priors(subject, every, split.train))
     features = every.select(range(len(train)))
     tested = every.select(range(len(train), len(train) + len(held))) if held else None
+    if all(float(np.ptp(run.measured_w)) == 0.0 for run in features.runs):
+        raise InputError.single(
+            f"battery '{battery}': the measured power never changes in any run, so that nothing can be learned from it",
+            got=f"{features.runs[0].measured_w[0]:g} W in every row", allowed="a meter that is not frozen",
+        )
     try:
         found = identify(features.runs, features.candidates, features.prior_sd, settings)
     except ValueError as error:
@@ -227,6 +233,10 @@ def diagnose_battery(
     verdict = found.verdict
     if verdict == "nothing_missing" and execution:
         verdict = "effects_found"
+    level = level_difference(found, features.runs)
+    if level and verdict == "nothing_missing":
+        # the meter's offset of each run would take it up in silence
+        verdict = "unexplained_structure"
     untestable = dict(features.untestable)
     if timeline is not None:
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
@@ -235,12 +245,30 @@ def diagnose_battery(
     return BatteryDiagnosis(
         battery, verdict, effects, judged(found), recalibrated(found, features), clock.delay_s, clock.lag_s,
         clock.at_edge, noise_of(found), untestable,
-        Unexplained(left.share_of_residual, tuple(left.depends_on), left.shape),
+        Unexplained(left.share_of_residual, tuple(left.depends_on), "; ".join(t for t in (left.shape, level) if t)),
         _next(subject, seen, effects, settings), None if tested is None else tested.summary,
         _shifted(seen), execution, found.mean_power_w, tuple(run.run for run in features.runs),
         float(sum(np.sum(run.dt_s) for run in features.runs)), tuple(dict.fromkeys(remarks)), _confounding(found),
         _where(subject, split, battery), _series(found),
     )  # fmt: skip
+
+
+LEVEL_SHARE = 0.10
+"""A difference of the energies in all runs, beyond recalibration and effects, that no good meter makes."""
+
+
+def level_difference(found: Identification, runs: Sequence[RunData]) -> str:
+    """In words, that model and meter differ by much in all runs, whatever the robot does; empty where they do not.
+
+    An unknown offset and gain of the meter in each run are part of the noise model. They are for per cents: wrong units,
+    another robot's file or a large constant load must not hide in them.
+    """
+    errors = np.array([run.energy_error[2] for run in heldout(found, runs).runs])
+    if not (np.all(errors > LEVEL_SHARE) or np.all(errors < -LEVEL_SHARE)):
+        return ""
+    factor = 1.0 / (1.0 + float(np.median(errors)))
+    return (f"the meter reads {factor:.3g} times what the model gives in every run, whatever the robot does: check the "
+            "units of the log and the robot file, or look for a load that is always on")
 
 
 def _renamed(log: Any, taken: set[str]) -> Any:
