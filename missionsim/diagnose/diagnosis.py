@@ -260,8 +260,8 @@ LEVEL_SHARE = 0.10
 def level_difference(found: Identification, runs: Sequence[RunData]) -> str:
     """In words, that model and meter differ by much in all runs, whatever the robot does; empty where they do not.
 
-    An unknown offset and gain of the meter in each run are part of the noise model. They are for per cents: wrong units,
-    another robot's file or a large constant load must not hide in them.
+    An unknown offset and gain of the meter in each run are part of the noise model. They are for per cents: wrong
+    units, another robot's file or a large constant load must not hide in them.
     """
     errors = np.array([run.energy_error[2] for run in heldout(found, runs).runs])
     if not (np.all(errors > LEVEL_SHARE) or np.all(errors < -LEVEL_SHARE)):
