@@ -133,7 +133,7 @@ def _only(prepared: Prepared, seed: int, run: int, json: str | None, quiet: bool
     if shows_text(json, quiet):
         terminal = console()
         units = {value.name: value.unit for value in prepared.sampler.values}
-        rows = [(name, f"{value:.6g}", units[name]) for name, value in drawn.items()]
+        rows = [(name, f"{value:.6g}", units.get(name, "times")) for name, value in drawn.items()]
         terminal.print(
             simple_table(f"Run {run} of seed {seed}: drawn values", ["value", ("drawn", "right"), "unit"], rows)
         )

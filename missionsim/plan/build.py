@@ -7,18 +7,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import Fault, InputError
-from missionsim.plan.legs import (
-    Activity,
-    Leg,
-    Limits,
-    Plan,
-    Recharge,
-    SegmentInfo,
-    Settings,
-    Trigger,
-)
+from missionsim.plan.chance import failures, stopped_by_obstacles
+from missionsim.plan.legs import Activity, Leg, Limits, Plan, Recharge, SegmentInfo, Settings, Trigger
 from missionsim.plan.routes import Routes, Way, along
-from missionsim.plan.steps import group
+from missionsim.plan.steps import group, slow_components
 from missionsim.spec.mission import AnchorSpec, MissionSpec
 from missionsim.spec.values import Parameter
 
@@ -26,7 +18,6 @@ if TYPE_CHECKING:
     import numpy as np
 
 MOST_SEGMENTS = 1_000_000
-MOST_INSPECTIONS = 1000
 RADIO_PIECE_M = 2.0
 """Edges are cut to this length where the distance to an access point changes along them."""
 _EXTRAS = (("temperature", "temp_ambient_c"), ("cpu_load", "cpu_load"), ("cpu_frequency", "cpu_freq_hz"),
@@ -46,7 +37,7 @@ def make_plan(
         Values that differ from the files', by path: the mission's own (``segments.0.drive.speed``), and with prefix
         ``robot.`` or ``environment.`` those of the other files.
     rng : numpy.random.Generator, optional
-        Draws how often an inspection with a `repeat_probability` is done; without it, once.
+        Draws obstacles, failed relocalisations and inspections that are repeated; without it there are none.
 
     Returns
     -------
@@ -86,6 +77,7 @@ class _Builder:
             accel, accel if decel is None else decel, self.number(body.max_yaw_rate, "robot."),
             self._robot(body.max_yaw_acceleration),
         )
+        self.chance: dict[str, int] = {}
         self.legs: list[Leg] = []
         self.segments: list[SegmentInfo] = []
         self._names: dict[str, int] = {}
@@ -116,7 +108,8 @@ class _Builder:
 
         steps = group(self.legs, self.limits, breaks if slow else None)
         activities = tuple(self._activity(i, spec) for i, spec in enumerate(self.mission.activities))
-        return Plan(tuple(self.legs), steps, tuple(self.segments), activities, self.limits, start)
+        return Plan(tuple(self.legs), steps, tuple(self.segments), activities, self.limits, start,
+                    tuple(sorted(self.chance.items())))
 
     def fault(self, segment: Any, message: str, allowed: str = "") -> InputError:
         """A fault at the line of a segment."""
@@ -137,12 +130,31 @@ class _Builder:
         getattr(self, f"_{segment.kind}")(segment, base)
         if len(self.legs) == before:
             self.legs.append(Leg("stand", base))
-        dwell = self._behaviour(segment, "dwell")
-        if dwell and segment.kind in ("drive", "arc", "turn", "move"):
-            self.legs.append(Leg("stand", self._still(base)))
-            self.legs[-1] = self.legs[-1]._replace(duration_s=dwell)
+        if segment.kind in ("drive", "arc", "turn", "move"):
+            dwell = (self._behaviour(segment, "dwell") or 0.0) + self._by_chance(segment, before)
+            if dwell:
+                self.legs.append(Leg("stand", self._still(base), duration_s=dwell))
         self.legs[before] = self.legs[before]._replace(first=True)
         self.legs[-1] = self.legs[-1]._replace(last=True, place=self.legs[-1].place or self.place)
+
+    def _by_chance(self, segment: Any, before: int) -> float:
+        """Put stops at obstacles into the segment's legs; time [s] of relocalisations that fail at its end."""
+        if self.rng is None:
+            return 0.0
+        spacing = self._behaviour(segment, "obstacle_spacing")
+        if spacing is not None:
+            stop = self._behaviour(segment, "obstacle_stop") or 0.0
+            self.legs[before:], stops = stopped_by_obstacles(self.legs[before:], spacing, stop, self.rng)
+            self._count("obstacles", stops)
+        failure = self._behaviour(segment, "relocalisation_failure")
+        if failure is None:
+            return 0.0
+        failed = failures(failure, self.rng)
+        self._count("relocalisations_failed", failed)
+        return failed * (self._behaviour(segment, "relocalisation_time") or 0.0)
+
+    def _count(self, what: str, times: int) -> None:
+        self.chance[what] = self.chance.get(what, 0) + times
 
     def _name(self, segment: Any) -> None:
         label = segment.name
@@ -336,9 +348,8 @@ class _Builder:
     def _inspect(self, segment: Any, base: Settings) -> None:
         times = 1
         if segment.repeat_probability is not None and self.rng is not None:
-            again = self.number(segment.repeat_probability)
-            while times < MOST_INSPECTIONS and self.rng.random() < again:
-                times += 1
+            times += failures(self.number(segment.repeat_probability), self.rng)
+            self._count("inspections_repeated", times - 1)
         self._stand(base, times * self.number(segment.duration))
 
     def _wait(self, segment: Any, base: Settings) -> None:
@@ -383,15 +394,3 @@ def _trigger(builder: _Builder, anchor: AnchorSpec | None) -> Trigger | None:
         return None
     time = None if anchor.time is None else builder.number(anchor.time)
     return Trigger(time, anchor.place or "", anchor.segment or "")
-
-
-def slow_components(robot: Any) -> frozenset[str]:
-    """Components that are not on at once: they, or something they require, take time to start."""
-    table = robot.components
-
-    def slow(name: str) -> bool:
-        spec = table[name]
-        startup = spec.startup is not None and spec.startup.duration.value > 0.0
-        return startup or any(slow(required) for required in spec.requires)
-
-    return frozenset(name for name in table if slow(name))

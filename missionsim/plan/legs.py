@@ -184,6 +184,9 @@ class Plan:
     limits : Limits
     start : str
         Place at which the mission starts; empty without an environment.
+    chance : tuple of (str, int)
+        What chance did, by what it is (``obstacles``, ``relocalisations_failed``, ``inspections_repeated``); empty
+        where nothing is left to chance or no generator was given.
     """
 
     legs: tuple[Leg, ...]
@@ -192,3 +195,4 @@ class Plan:
     activities: tuple[Activity, ...]
     limits: Limits
     start: str = ""
+    chance: tuple[tuple[str, int], ...] = ()

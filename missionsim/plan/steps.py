@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from missionsim.plan.kinematics import phases
 from missionsim.plan.legs import Leg, Limits, Phase, Step
@@ -124,3 +125,15 @@ def _phase(leg: Leg, index: int, duration_s: float, speed: float, rate: float) -
         return Phase(duration_s, index, speed * ahead, rate * ahead, speed * aside, rate * aside, moving=True)
     bend = leg.curvature_1_m
     return Phase(duration_s, index, speed, rate, yaw_rad_s=speed * bend, yaw_rad_s2=rate * bend, moving=True)
+
+
+def slow_components(robot: Any) -> frozenset[str]:
+    """Components that are not on at once: they, or something they require, take time to start."""
+    table = robot.components
+
+    def slow(name: str) -> bool:
+        spec = table[name]
+        startup = spec.startup is not None and spec.startup.duration.value > 0.0
+        return startup or any(slow(required) for required in spec.requires)
+
+    return frozenset(name for name in table if slow(name))

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from missionsim.spec.base import Identifier, Model, Text
 from missionsim.spec.names import Sensors
-from missionsim.spec.values import Duration, Power, Ratio, Speed
+from missionsim.spec.values import Distance, Duration, Fraction, Power, Ratio, Speed
 
 
 class ProcessorSpec(Model):
@@ -47,11 +47,19 @@ class SensorRules(Model):
 
 
 class BehaviourSpec(Model):
-    """How the robot does otherwise than planned: distance ×, speed ×, extra standing time."""
+    """How the robot does otherwise than planned: distance ×, speed ×, extra standing time.
+
+    The last four are left to chance, run by run, in a Monte Carlo: obstacles at a mean distance from each other, each
+    with a stop of a mean time, and relocalisation at the end of a segment, which fails and is tried again.
+    """
 
     path_stretch: Ratio | None = None
     speed_tracking: Ratio | None = None
     dwell: Duration | None = None
+    obstacle_spacing: Distance | None = None
+    obstacle_stop: Duration | None = None
+    relocalisation_failure: Fraction | None = None
+    relocalisation_time: Duration | None = None
 
 
 class SchemeSpec(Model):

@@ -27,7 +27,7 @@ from missionsim.plan.legs import Leg, Plan
 from missionsim.spec.mission import MissionSpec
 from missionsim.uncertainty.draws import Draws, Sampler
 from missionsim.uncertainty.probe import Dependence, probe
-from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, simulate_block
+from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, left_to_chance, simulate_block
 
 Array = NDArray[np.float64]
 _LEG = ("distance_m", "speed_m_s", "curvature_1_m", "angle_rad", "yaw_rate_rad_s", "duration_s")
@@ -435,8 +435,9 @@ def _obstacle(mission: MissionSpec, plan: Plan, setup: RunSetup, whole: Any) -> 
         return "activities overlap with the segments, so that events may change their order"
     if any(leg.recharge is not None for leg in plan.legs):
         return "it recharges"
-    if any(getattr(segment, "repeat_probability", None) is not None for segment in mission.segments):
-        return "an inspection may be repeated"
+    chance = left_to_chance(mission)
+    if chance:
+        return f"chance decides in each run: {', '.join(name.removeprefix('chance.') for name in chance)}"
     if any(not isinstance(battery, ConstantEnergy) for battery in setup.batteries.values()):
         return "a battery is no constant store of energy"
     if any(component.startup_s for component in setup.components):

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from missionsim.effects.model import PowerModel
 from missionsim.engine.outcome import RunResult
-from missionsim.engine.simulate import simulate
+from missionsim.engine.simulate import simulate, split_values
 from missionsim.errors import MissionsimError
+from missionsim.plan.build import make_plan
+from missionsim.plan.legs import Plan
 from missionsim.spec.mission import MissionSpec
 from missionsim.uncertainty.draws import Draws, Sampler
 from missionsim.uncertainty.streams import run_generator
@@ -31,8 +33,26 @@ def simulate_run(
         The drawn values by name, and the result.
     """
     drawn = {name: float(values[0]) for name, values in sampler.draw(seed, run, 1).items()}
-    rng = run_generator(seed, "chance", run)
-    return drawn, simulate(mission, values=drawn, rng=rng, model=model, trace=trace)
+    plan = _plan(mission, model, drawn, seed, run)
+    result = simulate(mission, values=drawn, plan=plan, model=model, trace=trace)
+    return {**drawn, **_chance(plan)}, result
+
+
+def _plan(mission: MissionSpec, model: PowerModel, values: Mapping[str, float], seed: int, run: int) -> Plan:
+    numbers, _ = split_values(values, model)
+    return make_plan(mission, numbers, run_generator(seed, "chance", run))
+
+
+def _chance(plan: Plan) -> dict[str, float]:
+    return {f"chance.{what}": float(times) for what, times in plan.chance}
+
+
+def left_to_chance(mission: MissionSpec) -> tuple[str, ...]:
+    """Names of what a mission leaves to chance (``chance.obstacles``); none where all follows from its values."""
+    try:
+        return tuple(_chance(make_plan(mission, rng=run_generator(0, "chance", 0))))
+    except MissionsimError:
+        return ()  # the nominal mission cannot be planned; its runs tell why
 
 
 def simulate_block(
@@ -41,15 +61,20 @@ def simulate_block(
     """A block of runs with SimPy, as columns; a run that fails is kept with its draws and its message."""
     draws = sampler.draw(seed, first, count)
     rows: list[dict[str, Any]] = []
+    counted: list[dict[str, float]] = []
     for i in range(count):
+        counted.append({})
         values = {name: float(column[i]) for name, column in draws.items()}
         try:
-            rng = run_generator(seed, "chance", first + i)
-            rows.append(_row(simulate(mission, values=values, rng=rng, model=model)))
+            plan = _plan(mission, model, values, seed, first + i)
+            counted[-1] = _chance(plan)
+            rows.append(_row(simulate(mission, values=values, plan=plan, model=model)))
         except MissionsimError as error:
             rows.append({"message": f"failed: {error}"})
         except (ArithmeticError, ValueError, RuntimeError) as error:
             rows.append({"message": f"failed: {type(error).__name__}: {error}"})
+    for name in left_to_chance(mission):
+        draws[name] = np.array([found.get(name, np.nan) for found in counted])
     return _columns(rows, draws, first, batteries=tuple(mission.robot.batteries), components=components_of(model))
 
 
