@@ -17,27 +17,19 @@ from numpy.typing import NDArray
 
 from missionsim.effects.integrate import NODES, WEIGHTS
 from missionsim.effects.model import PowerModel
-from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.outcome import J_PER_WH
-from missionsim.engine.simulate import RESERVE_TOLERANCE, RunSetup, simulate, split_values
-from missionsim.errors import MissionsimError
-from missionsim.plan.build import make_plan
+from missionsim.engine.simulate import RESERVE_TOLERANCE, split_values
 from missionsim.plan.kinematics import phases
 from missionsim.plan.legs import Leg, Plan
 from missionsim.spec.mission import MissionSpec
 from missionsim.uncertainty.draws import Draws, Sampler
-from missionsim.uncertainty.probe import Dependence, probe
-from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, left_to_chance, simulate_block
+from missionsim.uncertainty.entries import SETTINGS, Entries, Interpolation
+from missionsim.uncertainty.probe import Dependence
+from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, simulate_block
 
 Array = NDArray[np.float64]
-_LEG = ("distance_m", "speed_m_s", "curvature_1_m", "angle_rad", "yaw_rate_rad_s", "duration_s")
-_SETTINGS = ("payload_kg", "slope_rad")
-_LIMITS = ("accel_m_s2", "decel_m_s2", "yaw_accel_rad_s2")
-_CHECK_PROBABILITIES = (0.5, 0.002, 0.998, 0.25, 0.75)
 CACHED_RUNS = 1024
 """Runs evaluated at a time: their arrays of draws × intervals stay in the processor's cache."""
-AGREEMENT = 1e-9
-"""Largest relative difference to SimPy that is accepted."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +85,7 @@ class ArrayMission:
             Value name → ndarray of shape (count,).
         count : int
         """
-        entries = _Entries(self.plan, self.dependence, draws)
+        entries = Entries(self.plan, self.dependence, draws)
         duration, speed, rate = self._phases(entries, count)
         start = np.concatenate([np.zeros((count, 1)), np.cumsum(duration, axis=1)[:, :-1]], axis=1)
         cov, rates = self._covariates(entries, start, duration, speed, rate)
@@ -105,6 +97,7 @@ class ArrayMission:
         again = np.zeros(count, dtype=bool)
         grid = total[:, None] * np.linspace(0.0, 1.0, PROGRESS_POINTS)
         ends = np.concatenate([np.zeros((count, 1)), start + duration], axis=1)
+        progress = Interpolation(grid, ends)
         reasons = np.full(count, "", dtype=object)
         charges, numbers = {}, {}
         for b, name in enumerate(self.mission.robot.batteries):
@@ -124,7 +117,7 @@ class ArrayMission:
                 "margin": left - capacity * reserve,
                 "needed": initial - left,
             }
-            charges[name] = _at(grid, ends, np.concatenate([initial[:, None], lowest], axis=1)) / J_PER_WH
+            charges[name] = progress(np.concatenate([initial[:, None], lowest], axis=1)) / J_PER_WH
         columns["feasible"] = feasible
         columns["duration_s"], columns["distance_m"] = total, self._distance(cov, duration, rate)
         columns["failed_at_s"] = np.full(count, np.nan)
@@ -144,11 +137,14 @@ class ArrayMission:
         _, drawn = split_values(draws, self.model)
         return {name: np.asarray(value)[:, None] for name, value in drawn.items()}
 
-    def _phases(self, entries: _Entries, count: int) -> tuple[Array, Array, Array]:
+    def _phases(self, entries: Entries, count: int) -> tuple[Array, Array, Array]:
         """Duration, speed at the start and acceleration of each interval, shape (count, intervals)."""
         at = {(interval.leg, interval.phase): i for i, interval in enumerate(self.intervals)}
         duration = np.zeros((count, len(self.intervals)))
-        speed, rate = np.zeros_like(duration), np.zeros_like(duration)
+        speed = np.zeros_like(duration)
+        steady = all(instant for low, _, instant in self.spans if self.plan.legs[low].kind in ("roll", "slide", "turn"))
+        # where no speed changes within an interval, one row of zeros serves all runs
+        rate = np.zeros((1, len(self.intervals))) if steady else np.zeros_like(duration)
         for low, high, instant in self.spans:
             legs = range(low, high)
             turn = self.plan.legs[low].kind == "turn"
@@ -176,11 +172,13 @@ class ArrayMission:
                 for phase in (1,) if instant else (0, 1, 2):
                     j = at[i, phase]
                     duration[:, j] = made.duration_s[:, k, phase]
-                    speed[:, j], rate[:, j] = made.speed_m_s[:, k, phase], made.accel_m_s2[:, k, phase]
+                    speed[:, j] = made.speed_m_s[:, k, phase]
+                    if not instant:
+                        rate[:, j] = made.accel_m_s2[:, k, phase]
         return duration, speed, rate
 
     def _covariates(
-        self, entries: _Entries, start: Array, duration: Array, speed: Array, rate: Array
+        self, entries: Entries, start: Array, duration: Array, speed: Array, rate: Array
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         legs = [self.plan.legs[interval.leg] for interval in self.intervals]
         moving = np.array([float(interval.moving) for interval in self.intervals])
@@ -212,7 +210,7 @@ class ArrayMission:
             )
         cov["yaw_rate_rad_s"] = speed * bend
         rates["yaw_rate_rad_s"] = rate * bend
-        for name in _SETTINGS:
+        for name in SETTINGS:
             cov[name] = entries.setting(name, [interval.leg for interval in self.intervals], len(speed))
         moved = duration * moving
         cov["moving_time_s"] = np.cumsum(moved, axis=1) - moved
@@ -250,10 +248,15 @@ class ArrayMission:
                         length @ watts[0] if one else np.einsum("ij,ij->i", length, watts)
                     )
                     mean = mean + watts
-                energy[battery][:, where] += length * mean
+                if len(where) == duration.shape[1]:
+                    energy[battery] += length * mean
+                else:
+                    energy[battery][:, where] += length * mean
 
         if steady.size:
-            book(self.model.evaluate(_take(cov, steady), values), steady, duration[:, steady], None)
+            whole = steady.size == duration.shape[1]
+            here, length = (cov, duration) if whole else (_take(cov, steady), duration[:, steady])
+            book(self.model.evaluate(here, values), steady, length, None)
         curved = np.flatnonzero(ramps)
         if curved.size:
             length = duration[:, curved]
@@ -279,44 +282,14 @@ class ArrayMission:
         return energy, component
 
     def _distance(self, cov: Mapping[str, Any], duration: Array, rate: Array) -> Array:
+        if not rate.any() and not np.any(cov["lateral_speed_m_s"]):
+            return np.asarray(np.einsum("ij,ij->i", np.abs(cov["speed_m_s"]), duration))
         ahead = np.abs(cov["speed_m_s"] * duration + 0.5 * cov["accel_m_s2"] * duration**2)
         aside = cov["lateral_speed_m_s"] * duration + 0.5 * cov["lateral_accel_m_s2"] * duration**2
         return np.asarray(np.hypot(ahead, aside).sum(axis=1))
 
 
-class _Entries:
-    """The plan's numbers at draws, each of shape (n, 1) or a number."""
-
-    def __init__(self, plan: Plan, dependence: Dependence, draws: Draws) -> None:
-        self.plan, self.dependence, self.draws = plan, dependence, draws
-        self.varying = set(dependence.varying.tolist())
-        self.width = len(_LEG) + len(_SETTINGS)
-
-    def entry(self, index: int) -> Any:
-        return self.dependence.at(self.draws, index) if index in self.varying else float(self.dependence.base[index])
-
-    def leg(self, leg: int, name: str) -> Any:
-        return self.entry(leg * self.width + _LEG.index(name))
-
-    def varies(self, name: str) -> bool:
-        place = _LEG.index(name)
-        return any(index % self.width == place for index in self.varying if index < self.width * len(self.plan.legs))
-
-    def setting(self, name: str, legs: list[int], count: int) -> Array:
-        place = len(_LEG) + _SETTINGS.index(name)
-        indices = [leg * self.width + place for leg in legs]
-        if not self.varying.intersection(indices):
-            return np.asarray(self.dependence.base[indices])
-        return np.concatenate([np.zeros((count, 1)) + self.entry(index) for index in indices], axis=1)
-
-    def limit(self, name: str) -> Any:
-        return self.entry(self.width * len(self.plan.legs) + _LIMITS.index(name))
-
-    def battery(self, battery: int, which: int) -> Any:
-        return self.entry(self.width * len(self.plan.legs) + len(_LIMITS) + 3 * battery + which)
-
-
-def _stack(entries: _Entries, intervals: tuple[Interval, ...], legs: list[Leg], count: int) -> Array:
+def _stack(entries: Entries, intervals: tuple[Interval, ...], legs: list[Leg], count: int) -> Array:
     return np.concatenate(
         [
             np.zeros((count, 1))
@@ -343,196 +316,3 @@ def _take(cov: Mapping[str, Any], index: NDArray[np.intp]) -> dict[str, Any]:
     return {
         name: value[index] if hasattr(value, "codes") else np.asarray(value)[..., index] for name, value in cov.items()
     }
-
-
-def _at(grid: Array, times: Array, values: Array) -> Array:
-    """Linear interpolation of each row, of shapes (n, points), (n, knots) and (n, knots); times of a row increase."""
-    count, knots = times.shape
-    # one search over all rows: each row's times, as parts of its last, get a range of their own
-    row = 2.0 * np.arange(count)[:, None]
-    scale = np.where(times[:, -1:] > 0.0, times[:, -1:], 1.0)
-    found = np.searchsorted((times / scale + row).ravel(), (grid / scale + row).ravel(), side="right").reshape(
-        grid.shape
-    )
-    right = np.clip(found - knots * np.arange(count)[:, None], 1, knots - 1)
-    t0, t1 = np.take_along_axis(times, right - 1, axis=1), np.take_along_axis(times, right, axis=1)
-    v0, v1 = np.take_along_axis(values, right - 1, axis=1), np.take_along_axis(values, right, axis=1)
-    part = np.where(t1 > t0, (grid - t0) / np.where(t1 > t0, t1 - t0, 1.0), 1.0)
-    return np.asarray(v0 + (v1 - v0) * np.clip(part, 0.0, 1.0))
-
-
-def _numbers(plan: Plan, setup: RunSetup) -> Array:
-    """Every number that a run's arrays need, in the order of `_Entries`."""
-    values: list[float] = []
-    for leg in plan.legs:
-        values += [getattr(leg, name) for name in _LEG]
-        values += [getattr(leg.settings, name) for name in _SETTINGS]
-    limits = plan.limits
-    decel = limits.decel_m_s2 or limits.accel_m_s2
-    values += [np.nan if v is None else v for v in (limits.accel_m_s2, decel, limits.yaw_accel_rad_s2)]
-    for name, battery in setup.batteries.items():
-        values += [battery.capacity_j, float(battery.charge_j(battery.initial)), setup.required[name]]
-    return np.asarray(values, dtype=float)
-
-
-def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) -> ArrayMission | str:
-    """Compile a mission for evaluation as arrays.
-
-    Parameters
-    ----------
-    mission : MissionSpec
-    model : PowerModel
-    sampler : Sampler
-
-    Returns
-    -------
-    ArrayMission or str
-        The compiled mission, or in words why its runs need SimPy.
-    """
-    nominal = {value.name: value.nominal for value in sampler.values}
-    try:
-        plan = make_plan(mission)
-        setup = RunSetup(mission, plan, model, {}, {})
-        world = setup.execute(())
-        whole = simulate(mission, plan=plan, model=model)
-    except MissionsimError as error:
-        return f"the nominal mission fails: {error}"
-    reason = _obstacle(mission, plan, setup, whole)
-    if reason:
-        return reason
-    shape = [
-        (leg.kind, leg.instant, leg.direction_rad, leg.settings._replace(payload_kg=0.0, slope_rad=0.0))
-        for leg in plan.legs
-    ]
-
-    def numbers_of(values: Mapping[str, float]) -> Array:
-        numbers, drawn = split_values(values, model)
-        varied = make_plan(mission, numbers)
-        same = [
-            (leg.kind, leg.instant, leg.direction_rad, leg.settings._replace(payload_kg=0.0, slope_rad=0.0))
-            for leg in varied.legs
-        ]
-        if same != shape:
-            raise ValueError("an uncertain value changes what the plan consists of")
-        return _numbers(varied, RunSetup(mission, varied, model, numbers, drawn))
-
-    checks = [
-        {
-            name: float(values[0])
-            for name, values in sampler.at({value.name: np.array([p]) for value in sampler.values}).items()
-        }
-        for p in _CHECK_PROBABILITIES
-    ]
-    found = probe(numbers_of, nominal, checks)
-    if isinstance(found, str):
-        return found
-    made = _assemble(mission, model, sampler, plan, found, world)
-    return made if isinstance(made, str) else (_disagreement(made, checks) or made)
-
-
-def _obstacle(mission: MissionSpec, plan: Plan, setup: RunSetup, whole: Any) -> str:
-    if plan.activities:
-        return "activities overlap with the segments, so that events may change their order"
-    if any(leg.recharge is not None for leg in plan.legs):
-        return "it recharges"
-    chance = left_to_chance(mission)
-    if chance:
-        return f"chance decides in each run: {', '.join(name.removeprefix('chance.') for name in chance)}"
-    if any(not isinstance(battery, ConstantEnergy) for battery in setup.batteries.values()):
-        return "a battery is no constant store of energy"
-    if any(component.startup_s for component in setup.components):
-        return "components take time to start"
-    if not whole.completed:
-        return "the nominal mission does not end"
-    if any(b.home_wh for b in whole.batteries.values()):
-        return "it ends away from its dock, so that each run has a way home of its own"
-    return ""
-
-
-def _assemble(
-    mission: MissionSpec, model: PowerModel, sampler: Sampler, plan: Plan, dependence: Dependence, world: Any
-) -> ArrayMission | str:
-    spans, intervals, low = [], [], 0
-    was_moving = False
-    for step in plan.steps:
-        high = 1 + max((phase.leg for phase in step.phases), default=low)
-        leg = plan.legs[low]
-        moves = leg.kind in ("roll", "slide", "turn")
-        limit = plan.limits.yaw_accel_rad_s2 if leg.kind == "turn" else plan.limits.accel_m_s2
-        instant = leg.instant or limit is None
-        spans.append((low, high, instant))
-        for i in range(low, high):
-            for phase in (0, 1, 2) if moves and not instant else (1,):
-                intervals.append(Interval(i, phase, moves, moves and not was_moving))
-                was_moving = moves
-        low = high
-    if low != len(plan.legs):
-        return "the steps of the plan do not cover its legs"
-    batch = world.meter.batches
-    if len(batch) != 1:
-        return "the nominal run is not evaluated in one piece"
-    line = batch[0].timeline
-    # without activities, an interval ends where a phase ends
-    phase_legs = [phase.leg for step in plan.steps for phase in step.phases if phase.duration_s > 0.0]
-    if len(phase_legs) != len(line):
-        return "components switch within a leg"
-    states: dict[int, int] = {}
-    for i, leg_index in enumerate(phase_legs):
-        states.setdefault(leg_index, i)
-    missing = [interval.leg for interval in intervals if interval.leg not in states]
-    if missing:
-        return "a leg takes no time at the nominal values"
-    pick = np.array([states[interval.leg] for interval in intervals])
-    skip = {
-        "speed_m_s",
-        "accel_m_s2",
-        "lateral_speed_m_s",
-        "lateral_accel_m_s2",
-        "yaw_rate_rad_s",
-        "moving",
-        "moving_time_s",
-        "starts",
-        "slope_rad",
-        "payload_kg",
-        "time_s",
-    }
-    columns: dict[str, Any] = {
-        name: value[pick] if hasattr(value, "codes") else np.asarray(value)[pick]
-        for name, value in line.columns.items()
-        if name not in skip and not name.startswith("on_time_")
-    }
-    columns["moving"] = np.array([float(interval.moving) for interval in intervals])
-    columns["starts"] = np.array([float(interval.begins) for interval in intervals])
-    switched = {}
-    for name in [n[8:-2] for n in line.columns if n.startswith("on_time_")]:
-        if f"on_time_{name}_s" in model.memory:
-            units = columns[f"on_{name}"] > 0
-            began, current = np.full(len(intervals), -1), -1
-            for j, on in enumerate(units):
-                current = (j if current < 0 else current) if on else -1
-                began[j] = current
-            switched[name] = began
-    return ArrayMission(mission, model, sampler, plan, dependence, tuple(spans), tuple(intervals), columns, switched)
-
-
-def _disagreement(made: ArrayMission, checks: list[dict[str, float]]) -> str:
-    """Why the arrays are not to be trusted: the largest difference to SimPy on the checked draws; empty if none."""
-    draws = {name: np.array([check[name] for check in checks]) for name in (checks[0] if checks else {})}
-    columns, again = made.evaluate(draws, len(checks))
-    for i, check in enumerate(checks):
-        if again[i]:
-            continue
-        try:
-            result = simulate(made.mission, values=check, model=made.model)
-        except MissionsimError as error:
-            return f"a drawn mission fails: {error}"
-        for name, battery in result.batteries.items():
-            ours = float(columns[f"energy_{name}_wh"][i])
-            if abs(ours - battery.energy_wh) > AGREEMENT * max(abs(battery.energy_wh), 1e-12):
-                return (
-                    f"arrays and SimPy differ by {abs(ours / battery.energy_wh - 1):.1e} on battery '{name}' "
-                    "(a term has a kink or fades inside an interval)"
-                )
-        if bool(columns["feasible"][i]) != result.feasible:
-            return "arrays and SimPy do not agree on what is feasible"
-    return ""

@@ -16,7 +16,8 @@ from missionsim.spec.loading import load_mission
 from missionsim.spec.mission import MissionSpec
 from missionsim.spec.power import build_power_model
 from missionsim.uncertainty.answers import proportion_interval
-from missionsim.uncertainty.arrays import ArrayMission, compile_arrays
+from missionsim.uncertainty.arrays import ArrayMission
+from missionsim.uncertainty.compile import compile_arrays
 from missionsim.uncertainty.draws import Sampler, make_sampler
 from missionsim.uncertainty.single import simulate_block
 from missionsim.uncertainty.store import BlockStore

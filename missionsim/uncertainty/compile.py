@@ -1,0 +1,190 @@
+"""Whether a mission can be evaluated as arrays, and if so, compiled for it; checked against SimPy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.model import PowerModel
+from missionsim.engine.batteries import ConstantEnergy
+from missionsim.engine.simulate import RunSetup, simulate, split_values
+from missionsim.errors import MissionsimError
+from missionsim.plan.build import make_plan
+from missionsim.plan.legs import Plan
+from missionsim.spec.mission import MissionSpec
+from missionsim.uncertainty.arrays import ArrayMission, Interval
+from missionsim.uncertainty.draws import Sampler
+from missionsim.uncertainty.entries import numbers_of_plan
+from missionsim.uncertainty.probe import Dependence, probe
+from missionsim.uncertainty.single import left_to_chance
+
+Array = NDArray[np.float64]
+_CHECK_PROBABILITIES = (0.5, 0.002, 0.998, 0.25, 0.75)
+AGREEMENT = 1e-9
+"""Largest relative difference to SimPy that is accepted."""
+
+
+def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) -> ArrayMission | str:
+    """Compile a mission for evaluation as arrays.
+
+    Parameters
+    ----------
+    mission : MissionSpec
+    model : PowerModel
+    sampler : Sampler
+
+    Returns
+    -------
+    ArrayMission or str
+        The compiled mission, or in words why its runs need SimPy.
+    """
+    nominal = {value.name: value.nominal for value in sampler.values}
+    try:
+        plan = make_plan(mission)
+        setup = RunSetup(mission, plan, model, {}, {})
+        world = setup.execute(())
+        whole = simulate(mission, plan=plan, model=model)
+    except MissionsimError as error:
+        return f"the nominal mission fails: {error}"
+    reason = _obstacle(mission, plan, setup, whole)
+    if reason:
+        return reason
+    shape = [
+        (leg.kind, leg.instant, leg.direction_rad, leg.settings._replace(payload_kg=0.0, slope_rad=0.0))
+        for leg in plan.legs
+    ]
+
+    def numbers_of(values: Mapping[str, float]) -> Array:
+        numbers, drawn = split_values(values, model)
+        varied = make_plan(mission, numbers)
+        same = [
+            (leg.kind, leg.instant, leg.direction_rad, leg.settings._replace(payload_kg=0.0, slope_rad=0.0))
+            for leg in varied.legs
+        ]
+        if same != shape:
+            raise ValueError("an uncertain value changes what the plan consists of")
+        return numbers_of_plan(varied, RunSetup(mission, varied, model, numbers, drawn))
+
+    checks = [
+        {
+            name: float(values[0])
+            for name, values in sampler.at({value.name: np.array([p]) for value in sampler.values}).items()
+        }
+        for p in _CHECK_PROBABILITIES
+    ]
+    found = probe(numbers_of, nominal, checks)
+    if isinstance(found, str):
+        return found
+    made = _assemble(mission, model, sampler, plan, found, world)
+    return made if isinstance(made, str) else (_disagreement(made, checks) or made)
+
+
+def _obstacle(mission: MissionSpec, plan: Plan, setup: RunSetup, whole: Any) -> str:
+    if plan.activities:
+        return "activities overlap with the segments, so that events may change their order"
+    if any(leg.recharge is not None for leg in plan.legs):
+        return "it recharges"
+    chance = left_to_chance(mission)
+    if chance:
+        return f"chance decides in each run: {', '.join(name.removeprefix('chance.') for name in chance)}"
+    if any(not isinstance(battery, ConstantEnergy) for battery in setup.batteries.values()):
+        return "a battery is no constant store of energy"
+    if any(component.startup_s for component in setup.components):
+        return "components take time to start"
+    if not whole.completed:
+        return "the nominal mission does not end"
+    if any(b.home_wh for b in whole.batteries.values()):
+        return "it ends away from its dock, so that each run has a way home of its own"
+    return ""
+
+
+def _assemble(
+    mission: MissionSpec, model: PowerModel, sampler: Sampler, plan: Plan, dependence: Dependence, world: Any
+) -> ArrayMission | str:
+    spans, intervals, low = [], [], 0
+    was_moving = False
+    for step in plan.steps:
+        high = 1 + max((phase.leg for phase in step.phases), default=low)
+        leg = plan.legs[low]
+        moves = leg.kind in ("roll", "slide", "turn")
+        limit = plan.limits.yaw_accel_rad_s2 if leg.kind == "turn" else plan.limits.accel_m_s2
+        instant = leg.instant or limit is None
+        spans.append((low, high, instant))
+        for i in range(low, high):
+            for phase in (0, 1, 2) if moves and not instant else (1,):
+                intervals.append(Interval(i, phase, moves, moves and not was_moving))
+                was_moving = moves
+        low = high
+    if low != len(plan.legs):
+        return "the steps of the plan do not cover its legs"
+    batch = world.meter.batches
+    if len(batch) != 1:
+        return "the nominal run is not evaluated in one piece"
+    line = batch[0].timeline
+    # without activities, an interval ends where a phase ends
+    phase_legs = [phase.leg for step in plan.steps for phase in step.phases if phase.duration_s > 0.0]
+    if len(phase_legs) != len(line):
+        return "components switch within a leg"
+    states: dict[int, int] = {}
+    for i, leg_index in enumerate(phase_legs):
+        states.setdefault(leg_index, i)
+    missing = [interval.leg for interval in intervals if interval.leg not in states]
+    if missing:
+        return "a leg takes no time at the nominal values"
+    pick = np.array([states[interval.leg] for interval in intervals])
+    skip = {
+        "speed_m_s",
+        "accel_m_s2",
+        "lateral_speed_m_s",
+        "lateral_accel_m_s2",
+        "yaw_rate_rad_s",
+        "moving",
+        "moving_time_s",
+        "starts",
+        "slope_rad",
+        "payload_kg",
+        "time_s",
+    }
+    columns: dict[str, Any] = {
+        name: value[pick] if hasattr(value, "codes") else np.asarray(value)[pick]
+        for name, value in line.columns.items()
+        if name not in skip and not name.startswith("on_time_")
+    }
+    columns["moving"] = np.array([float(interval.moving) for interval in intervals])
+    columns["starts"] = np.array([float(interval.begins) for interval in intervals])
+    switched = {}
+    for name in [n[8:-2] for n in line.columns if n.startswith("on_time_")]:
+        if f"on_time_{name}_s" in model.memory:
+            units = columns[f"on_{name}"] > 0
+            began, current = np.full(len(intervals), -1), -1
+            for j, on in enumerate(units):
+                current = (j if current < 0 else current) if on else -1
+                began[j] = current
+            switched[name] = began
+    return ArrayMission(mission, model, sampler, plan, dependence, tuple(spans), tuple(intervals), columns, switched)
+
+
+def _disagreement(made: ArrayMission, checks: list[dict[str, float]]) -> str:
+    """Why the arrays are not to be trusted: the largest difference to SimPy on the checked draws; empty if none."""
+    draws = {name: np.array([check[name] for check in checks]) for name in (checks[0] if checks else {})}
+    columns, again = made.evaluate(draws, len(checks))
+    for i, check in enumerate(checks):
+        if again[i]:
+            continue
+        try:
+            result = simulate(made.mission, values=check, model=made.model)
+        except MissionsimError as error:
+            return f"a drawn mission fails: {error}"
+        for name, battery in result.batteries.items():
+            ours = float(columns[f"energy_{name}_wh"][i])
+            if abs(ours - battery.energy_wh) > AGREEMENT * max(abs(battery.energy_wh), 1e-12):
+                return (
+                    f"arrays and SimPy differ by {abs(ours / battery.energy_wh - 1):.1e} on battery '{name}' "
+                    "(a term has a kink or fades inside an interval)"
+                )
+        if bool(columns["feasible"][i]) != result.feasible:
+            return "arrays and SimPy do not agree on what is feasible"
+    return ""
