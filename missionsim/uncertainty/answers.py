@@ -154,7 +154,9 @@ def rank_importance(
     count = int(ok.sum())
     if count < 20 or float(np.std(energy[ok])) == 0.0:
         return []
-    ranks = np.argsort(np.argsort(energy[ok], kind="stable")).astype(float)
+    from scipy.stats import rankdata
+
+    ranks = rankdata(energy[ok])
     classes = int(min(50, max(4, round(count ** (1 / 3)))))
     rows = []
     for name, values in drawn.items():
@@ -166,7 +168,7 @@ def rank_importance(
         between = sum(len(part) * (part.mean() - energy[ok].mean()) ** 2 for part in parts)
         ratio = between / (count * float(np.var(energy[ok])))
         first = 1.0 - (1.0 - ratio) * (count - 1) / (count - classes)
-        rho = float(np.corrcoef(np.argsort(order).astype(float), ranks)[0, 1])
+        rho = float(np.corrcoef(rankdata(column), ranks)[0, 1])
         rows.append(
             {
                 "parameter": name,

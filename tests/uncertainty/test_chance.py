@@ -9,6 +9,7 @@ from missionsim.engine.simulate import simulate
 from missionsim.plan.build import make_plan
 from missionsim.spec.loading import load_mission
 from missionsim.spec.mission import MissionSpec
+from missionsim.uncertainty.answers import rank_importance
 from missionsim.uncertainty.batch import Prepared, Task, prepare
 from missionsim.uncertainty.single import left_to_chance, simulate_block, simulate_run
 
@@ -102,3 +103,13 @@ def test_without_a_generator_nothing_happens_by_chance(mission: MissionSpec) -> 
     plan = make_plan(mission)
     assert plan.chance == ()
     assert [leg.kind for leg in plan.legs] == ["roll", "stand", "stand"]
+
+
+def test_rank_correlation_of_counts_is_spearmans_with_ties() -> None:
+    from scipy.stats import spearmanr
+
+    rng = np.random.default_rng(1)
+    counts = rng.poisson(1.5, size=400).astype(float)
+    energy = counts + rng.normal(size=400)
+    [row] = rank_importance({"chance.obstacles": counts}, energy, "robot")
+    assert row["rank_correlation"] == pytest.approx(float(spearmanr(counts, energy).statistic), rel=1e-12)
