@@ -104,6 +104,12 @@ def show(result: RunResult) -> None:
         (component, battery, f"{energy:.3f}", f"{100 * share:.1f} %")
         for battery, component, energy, share in largest_consumers(result)
     ]))
+    schemes = {name: result.by_scheme_wh(name) for name in result.batteries}
+    names = dict.fromkeys(scheme for energies in schemes.values() for scheme in energies)
+    if len(names) > 1:
+        terminal.print(simple_table("Energy by control scheme [Wh]", ["scheme", *((b, right) for b in schemes)], [
+            (name, *(f"{energies.get(name, 0.0):.4f}" for energies in schemes.values())) for name in names
+        ]))
     terminal.print(segment_rows(result))
 
 

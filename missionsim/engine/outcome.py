@@ -155,6 +155,15 @@ class RunResult:
         """Energy of each physical term [Wh], over all components."""
         return _totals(self.energies[battery], lambda key: key.name)
 
+    def by_scheme_wh(self, battery: str) -> dict[str, float]:
+        """Energy under each control scheme [Wh]; ``none`` where no scheme runs; empty without a trace."""
+        scheme = self.timeline.columns.get("scheme")
+        if scheme is None:
+            return {}
+        total = np.sum(list(self.energies[battery].values()), axis=0)
+        sums = np.bincount(scheme.codes + 1, weights=total, minlength=len(scheme.names) + 1) / J_PER_WH
+        return {name: float(energy) for name, energy in zip(("none", *scheme.names), sums, strict=True) if energy}
+
     def power_w(self, battery: str) -> Array:
         """Mean power of each interval [W], shape (n,)."""
         total = np.sum(list(self.energies[battery].values()), axis=0)
@@ -181,6 +190,7 @@ class RunResult:
                 "internal_loss_wh": battery.internal_loss_wh,
                 "by_component_wh": self.by_component_wh(name),
                 "by_term_wh": self.by_term_wh(name),
+                "by_scheme_wh": self.by_scheme_wh(name),
                 "by_segment_wh": self.by_segment_wh(name).tolist(),
                 "audit_relative_error": battery.audit_relative_error,
             }

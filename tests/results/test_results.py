@@ -161,3 +161,16 @@ def test_import_is_light(patrol: Path) -> None:
         f"assert not [m for m in {heavy} if m in sys.modules], [m for m in {heavy} if m in sys.modules]\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_energy_by_control_scheme_adds_up() -> None:
+    from missionsim import load_mission, simulate
+
+    root = Path(__file__).resolve().parents[2]
+    result = simulate(load_mission(root / "missions/pioneer3dx/valve_patrol.yaml"))
+    for name, battery in result.batteries.items():
+        schemes = result.by_scheme_wh(name)
+        assert {"path_following", "centring_motion", "image_analysis"} <= schemes.keys()
+        assert sum(schemes.values()) == pytest.approx(battery.energy_wh, rel=1e-12)
+        # two stops of 38 s under image analysis
+        assert schemes["image_analysis"] == pytest.approx({"robot": 5.49, "laptop": 14.0}[name] * 76 / 3600, rel=1e-3)
