@@ -27,3 +27,11 @@ def shared() -> Path:
     if not (SHARED / "contract.md").is_file():
         pytest.skip(f"the folder of shared papers and logs is not here ({SHARED})")
     return SHARED
+
+
+def pytest_configure() -> None:
+    """Examples repeat and no test is judged by the clock of a busy machine; set HYPOTHESIS_PROFILE=default to search."""
+    from hypothesis import settings
+
+    settings.register_profile("repeatable", derandomize=True, deadline=None)
+    settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
