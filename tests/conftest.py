@@ -30,7 +30,7 @@ def shared() -> Path:
 
 
 def pytest_configure() -> None:
-    """Examples repeat and no test is judged by the clock of a busy machine; set HYPOTHESIS_PROFILE=default to search."""
+    """Examples repeat, and no test is judged by a busy clock; HYPOTHESIS_PROFILE=default searches anew."""
     from hypothesis import settings
 
     settings.register_profile("repeatable", derandomize=True, deadline=None)
