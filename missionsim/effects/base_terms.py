@@ -24,13 +24,20 @@ def drive_term(
     """A one-parameter base term of the drive that acts while the robot moves; `power` takes ``p["k"]``."""
 
     def moving_power(cov: Covariates, p: Parameters) -> Any:
-        watts = power(cov, p) * is_moving(cov)
+        watts = _while_moving(power(cov, p), is_moving(cov))
         if not recovers:
             return watts
         return motion.recovered_power(watts, number(cov, "drive_w"), number(cov, "regeneration"))
 
     return Effect(id, equation, source, f"base term {equation}", (ParameterSpec("k", unit, equation, low=low),), needs,
                   moving_power, drive=True, recovers=recovers, sign=1 if low == 0.0 else 0, covariate=needs[0])
+
+
+def _while_moving(watts: Any, moving: Any) -> Any:
+    """Power while the robot moves; of many draws (one axis more than `moving`) without a pass where all is moving."""
+    if np.ndim(watts) > np.ndim(moving):
+        return watts if np.all(moving) else watts * np.asarray(moving, dtype=float)
+    return watts * moving
 
 
 def controller_term(two_levels: bool) -> Effect:
@@ -40,6 +47,8 @@ def controller_term(two_levels: bool) -> Effect:
         moving = is_moving(cov)
         if not two_levels:
             return p["moving"] * np.ones_like(moving, dtype=float)
+        if np.ndim(p["moving"]) > np.ndim(moving) and np.all(moving):
+            return p["moving"]  # one column of draws serves all intervals
         return np.where(moving, p["moving"], p["standing"])
 
     specs = (ParameterSpec("moving", "W", "boards while moving"), ParameterSpec("standing", "W", "boards at rest"))
@@ -259,4 +268,4 @@ def _units(cov: Covariates, column: str) -> Any:
 
 
 def _ones(cov: Covariates) -> Any:
-    return np.ones_like(np.asarray(number(cov, "speed_m_s", 0.0)), dtype=float)
+    return np.ones(np.shape(number(cov, "speed_m_s", 0.0))[-1:])  # one row for all draws

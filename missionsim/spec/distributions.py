@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -104,6 +105,36 @@ class Distribution:
         else:
             z = ndtri(ndtr(a) + u * (ndtr(b) - ndtr(a)))
         return np.asarray(np.clip(mean + sd * z, self._low, self._high))
+
+    @property
+    def of_scores(self) -> bool:
+        """Whether values follow from standard normal numbers by `at_scores`."""
+        return self.kind in ("normal", "lognormal", "truncated_normal")
+
+    @functools.cached_property
+    def score_bounds(self) -> tuple[float, float]:
+        """Standard normal numbers between which `at_scores` stays within the bounds."""
+        mean, sd = float(self.mean_ or 0.0), float(self.sd_ or 0.0)
+        if self.kind != "truncated_normal" or sd == 0.0:
+            return -math.inf, math.inf
+        return (self._low - mean) / sd, (self._high - mean) / sd
+
+    def at_scores(self, scores: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Values at standard normal numbers, SI; for kinds that follow from them, without regard to bounds.
+
+        The values take the place of the scores.
+        """
+        mean, sd = float(self.mean_ or 0.0), float(self.sd_ or 0.0)
+        if self.kind == "lognormal" and sd:
+            sigma2 = math.log1p((sd / mean) ** 2)
+            mean, sd = math.log(mean) - sigma2 / 2, math.sqrt(sigma2)
+        scores *= sd
+        scores += mean
+        if self.kind == "lognormal" and sd:
+            np.exp(scores, out=scores)
+        elif sd == 0.0:
+            np.clip(scores, self._low, self._high, out=scores)
+        return scores
 
     def sample(self, rng: np.random.Generator, size: int | tuple[int, ...] | None = None) -> NDArray[np.float64]:
         """Independent draws; SI."""

@@ -2,12 +2,14 @@
 
 A mission qualifies when its events cannot change their order: no charger, no activities, no chance, batteries of
 constant energy. Its numbers are found by probing the planner, its phases by the planner's kinematics on arrays, its
-powers by the same `PowerModel`. Before use, runs at the edges and in the middle of the distributions are compared with
-SimPy; and a run in which a battery comes to a threshold is given back to SimPy, since there the events do change.
+powers by the same `PowerModel`. Terms that no draw changes are evaluated once, in `compile`. Before use, runs at the
+edges and in the middle of the distributions are compared with SimPy; and a run in which a battery comes to a threshold
+is given back to SimPy, since there the events do change.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -17,19 +19,25 @@ from numpy.typing import NDArray
 
 from missionsim.effects.integrate import NODES, WEIGHTS
 from missionsim.effects.model import PowerModel
-from missionsim.engine.outcome import J_PER_WH
 from missionsim.engine.simulate import RESERVE_TOLERANCE, split_values
 from missionsim.plan.kinematics import phases
 from missionsim.plan.legs import Leg, Plan
 from missionsim.spec.mission import MissionSpec
 from missionsim.uncertainty.draws import Draws, Sampler
-from missionsim.uncertainty.entries import SETTINGS, Entries, Interpolation
+from missionsim.uncertainty.entries import SETTINGS, Entries, Progress, running_sum
 from missionsim.uncertainty.probe import Dependence
+from missionsim.uncertainty.run_table import RunTable
 from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, simulate_block
 
 Array = NDArray[np.float64]
-CACHED_RUNS = 1024
+CACHED_RUNS = 2048
 """Runs evaluated at a time: their arrays of draws × intervals stay in the processor's cache."""
+_PARTS = np.linspace(0.0, 1.0, PROGRESS_POINTS)
+# the C library keeps what arrays of up to this size give back, in place of asking the system for each anew (malloc(3):
+# its threshold grows to the largest block that was ever freed)
+_largest = np.empty(24 << 20, dtype=np.uint8)
+del _largest
+_MOVES = ("roll", "slide", "turn")
 
 
 @dataclass(frozen=True)
@@ -44,8 +52,26 @@ class Interval:
 
 
 @dataclass(frozen=True)
+class Motion:
+    """Duration, speed at the start and acceleration of each interval, shape (runs, intervals) in Fortran order."""
+
+    duration_s: Array
+    speed_m_s: Array
+    accel_m_s2: Array
+    """One row where no speed changes within an interval."""
+
+
+@dataclass(frozen=True)
 class ArrayMission:
-    """A mission compiled for evaluation as arrays; `block` gives the same columns as `simulate_block`."""
+    """A mission compiled for evaluation as arrays; `block` gives the same columns as `simulate_block`.
+
+    Attributes
+    ----------
+    varying : PowerModel
+        The terms that some draw changes.
+    fixed : mapping
+        Battery and component → power of all other terms in each interval [W], shape (intervals,).
+    """
 
     mission: MissionSpec
     model: PowerModel
@@ -56,22 +82,19 @@ class ArrayMission:
     intervals: tuple[Interval, ...]
     columns: Mapping[str, Any]
     switched_on: Mapping[str, NDArray[np.intp]]
+    varying: PowerModel
+    fixed: Mapping[tuple[str, str], Array]
 
     def block(self, seed: int, first: int, count: int) -> dict[str, NDArray[Any]]:
         """Columns of the runs ``first … first + count − 1``."""
         draws = self.sampler.draw(seed, first, count)
-        pieces = [
-            self.evaluate({name: values[low : low + CACHED_RUNS] for name, values in draws.items()},
-                          min(CACHED_RUNS, count - low))
-            for low in range(0, count, CACHED_RUNS)
-        ]
-        columns = {name: np.concatenate([piece[0][name] for piece in pieces]) for name in pieces[0][0]}
-        again = np.concatenate([piece[1] for piece in pieces])
+        columns, again = self.evaluate(draws, count)
         columns = {"run": np.arange(first, first + count, dtype=np.int64), **columns}
         for name, values in draws.items():
             columns[f"drawn:{name}"] = values
-        for i in np.flatnonzero(again):
-            run = simulate_block(self.mission, self.model, self.sampler, seed, first + int(i), 1)
+        for i in np.flatnonzero(again).tolist():
+            drawn = {name: values[i : i + 1] for name, values in draws.items()}
+            run = simulate_block(self.mission, self.model, self.sampler, seed, first + i, 1, draws=drawn)
             for name, values in columns.items():
                 values[i] = run[name][0]
         return columns
@@ -85,231 +108,282 @@ class ArrayMission:
             Value name → ndarray of shape (count,).
         count : int
         """
-        entries = Entries(self.plan, self.dependence, draws)
-        duration, speed, rate = self._phases(entries, count)
-        start = np.concatenate([np.zeros((count, 1)), np.cumsum(duration, axis=1)[:, :-1]], axis=1)
-        cov, rates = self._covariates(entries, start, duration, speed, rate)
-        values = self._values(draws)
-        energy, component = self._energies(cov, rates, duration, values, count)
-        total = start[:, -1] + duration[:, -1]
-        columns: dict[str, NDArray[Any]] = {}
-        feasible = np.ones(count, dtype=bool)
-        again = np.zeros(count, dtype=bool)
-        grid = total[:, None] * np.linspace(0.0, 1.0, PROGRESS_POINTS)
-        ends = np.concatenate([np.zeros((count, 1)), start + duration], axis=1)
-        progress = Interpolation(grid, ends)
-        reasons = np.full(count, "", dtype=object)
-        charges, numbers = {}, {}
+        table = RunTable(tuple(self.mission.robot.batteries), components_of(self.model), count)
+        changes, values = self.dependence.changes(draws, count), self.values(draws)
+        for low in range(0, count, CACHED_RUNS):
+            part = slice(low, min(low + CACHED_RUNS, count))
+            self._piece(changes[:, part], {name: value[part] for name, value in values.items()}, table, part)
+        return table.columns(), table.again
+
+    def _piece(self, changes: Array, values: Mapping[str, Array], table: RunTable, part: slice) -> None:
+        """Evaluate some runs into their part of the table."""
+        count = changes.shape[1]
+        numbers = table.numbers[:, part]
+        entries = Entries(self.plan, self.dependence, changes)
+        motion = self.motion(entries, count)
+        knots = running_sum(motion.duration_s.T)
+        cov, rates = self.covariates(entries, motion, knots)
+        energy = self._energies(cov, rates, motion, values, numbers, table.part)
+        numbers[0], numbers[1] = knots[-1], self._distance(cov, motion)
+        progress = Progress(knots, PROGRESS_POINTS)
         for b, name in enumerate(self.mission.robot.batteries):
-            capacity, initial, reserve = (np.ravel(entries.battery(b, i)) + np.zeros(count) for i in range(3))
-            spent = np.cumsum(energy[name], axis=1)
-            left = initial - spent[:, -1]
-            lowest = initial[:, None] - spent
-            floor = capacity * reserve if self.mission.policy.on_empty == "return_to_dock" else 0.0 * capacity
-            again |= np.any(lowest <= floor[:, None] + RESERVE_TOLERANCE * capacity[:, None], axis=1)
-            below = left < capacity * reserve - RESERVE_TOLERANCE * capacity
-            feasible &= ~below
-            text = f"battery '{name}' ends below its reserve"
-            reasons[below] = [f"{old}; {text}" if old else text for old in reasons[below]]
-            numbers[name] = {
-                "energy": spent[:, -1],
-                "charge_left": left,
-                "margin": left - capacity * reserve,
-                "needed": initial - left,
-            }
-            charges[name] = progress(np.concatenate([initial[:, None], lowest], axis=1)) / J_PER_WH
-        columns["feasible"] = feasible
-        columns["duration_s"], columns["distance_m"] = total, self._distance(cov, duration, rate)
-        columns["failed_at_s"] = np.full(count, np.nan)
-        for name, quantities in numbers.items():
-            for key, joules in quantities.items():
-                columns[f"{key}_{name}_wh"] = joules / J_PER_WH
-        for (battery, part), joules in component.items():
-            columns[f"component_{battery}_{part}_wh"] = joules / J_PER_WH
-        for key in ("failed_segment", "failed_battery"):
-            columns[key] = np.full(count, "", dtype=object)
-        columns["message"] = reasons
-        for name, charge in charges.items():
-            columns[f"charge_{name}_wh"] = charge
-        return columns, again
+            capacity, initial, reserve = (entries.battery(b, i) for i in range(3))
+            even = self._even.get(name)
+            if even is None:
+                spent = running_sum(energy[name].T)
+                total, most, charge = spent[-1], spent[1:].max(axis=0), progress(spent)
+            else:  # a power that never changes
+                total = most = even * knots[-1]
+                charge = np.multiply.outer(_PARTS, total)
+            np.subtract(initial, charge, out=table.charge[b, :, part])
+            required, slack = capacity * reserve, RESERVE_TOLERANCE * capacity
+            left = initial - total
+            floor = required if self.mission.policy.on_empty == "return_to_dock" else 0.0
+            table.again[part] |= initial - most <= floor + slack
+            np.less(left, required - slack, out=table.below[b, part])
+            for quantity, joules in (("energy", total), ("charge_left", left), ("margin", left - required),
+                                     ("needed", initial - left)):
+                numbers[table.row(b, quantity)] = joules
 
-    def _values(self, draws: Draws) -> dict[str, Array]:
-        _, drawn = split_values(draws, self.model)
-        return {name: np.asarray(value)[:, None] for name, value in drawn.items()}
+    @functools.cached_property
+    def _place(self) -> dict[tuple[int, int], int]:
+        return {(interval.leg, interval.phase): i for i, interval in enumerate(self.intervals)}
 
-    def _phases(self, entries: Entries, count: int) -> tuple[Array, Array, Array]:
-        """Duration, speed at the start and acceleration of each interval, shape (count, intervals)."""
-        at = {(interval.leg, interval.phase): i for i, interval in enumerate(self.intervals)}
-        duration = np.zeros((count, len(self.intervals)))
-        speed = np.zeros_like(duration)
-        steady = all(instant for low, _, instant in self.spans if self.plan.legs[low].kind in ("roll", "slide", "turn"))
-        # where no speed changes within an interval, one row of zeros serves all runs
-        rate = np.zeros((1, len(self.intervals))) if steady else np.zeros_like(duration)
+    @functools.cached_property
+    def _together(self) -> tuple[tuple[str, tuple[int, ...], list[int]], ...]:
+        """Kind, legs and their intervals of all legs that need no kinematics of ramps, to be evaluated as one."""
+        found: dict[str, tuple[list[int], list[int]]] = {}
         for low, high, instant in self.spans:
-            legs = range(low, high)
-            turn = self.plan.legs[low].kind == "turn"
-            if self.plan.legs[low].kind not in ("roll", "slide", "turn"):
-                for i in legs:
-                    duration[:, at[i, 1]] = np.ravel(entries.leg(i, "duration_s"))
+            kind = self.plan.legs[low].kind
+            if instant or kind not in _MOVES:
+                legs, places = found.setdefault(kind if kind in ("turn", "slide", "roll") else "stand", ([], []))
+                legs += range(low, high)
+                places += [self._place[leg, 1] for leg in range(low, high)]
+        return tuple((kind, tuple(legs), places) for kind, (legs, places) in found.items())
+
+    def motion(self, entries: Entries, count: int) -> Motion:
+        """When the intervals begin, and how fast."""
+        size = len(self.intervals)
+        duration = np.empty((size, count)).T
+        speed = np.zeros((size, count)).T
+        ramps = [span for span in self.spans if not span[2] and self.plan.legs[span[0]].kind in _MOVES]
+        rate = np.zeros((size, count)).T if ramps else np.zeros((1, size))
+        for kind, legs, places in self._together:
+            if kind == "stand":
+                duration[:, places] = entries.legs(legs, "duration_s")
                 continue
-            size = np.concatenate(
-                [
-                    np.abs(entries.leg(i, "angle_rad") if turn else entries.leg(i, "distance_m")) + np.zeros((count, 1))
-                    for i in legs
-                ],
-                axis=1,
-            )
-            limit = np.concatenate(
-                [entries.leg(i, "yaw_rate_rad_s" if turn else "speed_m_s") + np.zeros((count, 1)) for i in legs], axis=1
-            )
-            if instant:
-                made = phases(size, limit)
+            way = np.abs(entries.legs(legs, "angle_rad")) if kind == "turn" else entries.legs(legs, "distance_m")
+            limit = entries.legs(legs, "yaw_rate_rad_s" if kind == "turn" else "speed_m_s")
+            if places == list(range(size)) and len(limit) == count:
+                speed = limit
+                np.divide(way, limit, out=duration)
             else:
-                up = entries.limit("yaw_accel_rad_s2" if turn else "accel_m_s2")
-                down = up if turn else entries.limit("decel_m_s2")
-                made = phases(size, limit, np.ravel(up) + np.zeros(count), np.ravel(down) + np.zeros(count))
+                speed[:, places] = limit
+                duration[:, places] = way / limit
+        for low, high, _ in ramps:
+            legs, turn = tuple(range(low, high)), self.plan.legs[low].kind == "turn"
+            way = np.abs(entries.legs(legs, "angle_rad" if turn else "distance_m"))
+            limit = entries.legs(legs, "yaw_rate_rad_s" if turn else "speed_m_s")
+            up = entries.limit("yaw_accel_rad_s2" if turn else "accel_m_s2")
+            down = up if turn else entries.limit("decel_m_s2")
+            made = phases(way, limit, up, down)
             for k, i in enumerate(legs):
-                for phase in (1,) if instant else (0, 1, 2):
-                    j = at[i, phase]
+                for phase in (0, 1, 2):
+                    j = self._place[i, phase]
                     duration[:, j] = made.duration_s[:, k, phase]
                     speed[:, j] = made.speed_m_s[:, k, phase]
-                    if not instant:
-                        rate[:, j] = made.accel_m_s2[:, k, phase]
-        return duration, speed, rate
+                    rate[:, j] = made.accel_m_s2[:, k, phase]
+        return Motion(duration, speed, rate)
 
-    def _covariates(
-        self, entries: Entries, start: Array, duration: Array, speed: Array, rate: Array
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        legs = [self.plan.legs[interval.leg] for interval in self.intervals]
-        moving = np.array([float(interval.moving) for interval in self.intervals])
+    @functools.cached_property
+    def _legs(self) -> list[Leg]:
+        return [self.plan.legs[interval.leg] for interval in self.intervals]
+
+    @functools.cached_property
+    def _directions(self) -> tuple[Array, Array]:
+        """Parts of the speed that go ahead and aside in each interval."""
+        both = np.zeros((2, len(self._legs)))
+        for i, leg in enumerate(self._legs):
+            if leg.kind == "slide":
+                both[:, i] = np.cos(leg.direction_rad), np.sin(leg.direction_rad)
+            elif leg.kind == "roll":
+                both[0, i] = 1.0
+        return both[0], both[1]
+
+    @functools.cached_property
+    def _needs(self) -> frozenset[str]:
+        terms = self.model.terms
+        return frozenset(name for term in terms for name in (*term.effect.needs, *term.effect.memory))
+
+    def covariates(self, entries: Entries, motion: Motion, knots: Array) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Covariates at the start of each interval and their change per second.
+
+        Parameters
+        ----------
+        entries : Entries
+        motion : Motion
+        knots : ndarray, shape (intervals + 1, runs)
+            Instants between the intervals.
+        """
+        duration, speed, rate = motion.duration_s, motion.speed_m_s, motion.accel_m_s2
         cov: dict[str, Any] = dict(self.columns)
-        kinds = {leg.kind for leg in legs}
-        ahead = np.array([_ahead(leg) for leg in legs])
-        cov["speed_m_s"], cov["accel_m_s2"] = speed * ahead, rate * ahead
-        rates: dict[str, Any] = {"speed_m_s": cov["accel_m_s2"]}
-        aside = np.array([np.sin(leg.direction_rad) if leg.kind == "slide" else 0.0 for leg in legs])
-        cov["lateral_speed_m_s"] = speed * aside if "slide" in kinds else np.zeros(len(legs))
-        cov["lateral_accel_m_s2"] = rate * aside if "slide" in kinds else np.zeros(len(legs))
-        rates["lateral_speed_m_s"] = cov["lateral_accel_m_s2"]
-        bend: Any = np.zeros(len(legs))
-        if any(leg.kind == "turn" or leg.curvature_1_m for leg in legs):
-            bend = (
-                np.concatenate(
-                    [
-                        np.full((1, 1), np.copysign(1.0, leg.angle_rad))
-                        if leg.kind == "turn"
-                        else np.reshape(entries.leg(interval.leg, "curvature_1_m"), (-1, 1)) + np.zeros((1, 1))
-                        if leg.kind == "roll"
-                        else np.zeros((1, 1))
-                        for leg, interval in zip(legs, self.intervals, strict=True)
-                    ],
-                    axis=1,
-                )
-                if not entries.varies("curvature_1_m")
-                else _stack(entries, self.intervals, legs, len(speed))
-            )
-        cov["yaw_rate_rad_s"] = speed * bend
-        rates["yaw_rate_rad_s"] = rate * bend
+        rates: dict[str, Any] = {}
+        for name, part in zip(("", "lateral_"), self._directions, strict=True):
+            whole, none = bool(np.all(part == 1.0)), not part.any()
+            cov[f"{name}speed_m_s"] = speed if whole else part if none else speed * part
+            cov[f"{name}accel_m_s2"] = rate if whole else part if none else rate * part
+            rates[f"{name}speed_m_s"] = cov[f"{name}accel_m_s2"]
+        turns, rolls, bent, all_legs = self._bends
+        bend = turns
+        if rolls and (curvature := entries.legs(bent, "curvature_1_m")).any():
+            bend = np.empty((len(turns), len(curvature))).T
+            bend[:] = turns
+            bend[:, rolls] = curvature
+        straight = bend is turns and not turns.any()
+        cov["yaw_rate_rad_s"] = turns if straight else speed * bend
+        rates["yaw_rate_rad_s"] = turns if straight else rate * bend
         for name in SETTINGS:
-            cov[name] = entries.setting(name, [interval.leg for interval in self.intervals], len(speed))
-        moved = duration * moving
-        cov["moving_time_s"] = np.cumsum(moved, axis=1) - moved
-        rates["moving_time_s"] = moving
+            numbers = entries.legs(all_legs, name)
+            cov[name] = numbers if len(numbers) > 1 else numbers[0]
+        if "moving_time_s" in self._needs:
+            moving = np.asarray(self.columns["moving"])
+            cov["moving_time_s"] = running_sum((duration * moving).T)[:-1].T
+            rates["moving_time_s"] = moving
+        start = knots[:-1].T
         for name, began in self.switched_on.items():
             on = began >= 0
             cov[f"on_time_{name}_s"] = np.where(on, start - start[:, np.maximum(began, 0)], 0.0)
             rates[f"on_time_{name}_s"] = on.astype(float)
-        if any("time_s" in term.effect.needs for term in self.model.terms):
-            cov["time_s"], rates["time_s"] = start, np.ones(len(legs))
+        if "time_s" in self._needs:
+            cov["time_s"], rates["time_s"] = start, np.ones(len(self.intervals))
         return cov, rates
 
+    @functools.cached_property
+    def _bends(self) -> tuple[Array, list[int], tuple[int, ...], tuple[int, ...]]:
+        """Yaw rate for a unit of speed of turns on the spot; intervals that roll, their legs; legs of all intervals."""
+        turns = np.array([np.copysign(1.0, leg.angle_rad) if leg.kind == "turn" else 0.0 for leg in self._legs])
+        rolls = [i for i, leg in enumerate(self._legs) if leg.kind == "roll"]
+        legs = tuple(interval.leg for interval in self.intervals)
+        return turns, rolls, tuple(legs[i] for i in rolls), legs
+
+    @functools.cached_property
+    def _parameters(self) -> tuple[tuple[str, str], ...]:
+        """Parameter of the model and the value that it is."""
+        names = {value.name: value.name for value in self.sampler.values}
+        return tuple(split_values(names, self.model)[1].items())
+
+    def values(self, draws: Draws) -> dict[str, Array]:
+        """Parameters of the power model that are drawn, each of shape (runs, 1)."""
+        return {name: np.asarray(draws[value])[:, None] for name, value in self._parameters}
+
+    @functools.cached_property
+    def _fixed(self) -> tuple[dict[str, Array], list[tuple[str, str]], Array]:
+        """Power of each battery that no draw changes; the components that have any, with their powers as columns."""
+        total = {name: np.zeros(len(self.intervals)) for name in self.model.batteries}
+        for (battery, _), watts in self.fixed.items():
+            total[battery] = total[battery] + watts
+        some = [key for key, watts in self.fixed.items() if np.any(watts)]
+        return total, some, np.stack([self.fixed[key] for key in some], axis=1) if some else np.zeros((0, 0))
+
+    @functools.cached_property
+    def _impulsive(self) -> bool:
+        return any(term.effect.impulse is not None for term in self.model.terms)
+
+    @functools.cached_property
+    def _even(self) -> dict[str, float]:
+        """Power [W] of the batteries whose power is the same, and not below zero, in all intervals of all runs."""
+        return {
+            name: float(watts[0])
+            for name, watts in self._fixed[0].items()
+            if not self._impulsive and not self.varying.of(name) and np.all(watts == watts[0]) and watts[0] >= 0.0
+        }
+
+    @functools.cached_property
+    def _curved(self) -> NDArray[np.bool_]:
+        """The intervals in which power changes."""
+        if self.model.memory or "time_s" in self._needs:
+            return np.ones(len(self.intervals), dtype=bool)
+        return np.array([interval.phase != 1 for interval in self.intervals])
+
     def _energies(
-        self, cov: dict[str, Any], rates: dict[str, Any], duration: Array, values: dict[str, Array], count: int
-    ) -> tuple[dict[str, Array], dict[tuple[str, str], Array]]:
-        """Energy by battery and interval (count, intervals), and by battery and component (count,), in J."""
-        ramps = np.array([interval.phase != 1 for interval in self.intervals])
-        if self.model.memory or "time_s" in cov:
-            ramps = np.ones_like(ramps)
-        steady = np.flatnonzero(~ramps)
-        energy = {name: np.zeros_like(duration) for name in self.model.batteries}
-        component = {key: np.zeros(count) for key in components_of(self.model)}
+        self,
+        cov: dict[str, Any],
+        rates: dict[str, Any],
+        motion: Motion,
+        values: Mapping[str, Array],
+        numbers: Array,
+        part: Mapping[tuple[str, str], int],
+    ) -> dict[str, Array]:
+        """Energy by battery and interval, shape (runs, intervals), in J; by component it is added to `numbers`."""
+        duration = motion.duration_s
+        total, some, powers = self._fixed
+        for key, joules in zip(some, (duration @ powers).T if some else (), strict=True):
+            numbers[part[key]] = joules
+        energy = {name: duration * watts for name, watts in total.items() if not self.varying.of(name)}
 
-        def book(powers: Mapping[str, Mapping[Any, Any]], where: NDArray[np.intp], length: Array, weights: Any) -> None:
+        def book(powers: Mapping[str, Mapping[Any, Any]], where: Any, length: Array, weights: Array | None) -> None:
+            time_s = None
             for battery, terms in powers.items():
-                mean = np.zeros((1, len(where)))
-                for key, power in terms.items():
-                    watts = np.asarray(power, dtype=float)
+                mean: Array = total[battery][where]
+                for key, watts in terms.items():
+                    watts = np.asarray(watts, dtype=float)
                     if weights is not None:
-                        shape = np.broadcast_shapes(watts.shape, (1, len(where) * len(weights)))
-                        watts = np.broadcast_to(watts, shape).reshape(shape[0], len(where), -1) @ weights
-                    watts = np.broadcast_to(watts, np.broadcast_shapes(watts.shape, (1, len(where))))
-                    one = watts.shape[0] == 1
-                    component[battery, key.component] += (
-                        length @ watts[0] if one else np.einsum("ij,ij->i", length, watts)
-                    )
-                    mean = mean + watts
-                if len(where) == duration.shape[1]:
-                    energy[battery] += length * mean
-                else:
-                    energy[battery][:, where] += length * mean
+                        shape = (length.shape[1], len(weights))
+                        watts = np.broadcast_to(watts, (*watts.shape[:-1], shape[0] * shape[1])).reshape(-1, *shape)
+                        watts = watts @ weights
+                    if watts.shape == (len(length), 1):  # the same in all intervals
+                        time_s = length.sum(axis=1) if time_s is None else time_s
+                        joules = time_s * watts[:, 0]
+                    else:
+                        joules = np.einsum("ij,ij->i", length, np.broadcast_to(watts, length.shape))
+                    numbers[part[battery, key.component]] += joules
+                    if mean.shape == length.shape:
+                        mean += watts
+                    else:
+                        mean = mean + watts
+                if terms and length is duration:
+                    energy[battery] = np.multiply(length, mean, out=mean if mean.shape == length.shape else None)
+                elif terms:
+                    if battery not in energy:
+                        energy[battery] = np.zeros(duration.shape[::-1]).T
+                    energy[battery][:, where] = length * mean
 
-        if steady.size:
-            whole = steady.size == duration.shape[1]
-            here, length = (cov, duration) if whole else (_take(cov, steady), duration[:, steady])
-            book(self.model.evaluate(here, values), steady, length, None)
-        curved = np.flatnonzero(ramps)
-        if curved.size:
+        if self.varying.terms and not self._curved.any():
+            book(self.varying.evaluate(cov, values), slice(None), duration, None)
+        elif self.varying.terms:
+            steady, curved = np.flatnonzero(~self._curved), np.flatnonzero(self._curved)
+            if steady.size:
+                book(self.varying.evaluate(_take(cov, steady), values), steady, duration[:, steady], None)
             length = duration[:, curved]
-            times = (0.5 * length[..., None] * (NODES + 1.0)).reshape(count, -1)
-            nodes: dict[str, Any] = {}
-            for name, value in _take(cov, curved).items():
-                repeated = (
-                    value[np.repeat(np.arange(curved.size), len(NODES))]
-                    if hasattr(value, "codes")
-                    else (np.repeat(value, len(NODES), axis=-1))
-                )
-                change = rates.get(name)
-                nodes[name] = (
-                    repeated
-                    if change is None
-                    else repeated + times * np.repeat(np.asarray(change)[..., curved], len(NODES), axis=-1)
-                )
-            book(self.model.evaluate(nodes, values), curved, length, 0.5 * WEIGHTS)
-        for key, joules in self.model.impulses(cov, values).items():
-            spread = np.broadcast_to(joules, duration.shape)
-            energy[key.battery] += spread
-            component[key.battery, key.component] += spread.sum(axis=1)
-        return energy, component
+            times = (0.5 * length[..., None] * (NODES + 1.0)).reshape(len(length), -1)
+            book(self.varying.evaluate(_at_nodes(cov, rates, curved, times), values), curved, length, 0.5 * WEIGHTS)
+        if self._impulsive:
+            for term, impulse in self.model.impulses(cov, values).items():
+                spread = np.broadcast_to(impulse, duration.shape)
+                energy[term.battery] += spread
+                numbers[part[term.battery, term.component]] += spread.sum(axis=1)
+        return energy
 
-    def _distance(self, cov: Mapping[str, Any], duration: Array, rate: Array) -> Array:
-        if not rate.any() and not np.any(cov["lateral_speed_m_s"]):
-            return np.asarray(np.einsum("ij,ij->i", np.abs(cov["speed_m_s"]), duration))
-        ahead = np.abs(cov["speed_m_s"] * duration + 0.5 * cov["accel_m_s2"] * duration**2)
+    def _distance(self, cov: Mapping[str, Any], motion: Motion) -> Array:
+        duration = motion.duration_s
+        if not motion.accel_m_s2.any() and not np.any(cov["lateral_speed_m_s"]):
+            speed = np.broadcast_to(np.abs(cov["speed_m_s"]), duration.shape)
+            return np.asarray(np.einsum("ij,ij->i", speed, duration))
+        ahead = cov["speed_m_s"] * duration + 0.5 * cov["accel_m_s2"] * duration**2
         aside = cov["lateral_speed_m_s"] * duration + 0.5 * cov["lateral_accel_m_s2"] * duration**2
         return np.asarray(np.hypot(ahead, aside).sum(axis=1))
 
 
-def _stack(entries: Entries, intervals: tuple[Interval, ...], legs: list[Leg], count: int) -> Array:
-    return np.concatenate(
-        [
-            np.zeros((count, 1))
-            + (
-                np.copysign(1.0, leg.angle_rad)
-                if leg.kind == "turn"
-                else entries.leg(interval.leg, "curvature_1_m")
-                if leg.kind == "roll"
-                else 0.0
-            )
-            for leg, interval in zip(legs, intervals, strict=True)
-        ],
-        axis=1,
-    )
-
-
-def _ahead(leg: Leg) -> float:
-    if leg.kind == "slide":
-        return float(np.cos(leg.direction_rad))
-    return 1.0 if leg.kind == "roll" else 0.0
+def _at_nodes(
+    cov: Mapping[str, Any], rates: Mapping[str, Any], curved: NDArray[np.intp], times: Array
+) -> dict[str, Any]:
+    """Covariates at the nodes of the intervals in which power changes, in their last axis interval by interval."""
+    repeated = np.repeat(curved, len(NODES))
+    nodes = _take(cov, repeated)
+    for name, change in rates.items():
+        if np.any(change):
+            nodes[name] = nodes[name] + times * np.asarray(change)[..., repeated]
+    return nodes
 
 
 def _take(cov: Mapping[str, Any], index: NDArray[np.intp]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from missionsim.plan.legs import Plan
 from missionsim.spec.mission import MissionSpec
 from missionsim.uncertainty.arrays import ArrayMission, Interval
 from missionsim.uncertainty.draws import Sampler
-from missionsim.uncertainty.entries import numbers_of_plan
+from missionsim.uncertainty.entries import Entries, numbers_of_plan, running_sum
 from missionsim.uncertainty.probe import Dependence, probe
 from missionsim.uncertainty.single import left_to_chance
 
@@ -164,7 +165,46 @@ def _assemble(
                 current = (j if current < 0 else current) if on else -1
                 began[j] = current
             switched[name] = began
-    return ArrayMission(mission, model, sampler, plan, dependence, tuple(spans), tuple(intervals), columns, switched)
+    made = ArrayMission(
+        mission, model, sampler, plan, dependence, tuple(spans), tuple(intervals), columns, switched, model, {}
+    )
+    return _without_fixed_terms(made)
+
+
+def _without_fixed_terms(made: ArrayMission) -> ArrayMission:
+    """Evaluate the terms that no draw changes, once and for all.
+
+    Two runs with values of their own are evaluated: what follows from a draw, has two rows then. A term with zero as
+    its undrawn coefficient is nought whatever else it depends on.
+    """
+    draws = made.sampler.at({value.name: np.array([0.3, 0.7]) for value in made.sampler.values})
+    entries = Entries(made.plan, made.dependence, made.dependence.changes(draws, 2))
+    motion = made.motion(entries, 2)
+    cov, _ = made.covariates(entries, motion, running_sum(motion.duration_s.T))
+    values = made.values(draws)
+    powers = made.model.evaluate(cov, values)
+    fixed: dict[tuple[str, str], Array] = {}
+    kept = []
+    for battery, watts in powers.items():
+        terms = made.model.of(battery)
+        whole = any(term.effect.of_load for term in terms)
+        changing = {term.key for term in terms if np.ndim(watts[term.key]) == 2 and len(watts[term.key]) > 1}
+        nought = {
+            term.key
+            for term in terms
+            if [parameter.value for parameter in term.parameters.values()] == [0.0]
+            and f"{battery}/{term.name_of(next(iter(term.parameters)))}" not in values
+            and not np.any(watts[term.key])
+        }
+        relieved = any(term.effect.recovers and term.key in changing - nought for term in terms)
+        for term in terms:
+            if whole or term.key in changing - nought or (relieved and term.effect.drive and term.key not in nought):
+                kept.append(term)
+            elif term.key not in nought:
+                place = (battery, term.key.component)
+                row = np.broadcast_to(np.asarray(watts[term.key], dtype=float), (1, len(made.intervals)))[0]
+                fixed[place] = fixed.get(place, np.zeros(len(made.intervals))) + row
+    return replace(made, varying=replace(made.model, terms=tuple(kept)), fixed=fixed)
 
 
 def _disagreement(made: ArrayMission, checks: list[dict[str, float]]) -> str:

@@ -12,7 +12,7 @@ from missionsim.errors import InputError, did_you_mean
 from missionsim.spec.distributions import Distribution
 from missionsim.spec.mission import MissionSpec
 from missionsim.spec.uncertain_values import uncertain_values
-from missionsim.uncertainty.streams import uniforms
+from missionsim.uncertainty.streams import LARGEST_NORMAL, Streams
 
 Draws = dict[str, NDArray[np.float64]]
 
@@ -63,23 +63,57 @@ class Sampler:
         dict
             Name → ndarray of shape (count,), SI. The same for any block and whatever else is uncertain.
         """
-        probabilities = {value.name: uniforms(seed, value.name, first, count) for value in self.values}
-        return self.at(probabilities)
+        streams = Streams(seed)
+        correlated = self._correlated({name: streams.normals(name, first, count) for group in self.groups
+                                       for name in group[0]})
+        found: Draws = {}
+        for value in self.values:
+            name, law = value.name, value.distribution
+            if name in correlated:
+                found[name] = law.quantile(correlated[name])
+            elif law.of_scores:
+                found[name] = _from_scores(law, streams, name, first, count)
+            else:
+                found[name] = law.quantile(streams.uniforms(name, first, count))
+        return found
 
     def at(self, probabilities: Mapping[str, NDArray[np.float64]]) -> Draws:
         """Values at independent uniform numbers, correlated by a Gaussian copula."""
-        uniform = dict(probabilities)
+        from scipy.special import ndtri
+
+        scores = {name: ndtri(probabilities[name]) for names, _ in self.groups for name in names}
+        uniform = {**probabilities, **self._correlated(scores)}
+        return {value.name: value.distribution.quantile(uniform[value.name]) for value in self.values}
+
+    def _correlated(self, scores: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+        """Probabilities of the values in groups, from independent normal scores of each."""
+        found = {}
         for names, cholesky in self.groups:
-            from scipy.special import ndtr, ndtri
+            from scipy.special import ndtr
 
             # row by row, so that a run's numbers do not depend on the block they stand in
-            scores = [ndtri(uniform[name]) for name in names]
             for i, name in enumerate(names):
-                mixed = cholesky[i, 0] * scores[0]
+                mixed = cholesky[i, 0] * scores[names[0]]
                 for j in range(1, i + 1):
-                    mixed = mixed + cholesky[i, j] * scores[j]
-                uniform[name] = ndtr(mixed)
-        return {value.name: value.distribution.quantile(uniform[value.name]) for value in self.values}
+                    mixed = mixed + cholesky[i, j] * scores[names[j]]
+                found[name] = ndtr(mixed)
+        return found
+
+
+def _from_scores(law: Distribution, streams: Streams, name: str, first: int, count: int) -> NDArray[np.float64]:
+    """Draws from normal scores; where bounds cut a score off, a fresh number of the run takes its place.
+
+    A score inside the bounds has the truncated distribution already, and so has the fresh one: their mixture too.
+    """
+    scores = streams.normals(name, first, count)
+    low, high = law.score_bounds
+    outside = np.zeros(0, dtype=np.intp)
+    if max(low, -high) > -LARGEST_NORMAL and count and (scores.min() < low or scores.max() > high):
+        outside = np.flatnonzero((scores < low) | (scores > high))
+    values = law.at_scores(scores)
+    if outside.size:
+        values[outside] = law.quantile(streams.uniforms(f"{name}\x00outside", first, count)[outside])
+    return values
 
 
 def make_sampler(mission: MissionSpec) -> Sampler:

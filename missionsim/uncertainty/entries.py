@@ -1,53 +1,61 @@
-"""A plan's numbers at draws of the uncertain values, and interpolation over many runs at once."""
+"""A plan's numbers at draws of the uncertain values, and interpolation over many runs at once.
+
+Matrices of draws × intervals are kept in Fortran order here and in `arrays`: the runs of one interval lie side by side,
+so that what holds for an interval meets them as one number, and sums over intervals add whole rows.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import functools
 
 import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.engine.simulate import RunSetup
 from missionsim.plan.legs import Plan
-from missionsim.uncertainty.draws import Draws
 from missionsim.uncertainty.probe import Dependence
 
 Array = NDArray[np.float64]
 _LEG = ("distance_m", "speed_m_s", "curvature_1_m", "angle_rad", "yaw_rate_rad_s", "duration_s")
 SETTINGS = ("payload_kg", "slope_rad")
 _LIMITS = ("accel_m_s2", "decel_m_s2", "yaw_accel_rad_s2")
+_WIDTH = len(_LEG) + len(SETTINGS)
 
 
 class Entries:
-    """The plan's numbers at draws, each of shape (n, 1) or a number."""
+    """The plan's numbers at draws, as matrices of shape (runs, asked) or, where none of them varies, (1, asked).
 
-    def __init__(self, plan: Plan, dependence: Dependence, draws: Draws) -> None:
-        self.plan, self.dependence, self.draws = plan, dependence, draws
-        self.varying = set(dependence.varying.tolist())
-        self.width = len(_LEG) + len(SETTINGS)
+    Parameters
+    ----------
+    plan : Plan
+    dependence : Dependence
+    changes : ndarray, shape (values, runs)
+        See `Dependence.changes`.
+    """
 
-    def entry(self, index: int) -> Any:
-        return self.dependence.at(self.draws, index) if index in self.varying else float(self.dependence.base[index])
+    def __init__(self, plan: Plan, dependence: Dependence, changes: Array) -> None:
+        self.plan, self.dependence, self.changes = plan, dependence, changes
 
-    def leg(self, leg: int, name: str) -> Any:
-        return self.entry(leg * self.width + _LEG.index(name))
+    def legs(self, legs: tuple[int, ...], name: str) -> Array:
+        """A number of each of these legs, or a setting of theirs such as ``payload_kg``."""
+        return self.dependence.at(self.changes, _places(legs, name))
 
-    def varies(self, name: str) -> bool:
-        place = _LEG.index(name)
-        return any(index % self.width == place for index in self.varying if index < self.width * len(self.plan.legs))
+    def limit(self, name: str) -> Array:
+        """A limit of the robot's motion, shape (runs,) or (1,)."""
+        return self._alone(_WIDTH * len(self.plan.legs) + _LIMITS.index(name))
 
-    def setting(self, name: str, legs: list[int], count: int) -> Array:
-        place = len(_LEG) + SETTINGS.index(name)
-        indices = [leg * self.width + place for leg in legs]
-        if not self.varying.intersection(indices):
-            return np.asarray(self.dependence.base[indices])
-        return np.concatenate([np.zeros((count, 1)) + self.entry(index) for index in indices], axis=1)
+    def battery(self, battery: int, which: int) -> Array:
+        """Capacity [J], initial charge [J] or reserve (a part of the capacity) of a battery, shape (runs,) or (1,)."""
+        return self._alone(_WIDTH * len(self.plan.legs) + len(_LIMITS) + 3 * battery + which)
 
-    def limit(self, name: str) -> Any:
-        return self.entry(self.width * len(self.plan.legs) + _LIMITS.index(name))
+    def _alone(self, index: int) -> Array:
+        return self.dependence.at(self.changes, (index,))[:, 0]
 
-    def battery(self, battery: int, which: int) -> Any:
-        return self.entry(self.width * len(self.plan.legs) + len(_LIMITS) + 3 * battery + which)
+
+@functools.lru_cache(maxsize=1024)
+def _places(legs: tuple[int, ...], name: str) -> tuple[int, ...]:
+    place = (*_LEG, *SETTINGS).index(name)
+    return tuple(leg * _WIDTH + place for leg in legs)
 
 
 def numbers_of_plan(plan: Plan, setup: RunSetup) -> Array:
@@ -64,25 +72,62 @@ def numbers_of_plan(plan: Plan, setup: RunSetup) -> Array:
     return np.asarray(values, dtype=float)
 
 
-class Interpolation:
-    """Linear interpolation of each row, of times (n, points) among knots (n, knots) that increase along a row."""
+def running_sum(rows: Array) -> Array:
+    """Sums of the rows before each row, and of all: shape (k, n) → (k + 1, n)."""
+    sums = np.empty((len(rows) + 1, rows.shape[1]))
+    sums[0] = 0.0
+    for i, row in enumerate(rows):
+        np.add(sums[i], row, out=sums[i + 1])
+    return sums
 
-    def __init__(self, grid: Array, times: Array) -> None:
-        count, knots = times.shape
-        # one search over all rows: each row's times, as parts of its last, get a range of their own
-        row = 2.0 * np.arange(count)[:, None]
-        scale = np.where(times[:, -1:] > 0.0, times[:, -1:], 1.0)
-        found = np.searchsorted((times / scale + row).ravel(), (grid / scale + row).ravel(), side="right").reshape(
-            grid.shape
-        )
-        first = knots * np.arange(count)[:, None]
-        self.right = np.clip(found - first, 1, knots - 1) + first
-        t0, t1 = times.ravel()[self.right - 1], times.ravel()[self.right]
-        longer = t1 > t0
-        self.part = np.clip(np.where(longer, (grid - t0) / np.where(longer, t1 - t0, 1.0), 1.0), 0.0, 1.0)
+
+class Progress:
+    """Linear interpolation at even parts of each run's duration.
+
+    Parameters
+    ----------
+    knots : ndarray, shape (k, runs)
+        Instants from 0 that do not decrease along a run, the last one its duration.
+    points : int
+        How many parts, with both ends.
+    """
+
+    def __init__(self, knots: Array, points: int) -> None:
+        last, count = len(knots) - 1, knots.shape[1]
+        total = knots[-1]
+        column = np.arange(count)
+        # the first of the even instants that a knot does not come after, counted, tells the knots before each of them
+        place = knots[1:] * ((points - 1) / np.where(total > 0.0, total, 1.0))
+        np.ceil(place, out=place)
+        place *= count
+        place += column
+        passed = np.bincount(place.astype(np.intp).ravel(), minlength=points * count)
+        at = np.empty((points - 2, count), dtype=np.intp)
+        before = passed[:count].copy()
+        for g in range(1, points - 1):
+            before += passed[g * count : (g + 1) * count]
+            np.minimum(before, last - 1, out=at[g - 1])
+        at *= count
+        at += column
+        self.at, self.after, self.points = at, at + count, points
+        flat = knots.ravel()
+        begin, length = flat.take(at), flat.take(self.after)
+        length -= begin
+        part = np.multiply.outer(np.arange(1, points - 1) / (points - 1), total)
+        part -= begin
+        if not length.all():
+            part = np.where(length > 0.0, part, 1.0)
+            length = np.where(length > 0.0, length, 1.0)
+        part /= length
+        self.part = np.clip(part, 0.0, 1.0, out=part)
 
     def __call__(self, values: Array) -> Array:
-        """Values at the grid, from values (n, knots) at the knots."""
+        """Values at the even instants, shape (points, runs), from values at the knots, shape (k, runs)."""
         flat = values.ravel()
-        v0, v1 = flat[self.right - 1], flat[self.right]
-        return np.asarray(v0 + (v1 - v0) * self.part)
+        found = np.empty((self.points, values.shape[1]))
+        found[0], found[-1] = values[0], values[-1]
+        before, inner = flat.take(self.at), found[1:-1]
+        np.subtract(flat.take(self.after), before, out=inner)
+        inner *= self.part
+        inner += before
+        return found

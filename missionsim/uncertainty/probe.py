@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+_Step = tuple[NDArray[np.intp], NDArray[np.intp], str, Array]
 RELATIVE_TOLERANCE = 1e-12
 _STEPS = (0.01, -0.013)
 
@@ -45,29 +46,79 @@ class Dependence:
         parts = [index for index, _ in (*self.powers.values(), *self.slopes.values())]
         return np.unique(np.concatenate(parts)) if parts else np.zeros(0, dtype=np.intp)
 
-    @functools.cached_property
-    def _of(self) -> Mapping[int, list[tuple[str, str, float]]]:
-        """Entry → (value, kind of dependence, exponent or slope)."""
-        found: dict[int, list[tuple[str, str, float]]] = {}
-        for kind, forms in (("power", self.powers), ("slope", self.slopes)):
-            for name, (index, coefficients) in forms.items():
-                for entry, coefficient in zip(index.tolist(), coefficients.tolist(), strict=True):
-                    found.setdefault(entry, []).append((name, kind, coefficient))
+    def changes(self, draws: Mapping[str, Array], count: int) -> Array:
+        """Ratios of values to their nominal ones, for products, then differences, for sums: shape (values, count)."""
+        found = np.empty((len(self.powers) + len(self.slopes), count))
+        for i, name in enumerate(self.powers):
+            np.divide(draws[name], self.nominal[name], out=found[i])
+        for i, name in enumerate(self.slopes, start=len(self.powers)):
+            np.subtract(draws[name], self.nominal[name], out=found[i])
         return found
 
-    def at(self, draws: Mapping[str, Array], entry: int) -> Array | float:
-        """One entry at draws of shape (n,): an array of shape (n, 1), or the number where it does not vary."""
-        result: Array | float = float(self.base[entry])
-        for name, kind, coefficient in self._of.get(entry, ()):
-            if name not in draws:
-                continue
-            value = np.asarray(draws[name])[:, None]
-            if kind == "slope":
-                result = result + coefficient * (value - self.nominal[name])
+    def at(self, changes: Array, entries: tuple[int, ...]) -> Array:
+        """Entries at draws.
+
+        Parameters
+        ----------
+        changes : ndarray, shape (values, runs)
+            See `changes`.
+        entries : tuple of int
+            Indices of `base`.
+
+        Returns
+        -------
+        ndarray, shape (runs, asked) in Fortran order
+            Or (1, asked) where none of them varies.
+        """
+        base, steps = self._steps(entries)
+        if not steps:
+            return base
+        place, value, how, coefficient = steps[0]
+        if how == "times" and len(place) == len(entries):
+            rows = changes[value]
+            rows *= base.T
+            steps = steps[1:]
+        else:
+            rows = np.empty((len(entries), changes.shape[1]))
+            rows[:] = base.T
+        for place, value, how, coefficient in steps:
+            if how == "times":
+                rows[place] *= changes[value]
+            elif how == "over":
+                rows[place] /= changes[value]
             else:
-                ratio = value / self.nominal[name]
-                result = result * (ratio if coefficient == 1.0 else 1.0 / ratio)
-        return result
+                rows[place] += coefficient[:, None] * changes[value]
+        return rows.T
+
+    def _steps(self, entries: tuple[int, ...]) -> tuple[Array, list[_Step]]:
+        """Of these entries, `base` as a row, and how to go on from it: in a step, each takes part once at most."""
+        if entries not in self._known:
+            rank = {name: i for i, name in enumerate((*self.powers, *self.slopes))}
+            steps: dict[tuple[int, str], list[tuple[int, int, float]]] = {}
+            for place, entry in enumerate(entries):
+                for turn, (name, how, coefficient) in enumerate(self._of.get(entry, ())):
+                    steps.setdefault((turn, how), []).append((place, rank[name], coefficient))
+            self._known[entries] = self.base[None, list(entries)], [
+                (np.array([s[0] for s in step]), np.array([s[1] for s in step]), how, np.array([s[2] for s in step]))
+                for (_, how), step in sorted(steps.items())
+            ]
+        return self._known[entries]
+
+    @functools.cached_property
+    def _known(self) -> dict[tuple[int, ...], tuple[Array, list[_Step]]]:
+        return {}
+
+    @functools.cached_property
+    def _of(self) -> Mapping[int, list[tuple[str, str, float]]]:
+        """Entry → (value, how it enters, slope), factors first."""
+        found: dict[int, list[tuple[str, str, float]]] = {}
+        for name, (index, exponents) in self.powers.items():
+            for entry, exponent in zip(index.tolist(), exponents.tolist(), strict=True):
+                found.setdefault(entry, []).append((name, "times" if exponent == 1.0 else "over", exponent))
+        for name, (index, slopes) in self.slopes.items():
+            for entry, slope in zip(index.tolist(), slopes.tolist(), strict=True):
+                found.setdefault(entry, []).append((name, "plus", slope))
+        return found
 
 
 def probe(
@@ -108,10 +159,10 @@ def probe(
             (powers if kind == "power" else slopes)[name] = (index, coefficients)
         found = Dependence(base, dict(nominal), powers, slopes)
         for draw in checks:
-            drawn = {name: np.array([value]) for name, value in draw.items()}
+            changes = found.changes({name: np.array([value]) for name, value in draw.items()}, 1)
             predicted = base.copy()
-            for entry in found.varying:
-                predicted[entry] = np.ravel(found.at(drawn, int(entry)))[0]
+            varying = found.varying
+            predicted[varying] = found.at(changes, tuple(varying.tolist()))[0]
             if not np.all(_same(predicted, numbers_of(draw), 1e-9 * RELATIVE_TOLERANCE, 4 * RELATIVE_TOLERANCE)):
                 return "the plan's numbers are no products or sums of the uncertain values"
     except ValueError as error:

@@ -56,10 +56,20 @@ def left_to_chance(mission: MissionSpec) -> tuple[str, ...]:
 
 
 def simulate_block(
-    mission: MissionSpec, model: PowerModel, sampler: Sampler, seed: int, first: int, count: int
+    mission: MissionSpec,
+    model: PowerModel,
+    sampler: Sampler,
+    seed: int,
+    first: int,
+    count: int,
+    *,
+    draws: Draws | None = None,
 ) -> dict[str, NDArray[Any]]:
-    """A block of runs with SimPy, as columns; a run that fails is kept with its draws and its message."""
-    draws = sampler.draw(seed, first, count)
+    """A block of runs with SimPy, as columns; a run that fails is kept with its draws and its message.
+
+    `draws` are those of `sampler`, if they are there already.
+    """
+    draws = dict(draws or sampler.draw(seed, first, count))
     rows: list[dict[str, Any]] = []
     counted: list[dict[str, float]] = []
     for i in range(count):

@@ -247,11 +247,11 @@ def test_probing_finds_products_and_sums_and_refuses_other_forms() -> None:
     checks = [{"a": 2.2, "b": 2.5, "c": 0.4}, {"a": 1.7, "b": 3.3, "c": -0.2}]
     found = probe(lambda v: np.array([v["a"] * v["b"], v["a"] / v["b"], 5.0 + v["c"], 7.0]), nominal, checks)
     assert not isinstance(found, str)
-    draws = {name: np.array([check[name] for check in checks]) for name in nominal}
-    assert np.ravel(found.at(draws, 0)) == pytest.approx([2.2 * 2.5, 1.7 * 3.3])
-    assert np.ravel(found.at(draws, 1)) == pytest.approx([2.2 / 2.5, 1.7 / 3.3])
-    assert np.ravel(found.at(draws, 2)) == pytest.approx([5.4, 4.8])
-    assert found.at(draws, 3) == 7.0
+    changes = found.changes({name: np.array([check[name] for check in checks]) for name in nominal}, 2)
+    assert found.at(changes, (0, 2, 3))[:, 0] == pytest.approx([2.2 * 2.5, 1.7 * 3.3])
+    assert found.at(changes, (1,))[:, 0] == pytest.approx([2.2 / 2.5, 1.7 / 3.3])
+    assert found.at(changes, (0, 2, 3))[:, 1] == pytest.approx([5.4, 4.8])
+    assert found.at(changes, (3, 3)).tolist() == [[7.0, 7.0]]
     assert isinstance(probe(lambda v: np.array([np.sin(v["a"]), v["a"] + v["b"] * v["a"]]), nominal, checks), str)
 
 

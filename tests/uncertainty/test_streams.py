@@ -7,29 +7,57 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from missionsim.uncertainty.streams import run_generator, uniforms
+from missionsim.spec.distributions import Distribution
+from missionsim.uncertainty.draws import Sampler, UncertainValue
+from missionsim.uncertainty.streams import CHUNK, Streams, run_generator
 
 
 @given(st.integers(0, 2**40), st.text(max_size=20), st.integers(0, 10_000), st.integers(1, 50), st.integers(0, 49))
 def test_a_run_has_the_same_number_in_any_block(seed: int, name: str, first: int, count: int, offset: int) -> None:
-    block = uniforms(seed, name, first, count)
-    alone = uniforms(seed, name, first + offset % count, 1)
-    assert block[offset % count] == alone[0]
+    streams, alone = Streams(seed), Streams(seed)
+    for block, one in ((streams.uniforms, alone.uniforms), (streams.normals, alone.normals)):
+        assert block(name, first, count)[offset % count] == one(name, first + offset % count, 1)[0]
 
 
-def test_streams_are_uniform_and_independent_of_each_other() -> None:
-    one, two = uniforms(7, "a", 0, 200_000), uniforms(7, "b", 0, 200_000)
+def test_blocks_over_chunks_are_one_sequence() -> None:
+    whole = Streams(3).normals("a", 0, 3 * CHUNK)
+    assert np.array_equal(whole[CHUNK - 7 : 2 * CHUNK + 9], Streams(3).normals("a", CHUNK - 7, CHUNK + 16))
+
+
+def test_streams_are_uniform_or_normal_and_independent_of_each_other() -> None:
+    one, two = (Streams(7).uniforms(name, 0, 200_000) for name in "ab")
     assert stats.kstest(one, "uniform").pvalue > 1e-3
     assert abs(np.corrcoef(one, two)[0, 1]) < 0.01
     assert abs(np.corrcoef(one[1:], one[:-1])[0, 1]) < 0.01
+    assert abs(np.corrcoef(one[:CHUNK], one[CHUNK : 2 * CHUNK])[0, 1]) < 0.06
     assert one.min() > 0.0
     assert one.max() < 1.0
+    assert stats.kstest(Streams(7).normals("a", 0, 200_000), "norm").pvalue > 1e-3
 
 
 def test_seeds_and_names_change_the_numbers() -> None:
-    base = uniforms(1, "a", 0, 8)
-    assert not np.any(base == uniforms(2, "a", 0, 8))
-    assert not np.any(base == uniforms(1, "aa", 0, 8))
+    base = Streams(1).uniforms("a", 0, 8)
+    assert not np.any(base == Streams(2).uniforms("a", 0, 8))
+    assert not np.any(base == Streams(1).uniforms("aa", 0, 8))
+
+
+def test_draws_have_their_distributions_also_where_bounds_cut() -> None:
+    laws = (
+        Distribution("normal", 2.0, 0.5),
+        Distribution("lognormal", 2.0, 0.5),
+        Distribution("truncated_normal", 2.0, 0.5, 1.8, 3.5),
+        Distribution("truncated_normal", 2.0, 0.5, 4.0, 9.0),
+        Distribution("uniform", low=1.0, high=4.0),
+        Distribution("triangular", low=1.0, mode=1.5, high=4.0),
+    )
+    sampler = Sampler(tuple(UncertainValue(f"v{i}", 2.0, "1", law) for i, law in enumerate(laws)))
+    drawn = sampler.draw(11, 0, 50_000)
+    for value in sampler.values:
+        probabilities = np.linspace(0.02, 0.98, 25)
+        share = np.searchsorted(np.sort(drawn[value.name]), value.distribution.quantile(probabilities)) / 50_000
+        assert np.abs(share - probabilities).max() < 0.01, value.distribution.kind
+    alone = sampler.draw(11, 731, 1)
+    assert all(drawn[name][731] == values[0] for name, values in alone.items())
 
 
 def test_generators_of_runs_repeat_and_differ() -> None:
