@@ -256,12 +256,19 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
     )
     rows = []
     for name, battery in answer["batteries"].items():
+        kept = battery["p_reserve"]
+        terminal.print(
+            f"  battery '{name}' ends with its reserve in {100 * kept['value']:.2f} % "
+            f"({100 * kept['low']:.2f} to {100 * kept['high']:.2f} %)",
+            markup=False,
+        )
         energy, capacity = battery["energy_wh"], battery["capacity_needed_wh"]
         if energy["mean"] is None:
             continue
         cells = [energy[key] for key in ("mean", "sd", "q05", "q50", "q95")] + [capacity["value"]]
         low, high = battery["energy_wh"]["intervals"]["q95"]
-        rows.append([name, *(f"{cell:.4g}" for cell in cells), f"{low:.4g} … {high:.4g}"])
+        lies = " … ".join("?" if bound is None else f"{bound:.5g}" for bound in (low, high))
+        rows.append([name, *(f"{cell:.4g}" for cell in cells), lies])
     terminal.print(
         simple_table(
             "Energy [Wh]",

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.uncertainty.failures import failures
+from missionsim.uncertainty.selection import Moments, Parts, moments, order_statistics
 from missionsim.uncertainty.single import drawn_columns
 from missionsim.uncertainty.store import BlockStore
 
 QUANTILES = {"q01": 0.01, "q05": 0.05, "q25": 0.25, "q50": 0.50, "q75": 0.75, "q95": 0.95, "q99": 0.99}
 LEVEL = 0.95
+IMPORTANCE_RUNS = 100_000
+"""So many runs, the first ones, tell which values matter: enough to know a rank correlation to 0.005."""
+MARGIN_TOLERANCE_WH = 1e-6
 
 
 def proportion_interval(good: int, total: int, level: float = LEVEL) -> tuple[float, float]:
@@ -41,53 +47,81 @@ def proportion_interval(good: int, total: int, level: float = LEVEL) -> tuple[fl
     return max(0.0, low), min(1.0, high)
 
 
-def quantile_interval(ordered: NDArray[np.float64], q: float, level: float = LEVEL) -> tuple[float, float]:
-    """Distribution-free interval of a quantile from order statistics (David and Nagaraja 2003, section 7.1).
+def quantile_ranks(count: int, q: float, level: float = LEVEL) -> tuple[int, int]:
+    """Ranks, from 0, of the order statistics that bound a quantile (David and Nagaraja 2003, section 7.1).
 
     Parameters
     ----------
-    ordered : ndarray, shape (n,)
-        Sorted values.
+    count : int
     q, level : float
 
     Returns
     -------
-    tuple of float
-        The extreme values where the sample is too small to bound the quantile on that side.
+    tuple of int
+        −1 and `count` where the sample is too small to bound the quantile on that side.
     """
     from scipy.stats import binom
 
-    n = len(ordered)
     tail = 0.5 * (1.0 - level)
-    low = int(binom.ppf(tail, n, q))
-    high = int(binom.ppf(1.0 - tail, n, q)) + 1
-    return float(ordered[max(low - 1, 0)]), float(ordered[min(high - 1, n - 1)])
+    return int(binom.ppf(tail, count, q)) - 1, int(binom.ppf(1.0 - tail, count, q))
 
 
-def describe(values: NDArray[np.float64]) -> dict[str, Any]:
-    """Mean, standard deviation and quantiles of a column with their 95 % intervals.
+def quantile_interval(ordered: NDArray[np.float64], q: float, level: float = LEVEL) -> tuple[float, float]:
+    """Distribution-free interval of a quantile of a sorted sample, shape (n,); infinite where it is not bounded."""
+    low, high = quantile_ranks(len(ordered), q, level)
+    return (
+        float(ordered[low]) if low >= 0 else -math.inf,
+        float(ordered[high]) if high < len(ordered) else math.inf,
+    )
+
+
+def quantiles(
+    parts: Parts, asked: Mapping[str, float], known: Moments
+) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
+    """Quantiles (Hyndman and Fan 1996, type 7) of a column and their 95 % intervals, exact, in bounded memory."""
+    last = known.count - 1
+    bounds = {name: quantile_ranks(known.count, q) for name, q in asked.items()}
+    needed = [rank for pair in bounds.values() for rank in pair if 0 <= rank <= last]
+    needed += [rank for q in asked.values() for rank in (math.floor(q * last), math.ceil(q * last))]
+    at = order_statistics(parts, needed, known)
+    at[-1], at[known.count] = -math.inf, math.inf
+    found = {}
+    for name, q in asked.items():
+        below, above = at[math.floor(q * last)], at[math.ceil(q * last)]
+        found[name] = below + (above - below) * (q * last - math.floor(q * last))
+    return found, {name: (at[low], at[high]) for name, (low, high) in bounds.items()}
+
+
+def describe(parts: Parts) -> dict[str, Any]:
+    """Mean, standard deviation and quantiles of a column with their 95 % intervals; failed runs (NaN) left out.
 
     Parameters
     ----------
-    values : ndarray, shape (n,)
-        NaN (failed runs) is left out.
+    parts : callable
+        Gives the column part by part, each time it is called.
     """
-    finite = np.sort(values[np.isfinite(values)])
-    if not len(finite):
+    known = moments(parts)
+    if not known.count:
         return {"mean": None, "sd": None, **dict.fromkeys(QUANTILES)}
-    from scipy.special import ndtri
+    from scipy.stats import t
 
-    mean, sd = float(finite.mean()), float(finite.std(ddof=1)) if len(finite) > 1 else 0.0
-    half = float(ndtri(0.5 + 0.5 * LEVEL)) * sd / math.sqrt(len(finite))
-    result: dict[str, Any] = {"mean": mean, "sd": sd, "mean_interval": [mean - half, mean + half]}
-    for name, q in QUANTILES.items():
-        result[name] = float(np.quantile(finite, q))
-    result["intervals"] = {name: list(quantile_interval(finite, q)) for name, q in QUANTILES.items()}
-    return result
+    half = (
+        float(t.ppf(0.5 + 0.5 * LEVEL, known.count - 1)) * known.sd / math.sqrt(known.count)
+        if known.count > 1
+        else math.inf
+    )
+    found, intervals = quantiles(parts, QUANTILES, known)
+    return {
+        "mean": known.mean,
+        "sd": known.sd,
+        "mean_interval": [_finite(known.mean - half), _finite(known.mean + half)],
+        **found,
+        "intervals": {name: [_finite(low), _finite(high)] for name, (low, high) in intervals.items()},
+    }
 
 
 def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) -> dict[str, Any]:
-    """The answers of a batch, read one column at a time.
+    """The answers of a batch, in memory that does not grow with the number of runs.
 
     Parameters
     ----------
@@ -100,115 +134,131 @@ def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) 
     -------
     dict
         ``runs``, ``p_feasible``, ``batteries``, ``failures``, ``duration_s``, ``importance`` of the contract's JSON.
+        Importance is found from the first `IMPORTANCE_RUNS` runs.
     """
-    feasible = store.column("feasible", firsts).astype(bool)
-    total, good = len(feasible), int(feasible.sum())
-    low, high = proportion_interval(good, total)
+    columns = store.columns_of(firsts)
+    total = good = 0
+    for part in columns("feasible")():
+        total, good = total + len(part), good + int(np.count_nonzero(part))
+    names = store.names()
     answer: dict[str, Any] = {
         "runs": total,
-        "p_feasible": {"value": good / total if total else None, "low": low, "high": high},
-        "duration_s": describe(store.column("duration_s", firsts)),
+        "p_feasible": _proportion(good, total),
+        "duration_s": describe(columns("duration_s")),
         "batteries": {},
-        "failures": _failures(store, firsts, total),
+        "failures": failures(store, firsts, total),
     }
-    names = store.names()
-    drawn = {name: store.column(f"drawn:{name}", firsts) for name in drawn_columns(dict.fromkeys(names))}
-    importance: list[dict[str, Any]] = []
+    mean = _means(store, firsts, [name for name in names if name.startswith("component_")])
     for battery in batteries:
-        energy = store.column(f"energy_{battery}_wh", firsts)
-        needed = store.column(f"needed_{battery}_wh", firsts)
         prefix = f"component_{battery}_"
         answer["batteries"][battery] = {
-            "energy_wh": describe(energy),
-            "margin_wh": describe(store.column(f"margin_{battery}_wh", firsts)),
-            "capacity_needed_wh": capacity_needed(needed),
+            "energy_wh": describe(columns(f"energy_{battery}_wh")),
+            "margin_wh": describe(columns(f"margin_{battery}_wh")),
+            "p_reserve": _proportion(_with_reserve(store, firsts, battery), total),
+            "capacity_needed_wh": capacity_needed(columns(f"needed_{battery}_wh")),
             "by_component_wh": {
-                name[len(prefix) : -3]: _mean(store.column(name, firsts))
-                for name in names
-                if name.startswith(prefix) and name.endswith("_wh")
+                name[len(prefix) : -len("_wh")]: value for name, value in mean.items() if name.startswith(prefix)
             },
         }
-        importance += rank_importance(drawn, energy, battery)
-    answer["importance"] = importance
+    drawn = {f"drawn:{name}": name for name in drawn_columns(names)}
+    used = {f"energy_{name}_wh": name for name in batteries}
+    first = store.beginning([*drawn, *used], firsts, IMPORTANCE_RUNS)
+    answer["importance"] = rank_importance(
+        {name: first[column] for column, name in drawn.items()}, {name: first[column] for column, name in used.items()}
+    )
+    answer["importance_runs"] = min(total, IMPORTANCE_RUNS)
     return answer
 
 
-def capacity_needed(needed: NDArray[np.float64], share: float = 0.99) -> dict[str, Any]:
+def _means(store: BlockStore, firsts: list[int], names: list[str]) -> dict[str, float | None]:
+    known = {name: Moments() for name in names}
+    for part in store.tables(names, firsts) if names else ():
+        for name, values in part.items():
+            known[name].add(values)
+    return {name: found.mean if found.count else None for name, found in known.items()}
+
+
+def _with_reserve(store: BlockStore, firsts: list[int], battery: str) -> int:
+    """How many runs no empty battery ended and left this battery its reserve."""
+    good = 0
+    for part in store.tables((f"margin_{battery}_wh", "failed_battery"), firsts):
+        enough = part[f"margin_{battery}_wh"] >= -MARGIN_TOLERANCE_WH
+        good += int(np.count_nonzero(enough & (part["failed_battery"] == "")))
+    return good
+
+
+def _proportion(good: int, total: int) -> dict[str, Any]:
+    low, high = proportion_interval(good, total)
+    return {"value": good / total if total else None, "low": low, "high": high}
+
+
+def capacity_needed(parts: Parts, share: float = 0.99) -> dict[str, Any]:
     """Energy that suffices for `share` of the runs, without any reserve, with its 95 % interval [Wh]."""
-    finite = np.sort(needed[np.isfinite(needed)])
-    if not len(finite):
+    known = moments(parts)
+    if not known.count:
         return {"share": share, "value": None, "low": None, "high": None}
-    low, high = quantile_interval(finite, share)
-    return {"share": share, "value": float(np.quantile(finite, share)), "low": low, "high": high}
+    found, intervals = quantiles(parts, {"at": share}, known)
+    low, high = intervals["at"]
+    return {"share": share, "value": found["at"], "low": _finite(low), "high": _finite(high)}
 
 
 def rank_importance(
-    drawn: dict[str, NDArray[np.float64]], energy: NDArray[np.float64], battery: str
+    drawn: Mapping[str, NDArray[np.float64]], energies: Mapping[str, NDArray[np.float64]]
 ) -> list[dict[str, Any]]:
     """Which values matter: first-order index from the sample itself, and Spearman's rank correlation.
 
     The index is the correlation ratio of the energy over classes of equal counts of the value (Plischke 2012), less
     what classes of pure noise would show. ``total`` needs a design of its own (`sobol`) and is None here.
+
+    Parameters
+    ----------
+    drawn : mapping
+        Value → ndarray of shape (n,).
+    energies : mapping
+        Battery → ndarray of shape (n,), NaN where a run failed.
     """
-    ok = np.isfinite(energy)
-    count = int(ok.sum())
-    if count < 20 or float(np.std(energy[ok])) == 0.0:
-        return []
-    from scipy.stats import rankdata
-
-    ranks = rankdata(energy[ok])
+    found: list[dict[str, Any]] = []
+    ok = np.all([np.isfinite(energy) for energy in energies.values()], axis=0) if energies else np.zeros(0, dtype=bool)
+    count = int(np.count_nonzero(ok))
+    outcomes = {name: energy[ok] for name, energy in energies.items() if count >= 20 and np.ptp(energy[ok]) > 0.0}
+    ranks = {name: _ranks(energy)[0] for name, energy in outcomes.items()}
     classes = int(min(50, max(4, round(count ** (1 / 3)))))
-    rows = []
-    for name, values in drawn.items():
+    for parameter, values in drawn.items() if outcomes else ():
         column = values[ok]
-        if float(np.std(column)) == 0.0:
+        if not np.isfinite(column).all() or np.ptp(column) == 0.0:
             continue
-        order = np.argsort(column, kind="stable")
-        parts = np.array_split(energy[ok][order], classes)
-        between = sum(len(part) * (part.mean() - energy[ok].mean()) ** 2 for part in parts)
-        ratio = between / (count * float(np.var(energy[ok])))
-        first = 1.0 - (1.0 - ratio) * (count - 1) / (count - classes)
-        rho = float(np.corrcoef(rankdata(column), ranks)[0, 1])
-        rows.append(
-            {
-                "parameter": name,
-                "battery": battery,
-                "first": max(0.0, float(first)),
-                "total": None,
-                "rank_correlation": rho,
-            }
-        )
-    return sorted(rows, key=lambda row: -abs(row["rank_correlation"]))
+        own, order = _ranks(column)
+        member = np.empty(count, dtype=np.intp)
+        member[order] = np.arange(count) * classes // count
+        size = np.bincount(member, minlength=classes)
+        for battery, energy in outcomes.items():
+            means = np.bincount(member, energy - energy.mean(), minlength=classes) / size
+            ratio = float(size @ means**2) / (count * float(np.var(energy)))
+            first = 1.0 - (1.0 - ratio) * (count - 1) / (count - classes)
+            found.append(
+                {
+                    "parameter": parameter,
+                    "battery": battery,
+                    "first": max(0.0, float(first)),
+                    "total": None,
+                    "rank_correlation": float(np.corrcoef(own, ranks[battery])[0, 1]),
+                }
+            )
+    place = {name: i for i, name in enumerate(energies)}
+    return sorted(found, key=lambda row: (place[row["battery"]], -abs(row["rank_correlation"])))
 
 
-def _failures(store: BlockStore, firsts: list[int], total: int) -> dict[str, Any]:
-    where: dict[tuple[str, str], list[float]] = {}
-    reasons: dict[str, int] = {}
-    columns = (store.parts(n, firsts) for n in ("failed_segment", "failed_battery", "failed_at_s", "message"))
-    for segments, names, times, messages in zip(*columns, strict=True):
-        for segment, battery, time_s in zip(segments, names, times, strict=True):
-            if battery:
-                where.setdefault((battery, segment), []).append(float(time_s))
-        for message in messages:
-            if message:
-                reasons[message] = reasons.get(message, 0) + 1
-    return {
-        "empty": [
-            {
-                "battery": battery,
-                "segment": segment,
-                "share": len(times) / total,
-                "median_time_s": float(np.median(times)),
-            }
-            for (battery, segment), times in sorted(where.items(), key=lambda item: -len(item[1]))
-        ],
-        "reasons": [
-            {"reason": reason, "share": count / total}
-            for reason, count in sorted(reasons.items(), key=lambda item: -item[1])[:20]
-        ],
-    }
+def _ranks(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Ranks, those of equal values their mean, and the order of the values."""
+    order = np.argsort(values, kind="stable")
+    ordered = values[order]
+    starts = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
+    ends = np.append(starts[1:], len(values))
+    ranks = np.empty(len(values))
+    ranks[order] = np.repeat(0.5 * (starts + ends - 1), ends - starts)
+    return ranks, order
 
 
-def _mean(values: NDArray[np.float64]) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if len(finite) else None
+def _finite(value: float) -> float | None:
+    """None where a sample is too small to bound a quantity: JSON has no infinity."""
+    return value if math.isfinite(value) else None

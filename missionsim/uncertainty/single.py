@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -149,6 +149,6 @@ def _columns(
     return columns
 
 
-def drawn_columns(columns: Mapping[str, Any]) -> list[str]:
+def drawn_columns(columns: Iterable[str]) -> list[str]:
     """Names of the uncertain values among the columns of a block."""
     return [name.removeprefix("drawn:") for name in columns if name.startswith("drawn:")]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,8 @@ from missionsim.errors import InputError
 from missionsim.files import atomic_write, write_text
 
 BATCH_FILE = "batch.json"
+KEPT_NUMBERS = 4_000_000
+"""A column of at most so many numbers is read once and kept while it is described."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,10 @@ class BlockStore:
                 arrays[name] = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
             else:
                 arrays[name] = pa.array(values.tolist() if values.dtype == object else values)
+        texts = [name for name, values in columns.items() if values.dtype == object]
         with atomic_write(self.path(first)) as temporary:
-            pq.write_table(pa.table(arrays), temporary, compression="zstd")
+            # numbers that are all different gain nothing from a dictionary
+            pq.write_table(pa.table(arrays), temporary, compression="zstd", use_dictionary=texts)
 
     def firsts(self) -> list[int]:
         """First runs of the blocks that are there, in order."""
@@ -68,14 +72,55 @@ class BlockStore:
 
     def parts(self, name: str, firsts: list[int] | None = None) -> Iterator[NDArray[Any]]:
         """One column, block by block."""
+        for table in self.tables((name,), firsts):
+            yield table[name]
+
+    def tables(self, names: Sequence[str], firsts: list[int] | None = None) -> Iterator[dict[str, NDArray[Any]]]:
+        """Some columns, block by block."""
         import pyarrow.parquet as pq
 
         for first in self.firsts() if firsts is None else firsts:
-            chunk = pq.read_table(self.path(first), columns=[name]).column(0).combine_chunks()
-            if hasattr(chunk, "flatten") and hasattr(chunk.type, "list_size"):
-                yield np.asarray(chunk.flatten()).reshape(-1, chunk.type.list_size)
-            else:
-                yield np.asarray(chunk.to_numpy(zero_copy_only=False))
+            with pq.ParquetFile(self.path(first)) as file:
+                table = file.read(columns=[*names], use_threads=False)
+            yield {name: _numpy(table.column(name).combine_chunks()) for name in names}
+
+    def beginning(self, names: Sequence[str], firsts: list[int] | None, count: int) -> dict[str, NDArray[Any]]:
+        """The first `count` numbers of some columns."""
+        found: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
+        length = 0
+        for table in self.tables(names, firsts) if names else ():
+            for name, part in table.items():
+                found[name].append(part[: count - length])
+            length += len(table[names[0]])
+            if length >= count:
+                break
+        return {name: np.concatenate(parts) if parts else np.zeros(0) for name, parts in found.items()}
+
+    def columns_of(self, firsts: list[int] | None) -> Callable[[str], Callable[[], Iterator[NDArray[Any]]]]:
+        """Readers of columns by name; what was read last is kept where it is small."""
+
+        def reader(name: str) -> Callable[[], Iterator[NDArray[Any]]]:
+            kept: list[NDArray[Any]] = []
+
+            def parts() -> Iterator[NDArray[Any]]:
+                if kept:
+                    yield from kept
+                    return
+                found: list[NDArray[Any]] = []
+                length = 0
+                for part in self.parts(name, firsts):
+                    length += len(part)
+                    if length <= KEPT_NUMBERS:
+                        found.append(part)
+                    else:
+                        found.clear()
+                    yield part
+                if length <= KEPT_NUMBERS:
+                    kept.extend(found)
+
+            return parts
+
+        return reader
 
     def begin(self, identity: Mapping[str, Any], *, resume: bool) -> None:
         """Make the folder for a batch, or take up an interrupted one.
@@ -104,3 +149,9 @@ class BlockStore:
         if self.folder.exists() and any(self.folder.iterdir()):
             raise InputError.single("this folder is not empty and holds no batch", file=str(self.folder))
         write_text(path, json.dumps(identity, indent=2, sort_keys=True) + "\n")
+
+
+def _numpy(chunk: Any) -> NDArray[Any]:
+    if hasattr(chunk.type, "list_size"):
+        return np.asarray(chunk.flatten()).reshape(-1, chunk.type.list_size)
+    return np.asarray(chunk.to_numpy(zero_copy_only=False))
