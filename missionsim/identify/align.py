@@ -109,7 +109,8 @@ class RunColumns:
         if not even:
             target = max(step, FINEST_STEP_S)
             count = max(2, int(np.ceil((edges[-1] - edges[0]) / target - 1e-6)))
-            grid = edges[0] + target * np.arange(count + 1)
+            target = float(edges[-1] - edges[0]) / count  # no part of a row beyond the end
+            grid = np.linspace(edges[0], edges[-1], count + 1)
             cumulative = np.pad(np.cumsum(values * np.diff(edges), axis=1), ((0, 0), (1, 0)))
             values = np.diff(np.vstack([np.interp(grid, edges, row) for row in cumulative]), axis=1) / target
             step = target
@@ -132,24 +133,20 @@ class RunColumns:
         joined = bool(np.all(np.abs(high[:-1] - low[1:]) < 1e-9))
         edges = np.append(low, high[-1]) if joined else np.concatenate([low, high])
         total: Array | float = 0.0
-        for node, weight in LAG_NODES if lag_s > 0 else ((0.0, 1.0),):
-            position = (edges - delay_s - node * lag_s - self.start_s) / self.step_s
-            total = total + weight * _integral_at(parts, np.clip(position, 0.0, self.values.shape[1]))
-        whole = np.asarray(total)
+        length: Array | float = 0.0
         n = len(low)
-        reach = (high - low) / self.step_s
-        lost = np.clip(position_lost(low - delay_s, self.start_s, self.step_s), 0.0, 0.9 * reach)
+        for node, weight in LAG_NODES if lag_s > 0 else ((0.0, 1.0),):
+            position = np.clip((edges - delay_s - node * lag_s - self.start_s) / self.step_s, 0.0, self.values.shape[1])
+            total = total + weight * _integral_at(parts, position)
+            length = length + weight * (np.diff(position) if joined else position[n:] - position[:n])
+        whole = np.asarray(total)
         difference = np.diff(whole, axis=1) if joined else whole[:, n:] - whole[:, :n]
-        return np.asarray(difference / (reach - lost))
+        # at the ends of the log a delayed column is known for a part of the bin only; a constant stays a constant
+        return np.asarray(difference / np.maximum(length, 0.1 * (high - low) / self.step_s))
 
 
 LAG_NODES = ((0.4157745568, 0.7110930099), (2.2942803603, 0.2785177336), (6.2899450829, 0.0103892565))
 """Gauss-Laguerre nodes: a first-order lag is an exponentially weighted mean of delays."""
-
-
-def position_lost(low_s: Array, start_s: float, step_s: float) -> Array:
-    """Rows of a bin that lie before the log begins, where a delayed column is unknown."""
-    return np.maximum((start_s - low_s) / step_s, 0.0)
 
 
 def _integral_curve(values: Array) -> tuple[Array, Array]:

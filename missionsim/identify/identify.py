@@ -12,7 +12,7 @@ from missionsim.identify.data import Candidate, RunData, Settings
 from missionsim.identify.design import Source, make_source
 from missionsim.identify.gates import Evidence, smallest_detectable
 from missionsim.identify.model import Model
-from missionsim.identify.remainder import dependences, periodic, stands_without, wrong_form
+from missionsim.identify.remainder import dependences, periodic, stands_without, wander, wrong_form
 from missionsim.identify.result import (
     BaseShift,
     CandidateReport,
@@ -30,6 +30,8 @@ from missionsim.identify.shape import refit_shapes
 FEW_RUNS = 3
 STEADY_LOADS = ("standby_load", "component_power", "component_warmup", "conversion_loss")
 FAINT_NATS = 50.0
+FAINT_SHARE = 0.2
+"""Beside a residual that wanders, an effect below this part of its size is not named."""
 
 
 def identify(
@@ -154,18 +156,22 @@ def _structures(
     seen = {s.covariate for s in found}
     rest = [s for s in dependences(model, spread, settings, model.chosen) if s.covariate not in seen]
     line = periodic(model, model.innovations)
-    if line is not None:
-        rest.append(line)
+    restless = wander(model)
+    loose = [s for s in (line, restless) if s is not None]
+    if loose:
+        rest += loose
         # the mean of a load that comes and goes looks like a load that is always there
+        faint = FAINT_SHARE * (restless.size_share if restless is not None else 0.0)
         doubtful |= {
             k
             for k in model.chosen
             if candidates[int(rules.effect[k])].effect.partition(":")[0] in STEADY_LOADS
             or (choice.evidence[k].gain < FAINT_NATS and not _between_runs(model, k))
+            or abs(choice.evidence[k].share) < faint
         }
     for column in set(model.chosen) - doubtful:
         own = candidates[int(rules.effect[column])].covariate  # a curve over it is judged as the effect's form
-        others = [s for s in found + rest if s is not line and s.covariate != own]
+        others = [s for s in found + rest if s not in loose and s.covariate != own]
         if any(not stands_without(model, column, s, spread) for s in others):
             doubtful.add(column)
     return found + rest, doubtful
