@@ -94,9 +94,9 @@ def montecarlo(
         return _only(prepared, seed, only, json, quiet)
     if out is not None:
         return _batch(task, prepared, runs, workers, scheduler, until, sobol, out, resume, plot, json, quiet)
-    with tempfile.TemporaryDirectory(prefix="missionsim-") as folder:
+    with tempfile.TemporaryDirectory(prefix="missionsim-", ignore_cleanup_errors=True) as folder:
         target = Path(folder) / "batch"
-        return _batch(task, prepared, runs, workers, scheduler, until, sobol, target, False, False, json, quiet)
+        return _batch(task, prepared, runs, workers, scheduler, until, sobol, target, False, False, json, quiet, True)
 
 
 def _check(
@@ -156,6 +156,7 @@ def _batch(
     plot: bool,
     json: str | None,
     quiet: bool,
+    passing: bool = False,
 ) -> int:
     from missionsim.cli.common import to_json
     from missionsim.files import write_text
@@ -180,7 +181,10 @@ def _batch(
                 advance=lambda count: bar.advance(row, count),
             )
     except KeyboardInterrupt:
-        print(f"interrupted; finished blocks are in {out}; go on with the same command and --resume", file=sys.stderr)
+        kept = "nothing is kept without --out"
+        if not passing:
+            kept = f"finished blocks are in {out}; go on with the same command and --resume"
+        print(f"interrupted; {kept}", file=sys.stderr)
         return RESUMABLE
     batteries = tuple(prepared.mission.robot.batteries)
     answer: dict[str, Any] = {

@@ -6,11 +6,12 @@ import functools
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED as FIRST
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
-from dataclasses import dataclass
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from missionsim import __version__
-from missionsim.errors import InputError
+from missionsim.errors import InputError, MissionsimError
 from missionsim.files import sha256
 from missionsim.spec.loading import load_mission
 from missionsim.spec.mission import MissionSpec
@@ -25,8 +26,10 @@ from missionsim.uncertainty.store import BlockStore
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-BLOCK_RUNS = {"simpy": 200, "arrays": 4096}
+BLOCK_RUNS = {"simpy": 50, "arrays": 4096}
 """Runs in a block; fixed, so that tables do not depend on the number of workers."""
+MOST_LOST = 3
+"""So often a lost worker process is replaced."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +145,7 @@ def run_batch(
     spans = [(first, min(size, runs - first)) for first in range(0, runs, size)]
     counted: list[int] = []
     good = total = 0
-    for first, count in _finished(task, spans, store, workers, executor):
+    for first, count in _finished(task, engine, spans, store, workers, executor):
         advance(count)
         counted.append(first)
         if until is not None:
@@ -155,7 +158,12 @@ def run_batch(
 
 
 def _finished(
-    task: Task, spans: list[tuple[int, int]], store: BlockStore, workers: int, executor: Executor | None
+    task: Task,
+    engine: str,
+    spans: list[tuple[int, int]],
+    store: BlockStore,
+    workers: int,
+    executor: Executor | None,
 ) -> Iterator[tuple[int, int]]:
     """Spans in order of runs, each after its block is on disk."""
     if executor is None and workers <= 1:
@@ -164,37 +172,71 @@ def _finished(
                 store.write(first, compute_block(task, first, count))
             yield first, count
         return
-    pool: Any = executor
-    if pool is None:
-        import multiprocessing
+    missing = [span for span in spans if not store.has(span[0])]
+    decided = replace(task, engine=engine)  # so that no worker tries again what cannot be arrays
+    if executor is not None:  # a cluster's workers may see other disks
+        yield from _pooled(executor, functools.partial(compute_block, decided), spans, missing, store, 8)
+        return
+    import multiprocessing
 
-        pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
-    try:
-        yield from _pooled(pool, task, spans, store, ahead=4 * max(workers, 2))
-    finally:
-        if executor is None:
+    taken = lost = 0
+    while taken < len(spans):
+        pool = ProcessPoolExecutor(
+            max(1, min(workers, len(missing))),
+            mp_context=multiprocessing.get_context("spawn"),
+            initializer=_leave_interrupts_to_the_parent,
+        )
+        work = functools.partial(_write_block, decided, store)
+        try:
+            for span in _pooled(pool, work, spans[taken:], missing, store, 2 * workers):
+                taken += 1
+                yield span
+        except BrokenProcessPool:
+            lost += 1
+            if lost > MOST_LOST:
+                raise MissionsimError(
+                    f"{lost} times a worker process ended unexpectedly (out of memory?); the finished blocks are kept"
+                ) from None
+            missing = [span for span in spans[taken:] if not store.has(span[0])]
+        finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
 
+def _leave_interrupts_to_the_parent() -> None:
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _write_block(task: Task, store: BlockStore, first: int, count: int) -> None:
+    """Compute a block and write it here, so that its numbers need not travel between processes."""
+    store.write(first, compute_block(task, first, count))
+
+
 def _pooled(
-    pool: Any, task: Task, spans: list[tuple[int, int]], store: BlockStore, ahead: int
+    pool: Any,
+    work: Callable[[int, int], dict[str, NDArray[Any]] | None],
+    spans: list[tuple[int, int]],
+    missing: list[tuple[int, int]],
+    store: BlockStore,
+    ahead: int,
 ) -> Iterator[tuple[int, int]]:
     """Keep `ahead` blocks under way, so that memory does not grow with the number of runs."""
-    waiting: Iterable[tuple[int, int]] = iter([span for span in spans if not store.has(span[0])])
-    under_way: dict[Future[Any], tuple[int, int]] = {}
-    iterator = iter(waiting)
+    waiting = iter(missing)
+    under_way: dict[Future[Any], int] = {}
 
     def fill() -> None:
-        while len(under_way) < ahead and (span := next(iterator, None)) is not None:
-            under_way[pool.submit(compute_block, task, *span)] = span
+        while len(under_way) < ahead and (span := next(waiting, None)) is not None:
+            under_way[pool.submit(work, *span)] = span[0]
 
     for span in spans:
         fill()
         while not store.has(span[0]):
             done, _ = wait_for(under_way)
             for future in done:
-                first, _count = under_way.pop(future)
-                store.write(first, future.result())
+                first, columns = under_way.pop(future), future.result()
+                if columns is not None:
+                    store.write(first, columns)
             fill()
         yield span
 

@@ -131,7 +131,9 @@ def test_another_uncertain_value_changes_no_other_draw() -> None:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    """Content by name; without hidden files, the remains of blocks that were being written."""
+    found = (p for p in sorted(folder.rglob("*")) if p.is_file() and not p.name.startswith("."))
+    return {str(p.relative_to(folder)): p.read_bytes() for p in found}
 
 
 def batch(out: Path, *more: str, runs: int = 700) -> int:
@@ -139,45 +141,63 @@ def batch(out: Path, *more: str, runs: int = 700) -> int:
     return run_command(command)
 
 
-def test_same_bytes_for_any_number_of_workers(tmp_path: Path) -> None:
-    assert batch(tmp_path / "one", "--engine", "simpy") == 0
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """Files of a batch that one process computed without interruption."""
+    folder = tmp_path_factory.mktemp("whole") / "batch"
+    assert batch(folder, "--engine", "simpy") == 0
+    return files(folder)
+
+
+def test_same_bytes_for_any_number_of_workers(tmp_path: Path, whole: dict[str, bytes]) -> None:
     assert batch(tmp_path / "two", "--engine", "simpy", "--workers", "2") == 0
-    assert files(tmp_path / "one") == files(tmp_path / "two")
+    assert files(tmp_path / "two") == whole
 
 
-def test_killed_batch_resumes_to_the_same_bytes(tmp_path: Path) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "missionsim",
-        "montecarlo",
-        PATROL,
-        "--runs",
-        "3000",
-        "--seed",
-        "9",
-        "--engine",
-        "simpy",
-        "--workers",
-        "2",
-        "--quiet",
-        "--out",
-        str(tmp_path / "killed"),
-    ]
-    process = subprocess.Popen(command, start_new_session=True)
+@pytest.mark.parametrize(("ending", "workers"), [(signal.SIGKILL, 2), (signal.SIGINT, 2), (signal.SIGINT, 1)])
+def test_an_ended_batch_resumes_to_the_same_bytes(
+    tmp_path: Path, whole: dict[str, bytes], ending: signal.Signals, workers: int
+) -> None:
+    out = tmp_path / "ended"
+    command = ["montecarlo", PATROL, "--runs", "700", "--seed", "9", "--engine", "simpy", "--quiet", "--out", str(out)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "missionsim", *command, "--workers", str(workers)],
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     deadline = time.monotonic() + 120
-    while not list((tmp_path / "killed" / "blocks").glob("runs_*.parquet")) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    done = len(list((tmp_path / "killed" / "blocks").glob("runs_*.parquet")))
-    assert 0 < done < 15
-    assert not (tmp_path / "killed" / "summary.json").exists()
-    assert batch(tmp_path / "killed", "--engine", "simpy", runs=3000) == 2
-    assert batch(tmp_path / "killed", "--engine", "simpy", "--resume", runs=3000) == 0
-    assert batch(tmp_path / "whole", "--engine", "simpy", runs=3000) == 0
-    killed = {name: data for name, data in files(tmp_path / "killed").items() if not Path(name).name.startswith(".")}
-    assert killed == files(tmp_path / "whole")
+    while not list((out / "blocks").glob("runs_*.parquet")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.killpg(process.pid, ending)
+    _, told = process.communicate(timeout=60)
+    if ending == signal.SIGINT:
+        assert process.returncode == 130
+        assert "--resume" in told
+        assert "Traceback" not in told
+    done = len(list((out / "blocks").glob("runs_*.parquet")))
+    assert 0 < done < 14
+    assert not (out / "summary.json").exists()
+    assert batch(out, "--engine", "simpy") == 2
+    assert batch(out, "--engine", "simpy", "--resume") == 0
+    assert files(out) == whole
+
+
+def test_a_lost_worker_process_is_replaced(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    import psutil
+
+    def strike() -> None:
+        while not list((tmp_path / "out" / "blocks").glob("runs_*.parquet")):
+            time.sleep(0.02)
+        workers = [child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())]
+        workers[0].kill()
+
+    killer = threading.Thread(target=strike, daemon=True)
+    killer.start()
+    assert batch(tmp_path / "out", "--engine", "simpy", "--workers", "2") == 0
+    killer.join(timeout=10)
+    assert not killer.is_alive()
+    assert files(tmp_path / "out") == whole
 
 
 def test_json_follows_the_contract(tmp_path: Path) -> None:
@@ -278,9 +298,8 @@ def test_paired_intervals_cover_the_true_difference() -> None:
     assert 368 <= covered <= 392
 
 
-def test_a_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path) -> None:
+def test_a_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> None:
     distributed = pytest.importorskip("distributed")
-    assert batch(tmp_path / "here", "--engine", "simpy", runs=2000) == 0
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
     ) as cluster:
@@ -293,10 +312,10 @@ def test_a_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path)
 
         killer = threading.Thread(target=strike, daemon=True)
         killer.start()
-        assert batch(tmp_path / "there", "--engine", "simpy", "--scheduler", cluster.scheduler_address, runs=2000) == 0
+        assert batch(tmp_path / "there", "--engine", "simpy", "--scheduler", cluster.scheduler_address) == 0
         killer.join(timeout=10)
         assert not killer.is_alive()
-    assert files(tmp_path / "here") == files(tmp_path / "there")
+    assert files(tmp_path / "there") == whole
 
 
 def test_no_scheduler_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
