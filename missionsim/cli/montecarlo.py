@@ -60,7 +60,8 @@ def montecarlo(
     until
         Stop as soon as the 95 % interval of the probability of success is at most this wide.
     sobol
-        Also estimate Sobol indices, from so many base samples (a power of two) times the number of values plus two.
+        Also estimate Sobol indices, from so many base samples (a power of two) times the number of values plus two;
+        what the mission leaves to chance counts as one value.
     out
         Folder for the runs (Parquet, block by block), the summary and the figures.
     resume
@@ -115,7 +116,7 @@ def _check(
         ("--workers", workers < 1, workers, "1 or more"),
         ("--until", until is not None and not 0.0 < until < 1.0, until, "a width between 0 and 1, such as 0.02"),
         ("--only", only is not None and only < 0, only, "a run's number, 0 or more"),
-        ("--sobol", sobol != 0 and (sobol < 16 or sobol & (sobol - 1)), sobol, "a power of two, 16 or more"),
+        ("--sobol", sobol != 0 and (sobol < 64 or sobol & (sobol - 1)), sobol, "a power of two, 64 or more"),
         ("--resume", resume and out is None, "no --out", "--out with the folder of the batch"),
         ("--plot", plot and out is None, "no --out", "--out with a folder for the figures"),
     ):
@@ -162,6 +163,7 @@ def _batch(
     from missionsim.files import write_text
     from missionsim.uncertainty.answers import summarise
     from missionsim.uncertainty.batch import identity, run_batch
+    from missionsim.uncertainty.single import left_to_chance
     from missionsim.uncertainty.store import BlockStore
 
     engine = "simpy" if prepared.arrays is None else "arrays"
@@ -194,6 +196,7 @@ def _batch(
         "seed": task.seed,
         "engine": engine,
         "why_not_arrays": prepared.why_not_arrays,
+        "chance": [name.removeprefix("chance.") for name in left_to_chance(prepared.mission)],
         **summarise(store, firsts, batteries),
     }
     if sobol:
@@ -297,9 +300,9 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
         (
             row["battery"],
             row["parameter"],
-            f"{row.get('rank_correlation', float('nan')):+.2f}",
-            f"{row['first']:.3f}",
-            "–" if row["total"] is None else f"{row['total']:.3f}",
+            _number(row["rank_correlation"], "+.2f"),
+            _number(row["first"], ".3f", row.get("first_interval")),
+            _number(row["total"], ".3f", row.get("total_interval")),
         )
         for row in answer["importance"][:12]
     ]
@@ -311,3 +314,12 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
                 important,
             )
         )
+    if answer["chance"] and not any("total_interval" in row for row in answer["importance"]):
+        terminal.print("  with --sobol, what is left to chance counts as one value, 'chance'", markup=False)
+
+
+def _number(value: float | None, form: str, interval: list[float] | None = None) -> str:
+    if value is None:
+        return "–"
+    ends = "" if interval is None else f" ({interval[0]:{form}} to {interval[1]:{form}})"
+    return f"{value:{form}}{ends}"

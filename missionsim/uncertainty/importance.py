@@ -2,115 +2,157 @@
 
 from __future__ import annotations
 
-import warnings
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.engine.simulate import simulate
-from missionsim.errors import InputError
-from missionsim.spec.distributions import Distribution
+from missionsim.engine.simulate import simulate, split_values
+from missionsim.errors import InputError, MissionsimError
+from missionsim.plan.build import make_plan
+from missionsim.uncertainty.answers import LEVEL
+from missionsim.uncertainty.single import left_to_chance
+from missionsim.uncertainty.streams import run_generator
 
 if TYPE_CHECKING:
     from missionsim.uncertainty.batch import Prepared
 
+Array = NDArray[np.float64]
+DESIGNS = 16
+"""Independently scrambled designs; how they differ tells how sure the indices are."""
+FEWEST = 4 * DESIGNS
+CHANCE = "chance"
+"""Name of all that a mission leaves to chance, taken as one value."""
 _EDGE = 2.0**-40
-
-
-class _Law:
-    """What SciPy asks of a distribution."""
-
-    def __init__(self, distribution: Distribution) -> None:
-        self.distribution = distribution
-
-    def ppf(self, probability: NDArray[np.float64]) -> NDArray[np.float64]:
-        # a scrambled Sobol point may lie on the border, where a normal distribution has no value
-        return self.distribution.quantile(np.clip(probability, _EDGE, 1.0 - _EDGE))
+_POINTS = 1 << 14
+"""So many points are evaluated at once, at most."""
 
 
 def sobol_importance(prepared: Prepared, seed: int, samples: int, ranks: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """First-order and total Sobol indices of each battery's energy (Saltelli 2010, by `scipy.stats.sobol_indices`).
+    """First-order and total Sobol indices of each battery's energy.
 
     Parameters
     ----------
     prepared : Prepared
     seed : int
     samples : int
-        A power of two; the mission is evaluated ``samples × (values + 2)`` times.
+        A power of two, `FEWEST` or more; the mission is evaluated ``samples × (values + 2)`` times.
     ranks : list of dict
         Rank correlations to be carried over.
 
     Returns
     -------
     list of dict
-        ``parameter``, ``battery``, ``first``, ``total`` with 95 % bootstrap intervals, largest total first.
+        ``parameter``, ``battery``, ``first``, ``total`` with their 95 % intervals, largest total first. What is left to
+        chance is one value, `CHANCE`.
 
     Raises
     ------
     missionsim.errors.InputError
         Where values are correlated: the indices are not defined then.
-    """
-    from scipy.stats import sobol_indices
 
-    values = prepared.sampler.values
+    Notes
+    -----
+    Saltelli et al. 2010, estimators (b) and (f) of Table 2, on scrambled Sobol' points (`scipy.stats.qmc`). A bootstrap
+    would take these points for independent ones and give intervals far too wide; here `DESIGNS` designs are scrambled
+    independently, and the interval is that of the jackknife over them with Student's t.
+    """
     if prepared.sampler.groups:
         raise InputError.single(
             "Sobol indices are not defined for correlated values",
             got="correlations in the mission",
             allowed="--sobol without correlations, or the rank correlations alone",
         )
-    if not values:
+    names = [value.name for value in prepared.sampler.values]
+    names += [CHANCE] if left_to_chance(prepared.mission) else []
+    if not names:
         return ranks
-    batteries = tuple(prepared.mission.robot.batteries)
-
-    def energies(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        points = np.atleast_2d(x)
-        draws = {value.name: points[i] for i, value in enumerate(values)}
-        if prepared.arrays is not None:
-            columns, _ = prepared.arrays.evaluate(draws, points.shape[1])
-            return np.array([columns[f"energy_{name}_wh"] for name in batteries])
-        found = np.empty((len(batteries), points.shape[1]))
-        for j in range(points.shape[1]):
-            result = simulate(
-                prepared.mission,
-                values={name: float(v[j]) for name, v in draws.items()},
-                model=prepared.model,
-                trace=False,
-            )
-            found[:, j] = [result.batteries[name].energy_wh for name in batteries]
-        return found
-
-    answer = sobol_indices(
-        func=energies, n=samples, dists=[_Law(value.distribution) for value in values], rng=np.random.default_rng(seed)
-    )
-    with warnings.catch_warnings():
-        # a value that does not touch a battery has no spread there; its interval is nan and its row is left out
-        warnings.simplefilter("ignore")
-        spread = answer.bootstrap(confidence_level=0.95, n_resamples=200)
-    first, total = np.atleast_2d(answer.first_order), np.atleast_2d(answer.total_order)
-    intervals = [
-        np.atleast_2d(part)
-        for part in (
-            spread.first_order.confidence_interval.low,
-            spread.first_order.confidence_interval.high,
-            spread.total_order.confidence_interval.low,
-            spread.total_order.confidence_interval.high,
-        )
-    ]
+    first, total = _indices(prepared, seed, samples, len(names))
     known = {(row["battery"], row["parameter"]): row.get("rank_correlation") for row in ranks}
     rows = [
         {
-            "parameter": value.name,
+            "parameter": name,
             "battery": battery,
-            "first": float(first[b, i]),
-            "total": float(total[b, i]),
-            "first_interval": [float(intervals[0][b, i]), float(intervals[1][b, i])],
-            "total_interval": [float(intervals[2][b, i]), float(intervals[3][b, i])],
-            "rank_correlation": known.get((battery, value.name)),
+            "first": first[0, i, b],
+            "total": total[0, i, b],
+            "first_interval": [first[1, i, b], first[2, i, b]],
+            "total_interval": [total[1, i, b], total[2, i, b]],
+            "rank_correlation": known.get((battery, name)),
         }
-        for b, battery in enumerate(batteries)
-        for i, value in enumerate(values)
-        if np.isfinite(total[b, i])
+        for b, battery in enumerate(prepared.mission.robot.batteries)
+        for i, name in enumerate(names)
+        if total[0, i, b] > 0.0  # else the value does not touch this battery
     ]
     return sorted(rows, key=lambda row: -float(row["total"]))
+
+
+def _indices(prepared: Prepared, seed: int, samples: int, values: int) -> tuple[Array, Array]:
+    """First-order and total indices: estimate, low and high end; shape (3, values, batteries)."""
+    from scipy.stats import qmc
+
+    evaluated = []
+    for design in range(DESIGNS):
+        scrambling = np.random.default_rng(int(run_generator(seed, "sobol", design).integers(1 << 62)))
+        generator = qmc.Sobol(2 * values, seed=scrambling)
+        points = np.clip(generator.random(samples // DESIGNS), _EDGE, 1.0 - _EDGE).T
+        a, b = points[:values], points[values:]
+        pages = [a, b]
+        for i in range(values):
+            pages.append(a.copy())
+            pages[-1][i] = b[i]
+        together = max(1, _POINTS // a.shape[1])
+        parts = [
+            _energies(prepared, seed, np.concatenate(pages[i : i + together], axis=1))
+            for i in range(0, len(pages), together)
+        ]
+        f_a, f_b, *f_ab = np.split(np.concatenate(parts, axis=1), len(pages), axis=1)
+        evaluated.append((f_a, f_b, np.array(f_ab)))
+    middle = np.nanmean([0.5 * (f_a + f_b) for f_a, f_b, _ in evaluated], axis=(0, -1))[:, None]
+    variance, first, total = [], [], []
+    for f_a, f_b, f_ab in evaluated:
+        variance.append(np.nanmean(0.5 * ((f_a - middle) ** 2 + (f_b - middle) ** 2), axis=-1))
+        first.append(np.nanmean((f_b - middle) * (f_ab - f_a), axis=-1))
+        total.append(np.nanmean(0.5 * (f_a - f_ab) ** 2, axis=-1))
+    return _ratio(np.array(first), np.array(variance)), _ratio(np.array(total), np.array(variance))
+
+
+def _ratio(parts: Array, variances: Array) -> Array:
+    """Ratio of sums over designs with its interval by the jackknife.
+
+    Parameters
+    ----------
+    parts : ndarray, shape (designs, values, batteries)
+    variances : ndarray, shape (designs, batteries)
+    """
+    from scipy.stats import t
+
+    whole = np.where(variances.sum(axis=0) > 0.0, variances.sum(axis=0), np.inf)
+    ratio = parts.sum(axis=0) / whole
+    without = (parts.sum(axis=0) - parts) / (whole - variances)[:, None, :]
+    spread = np.sqrt((DESIGNS - 1) * np.mean((without - without.mean(axis=0)) ** 2, axis=0))
+    half = float(t.ppf(0.5 + 0.5 * LEVEL, DESIGNS - 1)) * spread
+    return np.array([ratio, ratio - half, ratio + half])
+
+
+def _energies(prepared: Prepared, seed: int, points: Array) -> Array:
+    """Energy of each battery at probabilities of the values, shape (batteries, n); NaN where a run fails."""
+    values, batteries = prepared.sampler.values, tuple(prepared.mission.robot.batteries)
+    draws = {value.name: value.distribution.quantile(points[i]) for i, value in enumerate(values)}
+    count = points.shape[1]
+    found = np.full((len(batteries), count), math.nan)
+    again = np.ones(count, dtype=bool)
+    if prepared.arrays is not None:
+        columns, again = prepared.arrays.evaluate(draws, count)
+        found[:] = [columns[f"energy_{name}_wh"] for name in batteries]
+    for j in np.flatnonzero(again).tolist():
+        drawn = {name: float(column[j]) for name, column in draws.items()}
+        # a point's probability of chance is the seed of all that chance does there
+        lot = run_generator(seed, CHANCE, int(points[-1, j] * 2**53)) if len(points) > len(values) else None
+        try:
+            plan = make_plan(prepared.mission, split_values(drawn, prepared.model)[0], lot)
+            result = simulate(prepared.mission, values=drawn, plan=plan, model=prepared.model, trace=False)
+        except (MissionsimError, ArithmeticError, ValueError, RuntimeError):
+            continue
+        found[:, j] = [result.batteries[name].energy_wh for name in batteries]
+    return found
