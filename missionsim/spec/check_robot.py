@@ -9,6 +9,7 @@ from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.spec.checker import Checker, Where
 from missionsim.spec.robot import ComponentSpec, EffectSpec, LawSpec, RobotSpec, SchemeSpec
 from missionsim.spec.tree import Document
+from missionsim.spec.units import same_dimension
 from missionsim.spec.values import Parameter
 
 
@@ -210,6 +211,15 @@ def _parameters(
         if not check.known(at, name, known, "parameter", key=True, message=f"{what} has no parameter '{name}'"):
             continue
         spec = known[name]
+        # a plain number ("1") is in the parameter's own unit
+        if parameter.unit not in ("", "1", spec.unit) and not same_dimension(parameter.unit, spec.unit):
+            check.add(
+                at,
+                f"wrong unit of {name}",
+                got=f"a number in {parameter.unit}",
+                allowed="a plain number" if spec.unit == "1" else f"a number in {spec.unit}",
+            )
+            continue
         low, high = spec.low, spec.high
         if not low <= parameter.value <= high:
             check.add(

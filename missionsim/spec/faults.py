@@ -213,13 +213,14 @@ def _allowed_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]
 
 
 def _below(kind: Any, item: str | int) -> list[Any]:
-    from typing import get_args, get_origin
+    from typing import get_args, get_origin, get_type_hints
 
     result: list[Any] = []
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         for name, field in kind.model_fields.items():
             if item in (name, field.alias):
-                result.append(field.annotation)
+                # the hint, for a repeat block names its segments in advance
+                result.append(get_type_hints(kind)[name])
         if (
             not result
             and kind.model_fields.get("kind") is not None

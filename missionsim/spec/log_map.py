@@ -228,12 +228,15 @@ class MapSpec(FileModel):
                 compile_expression(text, file=document.file, line=line, column=column, path=dotted(path))
             except InputError as error:
                 found.extend(error.faults)
-        if "time_s" not in self.columns:
+        # a column whose mapping is at fault is missing from `columns`, but not from the file
+        written = document.data.get("columns") if isinstance(document.data, dict) else None
+        present = set(self.columns) | (set(written) if isinstance(written, dict) else set())
+        if "time_s" not in present:
             hint = did_you_mean("time_s", self.columns)
             found.append(
                 document.fault(("columns",), "the column 'time_s' is missing", allowed="time_s: …", hint=hint, key=True)
             )
-        kinds = {known[0].name for name in self.columns if (known := column_of(name)) is not None}
+        kinds = {known[0].name for name in present if (known := column_of(name)) is not None}
         if not kinds & {"power_<battery>_w", "energy_<battery>_wh"} and not (
             {"voltage_<battery>_v", "current_<battery>_a"} <= kinds
         ):

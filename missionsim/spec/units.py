@@ -230,6 +230,54 @@ def _compound(unit: str) -> float | None:
     return factor
 
 
+_EXPONENTS: dict[str, tuple[int, int, int, int, int]] = {
+    # of m, kg, s, A, K; an angle counts as a plain number
+    "length": (1, 0, 0, 0, 0), "speed": (1, 0, -1, 0, 0), "acceleration": (1, 0, -2, 0, 0), "angle": (0, 0, 0, 0, 0),
+    "yaw rate": (0, 0, -1, 0, 0), "yaw acceleration": (0, 0, -2, 0, 0), "mass": (0, 1, 0, 0, 0),
+    "power": (2, 1, -3, 0, 0), "energy": (2, 1, -2, 0, 0), "charge": (0, 0, 1, 1, 0), "voltage": (2, 1, -3, -1, 0),
+    "current": (0, 0, 0, 1, 0), "resistance": (2, 1, -3, -2, 0), "duration": (0, 0, 1, 0, 0),
+    "frequency": (0, 0, -1, 0, 0), "temperature": (0, 0, 0, 0, 1), "fraction": (0, 0, 0, 0, 0),
+    "number": (0, 0, 0, 0, 0), "force": (1, 1, -2, 0, 0),
+}  # fmt: skip
+
+
+def same_dimension(unit: str, other: str) -> bool:
+    """Whether two units, simple or compound, measure the same kind of quantity (``N`` and ``W s/m`` do).
+
+    A unit that cannot be read here counts as the same: reading the number has told that fault already.
+    """
+    if unit == other:
+        return True
+    first, second = _dimension(unit), _dimension(other)
+    return first is None or second is None or first == second
+
+
+def _dimension(unit: str) -> tuple[int, ...] | None:
+    """Exponents of m, kg, s, A, K; None for a unit that neither the table nor pint knows."""
+    total = [0, 0, 0, 0, 0]
+    flat = re.sub(r"\s*\^\s*", "^", unit.replace("**", "^").replace("*", " ").replace("·", " "))
+    for index, part in enumerate([] if "(" in flat else flat.split("/")):
+        for token in part.split():
+            match = re.fullmatch(r"([A-Za-zΩµ°%1]+)(?:\^(-?\d))?", token)
+            name = match and {"1": "number", "%": "number", "K": "temperature", "N": "force"}.get(
+                match.group(1), _DIMENSION_OF.get(match.group(1))
+            )
+            if match is None or name is None:
+                return _dimension_by_pint(unit)
+            power = int(match.group(2) or 1) * (1 if index == 0 else -1)
+            total = [old + power * new for old, new in zip(total, _EXPONENTS[name], strict=True)]
+    return _dimension_by_pint(unit) if "(" in flat else tuple(total)
+
+
+def _dimension_by_pint(unit: str) -> tuple[int, ...] | None:
+    try:
+        found = _pint_unit(unit, "", ()).dimensionality
+    except UnitError:
+        return None
+    axes = ("[length]", "[mass]", "[time]", "[current]", "[temperature]")
+    return tuple(round(float(found.get(axis, 0))) for axis in axes)
+
+
 def _pint_unit(unit: str, allowed: str, known: Iterable[str]) -> Any:
     if (
         len(unit) > 60

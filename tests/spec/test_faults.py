@@ -323,3 +323,29 @@ def test_names_that_yaml_1_1_would_spoil(folder: Path) -> None:
     assert told("mission.yaml") == []
     segment = load_mission("mission.yaml").segments[0]
     assert (segment.to, segment.speed.value, segment.surface) == ("no", 0.1, "yes")
+
+
+def test_wrong_units_of_motion_and_effect_parameters(folder: Path) -> None:
+    change("robot", "c2: 1, c3: 2, c4: 3}", "c2: 1 W s^2/m^2, c3: 2 W, c4: {value: 3 kg, sd: 5 %}}")
+    with Path("robot.yaml").open("a", encoding="utf-8") as file:
+        file.write("effects:\n  - {effect: grade, battery: main, parameters: {k: 1 kg}}\n")
+    assert told("robot.yaml") == [
+        "robot.yaml:5:78: error: wrong unit of c3\n    at: motion.parameters.c3\n"
+        "    got: a number in W\n    allowed: a number in W s/m",
+        "robot.yaml:5:87: error: wrong unit of c4\n    at: motion.parameters.c4\n"
+        "    got: a number in kg\n    allowed: a number in W",
+        "robot.yaml:11:52: error: wrong unit of k\n    at: effects.0.parameters.k\n"
+        "    got: a number in kg\n    allowed: a plain number",
+    ]
+
+
+def test_the_same_quantity_in_another_unit_is_fine(folder: Path) -> None:
+    change("robot", "c2: 1, c3: 2, c4: 3}", "c2: 1, c3: 2 N, c4: 3000 mW}")
+    assert told("robot.yaml") == []
+    assert load_robot("robot.yaml").motion.parameters["c4"].value == pytest.approx(3.0)  # type: ignore[union-attr]
+
+
+def test_keys_allowed_inside_a_repeat_block_are_listed(folder: Path) -> None:
+    change("mission", "  - drive: {to: B}", "  - repeat: {times: 2, segments: [{wait: {durations: 3 s}}]}")
+    fault = next(text for text in told("mission.yaml") if "unknown key 'durations'" in text)
+    assert "did you mean: duration" in fault

@@ -108,3 +108,24 @@ def test_usual_files_do_not_load_pint_or_scipy() -> None:
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("unit", "other", "same"),
+    [
+        ("N", "W s/m", True),
+        ("kg", "W s^3/m^2", True),
+        ("W s/rad", "J", True),
+        ("kW", "W", True),
+        ("W s/(rad kg)", "W s/kg", True),
+        ("kg * m / s ** 2", "N", True),
+        ("W s/(m K)", "N/K", True),
+        ("kg", "W", False),
+        ("W", "W s/m", False),
+        ("J", "W", False),
+        ("furlong", "kg", False),
+    ],
+)
+def test_compound_units_of_one_dimension(unit: str, other: str, same: bool) -> None:
+    assert units.same_dimension(unit, other) is same
+    assert units.same_dimension(other, unit) is same
