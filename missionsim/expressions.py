@@ -86,7 +86,17 @@ class Expression:
     def evaluate(self, values: Mapping[str, Any]) -> Any:
         """Value of the formula; arrays broadcast as in NumPy, and division by zero gives inf or nan as there."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            result = self._run(values)
+            try:
+                result = self._run(values)
+            except (TypeError, ValueError) as problem:
+                texts = [name for name in sorted(self.names) if hasattr(values.get(name), "equals")
+                         or isinstance(values.get(name), str)]
+                if not texts:
+                    raise
+                raise InputError.single(
+                    f"the formula computes with {' and '.join(texts)}, which holds words", got=self.source,
+                    allowed=f"words in comparisons only, such as k * ({texts[0]} == 'name')",
+                ) from problem
         return result + 0.0 if isinstance(result, (bool, np.bool_)) else result
 
     def __reduce__(self) -> tuple[Any, ...]:

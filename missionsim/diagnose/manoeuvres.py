@@ -130,8 +130,9 @@ def site_of(covariates: Sequence[Mapping[str, Any]], limits: Mapping[str, float]
             found, counts = np.unique(texts[texts != ""], return_counts=True)
             if len(found):
                 usual[name], choices[name] = str(found[int(np.argmax(counts))]), tuple(str(t) for t in found)
-        elif np.ndim(values[0]) == 1 and not isinstance(values[0], Labels):
-            joined = np.concatenate([np.asarray(value, dtype=float) for value in values])
+        elif not any(isinstance(value, Labels) for value in values) and any(np.ndim(value) == 1 for value in values):
+            # a run without the column has one number for all its rows
+            joined = np.concatenate([np.atleast_1d(np.asarray(value, dtype=float)) for value in values])
             usual[name] = float(np.median(joined))
             low[name], high[name] = (float(x) for x in np.percentile(joined, [0.5, 99.5]))
     fastest = min(limits.get("max_speed", np.inf), 1.1 * high.get("speed_m_s", np.inf))

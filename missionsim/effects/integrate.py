@@ -57,11 +57,13 @@ def integrate(
     count = len(timeline)
     energies: dict[str, dict[TermKey, NDArray[np.float64]]] = {name: {} for name in model.batteries}
     cov = timeline.covariates()
-    constant = model.evaluate(cov, values)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the engine refuses what is not finite
+        constant = model.evaluate(cov, values)
     changing = timeline.changing(model.memory) & (timeline.duration_s > 0.0)
     for battery, terms in constant.items():
         for key, power in terms.items():
-            energy = np.broadcast_to(np.asarray(power, dtype=float), (count,)) * timeline.duration_s
+            with np.errstate(over="ignore", invalid="ignore"):
+                energy = np.broadcast_to(np.asarray(power, dtype=float), (count,)) * timeline.duration_s
             energies[battery][key] = np.where(changing, 0.0, energy)
     index = np.flatnonzero(changing)
     if index.size:

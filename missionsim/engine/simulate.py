@@ -166,6 +166,9 @@ class RunSetup:
         batches = world.meter.batches
         line, energies, charge = joined(batches, self.batteries)
         _refuse_nan(line, energies, world)
+        if whole is not world:
+            # the first execution says by how much a battery falls short: infinite power there is no answer
+            _refuse_nan(*joined(whole.meter.batches, self.batteries)[:2], whole)
         duration = float(world.env.now)
         home = self._home_at_end(world)
         results = {}

@@ -12,6 +12,7 @@ from missionsim.engine.batteries import CHARGING, HELD, Battery
 from missionsim.engine.components import ComponentInfo, Switchboard
 from missionsim.engine.meter import Alarm, Meter
 from missionsim.engine.recorder import Recorder
+from missionsim.errors import InputError
 from missionsim.plan.legs import Activity, Leg, Phase, Plan, Recharge, SegmentInfo, Step, Trigger
 
 Detour = Callable[[Leg, float, float], tuple[list[Leg], tuple[Step, ...]] | None]
@@ -20,6 +21,8 @@ Detour = Callable[[Leg, float, float], tuple[list[Leg], tuple[Step, ...]] | None
 FOREVER_S = 1e9
 LONGEST_CHARGE_S = 30 * 86400.0
 """A charge level that is not reached in this time is not reached at all."""
+MOST_BURSTS = 500_000
+"""Bursts of all activities of one execution; more is a period or a duration with a wrong unit."""
 
 
 class ChargerTooWeak(Exception):
@@ -78,6 +81,7 @@ class World:
         self.returned = False
         self.stopped_by: Alarm | None = None
         self.reason = ""
+        self._bursts_done = 0
         self.ends_s: dict[int, float] = {}
         self._detour = detour
         self._batteries = batteries
@@ -215,6 +219,7 @@ class World:
         every, length = activity.every_s or FOREVER_S, activity.duration_s or 0.0
         began, count = env.now, 0
         while not stop.processed:
+            self._count_burst(activity)
             board.hold(activity.key, on)
             yield stop | env.timeout(min(length, every))
             if length < every or stop.processed:
@@ -232,12 +237,23 @@ class World:
         every, length = activity.every_s or FOREVER_S, activity.duration_s or 0.0
         began, count = env.now, 0
         while True:
+            self._count_burst(activity)
             hold(key, on)
             if length < every:
                 yield env.timeout(length)
                 hold(key, ())
             count += 1
             yield env.timeout(max(0.0, began + count * every - env.now))
+
+    def _count_burst(self, activity: Activity) -> None:
+        self._bursts_done += 1
+        if self._bursts_done > MOST_BURSTS:
+            raise InputError.single(
+                f"the activity of '{activity.component}' every {activity.every_s:g} s has too many bursts in a mission "
+                f"of {self.env.now:.4g} s and more",
+                path=f"activities.{activity.key}.every", got=f"more than {MOST_BURSTS} bursts",
+                allowed="a longer period, or a shorter mission (a slow speed, a long way or wait?)",
+            )
 
     def _trigger(self, trigger: Trigger, edge: str) -> simpy.Event:
         if trigger.time_s is not None:

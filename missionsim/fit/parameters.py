@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.effects.model import PowerModel
+from missionsim.errors import InputError
 from missionsim.fit.plain import BLOCK_S, Plain, free_priors, row_seconds, settled, told_apart
 from missionsim.fit.prepare import Prepared, prepare
 from missionsim.identify.data import Settings
@@ -109,6 +110,11 @@ def fit_parameters(
     """
     settings = settings or Settings()
     ready = prepare(model, logs, battery)
+    if all(float(np.ptp(run.measured_w)) == 0.0 for run in ready.runs):
+        raise InputError.single(
+            f"battery '{battery}': the measured power never changes in any run, so that nothing can be fitted to it",
+            got=f"{ready.runs[0].measured_w[0]:g} W in every row", allowed="a meter that is not frozen",
+        )
     before = ready
     plain: Plain | None = None
     if free:

@@ -190,7 +190,10 @@ def _objective(design: Design, noise: Noise, blocks: Array, count: int, chosen: 
     inner = total[1:size, 1:size].copy()
     precision = np.concatenate([design.layout.prior_sd**-2.0, np.full(chosen, 4.0)])
     inner[np.diag_indices(q + chosen)] += precision
-    factor = np.linalg.cholesky(inner) if q + chosen else np.empty((0, 0))
+    try:
+        factor = np.linalg.cholesky(inner) if q + chosen else np.empty((0, 0))
+    except np.linalg.LinAlgError:
+        return np.inf  # noise so small that the numbers run out, as a constant meter makes it: not a better fit
     rss = total[0, 0]
     if q + chosen:
         half = np.linalg.solve(factor, total[1:size, 0])

@@ -21,6 +21,10 @@ _SPARSE = 0.5
 """A column missing in more than this share of rows comes from a slower topic written without repeats."""
 _OUTLIER_SHARE = 0.05
 """Fewer values than this share out of range are single bad readings; more are a wrong unit."""
+_OUTLANDISH = 1e9
+"""So many times beyond the limit is no wrong unit but nonsense, whatever its share."""
+_DROWNING = 1e100
+"""Larger numbers overflow when they are squared and summed."""
 _REORDER_S = 2.0
 """Rows out of order by less than this are sorted; more means that the clock was set or that runs were joined."""
 
@@ -261,7 +265,9 @@ def _known(rows: Rows, name: str, data: Floats) -> Bools | None:
     """Rows with a usable value; None where all are. Single readings out of range count as missing."""
     low, high = float(data.min()), float(data.max())
     found = column_of(name)
-    limits = (found[0].low, found[0].high) if found is not None and found[0].kind != "text" else (-np.inf, np.inf)
+    limits = (-_DROWNING, _DROWNING)
+    if found is not None and found[0].kind != "text":
+        limits = (max(found[0].low, limits[0]), min(found[0].high, limits[1]))
     if np.isfinite(low) and np.isfinite(high) and limits[0] <= low and high <= limits[1]:
         return None
     known = np.isfinite(data)
@@ -282,7 +288,9 @@ def _known(rows: Rows, name: str, data: Floats) -> Bools | None:
     count = int(out.sum())
     if count:
         at = int(np.argmax(out))
-        single = count < _OUTLIER_SHARE * len(data)
+        beyond = min(_OUTLANDISH * max(abs(limits[0]), abs(limits[1])), _DROWNING)
+        wild = bool(np.any(np.abs(data[out]) > beyond))
+        single = wild or count < _OUTLIER_SHARE * len(data)
         unit = found[0].unit if found is not None else ""
         rows.remark(
             "range",

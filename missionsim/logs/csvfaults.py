@@ -36,7 +36,7 @@ def explain(path: Path, file: str, dialect: Dialect, typed: bool, reason: str) -
     if not rows:
         return [Fault(file, dialect.header_line, 1, "there is a header but no rows", allowed="at least two rows")]
     if more:
-        faults.append(Fault(file, 0, 0, f"and {more} more such cells"))
+        faults.append(Fault(file, faults[-1].line + 1, 0, f"and {more} more such cells"))
     return faults or [Fault(file, 0, 0, f"the table cannot be read: {reason.splitlines()[0][:200]}")]
 
 

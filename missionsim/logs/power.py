@@ -45,7 +45,7 @@ def missing_columns(names: Iterable[str], file: str, header_line: Callable[[], i
     faults = []
     known = [column.name.replace("<battery>", "robot") for column in COLUMNS if "<component>" not in column.name]
     if "time_s" not in names:
-        near = did_you_mean("time_s", names, 0.4)
+        near = did_you_mean("time_s", [name for name in names if column_of(name) is None], 0.4)
         faults.append(
             Fault(
                 file,

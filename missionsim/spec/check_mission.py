@@ -252,6 +252,12 @@ class _MissionCheck(RouteCheck):
                     )
                 if component is not None and component.always_on:
                     self.check.add((*where, "component"), f"'{activity.component}' is always on", warning=True)
+            begin, end = (m.time if m is not None else None for m in (activity.from_, activity.until))
+            if begin is not None and end is not None and end.value <= begin.value:
+                self.check.add(
+                    (*where, "until"), "the activity ends before it begins", got=f"{end.value:g} s",
+                    allowed=f"more than {begin.value:g} s",
+                )
             for key, moment in (("from", activity.from_), ("until", activity.until)):
                 if moment is None:
                     continue

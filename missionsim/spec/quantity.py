@@ -183,6 +183,8 @@ class QuantityOf(UncertainReader):
                 at = (key,) if isinstance(raw, Mapping) and key in raw else ()
                 given = raw.get(key, number) if isinstance(raw, Mapping) else raw
                 hint = ""
+                if number > self.high >= _UNSAID and math.isfinite(self.low):
+                    allowed += f", at most {self.high:g}{shown}"
                 if self.dimension == "fraction" and 1 < number <= 100 and isinstance(given, (int, float)):
                     hint = f"{given:g} %"
                 issues.append(Issue("impossible value", as_written(given), allowed, hint, at))

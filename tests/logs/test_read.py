@@ -185,8 +185,8 @@ def test_all_bad_cells_at_once(tmp_path: Path, faults_of) -> None:
     faults = faults_of(read_log, path).faults
     assert len(faults) == 21
     assert any(fault.message == "and 30 more such cells" for fault in faults)
-    assert {fault.line for fault in faults if fault.line} == set(range(3, 43, 2))
-    assert all(fault.column == len(str(fault.line - 2)) + 2 for fault in faults if fault.line)
+    assert {fault.line for fault in faults if fault.column} == set(range(3, 43, 2))
+    assert all(fault.column == len(str(fault.line - 2)) + 2 for fault in faults if fault.column)
 
 
 def test_position_counts_blank_lines_and_quotes(tmp_path: Path, faults_of) -> None:

@@ -1,0 +1,120 @@
+"""Input that once made a command hang, warn, crash or answer nonsense: each gets one message and exit code 2."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from missionsim.cli.app import run_command
+from missionsim.errors import Fault, InputError
+from missionsim.expressions import compile_expression
+from missionsim.labels import Labels
+
+ROBOT = """kind: robot
+name: bot
+body: {drive: differential, max_speed: 1.2 m/s, mass: 30 kg}
+batteries:
+  main: {capacity: 288 Wh}
+motion: {battery: main, model: polynomial, parameters: {c2: 4, c3: 12, c4: 8, standing: 6}}
+components:
+  lidar: {loads: [{battery: main, power: 8 W}]}
+schemes:
+  drive: {sensors: {required: {lidar: 1}}}
+"""
+MISSION = """kind: mission
+name: errand
+robot: bot.yaml
+defaults: {speed: 0.8 m/s, scheme: drive}
+segments:
+  - drive: {distance: 40 m}
+  - wait: {duration: 2 min}
+activities:
+  - {component: lidar, every: 60 s, duration: 2 s}
+"""
+MOTION = "model: polynomial, parameters: {c2: 4, c3: 12, c4: 8, standing: 6}"
+
+
+def run_with(folder: Path, robot: tuple[str, str] = ("", ""), mission: tuple[str, str] = ("", "")) -> int:
+    assert robot[0] in ROBOT
+    assert mission[0] in MISSION
+    (folder / "bot.yaml").write_text(ROBOT.replace(*robot, 1) if robot[0] else ROBOT)
+    (folder / "errand.yaml").write_text(MISSION.replace(*mission, 1) if mission[0] else MISSION)
+    return run_command(["run", str(folder / "errand.yaml")])
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("robot", "mission", "told"),
+    [
+        (("", ""), ("distance: 40 m", "distance: 1e9 km"), "too many bursts"),
+        (("", ""), ("0.8 m/s", "1e-300 m/s"), "too many bursts"),
+        (("", ""), ("every: 60 s, duration: 2 s", "from: {time: 50 s}, until: {time: 9 s}"), "ends before it begins"),
+        (("", ""), ("2 min", "1e308 s"), "at most 1e+09 s"),
+        (("mass: 30 kg", "mass: 30 kg, max_acceleration: 1e-300 m/s^2"), ("", ""), "1e-06 to 50 m/s^2"),
+        ((MOTION, "model: expression, power: k*v*scheme, parameters: {k: 3}"), ("", ""), "holds words"),
+        ((MOTION, "model: expression, power: 9**9**9**9"), ("", ""), "not a number in segment"),
+        (("c2: 4", "c2: 1e308"), ("2 min", "2 h"), "not a number in segment"),
+        (("schemes:", "effects: [{name: own, battery: main, power: k/payload_kg, parameters: {k: 1}}]\nschemes:"),
+         ("", ""), "not a number in segment"),
+    ],
+)  # fmt: skip
+def test_missions_that_cannot_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, robot: tuple[str, str],
+    mission: tuple[str, str], told: str,
+) -> None:
+    monkeypatch.setattr("missionsim.engine.world.MOST_BURSTS", 2000)
+    assert run_with(tmp_path, robot, mission) == 2
+    out, err = capsys.readouterr()
+    assert told in err
+    assert not out
+
+
+def test_the_mission_itself_runs(tmp_path: Path) -> None:
+    assert run_with(tmp_path) == 0
+
+
+def test_an_input_error_survives_pickling() -> None:
+    error = pickle.loads(pickle.dumps(InputError([Fault("a.yaml", 2, 1, "wrong"), Fault("b.yaml", 1, 1, "wrong too")])))
+    assert str(error) == "a.yaml:2:1: error: wrong\nb.yaml:1:1: error: wrong too"
+
+
+def test_arithmetic_with_words_is_refused() -> None:
+    floor = Labels.of(["carpet", "tile"])
+    assert compile_expression("2 * (surface == 'tile')").evaluate({"surface": floor}).tolist() == [0.0, 2.0]
+    with pytest.raises(InputError, match="holds words"):
+        compile_expression("2 * surface").evaluate({"surface": floor})
+
+
+def write_log(folder: Path, name: str = "run", rows: int = 60, **columns: object) -> Path:
+    time = np.arange(rows, dtype=float)
+    table: dict[str, object] = {
+        "time_s": time, "power_robot_w": 10 + np.sin(time), "speed_m_s": 0.3 + 0.1 * np.sin(0.2 * time), **columns,
+    }
+    lists = [np.broadcast_to(np.asarray(value), rows).tolist() for value in table.values()]
+    path = folder / f"{name}.csv"
+    path.write_text("\n".join([",".join(table), *(",".join(map(str, row)) for row in zip(*lists, strict=True))]) + "\n")
+    return path
+
+
+@pytest.mark.filterwarnings("error")
+def test_numbers_beyond_reason_are_no_measurement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_log(tmp_path, power_robot_w=1e308)
+    assert run_command(["compare", "--robot", "pioneer3dx", str(path)]) == 2
+    assert "60 values outside" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_frozen_meter_calibrates_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = write_log(tmp_path, power_robot_w=10.0), tmp_path / "robot.yaml"
+    assert run_command(["calibrate", "--new", "x", "--base", "c3*v + c4", str(path), "--out", str(out)]) == 2
+    assert "never changes" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_faults_of_logs_come_in_order(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_log(tmp_path, speed_m_s="fast")
+    assert run_command(["compare", "--robot", "pioneer3dx", str(path)]) == 2
+    assert capsys.readouterr().err.rstrip().splitlines()[-1].endswith("more such cells")
