@@ -123,7 +123,7 @@ class ArrayMission:
         motion = self.motion(entries, count)
         knots = running_sum(motion.duration_s.T)
         cov, rates = self.covariates(entries, motion, knots)
-        energy = self._energies(cov, rates, motion, values, numbers, table.part)
+        energy = self._energies(cov, rates, motion, knots[-1], values, numbers, table.part)
         numbers[0], numbers[1] = knots[-1], self._distance(cov, motion)
         progress = Progress(knots, PROGRESS_POINTS)
         for b, name in enumerate(self.mission.robot.batteries):
@@ -277,13 +277,24 @@ class ArrayMission:
         return {name: np.asarray(draws[value])[:, None] for name, value in self._parameters}
 
     @functools.cached_property
-    def _fixed(self) -> tuple[dict[str, Array], list[tuple[str, str]], Array]:
-        """Power of each battery that no draw changes; the components that have any, with their powers as columns."""
-        total = {name: np.zeros(len(self.intervals)) for name in self.model.batteries}
-        for (battery, _), watts in self.fixed.items():
-            total[battery] = total[battery] + watts
-        some = [key for key, watts in self.fixed.items() if np.any(watts)]
-        return total, some, np.stack([self.fixed[key] for key in some], axis=1) if some else np.zeros((0, 0))
+    def _fixed(self) -> tuple[dict[str, Any], dict[tuple[str, str], float], list[tuple[str, str]], Array]:
+        """Powers that no draw changes.
+
+        Of each battery, by interval or one number for all; of the components that have the same in all intervals; the
+        components that do not, and theirs as columns.
+        """
+        total: dict[str, Any] = {name: np.zeros(len(self.intervals)) for name in self.model.batteries}
+        even, changing = {}, []
+        for key, watts in self.fixed.items():
+            total[key[0]] = total[key[0]] + watts
+            if np.all(watts == watts[0]):
+                even[key] = float(watts[0])
+            else:
+                changing.append(key)
+        columns = np.stack([self.fixed[key] for key in changing], axis=1) if changing else np.zeros((0, 0))
+        for name, watts in total.items():
+            total[name] = float(watts[0]) if np.all(watts == watts[0]) else watts
+        return total, even, changing, columns
 
     @functools.cached_property
     def _impulsive(self) -> bool:
@@ -293,9 +304,9 @@ class ArrayMission:
     def _even(self) -> dict[str, float]:
         """Power [W] of the batteries whose power is the same, and not below zero, in all intervals of all runs."""
         return {
-            name: float(watts[0])
+            name: watts
             for name, watts in self._fixed[0].items()
-            if not self._impulsive and not self.varying.of(name) and np.all(watts == watts[0]) and watts[0] >= 0.0
+            if not self._impulsive and not self.varying.of(name) and isinstance(watts, float) and watts >= 0.0
         }
 
     @functools.cached_property
@@ -310,21 +321,26 @@ class ArrayMission:
         cov: dict[str, Any],
         rates: dict[str, Any],
         motion: Motion,
+        time_s: Array,
         values: Mapping[str, Array],
         numbers: Array,
         part: Mapping[tuple[str, str], int],
     ) -> dict[str, Array]:
         """Energy by battery and interval, shape (runs, intervals), in J; by component it is added to `numbers`."""
         duration = motion.duration_s
-        total, some, powers = self._fixed
-        for key, joules in zip(some, (duration @ powers).T if some else (), strict=True):
+        total, even, changing, powers = self._fixed
+        for key, watts in even.items():
+            np.multiply(time_s, watts, out=numbers[part[key]])
+        for key, joules in zip(changing, (duration @ powers).T if changing else (), strict=True):
             numbers[part[key]] = joules
-        energy = {name: duration * watts for name, watts in total.items() if not self.varying.of(name)}
+        steady_loads = [name for name in total if name not in self._even and not self.varying.of(name)]
+        energy = {name: duration * total[name] for name in steady_loads}
 
         def book(powers: Mapping[str, Mapping[Any, Any]], where: Any, length: Array, weights: Array | None) -> None:
-            time_s = None
+            whole = length is duration
+            lasts = time_s if whole else length.sum(axis=1)
             for battery, terms in powers.items():
-                mean: Array = total[battery][where]
+                mean = total[battery] if isinstance(total[battery], float) else total[battery][where]
                 for key, watts in terms.items():
                     watts = np.asarray(watts, dtype=float)
                     if weights is not None:
@@ -332,17 +348,16 @@ class ArrayMission:
                         watts = np.broadcast_to(watts, (*watts.shape[:-1], shape[0] * shape[1])).reshape(-1, *shape)
                         watts = watts @ weights
                     if watts.shape == (len(length), 1):  # the same in all intervals
-                        time_s = length.sum(axis=1) if time_s is None else time_s
-                        joules = time_s * watts[:, 0]
+                        joules = lasts * watts[:, 0]
                     else:
                         joules = np.einsum("ij,ij->i", length, np.broadcast_to(watts, length.shape))
                     numbers[part[battery, key.component]] += joules
-                    if mean.shape == length.shape:
+                    if np.shape(mean) == length.shape:
                         mean += watts
                     else:
                         mean = mean + watts
-                if terms and length is duration:
-                    energy[battery] = np.multiply(length, mean, out=mean if mean.shape == length.shape else None)
+                if terms and whole:
+                    energy[battery] = np.multiply(length, mean, out=mean if np.shape(mean) == length.shape else None)
                 elif terms:
                     if battery not in energy:
                         energy[battery] = np.zeros(duration.shape[::-1]).T

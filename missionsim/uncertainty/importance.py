@@ -97,17 +97,17 @@ def _indices(prepared: Prepared, seed: int, samples: int, values: int) -> tuple[
         generator = qmc.Sobol(2 * values, seed=scrambling)
         points = np.clip(generator.random(samples // DESIGNS), _EDGE, 1.0 - _EDGE).T
         a, b = points[:values], points[values:]
-        pages = [a, b]
+        pages = [np.array(a), np.array(b)]
         for i in range(values):
-            pages.append(a.copy())
+            pages.append(np.array(a))
             pages[-1][i] = b[i]
         together = max(1, _POINTS // a.shape[1])
         parts = [
             _energies(prepared, seed, np.concatenate(pages[i : i + together], axis=1))
             for i in range(0, len(pages), together)
         ]
-        f_a, f_b, *f_ab = np.split(np.concatenate(parts, axis=1), len(pages), axis=1)
-        evaluated.append((f_a, f_b, np.array(f_ab)))
+        found = np.split(np.concatenate(parts, axis=1), len(pages), axis=1)
+        evaluated.append((found[0], found[1], np.array(found[2:])))
     middle = np.nanmean([0.5 * (f_a + f_b) for f_a, f_b, _ in evaluated], axis=(0, -1))[:, None]
     variance, first, total = [], [], []
     for f_a, f_b, f_ab in evaluated:

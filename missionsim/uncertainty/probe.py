@@ -50,7 +50,7 @@ class Dependence:
         """Ratios of values to their nominal ones, for products, then differences, for sums: shape (values, count)."""
         found = np.empty((len(self.powers) + len(self.slopes), count))
         for i, name in enumerate(self.powers):
-            np.divide(draws[name], self.nominal[name], out=found[i])
+            np.multiply(draws[name], 1.0 / self.nominal[name], out=found[i])
         for i, name in enumerate(self.slopes, start=len(self.powers)):
             np.subtract(draws[name], self.nominal[name], out=found[i])
         return found

@@ -56,8 +56,8 @@ class RunTable:
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """The columns of a block, as `missionsim.uncertainty.single` has them; ends the table."""
-        self.numbers[2:] /= J_PER_WH
-        self.charge /= J_PER_WH
+        self.numbers[2:] *= 1.0 / J_PER_WH
+        self.charge *= 1.0 / J_PER_WH
         found: dict[str, NDArray[Any]] = {
             "feasible": np.asarray(~self.below.any(axis=0)),
             "duration_s": self.numbers[0],

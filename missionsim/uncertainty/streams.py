@@ -9,6 +9,7 @@ and names share common random numbers; run 731 can be drawn alone, from the begi
 from __future__ import annotations
 
 import hashlib
+from typing import Any
 
 import numpy as np
 from numpy.random import SFC64, Generator, Philox
@@ -39,7 +40,7 @@ class Streams:
     def __init__(self, seed: int) -> None:
         self.seed = seed
         self._bits = SFC64(0)
-        self._state = self._bits.state
+        self._state: Any = self._bits.state
         self._generator = Generator(self._bits)
 
     def normals(self, name: str, first: int, count: int) -> Array:
@@ -69,9 +70,9 @@ class Streams:
         return numbers
 
     def _at(self, name: str, chunk: int) -> Generator:
-        words = np.frombuffer(_digest(24, self.seed, name, chunk), dtype="<u8")
-        self._state["state"]["state"] = np.array([*words, 1], dtype=np.uint64)
-        self._state["has_uint32"] = self._state["uinteger"] = 0
+        words = self._state["state"]["state"]
+        words[:3] = np.frombuffer(_digest(24, self.seed, name, chunk), dtype="<u8")
+        words[3] = 1
         self._bits.state = self._state
         return self._generator
 

@@ -11,8 +11,10 @@ import pytest
 
 from missionsim.uncertainty.batch import Prepared, Task, prepare
 from missionsim.uncertainty.single import simulate_block
+from tests.benchmarks import forty
 
-SEGMENTS = 40
+pytestmark = pytest.mark.benchmark_ratio
+
 RUNS = 4096
 SEED = 4
 
@@ -20,60 +22,70 @@ SEED = 4
 @pytest.fixture(scope="module")
 def patrol(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
     """Forty segments of the Pioneer, each with noise in its length and speed."""
-    folder = tmp_path_factory.mktemp("patrol")
-    lines = [
-        "kind: mission",
-        "name: forty",
-        "robot: pioneer3dx",
-        "defaults: {scheme: forward_motion, sensors: {laser: 2, kinect: 1}, profile: constant_speed}",
-        "segments:",
-    ]
-    for i in range(SEGMENTS):
-        lines.append(
-            f"  - drive: {{distance: {5 + i % 7} m, speed: {0.3 + 0.01 * (i % 20):.2f} m/s, behaviour: "
-            "{path_stretch: {value: 1.1, sd: 0.03}, speed_tracking: {value: 0.9, sd: 0.02}}}"
-        )
-    path = folder / "forty.yaml"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return compiled(forty.write(tmp_path_factory.mktemp("patrol")))
+
+
+def compiled(path: Path) -> Prepared:
     prepared = prepare(Task(str(path), (), None, SEED, "auto"))
     assert prepared.arrays is not None, prepared.why_not_arrays
     return prepared
 
 
 def least(work: Callable[[], object], times: int) -> float:
+    """Least processor time of several calls: what else the machine does can only add."""
     spent = []
     for _ in range(times):
-        begun = time.perf_counter()
+        begun = time.process_time()
         work()
-        spent.append(time.perf_counter() - begun)
+        spent.append(time.process_time() - begun)
     return min(spent)
 
 
-def by_hand(prepared: Prepared, rng: np.random.Generator) -> np.ndarray:
-    """What somebody would write for this one mission: draws and arithmetic of one battery's energy, nothing kept."""
-    length = np.array([5.0 + i % 7 for i in range(SEGMENTS)])
-    asked = np.array([round(0.3 + 0.01 * (i % 20), 2) for i in range(SEGMENTS)])
-    way = length * (1.1 + 0.03 * rng.standard_normal((RUNS, SEGMENTS)))
-    speed = asked * (0.9 + 0.02 * rng.standard_normal((RUNS, SEGMENTS)))
-    c2, c3, c4 = (v * (1 + 0.03 * rng.standard_normal((RUNS, 1))) for v in (6.25, 9.79, 3.66))
-    return ((c2 * speed + c3 + (c4 + 2 * 2.34 + 2.82) / speed) * way).sum(axis=1) / 3600.0
-
-
-def test_arrays_against_simpy_and_bare_arithmetic(patrol: Prepared) -> None:
+def test_arrays_against_simpy_bare_arithmetic_and_a_peer(patrol: Prepared) -> None:
     arrays = patrol.arrays
     assert arrays is not None
     rng = np.random.default_rng(1)
-    ours = least(lambda: arrays.block(SEED, 0, RUNS), 3) / RUNS
+    ours = least(lambda: arrays.block(SEED, 0, RUNS), 12) / RUNS
+    bare = least(lambda: forty.by_hand(RUNS, rng), 12) / RUNS
+    number = least(lambda: forty.one_number(RUNS, rng), 12) / RUNS
+    charge = least(lambda: forty.by_hand(RUNS, rng, charge=True), 3) / RUNS
     simpy = least(lambda: simulate_block(patrol.mission, patrol.model, patrol.sampler, SEED, 0, 12), 3) / 12
-    bare = least(lambda: by_hand(patrol, rng), 3) / RUNS
-    mean_ours = float(np.mean(arrays.block(SEED, 0, RUNS)["energy_robot_wh"]))
-    mean_bare = float(np.mean(by_hand(patrol, rng)))
-    print(
-        f"\narrays {1 / ours:,.0f} missions/s, SimPy {1 / simpy:,.0f}, bare NumPy {1 / bare:,.0f}: "
-        f"{simpy / ours:.0f} times SimPy, {ours / bare:.1f} times the time of the bare arithmetic"
+    told = (
+        f"arrays {1 / ours:,.0f} missions/s, SimPy {1 / simpy:,.0f}, by hand {1 / bare:,.0f}: {simpy / ours:.0f} times "
+        f"SimPy, {ours / bare:.2f} times as long as by hand (one number only: {ours / number:.2f}, "
+        f"with the charge at {forty.INSTANTS} instants: {ours / charge:.2f})"
     )
-    assert mean_ours == pytest.approx(mean_bare, rel=5e-3)
+    mine, theirs = arrays.block(SEED, 0, RUNS), forty.by_hand(RUNS, rng)
+    # the same task: as many values drawn, the same energies but for chance
+    assert sum(name.startswith("drawn:") for name in mine) == 2 * forty.SEGMENTS + 4
+    for part in ("robot motors", "robot controller", "robot laser", "laptop processor"):
+        column = mine[f"component_{part.replace(' ', '_')}_wh"]
+        assert float(column.mean()) == pytest.approx(float(theirs[part].mean()), rel=3e-3)
+        assert float(column.std()) == pytest.approx(float(theirs[part].std()), rel=0.08)
+    try:
+        forty.progpy_patrol(2, SEED)
+    except ImportError:
+        told += "; ProgPy is not installed (pip install missionsim[peers])"
+    else:
+        runs = 150
+        energies: list[np.ndarray] = []
+        peer = least(lambda: energies.append(forty.progpy_patrol(runs, SEED)), 1) / runs
+        told += f"; ProgPy {1 / peer:,.0f} missions/s, {peer / ours:,.0f} times slower"
+        error = 5.0 * float(energies[0].std()) / runs**0.5
+        assert float(energies[0].mean()) == pytest.approx(float(mine["energy_robot_wh"].mean()), abs=error)
+        assert peer / ours >= 100.0
+    print("\n" + told)
     assert simpy / ours >= 150.0
+    assert ours / bare <= 2.5
+
+
+def test_cost_is_linear_in_segments(patrol: Prepared, tmp_path: Path) -> None:
+    short, long = patrol.arrays, compiled(forty.write(tmp_path, times=2)).arrays
+    assert short is not None
+    assert long is not None
+    ratio = least(lambda: long.block(SEED, 0, 2048), 8) / least(lambda: short.block(SEED, 0, 2048), 8)
+    print(f"\n80 segments cost {ratio:.2f} times as much as 40")
+    assert ratio < 2 * 1.5
 
 
 def test_cost_is_linear_in_runs(patrol: Prepared) -> None:
