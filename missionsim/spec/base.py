@@ -58,6 +58,7 @@ class FileModel(Model):
     _document: Any = PrivateAttr(default=None)
     _whole: bool = PrivateAttr(default=True)
     _sound: bool = PrivateAttr(default=True)
+    _warnings: tuple[Fault, ...] = PrivateAttr(default=())
 
     def faults(self, document: Any) -> list[Fault]:
         """Faults across parts of the file that the model itself knows to look for."""
@@ -77,6 +78,11 @@ class FileModel(Model):
     def sound(self) -> bool:
         """False where checks across the file's parts found faults."""
         return self._sound
+
+    @property
+    def warnings(self) -> tuple[Fault, ...]:
+        """What the checks of this file, and of those that it names, found strange but possible."""
+        return self._warnings
 
     @property
     def sha256(self) -> str:

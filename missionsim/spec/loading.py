@@ -22,6 +22,7 @@ from missionsim.spec.mission import MissionSpec, StudySpec
 from missionsim.spec.robot import RobotSpec
 from missionsim.spec.salvage import related, repaired, view_of
 from missionsim.spec.tree import Document, as_written, parse_document, read_document
+from missionsim.spec.unread import unread
 from missionsim.spec.values import Parameter
 
 if TYPE_CHECKING:
@@ -170,6 +171,7 @@ def _finish(model: Loaded | None, faults: list[Fault]) -> Loaded:
     errors = [fault for fault in faults if fault.severity == "error"]
     if errors or model is None:
         raise InputError(sorted(set(errors)))
+    model._warnings = tuple(sorted(set(faults)))
     return model
 
 
@@ -352,6 +354,7 @@ def _load_mission(
     mission._environment = environment
     mission._overrides = tuple((key, value if isinstance(value, str) else repr(value)) for key, value in overrides)
     faults.extend(check_mission(mission, mission.document))
+    faults.extend(unread(mission))
     return mission
 
 

@@ -349,3 +349,35 @@ def test_keys_allowed_inside_a_repeat_block_are_listed(folder: Path) -> None:
     change("mission", "  - drive: {to: B}", "  - repeat: {times: 2, segments: [{wait: {durations: 3 s}}]}")
     fault = next(text for text in told("mission.yaml") if "unknown key 'durations'" in text)
     assert "did you mean: duration" in fault
+
+
+def test_a_slope_that_no_term_reads_is_told(folder: Path) -> None:
+    change(
+        "mission",
+        "  - drive: {to: B}",
+        "  - drive: {distance: 5 m, slope: 3 deg}\n  - drive: {distance: 5 m, slope: 2 deg}",
+    )
+    assert told("mission.yaml") == [
+        "mission.yaml:8:35: warning: this slope costs nothing: no term of robot 'r' depends on it\n"
+        "    at: segments.0.drive.slope\n    got: 0.05236 rad\n"
+        "    allowed: effects: [{effect: grade, battery: …, parameters: {k: …}}], or the motion model traction"
+    ]
+    assert [fault.path for fault in load_mission("mission.yaml").warnings] == ["segments.0.drive.slope"]
+    with Path("robot.yaml").open("a", encoding="utf-8") as file:
+        file.write("effects:\n  - {effect: grade, battery: main, parameters: {k: 1}}\n")
+    change("robot", "max_speed: 1 m/s", "max_speed: 1 m/s, mass: 5 kg")
+    assert told("mission.yaml") == []
+    assert load_mission("mission.yaml").warnings == ()
+
+
+def test_a_load_that_no_term_reads_is_told_and_a_formula_can_read_it(folder: Path) -> None:
+    change("mission", "defaults: {", "defaults: {payload: 2 kg, ")
+    change("environment", "{from: A, to: B}", "{from: A, to: B, slope: 3 %}")
+    lines = [text.splitlines()[0] for text in told("mission.yaml")]
+    assert [line.split(" ", 1)[0] for line in lines] == ["environment.yaml:4:33:", "mission.yaml:6:21:"]
+    with Path("robot.yaml").open("a", encoding="utf-8") as file:
+        file.write(
+            "effects:\n"
+            "  - {name: own, battery: main, power: 'k * payload_kg * sin(slope_rad) * v', parameters: {k: 1}}\n"
+        )
+    assert told("mission.yaml") == []
