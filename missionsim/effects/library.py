@@ -20,7 +20,30 @@ ENTRY_POINT_GROUP = "missionsim.effects"
 TAU_GRID_S = (20.0, 60.0, 180.0, 540.0)
 REFERENCE_GRID_C = (25.0,)
 _SPEED = ("speed_m_s",)
-_CONTRACT = "library of effects"
+_SOURCES = {
+    "grade": "Newton: weight along the slope; in none of the four papers",
+    "payload": "Coulomb friction of the added weight; Parasuraman 2012, Eq. 14 has it without the speed",
+    "acceleration": "rover paper, Eq. 3 (m dv/dt); Jaiem 2021, Eq. 5, term C6 a v, without recovery",
+    "turning_scrub": "Coulomb friction of tyres that slide sideways; in none of the four papers",
+    "rolling_friction": "Jaiem 2021, Eq. 6, term C3 v; rover paper, Eq. 4, term C_r",
+    "viscous_friction": "Jaiem 2021, Eq. 6, term C2 v^2; rover paper, Eq. 4, term C_v",
+    "aerodynamic_drag": "rover paper, Eqs. 1 and 5, k = rho C_d A / 2",
+    "surface_rolling_resistance": "rover paper, Eq. 4, with C_r by surface",
+    "cold_friction": "assumed form: grease that warms up, one time constant",
+    "temperature_friction": "assumed form: first order about the reference temperature",
+    "start_surge": "assumed form: one energy a start",
+    "conversion_loss": "Joule: resistance times current squared at nearly constant voltage",
+    "standby_load": "assumed form: a constant, as the controller boards of Jaiem 2021",
+    "cpu_load": "rover paper, Eq. 6, term P_work U at one clock",
+    "cpu_frequency": "Jaiem 2021, section 3.2; rover paper, Eq. 6, with the voltage following the clock",
+    "radio_range": "free space: sending power with the distance squared; assumed for the whole radio",
+    "component_power": "Jaiem 2021, Eq. 3",
+    "component_warmup": "assumed form: one time constant after switching on",
+    "path_stretch": "Jaiem 2021, sections 3.4.1 and 3.4.2, in words",
+    "speed_tracking": "Jaiem 2021, section 3.4.2, in words",
+    "dwell": "assumed: standing that no segment plans",
+}
+"""Where each form comes from, or that it is assumed."""
 
 
 def _k(unit: str, meaning: str, high: float = float("inf")) -> ParameterSpec:
@@ -32,7 +55,7 @@ def _drive(
 ) -> Effect:
     parameters = (_k(unit, "coefficient"), *more.pop("shape", ()))
     return Effect(
-        id, equation, more.pop("source", _CONTRACT), meaning, parameters, needs, power, drive=True,
+        id, equation, _SOURCES[id.partition(":")[0]], meaning, parameters, needs, power, drive=True,
         covariate=more.pop("covariate", needs[0] if needs else "speed_m_s"), **more,
     )
 
@@ -71,25 +94,28 @@ _EFFECTS: tuple[Effect, ...] = (
            ("temp_ambient_c", "speed_m_s"), shape=(_REFERENCE,),
            power=lambda c, p: motion.temperature_friction_power(
                c["speed_m_s"], c["temp_ambient_c"], p["k"], p["T0"])),
-    Effect("start_surge", "E joules at each start from rest", _CONTRACT, "inrush when the motors start",
+    Effect("start_surge", "E joules at each start from rest", _SOURCES["start_surge"], "inrush when the motors start",
            (ParameterSpec("E", "J", "energy of one start"),), ("speed_m_s", "starts"),
            power=lambda c, p: p["E"] * number(c, "starts_per_s"),
            impulse=lambda c, p: p["E"] * c["starts"], drive=True, covariate="starts"),
-    Effect("conversion_loss", "k·P² of the load on that battery", _CONTRACT, "ohmic loss of converters and wiring",
+    Effect("conversion_loss", "k·P² of the load on that battery", _SOURCES["conversion_loss"],
+           "ohmic loss of converters and wiring",
            (_k("1/W", "coefficient", 1.0),), (), lambda c, p: electrical.conversion_loss(number(c, "load_w"), p["k"]),
            component="conversion", of_load=True, covariate="load_w"),
-    Effect("standby_load", "k, always", _CONTRACT, "a constant load that nobody listed", (_k("W", "power"),), (),
+    Effect("standby_load", "k, always", _SOURCES["standby_load"], "a constant load that nobody listed",
+           (_k("W", "power"),), (),
            lambda c, p: p["k"] * np.ones_like(number(c, "speed_m_s", 0.0), dtype=float), component="standby",
            covariate="time_s"),
-    Effect("cpu_load", "k·load", _CONTRACT, "processor power that follows its load", (_k("W", "power at full load"),),
+    Effect("cpu_load", "k·load", _SOURCES["cpu_load"], "processor power that follows its load",
+           (_k("W", "power at full load"),),
            ("cpu_load",), lambda c, p: electrical.cpu_load_power(c["cpu_load"], p["k"]), component="cpu",
            covariate="cpu_load"),
-    Effect("cpu_frequency", "k·load·f³", "library of effects; Jaiem 2021 section 3.2",
+    Effect("cpu_frequency", "k·load·f³", _SOURCES["cpu_frequency"],
            "dynamic processor power with voltage following frequency", (_k("W/Hz^3", "coefficient"),),
            ("cpu_load", "cpu_freq_hz"),
            lambda c, p: electrical.cpu_frequency_power(c["cpu_load"], c["cpu_freq_hz"], p["k"]), component="cpu",
            covariate="cpu_freq_hz"),
-    Effect("radio_range", "k·d²", _CONTRACT, "radio that sends harder far from its access point",
+    Effect("radio_range", "k·d²", _SOURCES["radio_range"], "radio that sends harder far from its access point",
            (_k("W/m^2", "coefficient"),), ("access_point_distance_m",),
            lambda c, p: electrical.radio_power(c["access_point_distance_m"], p["k"]), component="radio",
            covariate="access_point_distance_m"),
@@ -97,7 +123,7 @@ _EFFECTS: tuple[Effect, ...] = (
 
 
 def _execution(id: str, equation: str, unit: str, meaning: str) -> Effect:
-    return Effect(id, equation, _CONTRACT, meaning, (ParameterSpec("k", unit, meaning),), ("speed_m_s",),
+    return Effect(id, equation, _SOURCES[id], meaning, (ParameterSpec("k", unit, meaning),), ("speed_m_s",),
                   lambda c, p: 0.0 * number(c, "speed_m_s"), component="motors", execution=True,
                   covariate="speed_m_s")
 
@@ -128,7 +154,8 @@ def surfaces_effect(surfaces: tuple[str, ...]) -> Effect:
         return total
 
     return Effect(
-        "surface_rolling_resistance", "k_s·v on surface s", _CONTRACT, "rolling resistance of the floor",
+        "surface_rolling_resistance", "k_s·v on surface s", _SOURCES["surface_rolling_resistance"],
+        "rolling resistance of the floor",
         tuple(ParameterSpec(f"k_{name}", "N", f"friction force on {name}") for name in surfaces),
         ("surface", "speed_m_s"), power, drive=True, covariate="surface",
     )
@@ -138,7 +165,7 @@ def component_power_effect(component: str) -> Effect:
     """`component_power:<component>`: ``k`` watts per unit switched on."""
     column = f"on_{component}"
     return Effect(
-        f"component_power:{component}", f"k per unit of {component} switched on", "Jaiem 2021, Eq. 3",
+        f"component_power:{component}", f"k per unit of {component} switched on", _SOURCES["component_power"],
         f"{component} draws more than its data sheet says", (_k("W", "power of one unit"),), (column,),
         lambda c, p: electrical.component_power(c[column], p["k"]), component=component, covariate=column,
     )
@@ -148,7 +175,7 @@ def component_warmup_effect(component: str) -> Effect:
     """`component_warmup:<component>`: ``k exp(−t/τ)`` after it was switched on."""
     column, clock = f"on_{component}", f"on_time_{component}_s"
     return Effect(
-        f"component_warmup:{component}", "k·exp(−time since switched on/τ)", _CONTRACT,
+        f"component_warmup:{component}", "k·exp(−time since switched on/τ)", _SOURCES["component_warmup"],
         f"{component} draws more until it is warm", (_k("W", "extra power when switched on"), _TAU), (column, clock),
         lambda c, p: electrical.warmup_power(c[column], c[clock], p["k"], p["tau"]), component=component,
         memory=(clock,), covariate=clock,
