@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, progress, shows_text, simple_table
+from missionsim.cli.common import console, emit_json, progress, shows_text, simple_table
+from missionsim.cli.options import JsonOption, QuietOption
 from missionsim.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ def _only(prepared: Prepared, seed: int, run: int, json: str | None, quiet: bool
         terminal.print(
             simple_table(f"Run {run} of seed {seed}: drawn values", ["value", ("drawn", "right"), "unit"], rows)
         )
-        from missionsim.cli.run import show
+        from missionsim.cli.run_mission import show
 
         show(result)
     return 0 if result.feasible else 1
@@ -321,5 +322,4 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
 def _number(value: float | None, form: str, interval: list[float] | None = None) -> str:
     if value is None:
         return "–"
-    ends = "" if interval is None else f" ({interval[0]:{form}} to {interval[1]:{form}})"
-    return f"{value:{form}}{ends}"
+    return f"{value:{form}}" if interval is None else f"{value:{form}} ± {interval[1] - value:{form}}"

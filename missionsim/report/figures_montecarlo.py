@@ -9,8 +9,8 @@ import numpy as np
 from missionsim.files import atomic_write
 from missionsim.uncertainty.store import BlockStore
 
-FAN_RUNS = 20_000
-"""So many runs, the first ones, make the fan."""
+FAN_RUNS, HISTOGRAM_RUNS = 20_000, 1_000_000
+"""So many runs, the first ones, make the fan and the histogram."""
 _BANDS = ((0.01, 0.99, 0.15), (0.05, 0.95, 0.25), (0.25, 0.75, 0.40))
 
 
@@ -35,9 +35,13 @@ def write_figures(store: BlockStore, firsts: list[int], batteries: tuple[str, ..
     histogram = Figure(figsize=(4.6 * len(batteries), 3.4), layout="constrained")
     axes = np.atleast_1d(histogram.subplots(1, len(batteries)))
     for axis, name in zip(axes, batteries, strict=True):
-        energy = store.column(f"energy_{name}_wh", firsts)
+        energy = store.beginning([f"energy_{name}_wh"], firsts, HISTOGRAM_RUNS)[f"energy_{name}_wh"]
         energy = energy[np.isfinite(energy)]
-        if not len(energy):
+        if not len(energy) or np.ptp(energy) <= 1e-12 * np.abs(energy).max():
+            text = f"{energy[0]:.4g} Wh in all runs" if len(energy) else "all runs failed"
+            axis.text(0.5, 0.5, text, transform=axis.transAxes, ha="center", va="center")
+            axis.set(xlabel=f"energy of battery {name} [Wh]", xticks=[], yticks=[])
+            axis.spines[["top", "right"]].set_visible(False)
             continue
         axis.hist(energy, bins="auto" if len(energy) < 50_000 else 120, color="#4477aa")
         for q, style in ((0.05, ":"), (0.5, "-"), (0.95, ":")):
@@ -51,13 +55,7 @@ def write_figures(store: BlockStore, firsts: list[int], batteries: tuple[str, ..
     fan = Figure(figsize=(4.6 * len(batteries), 3.4), layout="constrained")
     axes = np.atleast_1d(fan.subplots(1, len(batteries)))
     for axis, name in zip(axes, batteries, strict=True):
-        parts, count = [], 0
-        for part in store.parts(f"charge_{name}_wh", firsts):
-            parts.append(part)
-            count += len(part)
-            if count >= FAN_RUNS:
-                break
-        charge = np.concatenate(parts)[:FAN_RUNS]
+        charge = store.beginning([f"charge_{name}_wh"], firsts, FAN_RUNS)[f"charge_{name}_wh"]
         charge = charge[np.isfinite(charge).all(axis=1)]
         if not len(charge):
             continue

@@ -220,21 +220,22 @@ def rank_importance(
     found: list[dict[str, Any]] = []
     ok = np.all([np.isfinite(energy) for energy in energies.values()], axis=0) if energies else np.zeros(0, dtype=bool)
     count = int(np.count_nonzero(ok))
-    outcomes = {name: energy[ok] for name, energy in energies.items() if count >= 20 and np.ptp(energy[ok]) > 0.0}
+    outcomes = {name: energy[ok] for name, energy in energies.items() if count >= 20 and _varies(energy[ok])}
     ranks = {name: _ranks(energy)[0] for name, energy in outcomes.items()}
     classes = int(min(50, max(4, round(count ** (1 / 3)))))
     for parameter, values in drawn.items() if outcomes else ():
         column = values[ok]
-        if not np.isfinite(column).all() or np.ptp(column) == 0.0:
+        if not np.isfinite(column).all() or not _varies(column):
             continue
-        own, order = _ranks(column)
-        member = np.empty(count, dtype=np.intp)
-        member[order] = np.arange(count) * classes // count
-        size = np.bincount(member, minlength=classes)
+        own, least, distinct = _ranks(column)
+        # equal values belong to one class; a few values are a class each
+        member = least * classes // count if distinct > classes else least
+        member = np.unique(member, return_inverse=True)[1]
+        size = np.bincount(member)
         for battery, energy in outcomes.items():
-            means = np.bincount(member, energy - energy.mean(), minlength=classes) / size
+            means = np.bincount(member, energy - energy.mean()) / size
             ratio = float(size @ means**2) / (count * float(np.var(energy)))
-            first = 1.0 - (1.0 - ratio) * (count - 1) / (count - classes)
+            first = 1.0 - (1.0 - ratio) * (count - 1) / (count - len(size))
             found.append(
                 {
                     "parameter": parameter,
@@ -248,15 +249,21 @@ def rank_importance(
     return sorted(found, key=lambda row: (place[row["battery"]], -abs(row["rank_correlation"])))
 
 
-def _ranks(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Ranks, those of equal values their mean, and the order of the values."""
+def _varies(values: NDArray[np.float64]) -> bool:
+    """Whether numbers differ by more than rounding."""
+    return bool(np.ptp(values) > 1e-12 * np.abs(values).max())
+
+
+def _ranks(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp], int]:
+    """Ranks, those of equal values their mean; the least ranks of equal values; and how many are distinct."""
     order = np.argsort(values, kind="stable")
     ordered = values[order]
     starts = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
     ends = np.append(starts[1:], len(values))
-    ranks = np.empty(len(values))
+    ranks, least = np.empty(len(values)), np.empty(len(values), dtype=np.intp)
     ranks[order] = np.repeat(0.5 * (starts + ends - 1), ends - starts)
-    return ranks, order
+    least[order] = np.repeat(starts, ends - starts)
+    return ranks, least, len(starts)
 
 
 def _finite(value: float) -> float | None:

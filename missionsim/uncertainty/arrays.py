@@ -24,7 +24,7 @@ from missionsim.plan.kinematics import phases
 from missionsim.plan.legs import Leg, Plan
 from missionsim.spec.mission import MissionSpec
 from missionsim.uncertainty.draws import Draws, Sampler
-from missionsim.uncertainty.entries import SETTINGS, Entries, Progress, running_sum
+from missionsim.uncertainty.entries import SETTINGS, Entries, Progress, at_nodes, running_sum, take
 from missionsim.uncertainty.probe import Dependence
 from missionsim.uncertainty.run_table import RunTable
 from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, simulate_block
@@ -112,7 +112,8 @@ class ArrayMission:
         changes, values = self.dependence.changes(draws, count), self.values(draws)
         for low in range(0, count, CACHED_RUNS):
             part = slice(low, min(low + CACHED_RUNS, count))
-            self._piece(changes[:, part], {name: value[part] for name, value in values.items()}, table, part)
+            with np.errstate(all="ignore"):  # what is no number goes to SimPy, which tells why
+                self._piece(changes[:, part], {name: value[part] for name, value in values.items()}, table, part)
         return table.columns(), table.again
 
     def _piece(self, changes: Array, values: Mapping[str, Array], table: RunTable, part: slice) -> None:
@@ -125,6 +126,10 @@ class ArrayMission:
         cov, rates = self.covariates(entries, motion, knots)
         energy = self._energies(cov, rates, motion, knots[-1], values, numbers, table.part)
         numbers[0], numbers[1] = knots[-1], self._distance(cov, motion)
+        sound = np.isfinite(knots[-1]) & (motion.duration_s.min(axis=1) >= 0.0)
+        table.again[part] = ~sound
+        if not sound.all():
+            knots = np.where(sound, knots, 0.0)
         progress = Progress(knots, PROGRESS_POINTS)
         for b, name in enumerate(self.mission.robot.batteries):
             capacity, initial, reserve = (entries.battery(b, i) for i in range(3))
@@ -139,10 +144,10 @@ class ArrayMission:
             required, slack = capacity * reserve, RESERVE_TOLERANCE * capacity
             left = initial - total
             floor = required if self.mission.policy.on_empty == "return_to_dock" else 0.0
-            table.again[part] |= initial - most <= floor + slack
+            table.again[part] |= ~(initial - most > floor + slack)  # also where it is not a number
             np.less(left, required - slack, out=table.below[b, part])
             for quantity, joules in (("energy", total), ("charge_left", left), ("margin", left - required),
-                                     ("needed", initial - left)):
+                                     ("needed", np.maximum(most, 0.0))):
                 numbers[table.row(b, quantity)] = joules
 
     @functools.cached_property
@@ -368,10 +373,10 @@ class ArrayMission:
         elif self.varying.terms:
             steady, curved = np.flatnonzero(~self._curved), np.flatnonzero(self._curved)
             if steady.size:
-                book(self.varying.evaluate(_take(cov, steady), values), steady, duration[:, steady], None)
+                book(self.varying.evaluate(take(cov, steady), values), steady, duration[:, steady], None)
             length = duration[:, curved]
             times = (0.5 * length[..., None] * (NODES + 1.0)).reshape(len(length), -1)
-            book(self.varying.evaluate(_at_nodes(cov, rates, curved, times), values), curved, length, 0.5 * WEIGHTS)
+            book(self.varying.evaluate(at_nodes(cov, rates, curved, times), values), curved, length, 0.5 * WEIGHTS)
         if self._impulsive:
             for term, impulse in self.model.impulses(cov, values).items():
                 spread = np.broadcast_to(impulse, duration.shape)
@@ -387,21 +392,3 @@ class ArrayMission:
         ahead = cov["speed_m_s"] * duration + 0.5 * cov["accel_m_s2"] * duration**2
         aside = cov["lateral_speed_m_s"] * duration + 0.5 * cov["lateral_accel_m_s2"] * duration**2
         return np.asarray(np.hypot(ahead, aside).sum(axis=1))
-
-
-def _at_nodes(
-    cov: Mapping[str, Any], rates: Mapping[str, Any], curved: NDArray[np.intp], times: Array
-) -> dict[str, Any]:
-    """Covariates at the nodes of the intervals in which power changes, in their last axis interval by interval."""
-    repeated = np.repeat(curved, len(NODES))
-    nodes = _take(cov, repeated)
-    for name, change in rates.items():
-        if np.any(change):
-            nodes[name] = nodes[name] + times * np.asarray(change)[..., repeated]
-    return nodes
-
-
-def _take(cov: Mapping[str, Any], index: NDArray[np.intp]) -> dict[str, Any]:
-    return {
-        name: value[index] if hasattr(value, "codes") else np.asarray(value)[..., index] for name, value in cov.items()
-    }

@@ -7,10 +7,13 @@ so that what holds for an interval meets them as one number, and sums over inter
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.effects.integrate import NODES
 from missionsim.engine.simulate import RunSetup
 from missionsim.plan.legs import Plan
 from missionsim.uncertainty.probe import Dependence
@@ -131,3 +134,22 @@ class Progress:
         inner *= self.part
         inner += before
         return found
+
+
+def at_nodes(
+    cov: Mapping[str, Any], rates: Mapping[str, Any], curved: NDArray[np.intp], times: Array
+) -> dict[str, Any]:
+    """Covariates at the nodes of the intervals in which power changes, in their last axis interval by interval."""
+    repeated = np.repeat(curved, len(NODES))
+    nodes = take(cov, repeated)
+    for name, change in rates.items():
+        if np.any(change):
+            nodes[name] = nodes[name] + times * np.asarray(change)[..., repeated]
+    return nodes
+
+
+def take(cov: Mapping[str, Any], index: NDArray[np.intp]) -> dict[str, Any]:
+    """Covariates of some intervals."""
+    return {
+        name: value[index] if hasattr(value, "codes") else np.asarray(value)[..., index] for name, value in cov.items()
+    }

@@ -41,7 +41,7 @@ class Moments:
     @property
     def sd(self) -> float:
         """Standard deviation of the sample."""
-        return math.sqrt(self.squares / (self.count - 1)) if self.count > 1 else 0.0
+        return math.sqrt(self.squares / (self.count - 1)) if self.low < self.high else 0.0
 
 
 def moments(parts: Parts) -> Moments:

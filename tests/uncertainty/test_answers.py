@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from missionsim.uncertainty.answers import describe, quantile_interval
+from missionsim.uncertainty.answers import describe, quantile_interval, rank_importance
 from missionsim.uncertainty.selection import moments, order_statistics
 
 
@@ -59,3 +59,15 @@ def test_a_small_sample_does_not_bound_a_far_quantile() -> None:
     assert found["intervals"]["q99"][1] is None
     assert found["intervals"]["q01"][0] is None
     assert found["intervals"]["q50"][0] > 0.0
+
+
+def test_first_order_index_from_the_sample_itself() -> None:
+    rng = np.random.default_rng(2)
+    switch, wide, idle = rng.choice([0.4, 5.0], p=[0.1, 0.9], size=4000), rng.normal(size=4000), rng.normal(size=4000)
+    drawn = {"switch": switch, "wide": wide, "idle": idle}
+    energies = {"a": 3.0 * switch, "b": 2.0 * wide + rng.normal(size=4000)}
+    rows = {(row["battery"], row["parameter"]): row["first"] for row in rank_importance(drawn, energies)}
+    assert rows["a", "switch"] == pytest.approx(1.0)
+    assert rows["b", "wide"] == pytest.approx(0.8, abs=0.03)
+    assert rows["b", "idle"] < 0.02
+    assert rows["a", "wide"] < 0.02

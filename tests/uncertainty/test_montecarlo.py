@@ -233,6 +233,54 @@ def test_failures_are_told_where_and_when(tmp_path: Path) -> None:
     assert answer["failures"]["empty"][0]["share"] == 1.0
 
 
+def test_a_failing_run_is_kept_with_its_draws_and_its_message(tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text(
+        "kind: robot\nname: sometimes\nbody: {mass: 20 kg, drive: differential, max_speed: 2 m/s}\n"
+        "batteries: {main: {capacity: 100 Wh, reserve: 10 %}}\n"
+        "motion: {battery: main, model: expression, power: 'log(gain)*speed_m_s', standing: '1.0', "
+        "parameters: {gain: {value: 3, distribution: {kind: discrete, values: [3, -1], weights: [0.75, 0.25]}}}}\n",
+        encoding="utf-8",
+    )
+    path = tmp_path / "mission.yaml"
+    path.write_text(
+        "kind: mission\nname: sometimes\nrobot: robot.yaml\nsegments:\n  - drive: {distance: 20 m, speed: 0.4 m/s}\n",
+        encoding="utf-8",
+    )
+    target = tmp_path / "answer.json"
+    out = str(tmp_path / "out")
+    options = ["--runs", "60", "--engine", "simpy", "--out", out, "--quiet", "--json", str(target)]
+    assert run_command(["montecarlo", str(path), *options]) == 0
+    store = BlockStore(tmp_path / "out")
+    gain, messages = store.column("drawn:robot.motion.parameters.gain"), store.column("message")
+    assert 5 < np.count_nonzero(gain < 0.0) < 30
+    assert all(bool(message) == (value < 0.0) for message, value in zip(messages, gain, strict=True))
+    assert messages[gain < 0.0][0].startswith("failed: ")
+    answer = json.loads(target.read_text(encoding="utf-8"))
+    assert answer["p_feasible"]["value"] == pytest.approx(np.mean(gain > 0.0))
+    assert answer["batteries"]["main"]["p_reserve"]["value"] == pytest.approx(np.mean(gain > 0.0))
+    assert answer["failures"]["reasons"][0]["share"] == pytest.approx(np.mean(gain < 0.0))
+
+
+@pytest.mark.parametrize("bad", [0.0, -0.3, np.nan])
+def test_draws_that_cannot_be_evaluated_are_given_back_to_simpy(bad: float) -> None:
+    prepared = prepare(Task(PATROL, (), None, 3, "auto"))
+    assert prepared.arrays is not None
+    draws = prepared.sampler.draw(3, 0, 6)
+    draws["segments.4.drive.behaviour.speed_tracking"][2] = bad
+    columns, again = prepared.arrays.evaluate(draws, 6)
+    assert again.tolist() == [False, False, True, False, False, False]
+    assert np.isfinite(columns["charge_robot_wh"][~again]).all()
+
+
+def test_capacity_needed_is_the_deepest_discharge_between_chargings(tmp_path: Path) -> None:
+    path = str(ROOT / "missions/pioneer3dx/recharging_patrol.yaml")
+    prepared = prepare(Task(path, (), None, 1, "simpy"))
+    block = simulate_block(prepared.mission, prepared.model, prepared.sampler, 1, 0, 1)
+    kept = block["charge_laptop_wh"][0]
+    assert block["charge_left_laptop_wh"][0] > kept[0]
+    assert 0.0 < kept[0] - kept.min() <= block["needed_laptop_wh"][0] + 1e-9 < block["energy_laptop_wh"][0]
+
+
 @pytest.mark.parametrize(
     "arguments",
     [["--runs", "0"], ["--workers", "0"], ["--until", "2"], ["--only", "-1"], ["--sobol", "100"], ["--resume"]],
