@@ -117,10 +117,11 @@ def _quadrature(
         spread = np.zeros(index.size)
         for key, power in terms.items():
             samples = np.broadcast_to(np.asarray(power, dtype=float), times.shape)
-            integral = half * (samples @ WEIGHTS)
-            parts[key] = integral
-            scale += half * (np.abs(samples) @ WEIGHTS)
-            spread += np.abs(half * (samples @ _GAUSS_WEIGHTS) - integral)
+            with np.errstate(over="ignore", invalid="ignore"):
+                integral = half * (samples @ WEIGHTS)
+                parts[key] = integral
+                scale += half * (np.abs(samples) @ WEIGHTS)
+                spread += np.abs(half * (samples @ _GAUSS_WEIGHTS) - integral)
         bad |= spread > RELATIVE_TOLERANCE * scale
     # a jump needs one piece a level; where pieces go on multiplying, the power is noise that no halving resolves
     if depth >= _MAX_DEPTH or (depth >= _NOISE_DEPTH and index.size > max(_MOST_PIECES, 8 * len(timeline))):

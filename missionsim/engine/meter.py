@@ -18,7 +18,8 @@ from missionsim.effects.model import PowerModel, TermKey
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery, Loads
 from missionsim.engine.recorder import Recorder, Row, timeline
-from missionsim.plan.legs import Leg
+from missionsim.errors import InputError
+from missionsim.plan.legs import Leg, SegmentInfo
 
 Array = NDArray[np.float64]
 Energies = dict[str, dict[TermKey, Array]]
@@ -58,13 +59,16 @@ class Meter:
     batteries : mapping of str to Battery
     values : mapping, optional
         Parameters that differ from the model's.
+    segments : sequence of SegmentInfo, optional
+        Whose names messages tell.
     """
 
     def __init__(
         self, model: PowerModel, recorder: Recorder, legs: list[Leg], batteries: Mapping[str, Battery],
-        values: Mapping[str, Any] | None = None,
+        values: Mapping[str, Any] | None = None, segments: Sequence[SegmentInfo] = (),
     ) -> None:
         self.model = model
+        self.segments = segments
         self.recorder = recorder
         self.legs = legs
         self.batteries = batteries
@@ -88,6 +92,7 @@ class Meter:
         """Energies and states of some rows that follow the present state."""
         line = timeline(rows, self.legs, self.recorder.components, self.recorder.states(), needs=self.needs)
         energies = integrate(self.model, line, self.values)
+        self._refuse_nan(line, energies)
         modes = np.array([row.charging for row in rows], dtype=np.int64).reshape(len(rows), len(self.batteries))
         loads = {
             name: self._loads(
@@ -98,6 +103,26 @@ class Meter:
         }
         states = {name: self.batteries[name].after(self.state[name], loads[name]) for name in self.batteries}
         return Batch(line, energies, loads, dict(self.state), states)
+
+    def _refuse_nan(self, line: Timeline, energies: Energies) -> None:
+        """A term that is not a number somewhere lacks a covariate there, or divides by nought.
+
+        Refused before the batteries see it: their equations have no solution that could be stepped along.
+        """
+        for battery, terms in energies.items():
+            for key, joules in terms.items():
+                bad = np.flatnonzero(~np.isfinite(joules))
+                if bad.size:
+                    i, number = int(bad[0]), int(line.segment[bad[0]])
+                    lacking = [name for name, column in line.columns.items()
+                               if isinstance(column, np.ndarray) and column.dtype.kind == "f" and np.isnan(column[i])]
+                    segment = self.segments[number].name if number < len(self.segments) else str(number)
+                    raise InputError.single(
+                        f"the power of '{key.name}' ({key.component}, battery '{battery}') is not a number in segment "
+                        f"'{segment}'",
+                        got=", ".join(f"no {name}" for name in lacking) or "an expression without a value there",
+                        allowed="every covariate that the robot's effects read, on every segment",
+                    )
 
     def time_to(self, battery: str, level: float, horizon_s: float) -> float | None:
         """Time from now until a battery's state comes to `level`, if nothing else changes; None if not so soon."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.effects.model import PowerModel, TermKey
+from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery, ConstantEnergy
 from missionsim.engine.battery_build import build_battery
@@ -165,10 +165,6 @@ class RunSetup:
         """The result of the last execution."""
         batches = world.meter.batches
         line, energies, charge = joined(batches, self.batteries)
-        _refuse_nan(line, energies, world)
-        if whole is not world:
-            # the first execution says by how much a battery falls short: infinite power there is no answer
-            _refuse_nan(*joined(whole.meter.batches, self.batteries)[:2], whole)
         duration = float(world.env.now)
         home = self._home_at_end(world)
         results = {}
@@ -267,23 +263,6 @@ def split_values(values: Mapping[str, Any], model: PowerModel) -> tuple[dict[str
             if parameter.path and path in numbers:
                 drawn.setdefault(name, numbers[path])
     return numbers, drawn
-
-
-def _refuse_nan(line: Timeline, energies: Mapping[str, Mapping[TermKey, Any]], world: World) -> None:
-    """A term that is not a number somewhere lacks a covariate there, or divides by nought."""
-    for battery, terms in energies.items():
-        for key, joules in terms.items():
-            bad = np.flatnonzero(~np.isfinite(joules))
-            if bad.size:
-                i = int(bad[0])
-                lacking = [name for name, column in line.columns.items()
-                           if isinstance(column, np.ndarray) and np.isnan(column[i])]
-                raise InputError.single(
-                    f"the power of '{key.name}' ({key.component}, battery '{battery}') is not a number in segment "
-                    f"'{world.segments[int(line.segment[i])].name}'",
-                    got=", ".join(f"no {name}" for name in lacking) or "an expression without a value there",
-                    allowed="every covariate that the robot's effects read, on every segment",
-                )
 
 
 def with_provenance(result: RunResult, provenance: Mapping[str, Any]) -> RunResult:

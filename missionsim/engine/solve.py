@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import isfinite, nan
 
 ROOT_TOLERANCE_S = 1e-9
 
@@ -90,6 +91,8 @@ def adaptive_runge_kutta(
         k7 = slope(t + step, new)
         error = abs(step * (71 * k1 / 57600 - 71 * k3 / 16695 + 71 * k4 / 1920 - 17253 * k5 / 339200
                             + 22 * k6 / 525 - k7 / 40))
+        if step <= 1e-12 * duration and not isfinite(error):  # the slope is no number here; the engine says whose
+            return [*points, (duration, nan)]
         if error <= tolerance or step <= 1e-12 * duration:
             t = duration if duration - t - step <= 1e-14 * duration else t + step
             y = new

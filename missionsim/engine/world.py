@@ -74,7 +74,7 @@ class World:
         self.segments: list[SegmentInfo] = list(plan.segments)
         self.recorder = Recorder(env, [info.name for info in components], list(batteries))
         self.board = Switchboard(env, self.recorder, components)
-        self.meter = Meter(model, self.recorder, self.legs, batteries, values)
+        self.meter = Meter(model, self.recorder, self.legs, batteries, values, self.segments)
         self.signals = Signals(env)
         self.docks: dict[str, simpy.Resource] = {}
         self.completed = False

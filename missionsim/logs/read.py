@@ -134,6 +134,8 @@ def is_parquet(path: Path) -> bool:
     """Whether a file is Parquet, by its content; InputError where it cannot be opened or is a bag."""
     if path.is_dir():
         raise InputError(Fault(str(path), 0, 0, "this is a folder, not a log"))
+    if path.exists() and not path.is_file():  # opening a pipe would wait for a writer; a device may never end
+        raise InputError(Fault(str(path), 0, 0, "this is a pipe or a device, not a file", allowed="a file"))
     try:
         with open(path, "rb") as handle:
             head = handle.read(8)

@@ -164,6 +164,8 @@ def read_document(path: str | Path, *, name: str | None = None) -> Document:
         Missing, too large, not UTF-8, not YAML, duplicate keys, tags, too deep or too many values.
     """
     shown = name or str(path)
+    if Path(path).is_fifo():  # opening it would wait for a writer
+        raise InputError(Fault(shown, 0, 0, "cannot read this file: is a pipe"))
     try:
         with open(path, "rb") as handle:
             raw = handle.read(MAX_BYTES + 1)

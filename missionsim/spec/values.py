@@ -17,8 +17,8 @@ def quantity(dimension: str, low: float = -math.inf, high: float = math.inf, *, 
 
 
 Length = Annotated[Parameter, quantity("length", 0.0)]
-Coordinate = Annotated[Parameter, quantity("length")]
-Distance = Annotated[Parameter, quantity("length", 0.0, strict=True)]
+Coordinate = Annotated[Parameter, quantity("length", -1e12, 1e12)]
+Distance = Annotated[Parameter, quantity("length", 0.0, 1e12, strict=True)]
 Speed = Annotated[Parameter, quantity("speed", 0.0, 60.0, strict=True)]
 Acceleration = Annotated[Parameter, quantity("acceleration", 1e-6, 50.0)]
 Angle = Annotated[Parameter, quantity("angle")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 from pathlib import Path
 
@@ -34,6 +35,11 @@ segments:
 activities:
   - {component: lidar, every: 60 s, duration: 2 s}
 """
+CIRCUIT = """main:
+    capacity: 12 Ah
+    nominal_voltage: 24 V
+    model: {kind: equivalent_circuit, open_circuit_voltage: [[0, 22 V], [1, 26 V]], resistance: 30 mohm}
+effects: [{name: own, battery: main, power: k / (speed_m_s - speed_m_s), parameters: {k: 1}}]"""
 MOTION = "model: polynomial, parameters: {c2: 4, c3: 12, c4: 8, standing: 6}"
 
 
@@ -59,6 +65,8 @@ def run_with(folder: Path, robot: tuple[str, str] = ("", ""), mission: tuple[str
         (("c2: 4", "c2: 1e308"), ("2 min", "2 h"), "not a number in segment"),
         (("schemes:", "effects: [{name: own, battery: main, power: k/payload_kg, parameters: {k: 1}}]\nschemes:"),
          ("", ""), "not a number in segment"),
+        (("main: {capacity: 288 Wh}", CIRCUIT), ("", ""), "not a number in segment"),
+        (("", ""), ("distance: 40 m", "distance: 1e308 m"), "1e+12 m"),
     ],
 )  # fmt: skip
 def test_missions_that_cannot_be(
@@ -118,3 +126,11 @@ def test_faults_of_logs_come_in_order(tmp_path: Path, capsys: pytest.CaptureFixt
     path = write_log(tmp_path, speed_m_s="fast")
     assert run_command(["compare", "--robot", "pioneer3dx", str(path)]) == 2
     assert capsys.readouterr().err.rstrip().splitlines()[-1].endswith("more such cells")
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("run.csv", "errand.yaml"):
+        os.mkfifo(tmp_path / name)
+    assert run_command(["compare", "--robot", "pioneer3dx", str(tmp_path / "run.csv")]) == 2
+    assert run_command(["run", str(tmp_path / "errand.yaml")]) == 2
+    assert capsys.readouterr().err.count("is a pipe") == 2
