@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text, tell_logs
+from missionsim.cli.common import console, emit_json, shows_text, tell_logs
 from missionsim.cli.diagnose import HoldoutOption, RobotOption
+from missionsim.cli.options import JsonOption, QuietOption
 
 if TYPE_CHECKING:
     from missionsim.logs import LogTable

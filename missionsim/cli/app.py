@@ -5,12 +5,17 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from cyclopts import App, CycloptsError
-
+from missionsim.cli.quick import quick, with_plot_last
 from missionsim.errors import Fault, InputError, did_you_mean
 
+if TYPE_CHECKING:
+    from cyclopts import App
+
 EXIT_FINE, EXIT_NO, EXIT_INPUT, EXIT_OURS = 0, 1, 2, 3
+EXIT_INTERRUPTED, EXIT_PIPE = 130, 141
+"""128 and the number of the signal, as shells count."""
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("run:run", "Simulate one mission."),
@@ -37,6 +42,8 @@ Exit codes: 0 fine, 1 the answer is no (infeasible, outside the tolerance), 2 a 
 
 def build_app() -> App:
     """The command-line application with every command of `COMMANDS`."""
+    from cyclopts import App
+
     from missionsim import __version__
 
     app = App(name="missionsim", help=HELP, version=__version__, help_format="plaintext")
@@ -56,32 +63,33 @@ def run_command(arguments: Sequence[str]) -> int:
     Returns
     -------
     int
-        Exit code: 0 fine, 1 the answer is "no", 2 a fault in the user's input, 3 our own fault.
+        Exit code: 0 fine, 1 the answer is "no", 2 a fault in the user's input, 3 our own fault, 130 interrupted,
+        141 the reader of the output has gone.
     """
     word = next(iter(arguments), "")
     if word and not word.startswith("-") and word not in COMMANDS:
         print(Fault("", 0, 0, f"there is no command '{word}'", "", word, ", ".join(COMMANDS),
                     did_you_mean(word, COMMANDS)), file=sys.stderr)
         return EXIT_INPUT
-    app = build_app()
     try:
-        result = app(list(arguments), exit_on_error=False, print_error=False, result_action="return_value")
+        code = quick(arguments)
+        if code is None:
+            code = _parsed(with_plot_last(arguments))
         sys.stdout.flush()
-        return result if isinstance(result, int) and not isinstance(result, bool) else EXIT_FINE
+        return code
     except InputError as error:
         print(error, file=sys.stderr)
         return EXIT_INPUT
-    except CycloptsError as error:
-        print(f"command line: error: {' '.join(str(error).split())}", file=sys.stderr)
-        print("    see: missionsim --help", file=sys.stderr)
-        return EXIT_INPUT
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        return 130
+        return EXIT_INTERRUPTED
     except BrokenPipeError:
-        # the reader of our output has gone (`| head`); nothing is wrong with the input or with us
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
-        return EXIT_FINE
+        return _reader_gone()
+    except SystemExit as end:
+        # rich ends the program itself where it meets a closed pipe
+        if isinstance(end.__context__, BrokenPipeError):
+            return _reader_gone()
+        raise
     except OSError as error:
         print(f"{error.filename or 'file'}: error: {error.strerror or error}", file=sys.stderr)
         return EXIT_INPUT
@@ -94,3 +102,25 @@ def run_command(arguments: Sequence[str]) -> int:
             file=sys.stderr,
         )
         return EXIT_OURS
+
+
+def _parsed(arguments: Sequence[str]) -> int:
+    """Parse a command line and run it."""
+    from cyclopts import CycloptsError
+
+    try:
+        result = build_app()(list(arguments), exit_on_error=False, print_error=False, result_action="return_value")
+    except CycloptsError as error:
+        print(f"command line: error: {' '.join(str(error).split())}", file=sys.stderr)
+        print("    see: missionsim --help", file=sys.stderr)
+        return EXIT_INPUT
+    return result if isinstance(result, int) and not isinstance(result, bool) else EXIT_FINE
+
+
+def _reader_gone() -> int:
+    """The reader of our output has gone (`| head`): end quietly, as programs do that the signal ends.
+
+    Not 0, because what a command does after printing may be undone.
+    """
+    sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+    return EXIT_PIPE

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text, simple_table
+from missionsim.cli.common import console, emit_json, shows_text, simple_table
+from missionsim.cli.options import JsonOption, QuietOption
 
 if TYPE_CHECKING:
     from missionsim.fit.parameters import ModelFit

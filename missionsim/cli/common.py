@@ -1,4 +1,4 @@
-"""What the commands share: options, JSON output, tables and progress."""
+"""What the commands share: JSON output, tables and progress."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any
 
 from missionsim.files import write_text
 
@@ -19,11 +17,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from missionsim.logs import LogTable
-
-JsonOption = Annotated[str | None, Parameter(name="--json", allow_leading_hyphen=True)]
-"""Where to write the result as JSON: a file, or - for standard output."""
-QuietOption = Annotated[bool, Parameter(name="--quiet", negative="")]
-"""Print nothing but what was asked for."""
 
 
 def plain(value: Any) -> Any:

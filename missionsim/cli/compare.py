@@ -7,7 +7,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, progress, shows_text
+from missionsim.cli.common import console, emit_json, progress, shows_text
+from missionsim.cli.options import JsonOption, QuietOption
 from missionsim.errors import InputError
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from cyclopts import App
 
-from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text, simple_table
+from missionsim.cli.common import console, emit_json, shows_text, simple_table
+from missionsim.cli.options import JsonOption, QuietOption
 
 app = App(name="effects", help="The library of effects: equation, parameters, units, source.", help_format="plaintext")
 

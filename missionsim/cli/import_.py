@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import JsonOption, QuietOption
+from missionsim.cli.options import JsonOption, QuietOption
 
 if TYPE_CHECKING:
     from missionsim.logs import LogTable

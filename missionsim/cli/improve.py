@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text, simple_table, tell_logs
+from missionsim.cli.common import console, emit_json, shows_text, simple_table, tell_logs
 from missionsim.cli.diagnose import HoldoutOption, ReportOption, RobotOption
+from missionsim.cli.options import JsonOption, QuietOption
 
 if TYPE_CHECKING:
     from missionsim.diagnose.findings import BatteryDiagnosis, Finding

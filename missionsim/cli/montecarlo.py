@@ -80,6 +80,7 @@ def montecarlo(
     """
     from missionsim.spec.overrides import split_assignment
     from missionsim.uncertainty.batch import Task, prepare
+    from missionsim.uncertainty.single import unread_values
 
     _check(runs, workers, until, only, sobol, out, resume, plot)
     overrides = tuple(split_assignment(text) for text in set_ or ())
@@ -90,6 +91,12 @@ def montecarlo(
         print(
             "warning: no number of this mission is uncertain; all runs are the same unless the mission itself is "
             "left to chance",
+            file=sys.stderr,
+        )
+    unread = unread_values(prepared.mission, prepared.model, prepared.sampler)
+    if unread and shows_text(json, quiet):
+        print(
+            f"warning: the nominal mission does not use {', '.join(unread)}; drawing them changes nothing",
             file=sys.stderr,
         )
     if only is not None:
@@ -164,7 +171,7 @@ def _batch(
     from missionsim.files import write_text
     from missionsim.uncertainty.answers import summarise
     from missionsim.uncertainty.batch import identity, run_batch
-    from missionsim.uncertainty.single import left_to_chance
+    from missionsim.uncertainty.single import left_to_chance, unread_values
     from missionsim.uncertainty.store import BlockStore
 
     engine = "simpy" if prepared.arrays is None else "arrays"
@@ -197,6 +204,7 @@ def _batch(
         "seed": task.seed,
         "engine": engine,
         "why_not_arrays": prepared.why_not_arrays,
+        "unread": list(unread_values(prepared.mission, prepared.model, prepared.sampler)),
         "chance": [name.removeprefix("chance.") for name in left_to_chance(prepared.mission)],
         **summarise(store, firsts, batteries),
     }

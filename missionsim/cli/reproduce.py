@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, progress, shows_text
+from missionsim.cli.common import console, emit_json, progress, shows_text
+from missionsim.cli.options import JsonOption, QuietOption
 
 if TYPE_CHECKING:
     from typing import Any

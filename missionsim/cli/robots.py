@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text, simple_table
+from missionsim.cli.common import console, emit_json, shows_text, simple_table
+from missionsim.cli.options import JsonOption, QuietOption
 
 
 def robots(*, json: JsonOption = None, quiet: QuietOption = False) -> int:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text, simple_table
-
-if TYPE_CHECKING:
-    from missionsim.engine.outcome import RunResult
+from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.run_mission import run_mission
 
 
 def run(
@@ -45,110 +42,10 @@ def run(
         Of the tables.
     plot
         Also draw power over time, charge over time and energy by segment, as png (or svg, or both), into the folder
-        of --out (else the present one). Comes after the mission: MISSION.yaml --plot, or --plot svg.
+        of --out (else the present one).
     json
         Write the summary as JSON to this file, or - for standard output.
     quiet
         Print no tables.
     """
-    from missionsim.engine.simulate import simulate, with_provenance
-    from missionsim.results.write import provenance, write_results
-    from missionsim.spec.loading import load_mission
-    from missionsim.spec.overrides import split_assignment
-
-    spec = load_mission(mission, [split_assignment(text) for text in set_ or ()], robot)
-    result = with_provenance(simulate(spec), provenance(spec, ["missionsim", *sys.argv[1:]]))
-    written: list[Path] = []
-    if out is not None:
-        written += write_results(result, out, format)
-    if plot is not None:
-        from missionsim.report.figures_run import write_figures
-
-        for suffix in plot or ["png"]:
-            written += write_figures(result, out or Path(), suffix)
-    emit_json(result.summary(), json)
-    if shows_text(json, quiet):
-        show(result)
-        if written:
-            console().print(f"Written: {', '.join(str(path) for path in written)}", soft_wrap=True)
-    return 0 if result.feasible else 1
-
-
-def show(result: RunResult) -> None:
-    """Print the summary of a run, at most 100 columns wide."""
-    from missionsim.results.tables import largest_consumers
-
-    terminal = console()
-    verdict = "feasible" if result.feasible else f"NOT feasible: {result.reason}"
-    terminal.print(
-        f"[bold]{result.mission}[/bold] with {result.robot}: {verdict}\n"
-        f"{clock(result.duration_s)}, {result.distance_m:.1f} m, {len(result.segments)} segments"
-    )
-    rows = [
-        (
-            name, f"{b.energy_wh:.3f}", f"{b.mean_power_w:.2f}", f"{b.capacity_wh:.1f}", f"{b.charge_left_wh:.2f}",
-            f"{100 * b.charge_left_fraction:.1f} %", f"{b.reserve_required_wh:.2f}",
-            "unknown" if b.home_wh is None else f"{b.home_wh:.2f}", f"{b.reserve_wh:.2f}",
-        )
-        for name, b in result.batteries.items()
-    ]
-    right = "right"
-    terminal.print(simple_table("Batteries", [
-        "battery", ("Wh used", right), ("mean W", right), ("full Wh", right), ("Wh left", right), ("left", right),
-        ("to keep Wh", right), ("home Wh", right), ("reserve Wh", right),
-    ], rows))
-    for name, battery in result.batteries.items():
-        if text := trouble(battery):
-            terminal.print(f"  {name}: {text}")
-    terminal.print(simple_table("Three largest consumers", ["component", "battery", ("Wh", right), ("share", right)], [
-        (component, battery, f"{energy:.3f}", f"{100 * share:.1f} %")
-        for battery, component, energy, share in largest_consumers(result)
-    ]))
-    schemes = {name: result.by_scheme_wh(name) for name in result.batteries}
-    names = dict.fromkeys(scheme for energies in schemes.values() for scheme in energies)
-    if len(names) > 1:
-        terminal.print(simple_table("Energy by control scheme [Wh]", ["scheme", *((b, right) for b in schemes)], [
-            (name, *(f"{energies.get(name, 0.0):.4f}" for energies in schemes.values())) for name in names
-        ]))
-    terminal.print(segment_rows(result))
-
-
-def segment_rows(result: RunResult, most: int = 14) -> Any:
-    """Energy by segment; repetitions of a segment are added up, and of many segments the largest are shown."""
-    index: dict[str, list[int]] = {}
-    for i, segment in enumerate(result.segments):
-        index.setdefault(segment.label or segment.name, []).append(i)
-    energies = {name: result.by_segment_wh(name) for name in result.batteries}
-    rows = []
-    for label, members in index.items():
-        parts = [float(energies[name][members].sum()) for name in result.batteries]
-        rows.append((sum(parts), label, result.segments[members[0]].kind, len(members), parts))
-    shown = rows
-    title = "Energy by segment [Wh]"
-    if len(rows) > most:
-        keep = {row[1] for row in sorted(rows, reverse=True)[:most]}
-        shown = [row for row in rows if row[1] in keep]
-        title += f", the {most} largest of {len(rows)}"
-    columns: list[str | tuple[str, str]] = ["segment", "kind", ("times", "right")]
-    columns += [(name, "right") for name in result.batteries]
-    return simple_table(title, columns, [
-        (label, kind, times, *(f"{part:.4f}" for part in parts)) for _, label, kind, times, parts in shown
-    ])
-
-
-def trouble(battery: Any) -> str:
-    """What goes wrong with a battery, in few words."""
-    if battery.empty_at_s is not None:
-        return f"empty at {clock(battery.empty_at_s)} in {battery.empty_in_segment}, {battery.deficit_wh:.2f} Wh short"
-    if battery.deficit_wh > 0.0:
-        return f"{battery.deficit_wh:.2f} Wh short of the whole mission"
-    if battery.charge_left_wh < battery.reserve_required_wh * (1 - 1e-9):
-        return "below its reserve"
-    return ""
-
-
-def clock(seconds: float) -> str:
-    """Seconds as h:mm:ss or m:ss."""
-    whole = round(seconds)
-    hours, minutes = whole // 3600, whole % 3600 // 60
-    return f"{hours}:{minutes:02d}:{whole % 60:02d} h" if hours else f"{minutes}:{whole % 60:02d} min"
+    return run_mission(mission, set_, robot, out, format, plot, json, quiet)

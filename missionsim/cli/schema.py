@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, shows_text
+from missionsim.cli.common import console, emit_json, shows_text
+from missionsim.cli.options import JsonOption, QuietOption
 
 
 def schema(*kind: str, out: Path | None = None, json: JsonOption = None, quiet: QuietOption = False) -> int:

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-import sys
 from pathlib import Path
 
-from missionsim.cli.common import JsonOption, QuietOption, emit_json, shows_text
-
-_YAML = (".yaml", ".yml")
-_LOGS = (".csv", ".parquet", ".tsv")
+from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.validate_files import validate_files
 
 
 def validate(*files: Path, json: JsonOption = None, quiet: QuietOption = False) -> int:
@@ -29,45 +25,4 @@ def validate(*files: Path, json: JsonOption = None, quiet: QuietOption = False) 
     int
         0 when there are no errors (warnings are allowed), 2 otherwise.
     """
-    from missionsim.errors import Fault, InputError
-    from missionsim.spec.loading import check_files
-
-    if not files:
-        raise InputError.single("nothing to check", allowed="files or folders: missionsim validate FILE...")
-    faults: list[Fault] = []
-    yaml_files: list[Path] = []
-    logs: list[Path] = []
-    for given in files:
-        found = _inside(given) if given.is_dir() else [given]
-        if not found:
-            allowed = ", ".join((*_YAML, *_LOGS))
-            faults.append(Fault(str(given), 0, 0, "no YAML file or log in this folder", allowed=allowed))
-        for path in found:
-            (logs if path.suffix.lower() in _LOGS else yaml_files).append(path)
-    faults += check_files(yaml_files)
-    if logs:
-        from missionsim.logs import check_log
-
-        for path in logs:
-            faults += check_log(path)
-    faults = sorted(set(faults))
-    errors = [fault for fault in faults if fault.severity == "error"]
-    count = len(yaml_files) + len(logs)
-    emit_json({"schema": "missionsim.validation/1", "files": count, "valid": not errors,
-               "faults": [dataclasses.asdict(fault) for fault in faults]}, json)
-    if json != "-":
-        for fault in faults:
-            print(fault, file=sys.stderr)
-    if shows_text(json, quiet):
-        warnings = len(faults) - len(errors)
-        words = [_counted(len(errors), "error"), *([_counted(warnings, "warning")] if warnings else [])]
-        print(f"{_counted(count, 'file')}: " + (", ".join(words) if faults else "valid"))
-    return 2 if errors else 0
-
-
-def _inside(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in (*_YAML, *_LOGS) and path.is_file())
-
-
-def _counted(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
+    return validate_files(files, json, quiet)

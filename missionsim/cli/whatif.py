@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import JsonOption, QuietOption, console, emit_json, progress, shows_text, simple_table
-from missionsim.cli.run import clock
+from missionsim.cli.common import console, emit_json, progress, shows_text, simple_table
+from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.run_mission import clock
 from missionsim.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -183,7 +184,11 @@ def show(found: WhatIf) -> None:
             line.append("–" if percent is None else signed(percent, 1))
         line.append("yes" if row["feasible"] else "NO")
         cells.append(line)
-    terminal.print(simple_table("Alternatives", columns, cells))
+    table = simple_table("Alternatives", columns, cells)
+    # an alternative whose value is cut off could be any of them
+    table.columns[0].overflow = "fold"
+    table.collapse_padding = True
+    terminal.print(table)
     for number, row in enumerate(rows):
         if not row["feasible"]:
             terminal.print(f"  {number} {row['name']}: {row['reason']}")

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from missionsim.cli.app import run_command
+from missionsim.cli.app import EXIT_PIPE, _parsed, run_command
+from missionsim.cli.quick import quick, with_plot_last
 
 
 def test_validate_everything_shipped(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -81,3 +84,60 @@ def test_robots(capsys: pytest.CaptureFixture[str]) -> None:
     assert pioneer["components"]["laser"]["units"] == 2
     assert run_command(["robots"]) == 0
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 100
+
+
+PATROL = "missions/pioneer3dx/valve_patrol.yaml"
+
+
+@pytest.mark.parametrize("words", [
+    ["validate", PATROL, "missions/khepera3"],
+    ["validate", PATROL, "--json", "-", "--quiet"],
+    ["validate", "nowhere.yaml"],
+    ["run", PATROL],
+    ["run", "--set", "defaults.speed=0.3", PATROL, "--set=defaults.payload=2 kg", "--json", "-"],
+    ["run", "--quiet", "missions/pioneer3dx/infeasible.yaml"],
+    ["run", PATROL, "--out", "{out}", "--format=parquet", "--quiet"],
+])
+def test_plain_calls_are_read_as_the_parser_reads_them(
+    words: list[str], root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(root)
+    told = []
+    for number, way in enumerate((quick, _parsed)):
+        code = way([word.format(out=tmp_path / str(number)) for word in words])
+        assert code is not None
+        told.append((code, *capsys.readouterr(), sorted(path.name for path in (tmp_path / str(number)).glob("*"))))
+    assert told[0] == told[1]
+
+
+@pytest.mark.parametrize("words", [
+    [], ["run"], ["--help"], ["run", "--help"], ["run", PATROL, "--plot"], ["run", PATROL, "--format", "xls"],
+    ["run", PATROL, PATROL], ["run", PATROL, "--sat", "a=1"], ["run", PATROL, "--out"],
+    ["run", PATROL, "--set", "-x=1"],
+    ["run", PATROL, "--json", "a", "--json", "b"], ["validate", "--quiet"], ["effects", "--json", "-"],
+    ["run", "--mission", PATROL], ["validate", PATROL, "-h"],
+])
+def test_what_is_not_plain_is_left_to_the_parser(words: list[str]) -> None:
+    assert quick(words) is None
+
+
+@pytest.mark.parametrize(("words", "ordered"), [
+    (["run", "--plot", "m.yaml"], ["run", "m.yaml", "--plot"]),
+    (["run", "--plot", "svg", "png", "m.yaml", "--quiet"], ["run", "m.yaml", "--quiet", "--plot", "svg", "png"]),
+    (["run", "m.yaml", "--plot", "--out", "x"], ["run", "m.yaml", "--out", "x", "--plot"]),
+    (["run", "m.yaml", "--plot=svg"], ["run", "m.yaml", "--plot=svg"]),
+    (["montecarlo", "--plot", "m.yaml"], ["montecarlo", "--plot", "m.yaml"]),
+])
+def test_plot_may_stand_before_the_mission(words: list[str], ordered: list[str]) -> None:
+    assert with_plot_last(words) == ordered
+
+
+@pytest.mark.parametrize("words", [["run", PATROL], ["run", PATROL, "--json", "-"], ["robots"], ["--help"]])
+def test_a_reader_that_goes_away_is_no_fault(words: list[str], root: Path) -> None:
+    command = [sys.executable, "-c", "from missionsim.cli import main; main()", *words]
+    with subprocess.Popen(command, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait() == EXIT_PIPE

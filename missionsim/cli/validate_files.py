@@ -1,0 +1,59 @@
+"""What `missionsim validate` does; apart from its options, so that a plain call need not load their parser."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from missionsim.cli.common import emit_json, shows_text
+
+_YAML = (".yaml", ".yml")
+_LOGS = (".csv", ".parquet", ".tsv")
+
+
+def validate_files(files: Sequence[Path], json: str | None = None, quiet: bool = False) -> int:
+    """Check and print; the parameters are those of `missionsim.cli.validate.validate`."""
+    from missionsim.errors import Fault, InputError
+    from missionsim.spec.loading import check_files
+
+    if not files:
+        raise InputError.single("nothing to check", allowed="files or folders: missionsim validate FILE...")
+    faults: list[Fault] = []
+    yaml_files: list[Path] = []
+    logs: list[Path] = []
+    for given in files:
+        found = _inside(given) if given.is_dir() else [given]
+        if not found:
+            allowed = ", ".join((*_YAML, *_LOGS))
+            faults.append(Fault(str(given), 0, 0, "no YAML file or log in this folder", allowed=allowed))
+        for path in found:
+            (logs if path.suffix.lower() in _LOGS else yaml_files).append(path)
+    faults += check_files(yaml_files)
+    if logs:
+        from missionsim.logs import check_log
+
+        for path in logs:
+            faults += check_log(path)
+    faults = sorted(set(faults))
+    errors = [fault for fault in faults if fault.severity == "error"]
+    count = len(yaml_files) + len(logs)
+    emit_json({"schema": "missionsim.validation/1", "files": count, "valid": not errors,
+               "faults": [dataclasses.asdict(fault) for fault in faults]}, json)
+    if json != "-":
+        for fault in faults:
+            print(fault, file=sys.stderr)
+    if shows_text(json, quiet):
+        warnings = len(faults) - len(errors)
+        words = [_counted(len(errors), "error"), *([_counted(warnings, "warning")] if warnings else [])]
+        print(f"{_counted(count, 'file')}: " + (", ".join(words) if faults else "valid"))
+    return 2 if errors else 0
+
+
+def _inside(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in (*_YAML, *_LOGS) and path.is_file())
+
+
+def _counted(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"
