@@ -252,6 +252,14 @@ def _effects(check: Checker, robot: RobotSpec, batteries: list[str], components:
                 allowed="a 'name' of its own for each",
             )
         seen.setdefault(label, index)
+        if effect.effect in ("grade", "acceleration") and robot.body.mass is None and not effect.candidate:
+            check.add(
+                (*where, "effect"),
+                f"'{effect.effect}' needs the robot's mass, which counts as 1 kg here",
+                got="no body.mass",
+                allowed="body: {mass: …}, unless k was fitted without it",
+                warning=True,
+            )
         if effect.power is not None:
             check.formula((*where, "power"), effect.power, effect.parameters)
         else:

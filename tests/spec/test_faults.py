@@ -327,6 +327,7 @@ def test_names_that_yaml_1_1_would_spoil(folder: Path) -> None:
 
 def test_wrong_units_of_motion_and_effect_parameters(folder: Path) -> None:
     change("robot", "c2: 1, c3: 2, c4: 3}", "c2: 1 W s^2/m^2, c3: 2 W, c4: {value: 3 kg, sd: 5 %}}")
+    change("robot", "drive: differential", "drive: differential, mass: 5 kg")
     with Path("robot.yaml").open("a", encoding="utf-8") as file:
         file.write("effects:\n  - {effect: grade, battery: main, parameters: {k: 1 kg}}\n")
     assert told("robot.yaml") == [
@@ -381,3 +382,13 @@ def test_a_load_that_no_term_reads_is_told_and_a_formula_can_read_it(folder: Pat
             "  - {name: own, battery: main, power: 'k * payload_kg * sin(slope_rad) * v', parameters: {k: 1}}\n"
         )
     assert told("mission.yaml") == []
+
+
+def test_lifting_without_a_mass_is_told(folder: Path) -> None:
+    with Path("robot.yaml").open("a", encoding="utf-8") as file:
+        file.write("effects:\n  - {effect: grade, battery: main, parameters: {k: 1}}\n")
+    assert [text.splitlines()[0] for text in told("robot.yaml")] == [
+        "robot.yaml:11:14: warning: 'grade' needs the robot's mass, which counts as 1 kg here"
+    ]
+    change("robot", "max_speed: 1 m/s", "max_speed: 1 m/s, mass: 5 kg")
+    assert told("robot.yaml") == []
