@@ -209,6 +209,10 @@ def run_alternatives(
     return WhatIf(specs[0].name, tuple(alternatives), tuple(results))
 
 
+_SAYS_LITTLE = ("drive", "loads", "parameters")
+"""Steps of a path that stand in the paths of every segment, component and battery."""
+
+
 def _robot(reference: str | None, folder: Path) -> str | None:
     if reference is None:
         return None
@@ -216,6 +220,11 @@ def _robot(reference: str | None, folder: Path) -> str | None:
 
 
 def _short(path: str) -> str:
-    """The telling end of a path: its last word, with the one before where that is a number or an item."""
+    """The telling end of a path: its last word and the name that it belongs to, so that two alternatives differ."""
     parts = path.split(".")
-    return ".".join(parts[-2:]) if len(parts) > 1 and parts[0] != "defaults" else parts[-1]
+    if len(parts) == 1 or parts[0] == "defaults":
+        return parts[-1]
+    first = len(parts) - 2
+    while first > 0 and (parts[first].isdigit() or parts[first] in _SAYS_LITTLE):
+        first -= 1
+    return ".".join(part for part in parts[first:] if part not in _SAYS_LITTLE)

@@ -11,6 +11,8 @@ from missionsim.spec.tree import Document, parse_document
 
 ROOTS = ("robot", "environment")
 """First parts of a path that lead into another file."""
+OF_ROBOT = ("body", "batteries", "motion", "components", "links", "switchboards", "processor", "schemes", "effects")
+"""First parts that only a robot's file has; ``robot.`` before them may be left out."""
 
 
 def split_assignment(text: str) -> tuple[str, str]:
@@ -32,13 +34,15 @@ def split_assignment(text: str) -> tuple[str, str]:
 def route(overrides: Iterable[tuple[str, Any]], data: Any) -> dict[str, list[tuple[str, Any]]]:
     """Overrides by file: ``""`` (the mission), ``robot``, ``environment``.
 
-    ``robot`` alone replaces the mission's robot; ``robot.x`` goes into the robot's file.
+    ``robot`` alone replaces the mission's robot; ``robot.x`` goes into the robot's file, and so does ``schemes.x``.
     """
     result: dict[str, list[tuple[str, Any]]] = {"": [], **{root: [] for root in ROOTS}}
     for path, value in overrides:
         first, _, rest = path.partition(".")
         if first in ROOTS and rest:
             result[first].append((rest, value))
+        elif first in OF_ROBOT:
+            result["robot"].append((path, value))
         else:
             result[""].append((path, value))
     return result

@@ -102,3 +102,12 @@ def test_values_between_commas() -> None:
     assert split_values("{laser: 1, kinect: 1},[1,2],'a,b'") == ["{laser: 1, kinect: 1}", "[1,2]", "'a,b'"]
     made = varied([("defaults.speed", ["1", "2"]), ("a.b", ["x", "y"])])
     assert [item.name for item in made] == ["speed=1, a.b=x", "speed=1, a.b=y", "speed=2, a.b=x", "speed=2, a.b=y"]
+    paths = [f"robot.components.{name}.loads.0.power" for name in ("lidar", "camera")]
+    assert [item.name for item in varied([(path, ["1"]) for path in paths])] == ["lidar.0.power=1, camera.0.power=1"]
+
+
+def test_keys_of_the_robot_need_no_prefix(corridor: Path) -> None:
+    (plain,) = varied([("batteries.robot.capacity", ["100 Wh"])])
+    (full,) = varied([("robot.batteries.robot.capacity", ["100 Wh"])])
+    found = run_alternatives(corridor, [plain, full]).results
+    assert found[0].batteries["robot"].capacity_wh == found[1].batteries["robot"].capacity_wh == pytest.approx(100)
