@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.model import ModelParameter, PowerModel
+from missionsim.errors import InputError
 from missionsim.fit.prepare import Prepared, prepare
 
 BLOCK_S = 20.0
@@ -144,6 +145,11 @@ def _least_squares_start(model: PowerModel, ready: Prepared) -> PowerModel:
     y = np.concatenate([run.measured_w - base for run, base in zip(ready.runs, ready.base_w, strict=True)])
     x = np.column_stack([np.concatenate([g[name] for g in ready.gradients]) for name in names])
     usable = np.isfinite(y) & np.all(np.isfinite(x), axis=1)
+    if not usable.any():
+        raise InputError.single(
+            f"the model of battery '{ready.battery}' gives no number in any row of these logs",
+            got="nothing that can be fitted", allowed="a formula with a finite value (no division by nought?)",
+        )
     size = np.linalg.norm(x[usable], axis=0)
     shift, *_ = np.linalg.lstsq(x[usable] / size * weight[usable, None], y[usable] * weight[usable], rcond=1e-9)
     shift = shift / size

@@ -134,3 +134,13 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert run_command(["compare", "--robot", "pioneer3dx", str(tmp_path / "run.csv")]) == 2
     assert run_command(["run", str(tmp_path / "errand.yaml")]) == 2
     assert capsys.readouterr().err.count("is a pipe") == 2
+
+
+@pytest.mark.parametrize("base", ["c / (v - v)", "k * 9**9**9"])
+def test_a_base_without_a_value_calibrates_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], base: str
+) -> None:
+    path, out = write_log(tmp_path), tmp_path / "robot.yaml"
+    assert run_command(["calibrate", "--new", "x", "--base", base, str(path), "--out", str(out)]) == 2
+    assert "gives no number in any row" in capsys.readouterr().err
+    assert not out.exists()
