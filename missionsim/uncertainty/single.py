@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from missionsim.effects.model import PowerModel
 from missionsim.engine.outcome import RunResult
-from missionsim.engine.simulate import simulate, split_values
+from missionsim.engine.simulate import RunSetup, simulate, split_values
 from missionsim.errors import MissionsimError
 from missionsim.plan.build import make_plan
 from missionsim.plan.legs import Plan
@@ -86,6 +86,32 @@ def simulate_block(
     for name in left_to_chance(mission):
         draws[name] = np.array([found.get(name, np.nan) for found in counted])
     return _columns(rows, draws, first, batteries=tuple(mission.robot.batteries), components=components_of(model))
+
+
+class _Read(dict[str, float]):
+    """Numbers by path that remember which of them were read."""
+
+    def __init__(self, numbers: Mapping[str, float]) -> None:
+        super().__init__(numbers)
+        self.seen: set[str] = set()
+
+    def get(self, key: str, default: Any = None) -> Any:
+        if key in self:
+            self.seen.add(key)
+        return super().get(key, default)
+
+
+def unread_values(mission: MissionSpec, model: PowerModel, sampler: Sampler) -> tuple[str, ...]:
+    """Uncertain values that a run at the nominal values does not read, so that their draws change nothing there."""
+    numbers, _ = split_values({value.name: value.nominal for value in sampler.values}, model)
+    read = _Read(numbers)
+    try:
+        plan = make_plan(mission, read, run_generator(0, "chance", 0))
+        RunSetup(mission, plan, model, read, split_values(numbers, model)[1]).execute(())
+    except MissionsimError:
+        return ()  # its runs tell what is wrong
+    used = read.seen | {f"robot.{parameter.path}" for parameter in model.parameters.values()}
+    return tuple(name for name in numbers if name not in used)
 
 
 def components_of(model: PowerModel) -> tuple[tuple[str, str], ...]:
