@@ -54,6 +54,8 @@ class ModelParameter:
     source: str = ""
     path: str = ""
     distribution: Any = None
+    times: float = 1.0
+    """How many times the file's number it is (the units of a component that is always on)."""
 
     @property
     def prior_sd(self) -> float:
@@ -86,6 +88,8 @@ class Term:
     names: Mapping[str, str] = field(default_factory=dict)
     base: bool = True
     scale: float = 1.0
+    link: tuple[str, float] = ("", 1.0)
+    """Path and value of the efficiency that is in `scale`."""
 
     def name_of(self, parameter: str) -> str:
         """Name of a parameter within its battery."""
@@ -164,13 +168,15 @@ class PowerModel:
         missionsim.errors.InputError
             Where a term needs a covariate that is not there.
         """
-        full = self.complete(cov)
+        full = self.complete(cov, values)
         wanted = self.batteries if battery is None else (battery,)
         return {name: self._evaluate_battery(name, full, values or {}) for name in wanted}
 
-    def complete(self, cov: Covariates) -> dict[str, Any]:
-        """`cov` with the robot's own constants and the total mass."""
+    def complete(self, cov: Covariates, values: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """`cov` with the robot's own constants, those of `values` if they are there, and the total mass."""
         full = {**self.constants, **cov}
+        if values:
+            full |= {name: values[name] for name in self.constants if name in values}
         if "mass_kg" not in full:
             full["mass_kg"] = full.get("body_mass_kg", 1.0) + number(full, "payload_kg")
         return full
@@ -192,8 +198,11 @@ class PowerModel:
             elif effect.of_load:
                 local = {**cov, "load_w": sum(powers.values(), start=0.0)}
             power = effect.power(local, self._values(term, values))
-            if term.scale != 1.0:
-                power = power * term.scale
+            scale = term.scale
+            if values and term.link[0] in values:
+                scale = scale * term.link[1] / values[term.link[0]]
+            if np.ndim(scale) or scale != 1.0:
+                power = power * scale
             powers[term.key] = power
             if effect.drive:
                 drive = drive + power
@@ -215,7 +224,7 @@ class PowerModel:
         self, cov: Covariates, values: Mapping[str, Any] | None = None
     ) -> dict[TermKey, Any]:
         """Energy in J that terms take at the very start of an interval (starts from rest)."""
-        full = self.complete(cov)
+        full = self.complete(cov, values)
         return {
             term.key: term.scale * term.effect.impulse(full, self._values(term, values or {}))
             for term in self.terms

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 MOST_ALARMS = 4
 RESERVE_TOLERANCE = 1e-9
+_BODY = (("body_mass_kg", "body.mass"), ("regeneration", "body.regeneration"))
+"""Constants of the power model and where the robot file has them."""
 
 
 def simulate(
@@ -261,7 +263,10 @@ def split_values(values: Mapping[str, Any], model: PowerModel) -> tuple[dict[str
         for name, parameter in model.parameters.items():
             path = f"robot.{parameter.path}"
             if parameter.path and path in numbers:
-                drawn.setdefault(name, numbers[path])
+                drawn.setdefault(name, numbers[path] * parameter.times if parameter.times != 1.0 else numbers[path])
+        for name, path in [*_BODY, *{(term.link[0], term.link[0]) for term in model.terms if term.link[0]}]:
+            if f"robot.{path}" in numbers:
+                drawn.setdefault(name, numbers[f"robot.{path}"])
     return numbers, drawn
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from missionsim.effects import base_terms
@@ -135,18 +136,27 @@ def _motion(robot: RobotSpec) -> Iterator[Term]:
 def _components(robot: RobotSpec) -> Iterator[Term]:
     for name, component in robot.components.items():
         for load in component.loads:
-            scale = 1.0 / robot.links[load.through].efficiency.value if load.through else 1.0
+            link = _link(robot, load)
             effect, parameters = _load(name, component, load)
             names = {p: f"{name}.{p}" for p in parameters}
-            yield Term(TermKey(load.battery, name, name), effect, parameters, names, scale=scale)
+            yield Term(TermKey(load.battery, name, name), effect, parameters, names, scale=1.0 / link[1], link=link)
         startup = component.startup
         if startup is not None and startup.power is not None:
             load = component.loads[0]
-            scale = 1.0 / robot.links[load.through].efficiency.value if load.through else 1.0
+            link = _link(robot, load)
             yield Term(
                 TermKey(load.battery, name, f"{name} start-up"), base_terms.startup_term(name),
-                {"power": model_parameter(startup.power)}, {"power": f"{name}.startup_power"}, scale=scale,
+                {"power": model_parameter(startup.power)}, {"power": f"{name}.startup_power"}, scale=1.0 / link[1],
+                link=link,
             )
+
+
+def _link(robot: RobotSpec, load: LoadSpec) -> tuple[str, float]:
+    """Path and value of the efficiency of the converter that a load hangs on."""
+    if not load.through:
+        return "", 1.0
+    efficiency = robot.links[load.through].efficiency
+    return efficiency.path, efficiency.value
 
 
 def _load(name: str, component: ComponentSpec, load: LoadSpec) -> tuple[Effect, dict[str, ModelParameter]]:
@@ -154,7 +164,7 @@ def _load(name: str, component: ComponentSpec, load: LoadSpec) -> tuple[Effect, 
         effect = base_terms.always_on_term(name) if component.always_on else base_terms.component_term(name)
         # an always-on component counts all its units
         power = load.power.scaled(component.units, load.power.unit) if component.always_on else load.power
-        return effect, {"power": model_parameter(power)}
+        return effect, {"power": replace(model_parameter(power), times=component.units if component.always_on else 1.0)}
     law = load.law
     assert law is not None  # the file was checked: a load has either
     if law.model is not None:
@@ -225,4 +235,4 @@ def _unique(terms: list[Term]) -> Iterator[Term]:
             continue
         key = term.key._replace(name=f"{term.key.name} {count}")
         names = {p: f"{term.name_of(p)} {count}" for p in term.parameters}
-        yield Term(key, term.effect, term.parameters, names, term.base, term.scale)
+        yield Term(key, term.effect, term.parameters, names, term.base, term.scale, term.link)

@@ -271,15 +271,10 @@ class ArrayMission:
         legs = tuple(interval.leg for interval in self.intervals)
         return turns, rolls, tuple(legs[i] for i in rolls), legs
 
-    @functools.cached_property
-    def _parameters(self) -> tuple[tuple[str, str], ...]:
-        """Parameter of the model and the value that it is."""
-        names = {value.name: value.name for value in self.sampler.values}
-        return tuple(split_values(names, self.model)[1].items())
-
     def values(self, draws: Draws) -> dict[str, Array]:
         """Parameters of the power model that are drawn, each of shape (runs, 1)."""
-        return {name: np.asarray(draws[value])[:, None] for name, value in self._parameters}
+        drawn = split_values(draws, self.model)[1]
+        return {name: np.asarray(values)[:, None] for name, values in drawn.items()}
 
     @functools.cached_property
     def _fixed(self) -> tuple[dict[str, Any], dict[tuple[str, str], float], list[tuple[str, str]], Array]:

@@ -198,7 +198,8 @@ def _without_fixed_terms(made: ArrayMission) -> ArrayMission:
         }
         relieved = any(term.effect.recovers and term.key in changing - nought for term in terms)
         for term in terms:
-            if whole or term.key in changing - nought or (relieved and term.effect.drive and term.key not in nought):
+            together = relieved and (term.effect.drive or term.effect.recovers) and term.key not in nought
+            if whole or term.key in changing - nought or together:
                 kept.append(term)
             elif term.key not in nought:
                 place = (battery, term.key.component)

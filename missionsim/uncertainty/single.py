@@ -111,6 +111,7 @@ def unread_values(mission: MissionSpec, model: PowerModel, sampler: Sampler) -> 
     except MissionsimError:
         return ()  # its runs tell what is wrong
     used = read.seen | {f"robot.{parameter.path}" for parameter in model.parameters.values()}
+    used |= {f"robot.{term.link[0]}" for term in model.terms} | {"robot.body.mass", "robot.body.regeneration"}
     return tuple(name for name in numbers if name not in used)
 
 

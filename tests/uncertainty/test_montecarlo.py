@@ -17,11 +17,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from missionsim.cli.app import run_command
+from missionsim.engine.simulate import simulate
 from missionsim.uncertainty.answers import proportion_interval, quantile_interval
 from missionsim.uncertainty.batch import Task, prepare
 from missionsim.uncertainty.paired import paired_difference
 from missionsim.uncertainty.probe import probe
-from missionsim.uncertainty.single import simulate_block, simulate_run
+from missionsim.uncertainty.single import simulate_block, simulate_run, unread_values
 from missionsim.uncertainty.store import BlockStore
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -370,3 +371,55 @@ def test_no_scheduler_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     pytest.importorskip("distributed")
     assert batch(tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9") == 2
     assert "no Dask scheduler answers" in capsys.readouterr().err
+
+
+DRAWN_EVERYWHERE = """kind: robot
+name: everywhere
+body: {mass: {value: 20 kg, sd: 5 %}, drive: differential, max_speed: 2 m/s,
+  regeneration: {value: 50 %, low: 30 %, high: 70 %}}
+batteries:
+  main:
+    capacity: {value: 50 Wh, sd: 5 %}
+    model: {kind: constant_energy, ageing: {value: 0.9, low: 0.8, high: 1.0}}
+    reserve: 10 %
+motion: {battery: main, model: polynomial, parameters: {c2: {value: 6, sd: 5 %}, c3: 10, c4: 4}}
+links: {usb: {battery: main, efficiency: {value: 0.8, sd: 3 %}}}
+components:
+  board: {always_on: true, units: 3, loads: [{battery: main, power: {value: 2 W, sd: 5 %}}]}
+  lidar: {loads: [{battery: main, through: usb, power: {value: 8 W, sd: 5 %}}]}
+schemes: {follow: {sensors: {optional: {lidar: 1}}}}
+effects: [{effect: grade, battery: main, parameters: {k: {value: 1.0, sd: 5 %}}}]
+"""
+
+
+def test_every_value_drawn_is_used_and_at_its_nominal_value_changes_nothing(tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text(DRAWN_EVERYWHERE, encoding="utf-8")
+    path = tmp_path / "mission.yaml"
+    path.write_text(
+        "kind: mission\nname: hills\nrobot: robot.yaml\n"
+        "defaults: {speed: 0.5 m/s, scheme: follow, sensors: {lidar: 1}}\n"
+        "segments:\n  - drive: {distance: 30 m, slope: 8 %}\n  - drive: {distance: 30 m, slope: -25 %}\n",
+        encoding="utf-8",
+    )
+    prepared = prepare(Task(str(path), (), None, 5, "auto"))
+    assert len(prepared.sampler.values) == 9
+    assert unread_values(prepared.mission, prepared.model, prepared.sampler) == ()
+    plain = simulate(prepared.mission)
+    for value in prepared.sampler.values:
+        same = simulate(prepared.mission, values={value.name: value.nominal})
+        other = simulate(prepared.mission, values={value.name: 1.05 * value.nominal})
+        for energy in ("energy_wh", "charge_left_wh"):
+            before, after = (getattr(result.batteries["main"], energy) for result in (plain, same))
+            assert after == pytest.approx(before, rel=1e-13), value.name
+        moved = other.batteries["main"].charge_left_wh - plain.batteries["main"].charge_left_wh
+        assert abs(moved) > 1e-6, value.name
+    assert prepared.arrays is not None, prepared.why_not_arrays
+    assert_agree(
+        prepared.arrays.block(5, 0, 6), simulate_block(prepared.mission, prepared.model, prepared.sampler, 5, 0, 6)
+    )
+
+
+def test_a_value_that_nothing_reads_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    unused = ["--set", "robot.schemes.image_analysis.max_speed={value: 0.3 m/s, sd: 5 %}"]
+    assert run_command(["montecarlo", PATROL, "--runs", "30", *unused]) == 0
+    assert "robot.schemes.image_analysis.max_speed" in capsys.readouterr().err
