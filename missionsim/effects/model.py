@@ -11,6 +11,7 @@ import numpy as np
 from missionsim.effects.base import Effect
 from missionsim.effects.covariates import Covariates, number
 from missionsim.errors import InputError, did_you_mean
+from missionsim.physics.motion import relieved_powers
 
 DEFAULT_PRIOR_SD = 0.03
 """Relative standard deviation of a base parameter whose file gives none (contract)."""
@@ -184,6 +185,7 @@ class PowerModel:
     def _evaluate_battery(self, battery: str, cov: dict[str, Any], values: Mapping[str, Any]) -> dict[TermKey, Any]:
         powers: dict[TermKey, Any] = {}
         drive: Any = 0.0
+        relieving: dict[TermKey, Any] = {}
         for term in self.of(battery):
             effect = term.effect
             for name in effect.needs:
@@ -192,9 +194,12 @@ class PowerModel:
                         f"effect '{effect.id}' needs the column '{name}'", got=", ".join(sorted(cov)), allowed=name,
                         hint=did_you_mean(name, cov),
                     )
+            if relieving and effect.stage > 1:
+                powers.update(_relieved(relieving, drive, cov))
+                relieving = {}
             local = cov
             if effect.recovers:
-                local = {**cov, "drive_w": drive}
+                local = {**cov, "drive_w": np.inf}  # whole; what the drive cannot take is braked away for all at once
             elif effect.of_load:
                 local = {**cov, "load_w": sum(powers.values(), start=0.0)}
             power = effect.power(local, self._values(term, values))
@@ -204,8 +209,12 @@ class PowerModel:
             if np.ndim(scale) or scale != 1.0:
                 power = power * scale
             powers[term.key] = power
-            if effect.drive:
+            if effect.recovers:
+                relieving[term.key] = power
+            elif effect.drive:
                 drive = drive + power
+        if relieving:
+            powers.update(_relieved(relieving, drive, cov))
         return powers
 
     def _values(self, term: Term, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -284,3 +293,9 @@ class PowerModel:
             for term in self.terms
         )
         return replace(self, terms=terms)
+
+
+def _relieved(powers: Mapping[TermKey, Any], drive_w: Any, cov: Covariates) -> dict[TermKey, Any]:
+    """Terms that may be negative, limited together."""
+    left = relieved_powers(list(powers.values()), drive_w, number(cov, "regeneration"))
+    return dict(zip(powers, left, strict=True))

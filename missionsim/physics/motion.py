@@ -5,6 +5,7 @@ All functions take scalars or arrays that broadcast, in SI units, and return wat
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -110,6 +111,35 @@ def recovered_power(power_w: Value, drive_w: Value, regeneration: Value) -> Valu
     """
     floor = -np.maximum(drive_w, 0.0)
     return np.maximum(power_w, floor) + regeneration * np.minimum(power_w - floor, 0.0)
+
+
+def relieved_powers(powers_w: Sequence[Value], drive_w: Value, regeneration: Value) -> list[Value]:
+    """What several terms that may be negative leave on the battery together; see `recovered_power`.
+
+    Braking on the way uphill first pays for the lifting: the forces add up at the wheels before the brake takes what is
+    beyond, so the limit holds for the sum, whatever the order. What is braked away is taken from the negative terms in
+    proportion.
+
+    Parameters
+    ----------
+    powers_w : sequence of float or ndarray
+        The terms, negative when they help [W].
+    drive_w : float or ndarray
+        The power that the drive takes without them [W].
+    regeneration : float
+        Fraction of the surplus given back, 0 to 1.
+
+    Returns
+    -------
+    list of float or ndarray
+        Their parts of the battery power [W], in the same order.
+    """
+    if len(powers_w) == 1:
+        return [recovered_power(powers_w[0], drive_w, regeneration)]
+    taken = sum((np.maximum(watts, 0.0) for watts in powers_w), start=np.maximum(drive_w, 0.0))
+    helping = sum((np.minimum(watts, 0.0) for watts in powers_w), start=0.0)
+    share = recovered_power(helping, taken, regeneration) / np.where(helping < 0.0, helping, 1.0)
+    return [np.maximum(watts, 0.0) + share * np.minimum(watts, 0.0) for watts in powers_w]
 
 
 def polynomial_power(speed_m_s: Value, c2: Value, c3: Value, c4: Value) -> Value:

@@ -173,15 +173,7 @@ class UncertainReader:
                 Issue("unknown kind of distribution", as_written(kind), ", ".join(KINDS), hint, (*where, "kind"))
             )
             return None
-        needs = {
-            "normal": ("mean", "sd"),
-            "truncated_normal": ("mean", "sd", "low", "high"),
-            "lognormal": ("mean", "sd"),
-            "uniform": ("low", "high"),
-            "triangular": ("low", "mode", "high"),
-            "discrete": ("values", "weights"),
-            "empirical": ("values", "file", "column"),
-        }[kind]
+        needs = _NEEDS[kind]
         before = len(issues)
         for key in raw:
             if key != "kind" and key not in needs:

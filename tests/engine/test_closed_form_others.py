@@ -63,8 +63,8 @@ def mecanum_run(
         return 4.0 * COPPER * sum(g * g for g in forces) + ELECTRONICS + (PULSE if accel else 0.0)
 
     def per_speed(accel: float) -> float:
-        # braking first relieves the drive of its friction, then the slope does; nothing is given back
-        return max(max(friction + mass * accel, 0.0) + lift, 0.0)
+        # friction, inertia and weight add up at the wheels; nothing is given back
+        return max(friction + mass * accel + lift, 0.0)
 
     a = MECANUM_ACCEL
     up, down = (speed - entry) / a, (speed - leave) / a
@@ -154,8 +154,8 @@ def rover_run(
     lift = mass * G * math.sin(slope)
 
     def phase(begin: float, end: float, rate: float) -> float:
-        """Forces of the drive over a ramp, where what braking relieves is at most what the drive needs."""
-        drive = [force[0] + mass * rate, force[1], force[2]]
+        """Forces at the wheels over a ramp, weight and inertia together, where they do not drive the robot."""
+        drive = [force[0] + mass * rate + lift, force[1], force[2]]
         roots = sorted(
             (-drive[1] + sign * math.sqrt(drive[1] ** 2 - 4 * drive[0] * drive[2])) / (2 * drive[2])
             for sign in (-1.0, 1.0)
@@ -167,12 +167,8 @@ def rover_run(
         total = 0.0
         for a, b in itertools.pairwise(borders):
             middle = 0.5 * (a + b)
-            pushes = drive[0] + drive[1] * middle + drive[2] * middle**2 > 0.0
-            terms = drive if pushes else [0.0, 0.0, 0.0]
-            if lift < 0.0 and not pushes:
-                continue  # nothing left that the slope could relieve, and nothing is given back
-            assert terms[0] + terms[1] * middle + terms[2] * middle**2 + lift >= 0.0
-            total += over([0.0, terms[0] + lift, terms[1], terms[2]], a, b, rate)
+            if drive[0] + drive[1] * middle + drive[2] * middle**2 > 0.0:  # else braked away: nothing is given back
+                total += over([0.0, *drive], a, b, rate)
         return total
 
     a = ROVER_ACCEL

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from typing import Any
 
 import pytest
@@ -104,6 +105,32 @@ def test_braking_is_not_charged_as_consumption() -> None:
     # ½ m v² of the term c6·a·v is paid once when speeding up; braking gives nothing back and takes nothing more
     assert terms["kinetic"] * 3600.0 <= 0.5 * 8.0 * 1.0**2 * (1 + 1e-12)
     assert gentle["kinetic"] == 0.0
+
+
+def test_braking_uphill_pays_for_the_lifting() -> None:
+    """Friction, inertia and weight add up at the wheels before anything is braked away (c6 is the kinetic mass)."""
+    machine = robot(motion__parameters={"c2": 0.0, "c3": 9.0, "c4": 0.0, "c6": 20.0}, effects=[
+        {"effect": "grade", "battery": "main", "parameters": {"k": 1.0}}], components={})
+    slope, speed, braking = 0.05, 1.0, 0.6
+    drive = [{"drive": {"distance": 20, "speed": speed, "slope": slope}}]
+    # 20 kg at 0.6 m/s² brake with 12 N, more than the friction of 9 N, but less than friction and weight together
+    lift_n = 20.0 * 9.80665 * math.sin(slope)
+    assert 9.0 < 20.0 * braking < 9.0 + lift_n
+    # so that the wheels are never braked, and the kinetic energy comes back whole
+    assert energy(run(drive, machine)) == pytest.approx((9.0 + lift_n) * 20.0, rel=1e-12)
+
+
+@given(st.floats(1.0, 50.0), st.floats(0.1, 1.5), st.floats(0.0, 0.4), st.floats(0.0, 1.0), st.floats(0.0, 40.0))
+@SOME
+def test_up_and_down_costs_at_least_flat_whatever_the_kinetic_mass(
+    distance: float, speed: float, slope: float, back: float, kinetic: float
+) -> None:
+    machine = robot(body__regeneration=back, motion__parameters__c6=kinetic)
+    hill, flat = (
+        energy(run([{"drive": {"distance": distance, "speed": speed, "slope": s}} for s in pair], machine))
+        for pair in ((slope, -slope), (0.0, 0.0))
+    )
+    assert hill >= flat * SLACK
 
 
 def test_battery_size_changes_the_charge_left_not_the_energy() -> None:
