@@ -42,6 +42,9 @@ def expected_run(mission: Any, battery: str) -> ExpectedRun:
     With an environment the way home is the shortest to the dock, as the engine finds it at the end of each segment,
     straight between. Without one it is back over the way driven, slopes reversed.
 
+    Missions that recharge are refused: whether to go on is decided anew at each dock, by the charge that the charger
+    really gave, so each stretch from dock to dock is a mission of its own.
+
     Parameters
     ----------
     mission : MissionSpec
@@ -63,7 +66,8 @@ def expected_run(mission: Any, battery: str) -> ExpectedRun:
     # the whole plan is wanted, also of a mission that the real battery cannot finish
     result = simulate(mission, values={f"robot.{capacity.path}": capacity.value * 1e6})
     if any(segment.kind == "dock" for segment in result.segments):
-        raise InputError.single("on-line prediction covers missions without recharging", got=result.mission)
+        raise InputError.single("on-line prediction covers missions without recharging", got=result.mission,
+                                allowed="a mission for each stretch from dock to dock, with its own initial_charge")
     line = result.timeline
     energy = np.asarray(np.sum(list(result.energies[battery].values()), axis=0), dtype=float)
     time = np.asarray(line.duration_s, dtype=float)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from missionsim.errors import Fault
@@ -63,6 +63,7 @@ class _MissionCheck(RouteCheck):
                 check.known(("initial_charge", name), name, batteries, "battery", key=True)
             for name in mission.behaviour.schemes:
                 check.known(("behaviour", "schemes", name), name, self.robot.schemes, "control scheme", key=True)
+        self.chances()
         self.correlations()
         return check.faults
 
@@ -73,6 +74,25 @@ class _MissionCheck(RouteCheck):
                 self.labels.append(segment.name)
             if segment.kind == "repeat":
                 self.collect(segment.segments)
+
+    def chances(self) -> None:
+        """What is left to chance comes in pairs: how often, and how long each time."""
+        mission = self.mission
+        told: list[tuple[Where, Any]] = [(("behaviour",), mission.behaviour)]
+        told += [(("behaviour", "schemes", name), item) for name, item in mission.behaviour.schemes.items()]
+        told += [(("defaults", "behaviour"), mission.defaults.behaviour)]
+        told += [((*item.where, "behaviour"), item.behaviour) for item in _flat(mission.segments)]
+        schemes = self.robot.schemes.values() if self.robot is not None else ()
+        everywhere = [item for _, item in told] + [scheme.behaviour for scheme in schemes]
+        for long, often in (("obstacle_stop", "obstacle_spacing"), ("relocalisation_time", "relocalisation_failure")):
+            if any(getattr(item, often, None) is not None for item in everywhere):
+                continue
+            for where, item in told:
+                if getattr(item, long, None) is not None:
+                    self.check.add(
+                        (*where, long), f"'{long}' has no effect without '{often}'", got=long,
+                        allowed=f"{often} beside it, in the mission's behaviour or in the robot's", key=True,
+                    )
 
     def segment(self, segment: Any) -> None:
         """Settings of one segment, and what its kind needs."""
@@ -297,6 +317,15 @@ def _raw(robot: RobotSpec, key: str) -> list[str]:
     """Names in the robot's file, also those whose values are at fault (they are told once, there)."""
     document = robot.document
     return Checker(document).raw_keys(key) if document is not None else list(getattr(robot, key))
+
+
+def _flat(segments: Sequence[Any]) -> Iterator[Any]:
+    """Segments that are no repeats, each once."""
+    for segment in segments:
+        if segment.kind == "repeat":
+            yield from _flat(segment.segments)
+        else:
+            yield segment
 
 
 def _count(segments: Sequence[Any]) -> int:

@@ -111,7 +111,11 @@ class MoveSegment(SegmentSpec):
 
 
 class InspectSegment(SegmentSpec):
-    """Stand and analyse images; with `repeat_probability` the inspection is done again with that probability."""
+    """Stand and analyse images.
+
+    With `repeat_probability` each run of a Monte Carlo does the inspection again with that probability, until it
+    succeeds; a single run does it once.
+    """
 
     kind: Literal["inspect"]
     duration: Duration

@@ -392,3 +392,15 @@ def test_lifting_without_a_mass_is_told(folder: Path) -> None:
     ]
     change("robot", "max_speed: 1 m/s", "max_speed: 1 m/s, mass: 5 kg")
     assert told("robot.yaml") == []
+
+
+def test_how_long_without_how_often_is_a_fault(folder: Path) -> None:
+    change("mission", "segments:", "behaviour: {obstacle_stop: 8 s}\nsegments:")
+    change("mission", "drive: {to: B}", "drive: {to: B, behaviour: {relocalisation_time: 3 s}}")
+    assert [text.splitlines()[0] for text in told("mission.yaml")] == [
+        "mission.yaml:7:13: error: 'obstacle_stop' has no effect without 'obstacle_spacing'",
+        "mission.yaml:9:32: error: 'relocalisation_time' has no effect without 'relocalisation_failure'",
+    ]
+    change("mission", "behaviour: {obstacle_stop: 8 s}", "behaviour: {obstacle_stop: 8 s, obstacle_spacing: 40 m}")
+    change("robot", "go: {", "go: {behaviour: {relocalisation_failure: 10 %}, ")
+    assert told("mission.yaml") == []
