@@ -29,7 +29,7 @@ def montecarlo(
     engine: Annotated[Literal["auto", "arrays", "simpy"], Parameter(name="--engine")] = "auto",
     only: Annotated[int | None, Parameter(name="--only")] = None,
     until: Annotated[float | None, Parameter(name="--until")] = None,
-    sobol: Annotated[int, Parameter(name="--sobol")] = 0,
+    sobol: Annotated[int | None, Parameter(name="--sobol")] = None,
     out: Annotated[Path | None, Parameter(name="--out")] = None,
     resume: Annotated[bool, Parameter(name="--resume", negative="")] = False,
     plot: Annotated[bool, Parameter(name="--plot", negative="")] = False,
@@ -57,12 +57,14 @@ def montecarlo(
     engine
         arrays evaluates many runs at once, simpy runs each; auto takes arrays where the mission allows it.
     only
-        Run this one run of the batch alone, with SimPy, and print its draws and its result.
+        Run this one run of the batch alone, with SimPy, and print its draws and its result; its full trace goes to the
+        folder run_<number> in --out.
     until
         Stop as soon as the 95 % interval of the probability of success is at most this wide.
     sobol
-        Also estimate Sobol indices, from so many base samples (a power of two) times the number of values plus two;
-        what the mission leaves to chance counts as one value.
+        Estimate Sobol indices from so many base samples (a power of two) times the number of values plus two; what the
+        mission leaves to chance counts as one value. Without it they are estimated where arrays make it cheap;
+        with 0, never.
     out
         Folder for the runs (Parquet, block by block), the summary and the figures.
     resume
@@ -100,7 +102,7 @@ def montecarlo(
             file=sys.stderr,
         )
     if only is not None:
-        return _only(prepared, seed, only, json, quiet)
+        return _only(prepared, seed, only, out, json, quiet)
     if out is not None:
         return _batch(task, prepared, runs, workers, scheduler, until, sobol, out, resume, plot, json, quiet)
     with tempfile.TemporaryDirectory(prefix="missionsim-", ignore_cleanup_errors=True) as folder:
@@ -113,18 +115,19 @@ def _check(
     workers: int,
     until: float | None,
     only: int | None,
-    sobol: int,
+    sobol: int | None,
     out: Path | None,
     resume: bool,
     plot: bool,
 ) -> None:
     faults: list[Fault] = []
+    base = sobol or 0
     for name, bad, got, allowed in (
         ("--runs", runs < 1, runs, "1 or more"),
         ("--workers", workers < 1, workers, "1 or more"),
         ("--until", until is not None and not 0.0 < until < 1.0, until, "a width between 0 and 1, such as 0.02"),
         ("--only", only is not None and only < 0, only, "a run's number, 0 or more"),
-        ("--sobol", sobol != 0 and (sobol < 64 or sobol & (sobol - 1)), sobol, "a power of two, 64 or more"),
+        ("--sobol", bool(base and (base < 64 or base & (base - 1))), sobol, "a power of two, 64 or more, or 0"),
         ("--resume", resume and out is None, "no --out", "--out with the folder of the batch"),
         ("--plot", plot and out is None, "no --out", "--out with a folder for the figures"),
     ):
@@ -134,10 +137,18 @@ def _check(
         raise InputError(faults)
 
 
-def _only(prepared: Prepared, seed: int, run: int, json: str | None, quiet: bool) -> int:
+def _only(prepared: Prepared, seed: int, run: int, out: Path | None, json: str | None, quiet: bool) -> int:
     from missionsim.uncertainty.single import simulate_run
 
     drawn, result = simulate_run(prepared.mission, prepared.model, prepared.sampler, seed, run)
+    if out is not None:
+        from missionsim.cli.common import to_json
+        from missionsim.files import write_text
+        from missionsim.results.write import write_results
+
+        folder = out / f"run_{run:09d}"
+        write_results(result, folder)
+        write_text(folder / "drawn.json", to_json(drawn))
     emit_json({**result.summary(), "run": run, "seed": seed, "drawn": drawn}, json)
     if shows_text(json, quiet):
         terminal = console()
@@ -159,7 +170,7 @@ def _batch(
     workers: int,
     scheduler: str | None,
     until: float | None,
-    sobol: int,
+    sobol: int | None,
     out: Path,
     resume: bool,
     plot: bool,
@@ -171,9 +182,12 @@ def _batch(
     from missionsim.files import write_text
     from missionsim.uncertainty.answers import summarise
     from missionsim.uncertainty.batch import identity, run_batch
+    from missionsim.uncertainty.importance import affordable_samples, refuse_correlated, sobol_importance
     from missionsim.uncertainty.single import left_to_chance, unread_values
     from missionsim.uncertainty.store import BlockStore
 
+    if sobol:
+        refuse_correlated(prepared)
     engine = "simpy" if prepared.arrays is None else "arrays"
     store = BlockStore(out)
     store.begin(identity(task, runs, engine), resume=resume)
@@ -208,10 +222,10 @@ def _batch(
         "chance": [name.removeprefix("chance.") for name in left_to_chance(prepared.mission)],
         **summarise(store, firsts, batteries),
     }
+    sobol = affordable_samples(prepared, task.seed) if sobol is None else sobol
     if sobol:
-        from missionsim.uncertainty.importance import sobol_importance
-
         answer["importance"] = sobol_importance(prepared, task.seed, sobol, answer["importance"])
+    answer["sobol_samples"] = sobol
     write_text(out / "summary.json", to_json(answer))
     if plot:
         from missionsim.report.figures_montecarlo import write_figures

@@ -24,6 +24,7 @@ DESIGNS = 16
 FEWEST = 4 * DESIGNS
 CHANCE = "chance"
 """Name of all that a mission leaves to chance, taken as one value."""
+_TRIED, _AFFORDABLE, _MOST_SAMPLES = 512, 150_000, 1024
 _EDGE = 2.0**-40
 _POINTS = 1 << 14
 """So many points are evaluated at once, at most."""
@@ -58,12 +59,7 @@ def sobol_importance(prepared: Prepared, seed: int, samples: int, ranks: list[di
     would take these points for independent ones and give intervals far too wide; here `DESIGNS` designs are scrambled
     independently, and the interval is that of the jackknife over them with Student's t.
     """
-    if prepared.sampler.groups:
-        raise InputError.single(
-            "Sobol indices are not defined for correlated values",
-            got="correlations in the mission",
-            allowed="--sobol without correlations, or the rank correlations alone",
-        )
+    refuse_correlated(prepared)
     names = [value.name for value in prepared.sampler.values]
     names += [CHANCE] if left_to_chance(prepared.mission) else []
     if not names:
@@ -85,6 +81,28 @@ def sobol_importance(prepared: Prepared, seed: int, samples: int, ranks: list[di
         if total[0, i, b] > 0.0  # else the value does not touch this battery
     ]
     return sorted(rows, key=lambda row: -float(row["total"]))
+
+
+def refuse_correlated(prepared: Prepared) -> None:
+    """Say that correlated values have no Sobol indices."""
+    if prepared.sampler.groups:
+        raise InputError.single(
+            "Sobol indices are not defined for correlated values",
+            got="correlations in the mission",
+            allowed="--sobol without correlations, or the rank correlations alone",
+        )
+
+
+def affordable_samples(prepared: Prepared, seed: int) -> int:
+    """Base samples for which Sobol indices cost about as much as a batch; 0 where a run needs SimPy."""
+    arrays, values = prepared.arrays, prepared.sampler.values
+    if arrays is None or not values or prepared.sampler.groups:
+        return 0
+    _, again = arrays.evaluate(prepared.sampler.draw(seed, 0, _TRIED), _TRIED)
+    samples = _AFFORDABLE // (len(values) + 2)
+    if again.any() or samples < FEWEST:
+        return 0
+    return int(min(_MOST_SAMPLES, 1 << (samples.bit_length() - 1)))
 
 
 def _indices(prepared: Prepared, seed: int, samples: int, values: int) -> tuple[Array, Array]:

@@ -211,7 +211,13 @@ def test_json_follows_the_contract(tmp_path: Path) -> None:
     assert 0.0 <= answer["p_feasible"]["low"] <= answer["p_feasible"]["value"] <= answer["p_feasible"]["high"] <= 1.0
     energy = answer["batteries"]["laptop"]["energy_wh"]
     assert energy["q05"] < energy["q50"] < energy["q95"]
-    assert {"parameter", "battery", "first", "total"} <= answer["importance"][0].keys()
+    for row in answer["importance"]:
+        assert {"parameter", "battery", "first", "total", "first_interval", "total_interval"} <= row.keys()
+        low, high = row["total_interval"]
+        assert low <= row["total"] <= high
+        assert row["first"] < row["total"] + 0.1
+    assert set(answer["batteries"]["robot"]["by_component_wh"]) >= {"motors", "controller"}
+    assert answer["unread"] == answer["chance"] == []
 
 
 def test_until_stops_early_and_only_runs_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -221,6 +227,9 @@ def test_until_stops_early_and_only_runs_one(tmp_path: Path, capsys: pytest.Capt
     assert run_command(["montecarlo", PATROL, "--seed", "9", "--only", "3", "--json", "-"]) == 0
     alone = json.loads(capsys.readouterr().out)
     assert alone["run"] == 3
+    assert run_command(["montecarlo", PATROL, "--seed", "9", "--only", "3", "--quiet", "--out", str(out)]) == 0
+    assert json.loads((out / "run_000000003" / "drawn.json").read_text(encoding="utf-8")) == alone["drawn"]
+    assert len(list((out / "run_000000003").glob("*.csv"))) > 2
     assert alone["drawn"]["robot.motion.parameters.c3"] == BlockStore(out).column("drawn:robot.motion.parameters.c3")[3]
 
 
