@@ -93,6 +93,21 @@ def progress(quiet: bool = False) -> Iterator[Progress]:
         yield bar
 
 
+def check_search(logs: Sequence[Path], alpha: float) -> None:
+    """Refuse a search for effects without logs, or at a rate of false alarms that is none.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+    """
+    from missionsim.errors import InputError
+
+    if not logs:
+        raise InputError.single("give at least one log", allowed="files or folders")
+    if not 0.0 < alpha < 0.5:
+        raise InputError.single("--alpha is a probability", got=alpha, allowed="such as 0.01 or 0.05")
+
+
 def tell_logs(logs: Sequence[LogTable], quiet: bool = False) -> None:
     """Say on standard error what the checks of the logs found and what was done about it."""
     from missionsim.logs import describe

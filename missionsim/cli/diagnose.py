@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import console, emit_json, shows_text
+from missionsim.cli.common import check_search, console, emit_json, shows_text
 from missionsim.cli.options import JsonOption, QuietOption
 
 if TYPE_CHECKING:
@@ -59,12 +59,8 @@ def diagnose(
         Print nothing.
     """
     from missionsim.diagnose import diagnose_files
-    from missionsim.errors import InputError
 
-    if not logs:
-        raise InputError.single("give at least one log", allowed="files or folders")
-    if not 0.0 < alpha < 0.5:
-        raise InputError.single("--alpha is a probability", got=alpha, allowed="such as 0.01 or 0.05")
+    check_search(logs, alpha)
     result = diagnose_files(robot, list(logs), holdout=holdout, mission=mission, battery=battery, alpha=alpha,
                             align=not no_align)
     emit_json(result.to_json(), json)

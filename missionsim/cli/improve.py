@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import console, emit_json, shows_text, simple_table, tell_logs
+from missionsim.cli.common import check_search, console, emit_json, shows_text, simple_table, tell_logs
 from missionsim.cli.diagnose import HoldoutOption, ReportOption, RobotOption
 from missionsim.cli.options import JsonOption, QuietOption
 
@@ -68,8 +68,7 @@ def improve(
     from missionsim.spec.edit import for_folder, robot_text
     from missionsim.spec.loading import load_robot
 
-    if not logs:
-        raise InputError.single("give at least one log", allowed="files or folders")
+    check_search(logs, alpha)
     if not yes and not sys.stdin.isatty():
         raise InputError.single("improve asks before it adds an effect, and this is no terminal",
                                 allowed="--yes to add every effect that was identified")

@@ -249,3 +249,13 @@ def test_a_user_s_own_candidate_is_tested_and_adopted(folders: dict[str, Path], 
     assert "cannot_be_told_from: [turning_scrub]" in written
     value = np.array(compare(str(better), folders["held"], tmp_path)["power_rmse_w"])
     assert value < 0.8 * compare("pioneer3dx", folders["held"], tmp_path)["power_rmse_w"]
+
+
+def test_a_rate_of_false_alarms_that_is_none_is_refused(
+    folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs, out = str(folders["clean"]), tmp_path / "robot.yaml"
+    assert run("diagnose", "--robot", "pioneer3dx", logs, "--alpha", "2") == 2
+    assert run("improve", "--robot", "pioneer3dx", logs, "--out", str(out), "--yes", "--alpha", "0") == 2
+    assert capsys.readouterr().err.count("--alpha is a probability") == 2
+    assert not out.exists()
