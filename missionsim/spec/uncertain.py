@@ -46,10 +46,18 @@ class UncertainReader:
                 raise Issue("a relative sd needs a value", raw, "a sd with a unit", at=at)
             spread = abs(value) * parts[0] / 100
         else:
-            spread = self._number(raw, at)[0]
+            spread = self._number(raw, at)[0] - self._zero_of(raw)
         if spread < 0:
             raise Issue("standard deviation below zero", as_written(raw), "0 or more", at=at)
         return spread
+
+    def _zero_of(self, raw: Any) -> float:
+        """Where the unit of a number begins: 4 K of spread are 4 degrees, not −269 °C."""
+        parts = units.split(raw) if isinstance(raw, str) else None
+        try:
+            return units.unit_factor(parts[1], self.dimension)[1] if parts and parts[1] else 0.0
+        except units.UnitError:
+            return 0.0
 
     def _mapping(self, raw: Mapping[str, Any], issues: list[Issue], folder: Path | None) -> Parameter | None:
         for key in raw:

@@ -24,7 +24,7 @@ from missionsim.plan.kinematics import phases
 from missionsim.plan.legs import Leg, Plan
 from missionsim.spec.mission import MissionSpec
 from missionsim.uncertainty.draws import Draws, Sampler
-from missionsim.uncertainty.entries import SETTINGS, Entries, Progress, at_nodes, running_sum, take
+from missionsim.uncertainty.entries import SETTINGS, Entries, Progress, at_nodes, drawn_conditions, running_sum, take
 from missionsim.uncertainty.probe import Dependence
 from missionsim.uncertainty.run_table import RunTable
 from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, simulate_block
@@ -216,6 +216,10 @@ class ArrayMission:
         return both[0], both[1]
 
     @functools.cached_property
+    def _drawn_conditions(self) -> tuple[str, ...]:
+        return drawn_conditions(self.plan, self.dependence, self._bends[3])
+
+    @functools.cached_property
     def _needs(self) -> frozenset[str]:
         terms = self.model.terms
         return frozenset(name for term in terms for name in (*term.effect.needs, *term.effect.memory))
@@ -250,6 +254,8 @@ class ArrayMission:
         for name in SETTINGS:
             numbers = entries.legs(all_legs, name)
             cov[name] = numbers if len(numbers) > 1 else numbers[0]
+        for name in self._drawn_conditions:
+            cov[name] = entries.legs(all_legs, name)
         if "moving_time_s" in self._needs:
             moving = np.asarray(self.columns["moving"])
             cov["moving_time_s"] = running_sum((duration * moving).T)[:-1].T

@@ -53,19 +53,12 @@ def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) ->
     reason = _obstacle(mission, plan, setup, whole)
     if reason:
         return reason
-    shape = [
-        (leg.kind, leg.instant, leg.direction_rad, leg.settings._replace(payload_kg=0.0, slope_rad=0.0))
-        for leg in plan.legs
-    ]
+    shape = _shape(plan)
 
     def numbers_of(values: Mapping[str, float]) -> Array:
         numbers, drawn = split_values(values, model)
         varied = make_plan(mission, numbers)
-        same = [
-            (leg.kind, leg.instant, leg.direction_rad, leg.settings._replace(payload_kg=0.0, slope_rad=0.0))
-            for leg in varied.legs
-        ]
-        if same != shape:
+        if _shape(varied) != shape:
             raise ValueError("an uncertain value changes what the plan consists of")
         return numbers_of_plan(varied, RunSetup(mission, varied, model, numbers, drawn))
 
@@ -81,6 +74,23 @@ def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) ->
         return found
     made = _assemble(mission, model, sampler, plan, found, world)
     return made if isinstance(made, str) else (_disagreement(made, checks) or made)
+
+
+def _shape(plan: Plan) -> list[Any]:
+    """What of a plan must not follow from uncertain values: all but its numbers."""
+    return [
+        (
+            leg.kind,
+            leg.instant,
+            leg.direction_rad,
+            leg.settings._replace(
+                payload_kg=0.0,
+                slope_rad=0.0,
+                extra=tuple((name, value if isinstance(value, str) else 0.0) for name, value in leg.settings.extra),
+            ),
+        )
+        for leg in plan.legs
+    ]
 
 
 def _obstacle(mission: MissionSpec, plan: Plan, setup: RunSetup, whole: Any) -> str:

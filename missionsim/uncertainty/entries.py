@@ -22,7 +22,18 @@ Array = NDArray[np.float64]
 _LEG = ("distance_m", "speed_m_s", "curvature_1_m", "angle_rad", "yaw_rate_rad_s", "duration_s")
 SETTINGS = ("payload_kg", "slope_rad")
 _LIMITS = ("accel_m_s2", "decel_m_s2", "yaw_accel_rad_s2")
-_WIDTH = len(_LEG) + len(SETTINGS)
+
+
+def entry_names(plan: Plan) -> tuple[str, ...]:
+    """Names of the numbers of each leg: its own, its settings, and numeric conditions such as ``temp_ambient_c``."""
+    return (*_LEG, *SETTINGS, *condition_names(plan))
+
+
+def condition_names(plan: Plan) -> tuple[str, ...]:
+    """Further covariates of a plan that are numbers on some leg."""
+    return tuple(
+        sorted({name for leg in plan.legs for name, value in leg.settings.extra if not isinstance(value, str)})
+    )
 
 
 class Entries:
@@ -37,36 +48,48 @@ class Entries:
     """
 
     def __init__(self, plan: Plan, dependence: Dependence, changes: Array) -> None:
-        self.plan, self.dependence, self.changes = plan, dependence, changes
+        self.dependence, self.changes = dependence, changes
+        self.names = entry_names(plan)
+        self.after_legs = len(self.names) * len(plan.legs)
 
     def legs(self, legs: tuple[int, ...], name: str) -> Array:
         """A number of each of these legs, or a setting of theirs such as ``payload_kg``."""
-        return self.dependence.at(self.changes, _places(legs, name))
+        return self.dependence.at(self.changes, _places(self.names, legs, name))
 
     def limit(self, name: str) -> Array:
         """A limit of the robot's motion, shape (runs,) or (1,)."""
-        return self._alone(_WIDTH * len(self.plan.legs) + _LIMITS.index(name))
+        return self._alone(self.after_legs + _LIMITS.index(name))
 
     def battery(self, battery: int, which: int) -> Array:
         """Capacity [J], initial charge [J] or reserve (a part of the capacity) of a battery, shape (runs,) or (1,)."""
-        return self._alone(_WIDTH * len(self.plan.legs) + len(_LIMITS) + 3 * battery + which)
+        return self._alone(self.after_legs + len(_LIMITS) + 3 * battery + which)
 
     def _alone(self, index: int) -> Array:
         return self.dependence.at(self.changes, (index,))[:, 0]
 
 
 @functools.lru_cache(maxsize=1024)
-def _places(legs: tuple[int, ...], name: str) -> tuple[int, ...]:
-    place = (*_LEG, *SETTINGS).index(name)
-    return tuple(leg * _WIDTH + place for leg in legs)
+def _places(names: tuple[str, ...], legs: tuple[int, ...], name: str) -> tuple[int, ...]:
+    """Where a number of these legs stands among all numbers of a plan."""
+    place = names.index(name)
+    return tuple(leg * len(names) + place for leg in legs)
+
+
+def drawn_conditions(plan: Plan, dependence: Dependence, legs: tuple[int, ...]) -> tuple[str, ...]:
+    """Conditions of these legs that some draw changes."""
+    names, varying = entry_names(plan), set(dependence.varying.tolist())
+    return tuple(name for name in condition_names(plan) if varying.intersection(_places(names, legs, name)))
 
 
 def numbers_of_plan(plan: Plan, setup: RunSetup) -> Array:
     """Every number that a run's arrays need, in the order of `Entries`."""
-    values: list[float] = []
+    values: list[Any] = []
+    conditions = condition_names(plan)
     for leg in plan.legs:
         values += [getattr(leg, name) for name in _LEG]
         values += [getattr(leg.settings, name) for name in SETTINGS]
+        extra = dict(leg.settings.extra)
+        values += [extra[name] if isinstance(extra.get(name), float | int) else np.nan for name in conditions]
     limits = plan.limits
     decel = limits.decel_m_s2 or limits.accel_m_s2
     values += [np.nan if v is None else v for v in (limits.accel_m_s2, decel, limits.yaw_accel_rad_s2)]

@@ -397,7 +397,9 @@ components:
   board: {always_on: true, units: 3, loads: [{battery: main, power: {value: 2 W, sd: 5 %}}]}
   lidar: {loads: [{battery: main, through: usb, power: {value: 8 W, sd: 5 %}}]}
 schemes: {follow: {sensors: {optional: {lidar: 1}}}}
-effects: [{effect: grade, battery: main, parameters: {k: {value: 1.0, sd: 5 %}}}]
+effects:
+  - {effect: grade, battery: main, parameters: {k: {value: 1.0, sd: 5 %}}}
+  - {effect: temperature_friction, battery: main, parameters: {k: 0.3}}
 """
 
 
@@ -406,12 +408,14 @@ def test_every_value_drawn_is_used_and_at_its_nominal_value_changes_nothing(tmp_
     path = tmp_path / "mission.yaml"
     path.write_text(
         "kind: mission\nname: hills\nrobot: robot.yaml\n"
-        "defaults: {speed: 0.5 m/s, scheme: follow, sensors: {lidar: 1}}\n"
+        "defaults: {speed: 0.5 m/s, scheme: follow, sensors: {lidar: 1}, temperature: {value: 5 degC, sd: 4 K}}\n"
         "segments:\n  - drive: {distance: 30 m, slope: 8 %}\n  - drive: {distance: 30 m, slope: -25 %}\n",
         encoding="utf-8",
     )
     prepared = prepare(Task(str(path), (), None, 5, "auto"))
-    assert len(prepared.sampler.values) == 9
+    assert len(prepared.sampler.values) == 10
+    [cold] = [value for value in prepared.sampler.values if value.name == "defaults.temperature"]
+    assert (cold.nominal, cold.distribution.sd) == (pytest.approx(5.0), pytest.approx(4.0))
     assert unread_values(prepared.mission, prepared.model, prepared.sampler) == ()
     plain = simulate(prepared.mission)
     for value in prepared.sampler.values:
