@@ -10,6 +10,8 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from numpy import __version__ as numpy_version
+
 from missionsim import __version__
 from missionsim.errors import InputError, MissionsimError
 from missionsim.files import sha256
@@ -97,6 +99,8 @@ def identity(task: Task, runs: int, engine: str) -> dict[str, Any]:
             files[name] = sha256(path)
     return {
         "missionsim": __version__,
+        # another version may draw other numbers
+        "numpy": numpy_version,
         "engine": engine,
         "seed": task.seed,
         "runs": runs,
