@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import os
 import tempfile
@@ -13,6 +14,8 @@ from pathlib import Path
 @contextlib.contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary path beside `path`; on success it is renamed to `path`, on failure removed.
+
+    A link stays a link, and a device or pipe (``/dev/null``, ``/dev/stdout``) is written to, never replaced.
 
     Parameters
     ----------
@@ -25,14 +28,30 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         An empty temporary file with the same suffix, to be written by the caller.
     """
     final = Path(path)
-    final.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{final.stem}.", suffix=final.suffix, dir=final.parent)
+    special = "/dev" in map(str, final.absolute().parents) or (
+        final.exists() and not final.is_file() and not final.is_dir()
+    )
+    if final.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "this is a folder, a file is to be written", str(path))
+    if final.is_symlink() and not special:
+        final = final.resolve()
+    if not special:
+        final.parent.mkdir(parents=True, exist_ok=True)
+    folder = None if special else final.parent
+    handle, name = tempfile.mkstemp(prefix=f".{final.stem}.", suffix=final.suffix, dir=folder)
     os.close(handle)
     temporary = Path(name)
     try:
         yield temporary
-        temporary.chmod(0o666 & ~_umask())
-        temporary.replace(final)
+        if special:
+            try:
+                with final.open("r+b" if final.exists() else "xb", buffering=0) as device:
+                    device.write(temporary.read_bytes())
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(path)) from error
+        else:
+            temporary.chmod(0o666 & ~_umask())
+            temporary.replace(final)
     finally:
         temporary.unlink(missing_ok=True)
 

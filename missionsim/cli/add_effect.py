@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import console, emit_json, shows_text, tell_logs
+from missionsim.cli.common import check_search, console, emit_json, shows_text, tell_logs
 from missionsim.cli.diagnose import HoldoutOption, RobotOption
 from missionsim.cli.options import JsonOption, QuietOption
 
@@ -65,15 +65,13 @@ def add_effect(
     """
     from missionsim.diagnose.adopt import NotSignificant, adopt
     from missionsim.diagnose.split import choose_split
-    from missionsim.errors import InputError
     from missionsim.files import write_text
     from missionsim.identify.data import Settings
     from missionsim.logs import read_logs
     from missionsim.spec.edit import for_folder, robot_text
     from missionsim.spec.loading import load_robot
 
-    if not logs:
-        raise InputError.single("give at least one log", allowed="files or folders")
+    check_search(logs, alpha)
     spec = load_robot(robot)
     tables = read_logs(list(logs), robot=spec)
     tell_logs(tables, quiet)

@@ -73,6 +73,14 @@ class RunComparison:
         }
 
 
+def thousandfold(measured: float, model: float) -> str:
+    """Whether two positive numbers are some three powers of ten apart, as milliwatts and kilowatts are from watts."""
+    if measured <= 0.0 or model <= 0.0:
+        return ""
+    ratio = measured / model
+    return "1,000 times" if 300 < ratio < 3000 else "1/1,000" if 300 < 1 / ratio < 3000 else ""
+
+
 @dataclass(frozen=True)
 class BatteryComparison:
     """One battery over all runs.
@@ -170,12 +178,18 @@ class BatteryComparison:
     def words(self) -> list[str]:
         """The verdict in sentences."""
         error = self.energy_error_pct
-        if math.isfinite(error):
+        power = (f"its power is off by {self.power_rmse_w:.2f} W (root mean square), "
+                 f"{self.power_bias_w:+.2f} W on average.")
+        if math.isfinite(error) and self.energy_measured_wh > 0.0:
             way = "more" if error > 0.0 else "less"
             count = f"{len(self.runs)} runs" if len(self.runs) > 1 else "one run"
             first = (f"Over {count} the model gives {abs(error):.1f} % {way} energy than was measured on battery "
-                     f"{self.battery}; its power is off by "
-                     f"{self.power_rmse_w:.2f} W (root mean square), {self.power_bias_w:+.2f} W on average.")
+                     f"{self.battery}; {power}")
+            if (off := thousandfold(self.energy_measured_wh, self.energy_model_wh)):
+                first += f" Measured is about {off} of modelled: is the meter's unit the watt?"
+        elif math.isfinite(error):
+            first = (f"Battery {self.battery} was charged by {-self.energy_measured_wh:.3f} Wh in all, if the sign is "
+                     f"right: what it delivers is positive. Against the model {power}")
         else:
             first = f"No energy was measured on battery {self.battery}."
         middle = [] if self.mission is None else self.mission.words

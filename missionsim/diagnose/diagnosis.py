@@ -285,7 +285,7 @@ def _priors(subject: Subject, features: Features, logs: Sequence[Any]) -> dict[s
             continue
         source = parameter.source
         same = again.get(source, False) or fitted_to(source, logs)
-        priors[name] = NO_PRIOR_SD if same else parameter.prior_sd
+        priors[name] = NO_PRIOR_SD if same else max(parameter.prior_sd, 1e-6)  # sd: 0 is as good as known
     return priors
 
 

@@ -21,6 +21,8 @@ from missionsim.identify.data import Candidate, RunData
 
 Array = NDArray[np.float64]
 SURFACE = "surface_rolling_resistance"
+MOST_SURFACES = 40
+"""More names than that are no floors but numbers or places, and a column each would take for ever."""
 _TWIN_FAMILIES = ("rolling_friction", "viscous_friction", "standby_load", "component_power")
 _DERIVED_FROM = {"moving_time_s": "speed_m_s", "starts": "speed_m_s", "accel_m_s2": "speed_m_s"}
 
@@ -144,7 +146,10 @@ def _testable(
 ) -> tuple[dict[str, Effect], dict[str, tuple[str, ...]]]:
     untestable: dict[str, tuple[str, ...]] = {}
     effects: dict[str, Effect] = {}
-    surface_effects = [get_effect(SURFACE, surfaces)] if len(surfaces) > 1 else []
+    surface_effects = [get_effect(SURFACE, surfaces)] if 1 < len(surfaces) <= MOST_SURFACES else []
+    if len(surfaces) > MOST_SURFACES:
+        remarks.append(f"{len(surfaces)} different surfaces, more than {MOST_SURFACES}: what they add is not tested")
+        skip = skip | {SURFACE}
     if len(surfaces) == 1:
         remarks.append(f"all runs are on one surface ({surfaces[0]}): its resistance is part of rolling friction")
     for effect in (*all_effects(tuple(components)), *surface_effects, *own):

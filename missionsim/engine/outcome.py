@@ -160,7 +160,7 @@ class RunResult:
         scheme = self.timeline.columns.get("scheme")
         if scheme is None:
             return {}
-        total = np.sum(list(self.energies[battery].values()), axis=0)
+        total = np.broadcast_to(np.sum(list(self.energies[battery].values()), axis=0), len(self.timeline))
         sums = np.bincount(scheme.codes + 1, weights=total, minlength=len(scheme.names) + 1) / J_PER_WH
         return {name: float(energy) for name, energy in zip(("none", *scheme.names), sums, strict=True) if energy}
 

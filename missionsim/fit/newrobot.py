@@ -81,6 +81,10 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Any]) -> Calibration:
         For a formula that cannot be read, that names columns which the logs lack, or whose parameters the logs cannot
         tell apart.
     """
+    if not any(robot.battery in log.power_w for log in logs):
+        measured = sorted({name for log in logs for name in log.power_w})
+        raise InputError.single(f"no log measures the battery '{robot.battery}'", got=robot.battery,
+                                allowed=", ".join(measured), hint=did_you_mean(robot.battery, measured))
     formula = _formula(robot, logs)
     remarks: list[str] = []
     components = _components(logs, robot.battery, remarks)

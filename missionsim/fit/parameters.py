@@ -85,6 +85,7 @@ class ModelFit:
     remarks: tuple[str, ...]
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a formula without a value is told, not warned of
 def fit_parameters(
     model: PowerModel, logs: Sequence[Any], battery: str, *, free: bool = False, settings: Settings | None = None
 ) -> ModelFit:
@@ -117,18 +118,27 @@ def fit_parameters(
         )
     before = ready
     plain: Plain | None = None
-    if free:
-        model, plain = settled(model, ready, logs)
-        ready = prepare(model, logs, battery)
-    known = {name: p for name, p in ready.parameters.items() if p.value != 0.0}
-    prior_sd = free_priors(ready, known) if free else {name: p.prior_sd for name, p in known.items()}
-    told = told_apart(ready) if free else frozenset(known)
+    try:
+        if free:
+            model, plain = settled(model, ready, logs)
+            ready = prepare(model, logs, battery)
+        known = {name: p for name, p in ready.parameters.items() if p.value != 0.0}
+        prior_sd = free_priors(ready, known) if free else {name: max(p.prior_sd, 1e-6) for name, p in known.items()}
+        told = told_apart(ready) if free else frozenset(known)
+    except (np.linalg.LinAlgError, OverflowError) as error:
+        raise InputError.single(
+            f"the model of battery '{battery}' cannot be fitted: its values or its parameters run out of all numbers",
+            got=str(error), allowed="a formula that stays finite, and linear in its parameters if possible",
+        ) from error
     prior_value = {name: p.value for name, p in known.items()}
     fitted: Model | None = None
     for step in range(ROUNDS):
         # the prior stays where it was while the point of linearisation moves
         ready = prepare(model, logs, battery) if step else ready
-        source = make_source(ready.data(), [], prior_sd, replace(settings, align=settings.align and fitted is None))
+        try:
+            source = make_source(ready.data(), [], prior_sd, replace(settings, align=settings.align and fitted is None))
+        except ValueError as error:  # the logs hold too little
+            raise InputError.single(f"battery '{battery}': {error}") from error
         if fitted is not None:
             source.clock, source.aligned = fitted.clock, settings.align
         fitted = fit_model(source, (), fitted, thorough=False)

@@ -43,9 +43,10 @@ def _summary(comparison: Comparison, console: Any) -> None:
     for one in comparison.batteries.values():
         found = one.error_statistics
         table.add_row(
-            one.battery, f"{one.energy_measured_wh:.3f}", f"{one.energy_model_wh:.3f}", f"{one.energy_error_pct:+.2f}",
-            f"{one.power_rmse_w:.3f}", f"{one.power_bias_w:+.3f}", f"{found.peak_pct:.2f}", f"{found.final_pct:.2f}",
-            f"{found.mean_pct:.2f}", f"{found.std_pct:.2f}",
+            one.battery, f"{one.energy_measured_wh:.3f}", f"{one.energy_model_wh:.3f}",
+            _plain(one.energy_error_pct, "+.2f"),
+            f"{one.power_rmse_w:.3f}", f"{one.power_bias_w:+.3f}", _plain(found.peak_pct), _plain(found.final_pct),
+            _plain(found.mean_pct), _plain(found.std_pct),
         )
     console.print(table)
     console.print("error: model minus measured; peak, final, mean, std: its magnitude over the progress of the runs",
@@ -102,7 +103,7 @@ def _runs(one: BatteryComparison, console: Any) -> None:
         table.add_column(heading, justify="right")
     for run in [run for run in one.runs if run in shown]:
         table.add_row(run.run, f"{run.seconds:.0f}", f"{run.energy_measured_wh:.3f}", f"{run.energy_model_wh:.3f}",
-                      f"{run.energy_error_pct:+.2f}", f"{run.power_rmse_w:.3f}")
+                      _plain(run.energy_error_pct, "+.2f"), f"{run.power_rmse_w:.3f}")
     console.print(table)
 
 
@@ -110,6 +111,10 @@ def _table(title: str) -> Any:
     from rich.table import Table
 
     return Table(title=title, title_justify="left", title_style="bold", pad_edge=False)
+
+
+def _plain(value: float, form: str = ".2f") -> str:
+    return format(value, form) if math.isfinite(value) else "–"
 
 
 def _signed(value: float | None) -> str:

@@ -327,8 +327,8 @@ def _load_mission(
     else:
         robot_spec = None
         reference = str(robot) if robot is not None else data.get("robot")
-        if isinstance(reference, str) and reference:
-            found = find_robot(reference, None if robot is not None else path.parent)
+        if isinstance(reference, str) and (reference or robot is not None):
+            found = find_robot(reference, None if robot is not None else path.parent) if reference else None
             if found is None:
                 faults.append(_unknown_robot(reference, None if robot is not None else document, ("robot",)))
             else:

@@ -12,6 +12,7 @@ import pytest
 from missionsim.cli.app import run_command
 from missionsim.errors import Fault, InputError
 from missionsim.expressions import compile_expression
+from missionsim.files import write_text
 from missionsim.labels import Labels
 
 ROBOT = """kind: robot
@@ -144,3 +145,64 @@ def test_a_base_without_a_value_calibrates_nothing(
     assert run_command(["calibrate", "--new", "x", "--base", base, str(path), "--out", str(out)]) == 2
     assert "gives no number in any row" in capsys.readouterr().err
     assert not out.exists()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("base", ["c2*v**c3", "k*exp(900*v)", "c2/0"])
+def test_formulas_that_leave_all_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str], base: str) -> None:
+    path, out = write_log(tmp_path), tmp_path / "robot.yaml"
+    assert run_command(["calibrate", "--new", "x", "--base", base, str(path), "--out", str(out)]) in (0, 2)
+    assert "our own fault" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "rows", "told"),
+    [(("--battery", "robto"), 60, "did you mean: robot"), ((), 3, "no run has at least 8")],
+)
+def test_logs_that_hold_too_little(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], rows: int, told: str
+) -> None:
+    path, out = write_log(tmp_path, rows=rows), tmp_path / "robot.yaml"
+    command = ["calibrate", "--new", "x", "--base", "c3*v + c4", *options, str(path), "--out", str(out)]
+    assert run_command(command) == 2
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("power", "told"),
+    [(-10.0, "what it delivers is positive"), (0.0, "No energy was measured"), (1e4, "1,000 times of modelled"),
+     (1e-2, "1/1,000 of modelled")],
+)  # fmt: skip
+def test_doubtful_meters_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], power: float, told: str
+) -> None:
+    path = write_log(tmp_path, power_robot_w=power)
+    assert run_command(["compare", "--robot", "pioneer3dx", str(path)]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert told in out
+    assert "nan" not in out
+
+
+def test_an_empty_robot_and_a_battery_that_feeds_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_with(tmp_path) == 0
+    mission = str(tmp_path / "errand.yaml")
+    assert run_command(["run", mission, "--set", "robot.batteries.spare.capacity=1 Wh", "--json", "-"]) == 0
+    capsys.readouterr()
+    assert run_command(["run", mission, "--robot", ""]) == 2
+    assert "no robot ''" in capsys.readouterr().err
+
+
+def test_results_keep_links_and_devices(tmp_path: Path) -> None:
+    target, link = tmp_path / "real.txt", tmp_path / "link.txt"
+    target.write_text("old")
+    link.symlink_to(target)
+    write_text(link, "new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+    write_text("/dev/null", "lost")
+    assert Path("/dev/null").is_char_device()
+    with pytest.raises(OSError, match="No space left"):
+        write_text("/dev/full", "x")
+    with pytest.raises(IsADirectoryError, match="a folder"):
+        write_text(tmp_path, "x")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["link.txt", "real.txt"]
