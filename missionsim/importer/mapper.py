@@ -138,7 +138,7 @@ class Mapper:
         """Value of a formula in every row; InputError where it cannot be computed."""
         try:
             data = formula.expression.evaluate(values)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, InputError) as error:
             text = [name for name in formula.expression.names if isinstance(values.get(name), Labels)]
             self._fault(
                 formula.path,
