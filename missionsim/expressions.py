@@ -10,7 +10,7 @@ import ast
 import functools
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -67,6 +67,19 @@ _COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
 _Node = Callable[[Mapping[str, Any]], Any]
 
 
+class Place(NamedTuple):
+    """Where something stands: file, 1-based line and column (0 where there is none), dotted path."""
+
+    file: str = ""
+    line: int = 0
+    column: int = 0
+    path: str = ""
+
+    def fault(self, message: str, *, got: str = "", allowed: str = "", hint: str = "") -> Fault:
+        """An error here."""
+        return Fault(self.file, self.line, self.column, message, self.path, got, allowed, hint)
+
+
 @dataclass(frozen=True)
 class Expression:
     """A checked formula.
@@ -77,11 +90,14 @@ class Expression:
         The text as written.
     names : frozenset of str
         Names it reads.
+    place : Place
+        Where it was written, for messages.
     """
 
     source: str
     names: frozenset[str]
     _run: _Node = field(repr=False, compare=False)
+    place: Place = field(default=Place(), repr=False, compare=False)
 
     def evaluate(self, values: Mapping[str, Any]) -> Any:
         """Value of the formula; arrays broadcast as in NumPy, and division by zero gives inf or nan as there."""
@@ -91,16 +107,21 @@ class Expression:
             except (TypeError, ValueError) as problem:
                 texts = [name for name in sorted(self.names) if hasattr(values.get(name), "equals")
                          or isinstance(values.get(name), str)]
-                if not texts:
+                if not texts and not any(quote in self.source for quote in "'\""):
                     raise
-                raise InputError.single(
-                    f"the formula computes with {' and '.join(texts)}, which holds words", got=self.source,
-                    allowed=f"words in comparisons only, such as k * ({texts[0]} == 'name')",
-                ) from problem
+                told = f"{' and '.join(texts)}, which holds words" if texts else "words"
+                raise InputError(self.place.fault(
+                    f"the formula computes with {told}", got=self.source,
+                    allowed=f"words in comparisons only, such as k * ({(*texts, 'surface')[0]} == 'name')",
+                )) from problem
         return result + 0.0 if isinstance(result, (bool, np.bool_)) else result
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return compile_expression, (self.source,)
+        return _again, (self.source, self.place)
+
+
+def _again(source: str, place: Place) -> Expression:
+    return compile_expression(source, **place._asdict())
 
 
 def compile_expression(
@@ -135,10 +156,9 @@ def compile_expression(
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        fault(
-            "formula cannot be read", got=text, allowed="arithmetic such as 'c2*v**2 + c3*abs(w)'",
-            hint=str(getattr(error, "msg", "")),
-        )
+        # Python's own words for it, without the advice that some of them give
+        reason = str(getattr(error, "msg", "") or "too deep").partition(". ")[0]
+        fault(f"formula cannot be read: {reason}", got=text, allowed="arithmetic such as 'c2*v**2 + c3*abs(w)'")
         raise InputError(faults) from None
     if sum(1 for _ in ast.walk(tree)) > _MAX_NODES:
         fault("formula has too many parts", allowed=f"at most {_MAX_NODES}")
@@ -148,7 +168,7 @@ def compile_expression(
     run = _compile(tree.body, allowed, found, fault)
     if faults:
         raise InputError(faults)
-    return Expression(text.strip(), frozenset(found), run)
+    return Expression(text.strip(), frozenset(found), run, Place(file, line, column, path))
 
 
 def _compile(node: ast.AST, allowed: frozenset[str] | None, found: set[str], fault: Callable[..., None]) -> _Node:

@@ -85,7 +85,7 @@ class Subject:
         own: dict[str, list[Effect]] = {}
         for spec in robot.effects:
             if spec.candidate:
-                own.setdefault(spec.battery, []).append(build_effect(spec))
+                own.setdefault(spec.battery, []).append(build_effect(spec, robot))
         switchable = {
             battery: tuple(
                 name for name, component in robot.components.items()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from missionsim.effects.covariates import Covariates
+from missionsim.expressions import Place
 
 Parameters = Mapping[str, Any]
 
@@ -86,6 +87,8 @@ class Effect:
     memory: tuple[str, ...] = ()
     covariate: str = ""
     """The covariate that it is mostly about, for reports and shifted splits."""
+    place: Place = field(default=Place(), repr=False, compare=False)
+    """Where the user's file has its formula or names it, for messages."""
 
     @property
     def coefficient(self) -> ParameterSpec:

@@ -10,9 +10,10 @@ import numpy as np
 
 from missionsim.effects.base import Effect
 from missionsim.effects.covariates import Covariates, number
-from missionsim.errors import InputError, did_you_mean
+from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.physics.motion import relieved_powers
 
+_INNER = ("starting_", "on_time_")
 DEFAULT_PRIOR_SD = 0.03
 """Relative standard deviation of a base parameter whose file gives none (contract)."""
 
@@ -142,6 +143,22 @@ class PowerModel:
         lacking = {term.key.name: tuple(n for n in term.effect.needs if n not in cov) for term in terms}
         return {name: needs for name, needs in lacking.items() if needs}
 
+    def lacking(self, cov: Covariates, battery: str | None = None) -> list[Fault]:
+        """A fault for each name that terms need and `cov` lacks, at the place of the formula that reads it."""
+        told = [name for name in sorted(cov) if not name.startswith(_INNER)]
+        columns, faults = ", ".join(told), []
+        for term in self.terms if battery is None else self.of(battery):
+            effect = term.effect
+            own = [*(spec.name for spec in effect.parameters), *told]
+            for name in effect.needs:
+                if name not in cov:
+                    faults.append(effect.place.fault(
+                        f"'{term.key.name}' reads '{name}', which is not known here", got=effect.equation,
+                        allowed=f"its parameters, columns of the log or conditions of the mission; here: {columns}",
+                        hint=did_you_mean(name, own),
+                    ))
+        return faults
+
     def evaluate(
         self,
         cov: Covariates,
@@ -190,10 +207,7 @@ class PowerModel:
             effect = term.effect
             for name in effect.needs:
                 if name not in cov:
-                    raise InputError.single(
-                        f"effect '{effect.id}' needs the column '{name}'", got=", ".join(sorted(cov)), allowed=name,
-                        hint=did_you_mean(name, cov),
-                    )
+                    raise InputError(self.lacking(cov, battery))
             if relieving and effect.stage > 1:
                 powers.update(_relieved(relieving, drive, cov))
                 relieving = {}

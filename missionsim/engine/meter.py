@@ -117,12 +117,13 @@ class Meter:
                     lacking = [name for name, column in line.columns.items()
                                if isinstance(column, np.ndarray) and column.dtype.kind == "f" and np.isnan(column[i])]
                     segment = self.segments[number].name if number < len(self.segments) else str(number)
-                    raise InputError.single(
+                    place = next(term.effect.place for term in self.model.terms if term.key == key)
+                    raise InputError(place.fault(
                         f"the power of '{key.name}' ({key.component}, battery '{battery}') is not a number in segment "
                         f"'{segment}'",
                         got=", ".join(f"no {name}" for name in lacking) or "an expression without a value there",
                         allowed="every covariate that the robot's effects read, on every segment",
-                    )
+                    ))
 
     def time_to(self, battery: str, level: float, horizon_s: float) -> float | None:
         """Time from now until a battery's state comes to `level`, if nothing else changes; None if not so soon."""

@@ -19,7 +19,7 @@ from missionsim.engine.meter import Alarm
 from missionsim.engine.outcome import J_PER_WH, BatteryResult, RunResult
 from missionsim.engine.reserve import home_energies
 from missionsim.engine.world import World
-from missionsim.errors import InputError
+from missionsim.errors import Fault, InputError
 from missionsim.plan.build import make_plan
 from missionsim.plan.homing import Homing, last_driven
 from missionsim.plan.legs import Leg, Plan
@@ -239,18 +239,21 @@ def check_covariates(plan: Plan, model: PowerModel) -> None:
     """
     keys = {"temp_ambient_c": "temperature", "cpu_load": "cpu_load", "cpu_freq_hz": "cpu_frequency",
             "access_point_distance_m": "access_point_distance"}
-    wanted = {name: term.effect.id for term in model.terms for name in term.effect.needs if name in keys}
+    wanted = {name: term.effect for term in model.terms for name in term.effect.needs if name in keys}
     if not wanted:
         return
+    faults: dict[str, Fault] = {}
     for leg in plan.legs:
         known = dict(leg.settings.extra)
         for name, effect in wanted.items():
-            if name not in known:
+            if name not in known and name not in faults:
                 segment = plan.segments[leg.settings.segment]
-                raise InputError.single(
-                    f"effect '{effect}' of the robot needs '{keys[name]}', which segment '{segment.name}' lacks",
+                faults[name] = effect.place.fault(
+                    f"effect '{effect.id}' of the robot needs '{keys[name]}', which segment '{segment.name}' lacks",
                     allowed=f"defaults: {{{keys[name]}: …}}, or a value on the segment",
                 )
+    if faults:
+        raise InputError(faults.values())
 
 
 def split_values(values: Mapping[str, Any], model: PowerModel) -> tuple[dict[str, Any], dict[str, Any]]:

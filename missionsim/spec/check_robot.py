@@ -187,8 +187,10 @@ def _motion(check: Checker, robot: RobotSpec, batteries: list[str]) -> None:
     if motion.model == "none":
         return
     if motion.model == "expression":
-        text = f"({motion.power}) + ({motion.standing})" if motion.standing else str(motion.power)
-        check.formula(("motion", "power"), text, motion.parameters)
+        texts: dict[tuple[str | int, ...], str] = {("motion", "power"): str(motion.power)}
+        if motion.standing is not None:
+            texts["motion", "standing"] = str(motion.standing)
+        check.formulas(texts, motion.parameters)
         return
     from missionsim.effects.motion_models import get_motion_model, motion_model_ids
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.spec.salvage import related, under
@@ -82,47 +81,43 @@ class Checker:
                 return []
         return [str(key) for key in data] if isinstance(data, dict) else []
 
-    def formula(self, where: Where, text: str, own: Iterable[str], *, free: bool = True) -> None:
-        """A formula that can be read and names what there is.
+    def formula(self, where: Where, text: str, own: Iterable[str]) -> None:
+        """A formula that can be read, names what there is and uses all its parameters."""
+        self.formulas({tuple(where): text}, own)
 
-        Parameters
-        ----------
-        where : path
-        text : str
-        own : iterable of str
-            Its parameters.
-        free : bool
-            Names of further log columns are allowed; one that is nearly a known name gets a warning.
+    def formulas(self, texts: Mapping[tuple[str | int, ...], str], own: Iterable[str]) -> None:
+        """Formulas, by their paths, with parameters in common; see `formula`."""
+        parameters = list(own)
+        used: set[str] = set()
+        for where, text in texts.items():
+            names = self._names(where, text, parameters)
+            if names is None:
+                return
+            used |= names
+        where, text = next(iter(texts.items()))
+        for name in parameters:
+            if name not in used:
+                self.add(where, f"parameter '{name}' does not occur in the formula", got=text[:80], warning=True)
+
+    def _names(self, where: Where, text: str, parameters: list[str]) -> frozenset[str] | None:
+        """Names that a formula reads, None where it cannot be read.
+
+        Names of further log columns are allowed; one that is nearly a known name gets a warning.
         """
         from missionsim.expressions import compile_expression
         from missionsim.glossary import COLUMNS, column_of
 
-        line, column = self.document.position(where)
-        file = "" if self.document.overridden(where) is not None else self.document.file
         try:
-            expression = compile_expression(text, file=file, line=line, column=column, path=".".join(map(str, where)))
+            expression = compile_expression(text, **self.document.place(where)._asdict())
         except InputError as problem:
-            # a syntax error's words are no suggestion of another spelling
-            self.faults.extend(
-                replace(fault, hint="" if fault.message == "formula cannot be read" else fault.hint)
-                for fault in problem.faults
-            )
-            return
-        parameters = list(own)
+            self.faults.extend(problem.faults)
+            return None
         known = [*parameters, *ALIASES, *DERIVED, *(column.name for column in COLUMNS)]
         for name in sorted(expression.names):
             if name in known or column_of(name) is not None or name.startswith(("on_time_", "starting_")):
                 continue
             hint = did_you_mean(name, known, 0.8)
-            if not free:
-                self.add(
-                    where,
-                    f"formula names '{name}', which is neither a parameter nor a column",
-                    got=text[:80],
-                    allowed=", ".join([*parameters, *ALIASES]),
-                    hint=hint,
-                )
-            elif hint:
+            if hint:
                 self.add(
                     where,
                     f"formula names '{name}', which is no column of the glossary",
@@ -131,6 +126,4 @@ class Checker:
                     hint=hint,
                     warning=True,
                 )
-        for name in parameters:
-            if name not in expression.names:
-                self.add(where, f"parameter '{name}' does not occur in the formula", got=text[:80], warning=True)
+        return expression.names

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from missionsim.effects import base_terms
 from missionsim.effects.base import Effect, ParameterSpec
@@ -13,7 +13,7 @@ from missionsim.effects.library import get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.effects.motion_models import get_motion_model
 from missionsim.errors import InputError
-from missionsim.expressions import compile_expression
+from missionsim.expressions import Expression, Place, compile_expression
 
 if TYPE_CHECKING:
     from missionsim.spec.robot import ComponentSpec, EffectSpec, LoadSpec, RobotSpec
@@ -62,13 +62,14 @@ def model_parameter(parameter: Parameter, unit: str = "") -> ModelParameter:
     )
 
 
-def build_effect(spec: EffectSpec) -> Effect:
-    """The effect that one entry of a robot's ``effects:`` names or writes out."""
+def build_effect(spec: EffectSpec, robot: RobotSpec | None = None) -> Effect:
+    """The effect that one entry of a robot's ``effects:`` names or writes out; messages tell its place in `robot`."""
+    place = _place(robot, (*spec.where, "power" if spec.effect is None else "effect"))
     if spec.effect is not None:
         surfaces = tuple(name[2:] for name in spec.parameters if name.startswith("k_"))
         effect = get_effect(spec.effect, surfaces)
     else:
-        formula = compile_expression(_source(spec.power))
+        formula = _compiled(spec.power, place)
         specs = tuple(
             ParameterSpec(
                 name, p.unit, low=-float("inf") if p.low is None else p.low,
@@ -77,7 +78,7 @@ def build_effect(spec: EffectSpec) -> Effect:
             for name, p in spec.parameters.items()
         )
         effect = base_terms.expression_term(spec.name or "", formula, specs, drive=_about_motion(formula.names))
-    return effect.renamed(component=spec.component) if spec.component else effect
+    return effect.renamed(component=spec.component or effect.component, place=place)
 
 
 def _about_motion(names: frozenset[str]) -> bool:
@@ -85,8 +86,13 @@ def _about_motion(names: frozenset[str]) -> bool:
     return bool(names & motion)
 
 
-def _source(expression: Any) -> str:
-    return str(getattr(expression, "source", expression))
+def _compiled(formula: Any, place: Place) -> Expression:
+    return compile_expression(str(getattr(formula, "source", formula)), **place._asdict())
+
+
+def _place(robot: RobotSpec | None, path: tuple[str | int, ...]) -> Place:
+    document = None if robot is None else robot.document
+    return Place() if document is None else cast(Place, document.place(path))
 
 
 def _converted(parameters: Mapping[str, Parameter], specs: tuple[ParameterSpec, ...]) -> dict[str, ModelParameter]:
@@ -126,18 +132,21 @@ def _motion(robot: RobotSpec) -> Iterator[Term]:
         yield from model.build(motion.battery, _converted(motion.parameters, model.parameters))
         return
     parameters = {name: model_parameter(p) for name, p in motion.parameters.items()}
-    formula = compile_expression(_source(motion.power))
-    standing = None if motion.standing is None else compile_expression(_source(motion.standing))
+    place = _place(robot, ("motion", "power"))
+    formula = _compiled(motion.power, place)
+    standing = None if motion.standing is None else _compiled(motion.standing, _place(robot, ("motion", "standing")))
     for effect in base_terms.motion_expression_terms(formula, standing, tuple(parameters)):
         used = {spec.name: parameters[spec.name] for spec in effect.parameters}
-        yield Term(TermKey(motion.battery, effect.component, effect.id), effect, used, {name: name for name in used})
+        yield Term(TermKey(motion.battery, effect.component, effect.id), effect.renamed(place=place), used,
+                   {name: name for name in used})
 
 
 def _components(robot: RobotSpec) -> Iterator[Term]:
     for name, component in robot.components.items():
         for load in component.loads:
             link = _link(robot, load)
-            effect, parameters = _load(name, component, load)
+            place = _place(robot, (*load.where, "law", "power"))
+            effect, parameters = _load(name, component, load, place)
             names = {p: f"{name}.{p}" for p in parameters}
             yield Term(TermKey(load.battery, name, name), effect, parameters, names, scale=1.0 / link[1], link=link)
         startup = component.startup
@@ -159,7 +168,9 @@ def _link(robot: RobotSpec, load: LoadSpec) -> tuple[str, float]:
     return efficiency.path, efficiency.value
 
 
-def _load(name: str, component: ComponentSpec, load: LoadSpec) -> tuple[Effect, dict[str, ModelParameter]]:
+def _load(
+    name: str, component: ComponentSpec, load: LoadSpec, place: Place
+) -> tuple[Effect, dict[str, ModelParameter]]:
     if load.power is not None:
         effect = base_terms.always_on_term(name) if component.always_on else base_terms.component_term(name)
         # an always-on component counts all its units
@@ -170,13 +181,14 @@ def _load(name: str, component: ComponentSpec, load: LoadSpec) -> tuple[Effect, 
     if law.model is not None:
         model = LAW_MODELS[law.model]
         given = _complete(f"component '{name}'", _converted(law.parameters, model.parameters), model.parameters)
-        return base_terms.law_model_term(name, model.parameters, model.needs, model.power, component.always_on), given
-    formula = compile_expression(_source(law.power))
+        effect = base_terms.law_model_term(name, model.parameters, model.needs, model.power, component.always_on)
+        return effect.renamed(place=place), given
+    formula = _compiled(law.power, place)
     given = {key: model_parameter(p) for key, p in law.parameters.items()}
     if law.rate is not None:
         given["rate"] = model_parameter(law.rate)
     specs = tuple(ParameterSpec(key, p.unit, low=p.low, high=p.high) for key, p in given.items())
-    return base_terms.law_term(name, formula, specs, {}, component.always_on), given
+    return base_terms.law_term(name, formula, specs, {}, component.always_on).renamed(place=place), given
 
 
 def _switchboards(robot: RobotSpec) -> Iterator[Term]:
@@ -216,7 +228,7 @@ def _effects(robot: RobotSpec) -> Iterator[Term]:
     for spec in robot.effects:
         if getattr(spec, "candidate", False):
             continue
-        effect = build_effect(spec)
+        effect = build_effect(spec, robot)
         if effect.execution:
             continue
         label = spec.name or effect.id

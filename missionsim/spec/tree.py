@@ -17,6 +17,7 @@ import yaml
 from yamlcore import CCoreLoader
 
 from missionsim.errors import Fault, InputError
+from missionsim.expressions import Place
 
 MAX_BYTES = 10_000_000
 MAX_NODES = 200_000
@@ -110,6 +111,13 @@ class Document:
                 where = node.keys[item]
             node = child
         return where
+
+    def place(self, path: Sequence[str | int]) -> Place:
+        """File, line, column and dotted path of a value; no file where the command line set it."""
+        given = self.overridden(path) is not None
+        line, column = self.position(path)
+        where = (self.prefix if given else "") + dotted(self.original(path))
+        return Place("" if given else self.file, line, column, where)
 
     def fault(
         self,
