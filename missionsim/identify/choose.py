@@ -25,6 +25,11 @@ LEAST_RISE = -2.0
 """Of the log evidence, which already charges some 4 nats for one more coefficient."""
 PLAIN_RISE = 1.02
 """An effect must not need opposite gains of the single runs to make up for it."""
+ALIKE = 0.7
+FORM_LOSS = 0.2
+"""An effect like one in the model counts from this part of the other's gain on."""
+FAINT = 0.015
+"""Beside a loud effect its misfit passes for others of up to this part of its gain."""
 CLOSE = 0.6
 """The second best is fitted too when it reaches this part of the best."""
 
@@ -119,6 +124,7 @@ def _next_step(
             # noise refitted on both sides: an effect must not live on a noise model of its own
             weighed[c].passed["likelihood"] &= rise > LEAST_RISE
             weighed[c].passed["plain error"] = plain_error(fitted) < PLAIN_RISE * plain_error(model)
+            weighed[c].passed["beyond form"] = _beyond_form(fitted, c, weighed[c].gain, found)
         if all(e.accepted for e in weighed.values()):
             options.append((rise, Choice(fitted, found.empty, spread, weighed, refused)))
         else:
@@ -130,6 +136,23 @@ def _next_step(
     best = max(options, key=lambda o: o[0])[1]
     best.refused.update(refused)
     return best
+
+
+def _beyond_form(fitted: Model, column: int, gain: float, found: Choice) -> bool:
+    """Whether a column is more than a correction to the form of an effect in the model.
+
+    No form is exact: v2 with a little v3 explains any friction curve better than either alone, and only one is there.
+    """
+    gram = fitted.gram
+    loudest = max((found.evidence[k].gain for k in found.model.chosen), default=0.0)
+    if gain < FAINT * loudest:
+        return False
+    for other in set(found.model.chosen) & set(fitted.chosen):
+        left = gram.conditional([k for k in fitted.chosen if k not in (column, other)])
+        r = left[1 + column, 1 + other] / np.sqrt(left[1 + column, 1 + column] * left[1 + other, 1 + other])
+        if abs(r) > ALIKE and gain < FORM_LOSS * found.evidence[other].gain:
+            return False
+    return True
 
 
 def _hidden_in_runs(model: Model, rules: Rules, needed: float, settings: Settings) -> int | None:

@@ -16,6 +16,8 @@ from missionsim.identify.search import Rules, all_sets, set_gains, single_gains
 ODDS_NATS = 3.0
 """A rival 3 nats behind has one twentieth of the weight."""
 SAME_COLUMN = 0.995
+NOISY_SLOPE = 1.5
+"""A slope from an inertial sensor has noise and a bias of its own, which weakens a slope effect more than others."""
 EXTRA_EFFECT_NATS = 4.0
 """Price of an explanation that needs one effect more."""
 
@@ -89,6 +91,8 @@ def _close_ones(
     for other, value in found.items():
         same = candidates[other].covariate == candidates[effect].covariate
         loss = (settings.rival_loss if same else settings.noisy_rival_loss) * gain
+        if candidates[other].covariate == "slope_rad" and not same:
+            loss *= NOISY_SLOPE
         if gain - value < max(ODDS_NATS * spread, loss):
             close[other] = gain - value
     return close

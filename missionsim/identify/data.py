@@ -120,5 +120,5 @@ class Settings:
     form_ratio: float = 0.85
     rival_loss: float = 0.03
     noisy_rival_loss: float = 0.12
-    systematic: float = 0.03
+    systematic: float = 0.08
     align: bool = True

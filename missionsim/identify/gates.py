@@ -16,6 +16,11 @@ INFORMATIVE = 0.02
 BACKING = 0.6
 """Runs with this part of the information suffice: in a flat run the slope holds little but the noise of its sensor,
 and many such runs must not outvote the ramps."""
+REPEATED = 0.01
+UNSURE_NATS = 2.0
+"""The prediction of left-out runs is itself uncertain by this much; runs that agree with each other then decide."""
+LOUD = 0.3
+"""A block with this part of the information leaves too few degrees of freedom for a test with it."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +117,9 @@ def weigh(model: Model, column: int, rules: Rules, settings: Settings, spread: f
     several = len(model.design.runs) > 1
     passed = {
         "likelihood": gain / spread > needed,
-        "runs": (not several) or (predictive > 0 and (2 * better >= informative or backing > BACKING)),
+        "runs": (not several)
+        or (predictive > 0 and (2 * better >= informative or backing > BACKING))
+        or (predictive > -UNSURE_NATS and p_runs < REPEATED),
         "robust": p_robust < level,
         "practical": abs(share) > settings.min_share,
     }
@@ -134,7 +141,9 @@ def _robust(model: Model, column: int, others: Sequence[int], settings: Settings
     share = float(x @ p.rows[0] + x_pseudo @ p.pseudo[0]) / info
     e = p.rows[0] - share * x
     known = float(x_pseudo @ x_pseudo)
-    block_sd, block_p = _clustered(x, e, block_numbers(model, block_length(model, settings)), share, info, known)
+    blocks = block_numbers(model, block_length(model, settings))
+    block_sd, block_p = _clustered(x, e, blocks, share, info, known)
+    block_p = min(block_p, 2.0 * _beside_the_loudest(x, p.rows[0], blocks))
     run_p = float("nan")
     if len(design.runs) >= 3:
         _, run_p = _clustered(x, e, design.run_index(), share, info, known)
@@ -153,6 +162,21 @@ def _clustered(
     freedom = max(1.5, float(np.sum(weight)) ** 2 / float(np.sum(weight**2)) - 1.0)
     sd = float(np.sqrt(variance)) / info
     return sd, float(2 * t.sf(abs(share) / max(sd, 1e-300), freedom))
+
+
+def _beside_the_loudest(x: Array, left: Array, blocks: np.ndarray[tuple[int, ...], np.dtype[np.intp]]) -> float:
+    """p-value without the block that holds most of the information, where it holds so much that few degrees of
+    freedom are left; 1 elsewhere."""
+    leverage = np.bincount(blocks, weights=x * x)
+    loudest = int(np.argmax(leverage))
+    rest = blocks != loudest
+    info = float(leverage.sum() - leverage[loudest])
+    if leverage[loudest] < LOUD * leverage.sum() or info <= 0:
+        return 1.0
+    x, left = x[rest], left[rest]
+    share = float(x @ left) / info
+    numbers = np.unique(blocks[rest], return_inverse=True)[1]
+    return _clustered(x, left - share * x, numbers, share, info, 0.0)[1]
 
 
 def _left_out(model: Model, column: int, others: Sequence[int]) -> tuple[float, int, int, float]:

@@ -12,7 +12,7 @@ from missionsim.identify.data import Candidate, RunData, Settings
 from missionsim.identify.design import Source, make_source
 from missionsim.identify.gates import Evidence, smallest_detectable
 from missionsim.identify.model import Model
-from missionsim.identify.remainder import dependences, periodic, stands_without, wander, wrong_form
+from missionsim.identify.remainder import dependences, periodic, ramps, stands_without, wander, wrong_form
 from missionsim.identify.result import (
     BaseShift,
     CandidateReport,
@@ -25,9 +25,11 @@ from missionsim.identify.result import (
     Unexplained,
 )
 from missionsim.identify.search import Rules
-from missionsim.identify.shape import refit_shapes
+from missionsim.identify.shape import refit_shapes, without_shadows
 
 FEW_RUNS = 3
+RAMP_SYSTEMATIC = 0.3
+"""Further relative allowance of a coefficient that rests on ramps, which the meter's lag and the averaging blur."""
 STEADY_LOADS = ("standby_load", "component_power", "component_warmup", "conversion_loss")
 FAINT_NATS = 50.0
 FAINT_SHARE = 0.2
@@ -86,6 +88,8 @@ def _report(
     given: bool = False,
 ) -> Identification:  # fmt: skip
     rules = Rules.of(source.layout, candidates)
+    if not given:
+        choice = without_shadows(choice, source, candidates, rules, settings)
     choice, shapes = refit_shapes(choice, source, candidates, rules, settings)
     source = choice.model.source
     structures, doubtful = _structures(choice, candidates, rules, settings)
@@ -194,6 +198,7 @@ def _effects(
     doubtful: set[int],
 ) -> tuple[FoundEffect, ...]:
     model = choice.model
+    on_ramps = _on_ramps(model)
     out: list[FoundEffect] = []
     for number in dict.fromkeys(int(rules.effect[k]) for k in model.chosen):
         own = [k for k in model.chosen if rules.effect[k] == number]
@@ -207,7 +212,8 @@ def _effects(
             unit = model.design.layout.mean_power_w / column.watts_per_unit
             statistical = float(np.hypot(e.share_sd, e.refit_sd))
             gain_error = model.noise.gain / np.sqrt(len(model.design.runs))
-            sd = float(np.hypot(statistical, abs(e.share) * np.hypot(settings.systematic, gain_error)))
+            form = np.hypot(settings.systematic, RAMP_SYSTEMATIC * on_ramps[k])
+            sd = float(np.hypot(statistical, abs(e.share) * np.hypot(form, gain_error)))
             half = 1.96 * sd * unit
             level = candidate.levels[column.position] if candidate.levels else ""
             name = f"{candidate.coefficient}_{level}" if level else candidate.coefficient
@@ -231,6 +237,16 @@ def _effects(
             )
         )
     return tuple(sorted(out, key=lambda f: -f.gain_nats))
+
+
+def _on_ramps(model: Model) -> dict[int, float]:
+    """Part of the size of each chosen column that lies beside ramps of the base model, from 0 to 1."""
+    edge = ramps(model)
+    out = {}
+    for k in model.chosen:
+        square = model.design.phi[k] ** 2
+        out[k] = float(square[edge].sum() / max(float(square.sum()), 1e-300))
+    return out
 
 
 def _shape_estimates(candidate: Candidate, shape: Mapping[str, float]) -> list[Estimate]:
@@ -258,6 +274,7 @@ GATE_WORDS = {
     "practical": "significant but negligible",
     "repeated in the runs": "seen as differences between runs that do not repeat well enough",
     "plain error": "helps only with gains of single runs that make up for it",
+    "beyond form": "corrects the form of a similar effect in the model, no more",
     "beyond recalibration": "within what recalibration of the base model allows",
 }
 

@@ -12,10 +12,14 @@ from missionsim.identify.choose import Choice
 from missionsim.identify.data import Array, Candidate, Settings
 from missionsim.identify.design import HEAD_ROWS, Source
 from missionsim.identify.gates import weigh
-from missionsim.identify.model import Model, score
+from missionsim.identify.model import Model, fit_model, score
 from missionsim.identify.search import Rules
 
 EVALUATIONS = 24
+ALIKE = 0.3
+FORM_PART = 0.1
+"""Beside an effect with a shape, one that looks somewhat like it counts from this part of its gain on: a line fitted to
+what bends with temperature leaves the bend over."""
 
 
 def refit_shapes(
@@ -37,6 +41,49 @@ def refit_shapes(
             continue
         choice, shapes[candidate.effect] = _refit(choice, column, candidate, start, candidates, rules, settings)
     return choice, shapes
+
+
+def without_shadows(
+    choice: Choice, source: Source, candidates: Sequence[Candidate], rules: Rules, settings: Settings
+) -> Choice:
+    """Leave out what is only there because a shape in the model was not yet fitted.
+
+    Friction below a reference temperature, with that temperature 5 K off, leaves a constant rolling friction over.
+    """
+    from scipy.stats import norm
+
+    effects = max(1, len({int(e) for e in rules.effect}))
+    needed = 0.5 * float(norm.isf(settings.alpha / effects / 2)) ** 2 * choice.spread
+
+    def shaped(column: int) -> bool:
+        here = source.layout.columns[column]
+        candidate = candidates[here.candidate]
+        return candidate.refit is not None and not candidate.levels and bool(candidate.shape[here.position])
+
+    for column in sorted(choice.model.chosen, key=lambda k: choice.evidence[k].gain):
+        model = choice.model
+        partners = [k for k in model.chosen if k != column and shaped(k) and _alike(model, column, k)]
+        if shaped(column) or not partners:
+            continue
+        rest = tuple(k for k in model.chosen if k != column)
+        with_it = score(source, model.clock, model.noise, model.chosen)
+        less = fit_model(source, rest, model, thorough=False)
+        kept = {k: weigh(less, k, rules, settings, choice.spread, effects) for k in rest}
+        for k, e in kept.items():
+            e.passed.update({g: v for g, v in choice.evidence[k].passed.items() if g not in e.passed})
+        smaller = replace(choice, model=less, evidence=kept)
+        bent, _ = refit_shapes(smaller, source, candidates, rules, settings)
+        enough = max(needed, FORM_PART * max(choice.evidence[k].gain for k in partners))
+        if with_it - score(bent.model.source, model.clock, model.noise, rest) < enough:
+            shadow = choice.evidence[column]
+            shadow.passed["beyond form"] = False
+            choice = replace(smaller, refused={**choice.refused, column: shadow})
+    return choice
+
+
+def _alike(model: Model, a: int, b: int) -> bool:
+    left = model.gram.conditional([k for k in model.chosen if k not in (a, b)])
+    return bool(left[1 + a, 1 + b] ** 2 > ALIKE**2 * left[1 + a, 1 + a] * left[1 + b, 1 + b])
 
 
 def _refit(

@@ -28,6 +28,11 @@ def in_library(effect: str) -> bool:
     return effect in LIBRARY or effect.startswith(("component_power:", "component_warmup:"))
 
 
+def behaviour(effect: str) -> bool:
+    """Whether the effect is one of the execution of the plan."""
+    return effect in {"path_stretch", "speed_tracking", "dwell"}
+
+
 def expected(answer: Mapping[str, Any]) -> str:
     """'nothing' | 'outside' | 'name' | 'either' (a calibration twin near the 4-sd border) | 'recalibration'."""
     hidden = list(answer["hidden"])
@@ -108,6 +113,7 @@ def judge(case: str, seed: int, answer: Mapping[str, Any], outcome: Outcome) -> 
         row["honest"] = bool(set(hidden) <= whole and ambiguous)
         row["overconfident"] = bool(named and not ambiguous)
     true = answer.get("share_true") or dict.fromkeys(hidden, answer["share_of_energy"])
-    inside = [s[1] <= true[e] <= s[2] for e, s in outcome.shares.items() if e in hidden]
+    # a plan that is not kept costs another share of the energy than the strength that the case asks for
+    inside = [s[1] <= true[e] <= s[2] for e, s in outcome.shares.items() if e in hidden and not behaviour(e)]
     row["covered"], row["intervals"] = sum(inside), len(inside)
     return row

@@ -164,6 +164,8 @@ def test_an_ended_batch_resumes_to_the_same_bytes(
     process = subprocess.Popen(
         [sys.executable, "-m", "missionsim", *command, "--workers", str(workers)],
         start_new_session=True,
+        # a shell's background job ignores Ctrl-C and hands that on
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         stderr=subprocess.PIPE,
         text=True,
     )
