@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from missionsim.cli.quick import quick, with_plot_last
+from missionsim.cli.targets import check_targets
 from missionsim.errors import Fault, InputError, did_you_mean
 
 if TYPE_CHECKING:
@@ -72,6 +73,7 @@ def run_command(arguments: Sequence[str]) -> int:
                     did_you_mean(word, COMMANDS)), file=sys.stderr)
         return EXIT_INPUT
     try:
+        check_targets(arguments)
         code = quick(arguments)
         if code is None:
             code = _parsed(with_plot_last(arguments))

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
+    from missionsim.errors import Fault
     from missionsim.logs import LogTable
 
 
@@ -108,6 +109,12 @@ def check_search(logs: Sequence[Path], alpha: float) -> None:
         raise InputError.single("--alpha is a probability", got=alpha, allowed="such as 0.01 or 0.05")
 
 
+def tell_warnings(faults: Iterable[Fault], quiet: bool = False) -> None:
+    """Say on standard error what the checks of the files found strange but possible, each once."""
+    for fault in [] if quiet else dict.fromkeys(faults):
+        print(fault, file=sys.stderr)
+
+
 def tell_logs(logs: Sequence[LogTable], quiet: bool = False) -> None:
     """Say on standard error what the checks of the logs found and what was done about it."""
     from missionsim.logs import describe
@@ -123,7 +130,8 @@ def simple_table(title: str, columns: Iterable[str | tuple[str, str]], rows: Ite
     table = Table(title=title, title_justify="left", title_style="bold", pad_edge=False)
     for column in columns:
         heading, justify = (column, "left") if isinstance(column, str) else column
-        table.add_column(heading, justify=justify)  # type: ignore[arg-type]
+        # a name that is cut off could be any of several
+        table.add_column(heading, justify=justify, overflow="fold")  # type: ignore[arg-type]
     for row in rows:
         table.add_row(*(str(cell) for cell in row))
     return table

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 from cyclopts import App
 
 from missionsim.cli.common import console, emit_json, shows_text, simple_table
@@ -10,11 +13,29 @@ from missionsim.cli.options import JsonOption, QuietOption
 app = App(name="effects", help="The library of effects: equation, parameters, units, source.", help_format="plaintext")
 
 
-def _describe(id: str) -> dict[str, object]:
+def log_columns(names: Sequence[str]) -> tuple[list[str], list[str]]:
+    """What a log must have for covariates of an effect, and which of them follow from that (clocks, acceleration)."""
+    columns: list[str] = []
+    derived: list[str] = []
+    for name in names:
+        if name.startswith("on_time_"):
+            source = f"on_{name.removeprefix('on_time_').removesuffix('_s')}"
+        else:
+            source = "speed_m_s" if name in ("moving_time_s", "starts", "starts_per_s", "accel_m_s2") else name
+        columns.append(source)
+        if source != name:
+            derived.append(name)
+    return list(dict.fromkeys(columns)), derived
+
+
+def _describe(id: str) -> dict[str, Any]:
     from missionsim.effects.library import get_effect
 
     family, _, name = id.partition(":")
     effect = get_effect(f"{family}:{name.strip('<>')}" if name else id, surfaces=("<surface>",))
+    needs, derived = log_columns(effect.needs)
+    if name.startswith("<"):
+        needs, derived = ([text.replace(name.strip("<>"), name) for text in texts] for texts in (needs, derived))
     return {
         "id": id,
         "equation": effect.equation,
@@ -23,10 +44,15 @@ def _describe(id: str) -> dict[str, object]:
             {"name": p.name, "unit": p.unit, "low": p.low, "high": p.high, "default": p.default, "meaning": p.meaning}
             for p in effect.parameters
         ],
-        "needs": list(effect.needs),
+        "needs": needs,
+        "derived": derived,
         "kind": "execution" if effect.execution else "power",
         "source": effect.source,
     }
+
+
+def _needed(described: dict[str, Any]) -> str:
+    return ", ".join([*(["a mission"] if described["kind"] == "execution" else []), *described["needs"]])
 
 
 @app.default
@@ -45,9 +71,10 @@ def list_effects(*, json: JsonOption = None, quiet: QuietOption = False) -> int:
     described = [_describe(id) for id in effect_ids()]
     emit_json({"schema": "missionsim.effects/1", "effects": described}, json)
     if shows_text(json, quiet):
-        rows = [(d["id"], d["equation"], ", ".join(d["needs"]) or "–") for d in described]  # type: ignore[arg-type]
-        console().print(simple_table("Library of effects", ["effect", "power it adds", "needs"], rows))
-        console().print("missionsim effects show ID tells parameters, units and source of one.")
+        rows = [(d["id"], d["equation"], _needed(d) or "–") for d in described]
+        console().print(simple_table("Library of effects", ["effect", "power it adds", "needs in the log"], rows))
+        console().print("Acceleration, starts and clocks (moving time, time switched on) follow from those columns.\n"
+                        "missionsim effects show ID tells parameters, units and source of one.")
     return 0
 
 
@@ -70,8 +97,9 @@ def show(id: str, *, json: JsonOption = None, quiet: QuietOption = False) -> int
         terminal = console()
         terminal.print(f"[bold]{id}[/bold]  {described['meaning']}")
         terminal.print(f"power   {described['equation']}", markup=False)
-        terminal.print(f"needs   {', '.join(described['needs']) or 'nothing beside the power'}")  # type: ignore[arg-type]
+        from_them = f"; derived from them: {', '.join(described['derived'])}" if described["derived"] else ""
+        terminal.print(f"needs   {_needed(described) or 'nothing beside the power'}{from_them}", markup=False)
         terminal.print(f"source  {described['source']}", markup=False)
-        rows = [(p["name"], p["unit"], f"{p['low']:g} … {p['high']:g}", p["meaning"]) for p in described["parameters"]]  # type: ignore[attr-defined]
+        rows = [(p["name"], p["unit"], f"{p['low']:g} … {p['high']:g}", p["meaning"]) for p in described["parameters"]]
         terminal.print(simple_table("parameters", ["name", "unit", "range", "meaning"], rows))
     return 0

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from missionsim.cli.common import console, emit_json, shows_text, simple_table
+from missionsim.cli.common import console, emit_json, shows_text, simple_table, tell_warnings
 
 if TYPE_CHECKING:
     from missionsim.engine.outcome import RunResult
@@ -30,6 +30,7 @@ def run_mission(
     from missionsim.spec.overrides import split_assignment
 
     spec = load_mission(mission, [split_assignment(text) for text in set_ or ()], robot)
+    tell_warnings(spec.warnings, quiet)
     result = with_provenance(simulate(spec), provenance(spec, ["missionsim", *sys.argv[1:]]))
     written: list[Path] = []
     if out is not None:
@@ -73,6 +74,8 @@ def show(result: RunResult) -> None:
     for name, battery in result.batteries.items():
         if text := trouble(battery):
             terminal.print(f"  {name}: {text}")
+    if unknown := [name for name, battery in result.batteries.items() if battery.home_wh is None]:
+        terminal.print(f"  home Wh unknown ({', '.join(unknown)}): {_no_way_home(result)}")
     terminal.print(simple_table("Three largest consumers", ["component", "battery", ("Wh", right), ("share", right)], [
         (component, battery, f"{energy:.3f}", f"{100 * share:.1f} %")
         for battery, component, energy, share in largest_consumers(result)
@@ -80,10 +83,18 @@ def show(result: RunResult) -> None:
     schemes = {name: result.by_scheme_wh(name) for name in result.batteries}
     names = dict.fromkeys(scheme for energies in schemes.values() for scheme in energies)
     if len(names) > 1:
+        told = {"none": "no scheme"}
         terminal.print(simple_table("Energy by control scheme [Wh]", ["scheme", *((b, right) for b in schemes)], [
-            (name, *(f"{energies.get(name, 0.0):.4f}" for energies in schemes.values())) for name in names
+            (told.get(name, name), *(f"{energies.get(name, 0.0):.4f}" for energies in schemes.values()))
+            for name in names
         ]))
     terminal.print(segment_rows(result))
+
+
+def _no_way_home(result: RunResult) -> str:
+    if "environment" not in result.provenance.get("files", {}):
+        return "the mission has no environment, so that no way to a dock is known"
+    return "the environment has no way from the mission's end to a dock, or that end is no place of it"
 
 
 def segment_rows(result: RunResult, most: int = 14) -> Any:

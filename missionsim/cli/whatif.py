@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import console, emit_json, progress, shows_text, simple_table
+from missionsim.cli.common import console, emit_json, progress, shows_text, simple_table, tell_warnings
 from missionsim.cli.options import JsonOption, QuietOption
 from missionsim.cli.run_mission import clock
 from missionsim.errors import Fault, InputError
@@ -90,6 +90,7 @@ def whatif(
     with progress(quiet or json == "-") as bar:
         task = bar.add_task("alternatives", total=len(alternatives))
         found = run_alternatives(path, alternatives, lambda: bar.advance(task))
+    tell_warnings(found.warnings, quiet)
     if out is not None:
         from missionsim.results.write import write_table
 
@@ -185,8 +186,6 @@ def show(found: WhatIf) -> None:
         line.append("yes" if row["feasible"] else "NO")
         cells.append(line)
     table = simple_table("Alternatives", columns, cells)
-    # an alternative whose value is cut off could be any of them
-    table.columns[0].overflow = "fold"
     table.collapse_padding = True
     terminal.print(table)
     for number, row in enumerate(rows):

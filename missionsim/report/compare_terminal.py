@@ -51,6 +51,10 @@ def _summary(comparison: Comparison, console: Any) -> None:
     console.print(table)
     console.print("error: model minus measured; peak, final, mean, std: its magnitude over the progress of the runs",
                   style="dim")
+    untold = [name for name, one in comparison.batteries.items() if not math.isfinite(one.error_statistics.final_pct)]
+    if untold:
+        console.print(f"no relative error over progress for {', '.join(untold)}: the energy measured is not above zero",
+                      style="dim")
 
 
 def _where(one: BatteryComparison, console: Any) -> None:

@@ -42,11 +42,14 @@ class WhatIf:
         The baseline first.
     results : tuple of RunResult
         Of each, in the same order.
+    warnings : tuple of Fault
+        What the checks of their files found strange but possible, each once.
     """
 
     mission: str
     alternatives: tuple[Alternative, ...]
     results: tuple[RunResult, ...]
+    warnings: tuple[Fault, ...] = ()
 
     @property
     def batteries(self) -> tuple[str, ...]:
@@ -206,7 +209,8 @@ def run_alternatives(
         results.append(simulate(spec))
         if done is not None:
             done()
-    return WhatIf(specs[0].name, tuple(alternatives), tuple(results))
+    warnings = tuple(dict.fromkeys(fault for spec in specs for fault in spec.warnings))
+    return WhatIf(specs[0].name, tuple(alternatives), tuple(results), warnings)
 
 
 _SAYS_LITTLE = ("drive", "loads", "parameters")

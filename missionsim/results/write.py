@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -81,13 +82,19 @@ def provenance(mission: MissionSpec, command: Sequence[str] = ()) -> dict[str, A
         versions[name] = str(getattr(module, "__version__", "")) if module else ""
     return {
         "files": {
-            kind: {"name": spec.name, "path": str(spec.path), "sha256": spec.sha256}
+            kind: {"name": spec.name, "path": _tidy(spec.path), "sha256": spec.sha256}
             for kind, spec in files.items() if spec is not None
         },
         "set": dict(mission.overrides),
         "versions": versions,
         "command": list(command),
     }
+
+
+def _tidy(path: Path) -> str:
+    """A path without ``..``, where that is the same file (a link may make it another)."""
+    short = os.path.normpath(path)
+    return short if os.path.exists(short) and os.path.samefile(short, path) else str(path)
 
 
 def _cells(values: Sequence[Any]) -> list[Any]:

@@ -25,6 +25,9 @@ from missionsim.spec.values import (
 class _CapacityOf(QuantityOf):
     """Energy, or charge when the text is in Ah (converted with the nominal voltage by `BatterySpec`)."""
 
+    def _allowed(self) -> str:
+        return f"{super()._allowed()}, or a charge such as 20 Ah (with nominal_voltage)"
+
     def _number(self, raw: Any, at: tuple[str | int, ...] = (), unit: str = "") -> tuple[float, str]:
         if isinstance(raw, str) and (parts := units.split(raw)) and parts[1]:
             try:

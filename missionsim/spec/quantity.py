@@ -93,8 +93,12 @@ class QuantityOf(UncertainReader):
                 "note": {"type": "string"},
             },
         }
-        what = units.allowed_text(self.dimension) if self.dimension else "a number, with a unit or without"
+        what = self._allowed()
         return {"x-quantity": self._label(), "description": what, "anyOf": [number, text, mapping]}
+
+    def _allowed(self) -> str:
+        """What may be written, for messages."""
+        return units.allowed_text(self.dimension) if self.dimension else "a number, with a unit or without"
 
     def _label(self) -> str:
         """Name of this quantity among a schema's definitions."""
@@ -128,7 +132,7 @@ class QuantityOf(UncertainReader):
 
     def _number(self, raw: Any, at: tuple[str | int, ...] = (), unit: str = "") -> tuple[float, str]:
         """SI value and unit of one number or text."""
-        allowed = units.allowed_text(self.dimension) if self.dimension else "a number, with a unit or without"
+        allowed = self._allowed()
         if isinstance(raw, bool) or not isinstance(raw, (int, float, str)):
             raise Issue("not a number", as_written(raw), allowed, at=at)
         try:
@@ -145,7 +149,9 @@ class QuantityOf(UncertainReader):
                 factor, unit = units.any_unit(unit) if unit else (1.0, "")
                 value = float(raw) * factor
         except units.UnitError as problem:
-            raise Issue(problem.message, problem.got, problem.allowed, problem.hint, at) from None
+            usual = self.dimension and problem.allowed == units.allowed_text(self.dimension)
+            told = allowed if usual else problem.allowed
+            raise Issue(problem.message, problem.got, told, problem.hint, at) from None
         except OverflowError:
             raise Issue("number too large", as_written(raw), allowed, at=at) from None
         return _finite(value, raw, allowed, at), units.DIMENSIONS[self.dimension].si if self.dimension else unit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from pathlib import Path
 
@@ -10,7 +11,10 @@ import pytest
 from missionsim.cli.app import run_command
 from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
+from missionsim.glossary import column_of
 from missionsim.labels import Labels
+from missionsim.results.write import provenance
+from missionsim.spec.loading import load_mission
 
 ROBOT = """kind: robot
 name: bot
@@ -73,3 +77,78 @@ def test_an_expression_keeps_its_place_through_pickle() -> None:
     with pytest.raises(InputError, match=r"a.yaml:3:7: error: the formula computes with surface") as caught:
         again.evaluate({"surface": Labels.of(["carpet", "tile"])})
     assert caught.value.faults[0].path == "effects.0.power"
+
+
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        (["run", "errand.yaml", "--json", "folder"], "--json is a folder"),
+        (["run", "errand.yaml", "--out", "bot.yaml"], "--out is a file"),
+        (["run", "errand.yaml", "--out="], "--out names nothing"),
+        (["montecarlo", "errand.yaml", "--json", "bot.yaml/a/b.json"], "--json leads through bot.yaml"),
+        (["whatif", "errand.yaml", "--vary", "defaults.speed=0.5", "--out", "folder"], "--out is a folder"),
+        (["compare", "--robot", "bot.yaml", "log.csv", "--report", "folder"], "--report is a folder"),
+        (["calibrate", "--new", "x", "--base", "k*v", "log.csv", "--out=folder"], "--out is a folder"),
+        (["improve", "--robot", "bot.yaml", "log.csv", "--out", "folder", "--yes"], "--out is a folder"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_written_is_told_before_anything_is_computed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: list[str], told: str
+) -> None:
+    files(tmp_path)
+    (tmp_path / "folder").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("missionsim.spec.loading.load_mission", lambda *_: pytest.fail("was computed"))
+    assert run_command(command) == 2
+    out, err = capsys.readouterr()
+    assert told in err
+    assert not out
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_warnings_are_told_once_and_not_where_quiet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mission = files(tmp_path, mission=("distance: 40 m", "distance: 40 m, slope: 3 deg"))
+    told = f"{mission}:6:36: warning: this slope costs nothing"
+    assert run_command(["run", mission]) == 0
+    assert capsys.readouterr().err.count(told) == 1
+    assert run_command(["run", mission, "--quiet"]) == 0
+    assert not capsys.readouterr().err
+    assert run_command(["whatif", mission, "--vary", "defaults.speed=0.5,0.6"]) == 0
+    assert capsys.readouterr().err.count(told) == 1
+    assert run_command(["validate", mission]) == 0
+    assert capsys.readouterr().err.count(told) == 1
+
+
+def test_a_capacity_may_be_a_charge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["run", files(tmp_path, ("288 Wh", "288 kg"))]) == 2
+    assert "an energy such as 259 Wh, or a charge such as 20 Ah" in capsys.readouterr().err
+
+
+def test_the_summary_says_why_no_way_home_is_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    old, new = ", scheme: drive}\nsegments:\n  - drive: {", "}\nsegments:\n  - drive: {scheme: drive, "
+    mission = files(tmp_path, mission=(old, new))
+    assert run_command(["run", mission]) == 0
+    out = capsys.readouterr().out
+    assert "home Wh unknown (main): the mission has no environment" in out
+    assert "│no scheme │" in out
+
+
+def test_effects_tell_columns_of_logs_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["effects", "--json", "-"]) == 0
+    effects = {effect["id"]: effect for effect in json.loads(capsys.readouterr().out)["effects"]}
+    assert effects["cold_friction"]["needs"] == ["speed_m_s"]
+    assert effects["start_surge"]["derived"] == ["starts"]
+    assert effects["component_warmup:<component>"]["needs"] == ["on_<component>"]
+    for effect in effects.values():
+        names = {"on_kinect" if name == "on_<component>" else name for name in effect["needs"]}
+        assert all(column_of(name) is not None for name in names)
+
+
+def test_paths_of_the_provenance_are_tidy(tmp_path: Path) -> None:
+    (tmp_path / "missions").mkdir()
+    (tmp_path / "yard.yaml").write_text("kind: environment\nname: yard\nplaces: {a: {x: 0, y: 0}, b: {x: 9, y: 0}}\n"
+                                        "edges: [{from: a, to: b}]\n")
+    files(tmp_path / "missions", mission=("robot:", "environment: ../yard.yaml\nrobot:"))
+    paths = provenance(load_mission(tmp_path / "missions" / "errand.yaml"))["files"]
+    assert paths["environment"]["path"] == str(tmp_path / "yard.yaml")
