@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +25,10 @@ SHORTEST_STANDING_S = 5.0
 LEAST_CHANGES = 2
 SETTLING_S = 3.0
 REST_BLOCK_S = 10.0
+_OPTIONS = {"name": "--new", "body.mass": "--mass", "body.drive": "--drive", "body.max_speed": "--max-speed",
+            "batteries": "--battery"}
+_NEAR, _LIKELY = 0.5, 0.75
+"""Similarity from which a parameter may be, or probably is, a column's name written wrong."""
 _UNKNOWN = "not known from logs; put your own"
 
 
@@ -97,7 +99,10 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Any]) -> Calibration:
     draft = _text(robot, dict.fromkeys(names), components, standing, logs, "", "")
     model = _load(draft)
     fit = fit_parameters(model, logs, robot.battery, free=True)
-    _refuse_unseen(fit, [*names, *(f"{c}.power" for c in components)])
+    _refuse_unseen(fit, [*names, *(f"{c}.power" for c in components)], logs)
+    for name in parameters:
+        if column := did_you_mean(name, _known_columns(logs), _LIKELY):
+            remarks.append(f"{name} was fitted as a parameter; if the column {column} is meant, write that")
     if standing:
         fit = _with_rest(fit, logs, robot.battery)
     for name, value in fit.parameters.items():
@@ -110,13 +115,23 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Any]) -> Calibration:
 
 
 def _load(text: str) -> PowerModel:
-    from missionsim.spec.loading import load_robot
+    """The model of a robot file that we write; its faults are told at the options that they come from."""
+    from missionsim.spec.loading import robot_from_text
     from missionsim.spec.power import build_power_model
 
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "robot.yaml"
-        path.write_text(text, encoding="utf-8")
-        return build_power_model(load_robot(path))
+    try:
+        return build_power_model(robot_from_text(text))
+    except InputError as error:
+        raise InputError(replace(fault, file=_option(fault.path), line=0, column=0, path="")
+                         for fault in error.faults) from None
+
+
+def _option(path: str) -> str:
+    """The option from which a value of the file comes."""
+    for begin, option in _OPTIONS.items():
+        if path.startswith(begin):
+            return "--capacity" if path.endswith(".capacity") else option
+    return "--base"
 
 
 def _formula(robot: NewRobot, logs: Sequence[Any]) -> Expression:
@@ -197,13 +212,22 @@ def _complete(log: Any) -> dict[str, Any]:
     return derive(log.columns, np.asarray(log.time_s), np.asarray(log.dt_s))
 
 
-def _refuse_unseen(fit: ModelFit, names: Sequence[str]) -> None:
+def _refuse_unseen(fit: ModelFit, names: Sequence[str], logs: Sequence[Any]) -> None:
     unseen = [name for name in names if name in fit.parameters and not fit.parameters[name].seen]
     if unseen:
+        columns = _known_columns(logs)
+        near = dict.fromkeys(column for name in unseen if (column := did_you_mean(name, columns, _NEAR)))
         raise InputError.single(
             "these logs cannot tell some parameters of --base apart", got=", ".join(unseen),
-            allowed="parameters that each change the power on their own",
+            allowed=f"parameters that each change the power on their own, and columns: {', '.join(columns)}",
+            hint=", ".join(near),
         )
+
+
+def _known_columns(logs: Sequence[Any]) -> list[str]:
+    """Columns that every log has and a formula may read."""
+    shared = set.intersection(*(set(log.columns) for log in logs))
+    return sorted(name for name in shared if name != "time_s" and not name.startswith(("power_", "energy_")))
 
 
 def _text(
@@ -213,15 +237,15 @@ def _text(
     base = [name for name in values if "." not in name]
     lines = [
         "kind: robot",
-        f"name: {robot.name}",
+        f"name: {_word(robot.name)}",
         f"title: {json.dumps(f'{robot.name}, base model fitted to measured logs')}",
         *([f"sources: {{{CALIBRATION}: {json.dumps(source + ', data ' + tag)}}}"] if source else []),
         "body:",
         *([f"  mass: {json.dumps(robot.mass)}"] if robot.mass else []),
-        f"  drive: {robot.drive}",
+        f"  drive: {_word(robot.drive)}",
         f"  max_speed: {_max_speed(robot, logs)}",
         "batteries:",
-        f"  {robot.battery}: {{capacity: {_capacity(robot, logs)}}}",
+        f"  {_word(robot.battery)}: {{capacity: {_capacity(robot, logs)}}}",
         "motion:",
         f"  battery: {robot.battery}",
         "  model: expression",
@@ -240,6 +264,11 @@ def _text(
     lines += ["schemes:", "  drive:", "    motion: true",
               *([f"    sensors: {{optional: {{{sensors}}}}}"] if sensors else [])]
     return "\n".join(lines) + "\n"
+
+
+def _word(text: str) -> str:
+    """A name as YAML has it, in quotes where it is none."""
+    return text if text.isidentifier() else json.dumps(text)
 
 
 def _number(value: FittedParameter | None, unit: str = "") -> str:

@@ -152,3 +152,41 @@ def test_paths_of_the_provenance_are_tidy(tmp_path: Path) -> None:
     files(tmp_path / "missions", mission=("robot:", "environment: ../yard.yaml\nrobot:"))
     paths = provenance(load_mission(tmp_path / "missions" / "errand.yaml"))["files"]
     assert paths["environment"]["path"] == str(tmp_path / "yard.yaml")
+
+
+def a_log(folder: Path) -> str:
+    rows = [(0.5 * i, 0.3 + 0.2 * ((i // 20) % 3), 0.01 * ((7 * i) % 11)) for i in range(400)]
+    path = folder / "run.csv"
+    path.write_text("time_s,power_robot_w,speed_m_s\n" + "".join(f"{t},{5 + 9 * v + n},{v}\n" for t, v, n in rows))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"--new": "a b/c"}, "--new: error: not a name"),
+        ({"--new": "a: b"}, "--new: error: not a name"),
+        ({"--capacity": "lots"}, "--capacity: error: not a number with a unit"),
+        ({"--mass": "2 m"}, "--mass: error: wrong unit"),
+        ({"--drive": "hover"}, "--drive: error: not one of the allowed words"),
+        ({"--base": "k * v + " + " + ".join(f"a{i}*v" for i in range(150))}, "--base: error: formula has too many"),
+        ({"--base": "k * nocolumn"}, "and columns: speed_m_s"),
+        ({"--base": "k * v + c * sped_m_s"}, "did you mean: speed_m_s"),
+    ],
+)  # fmt: skip
+def test_a_new_robot_that_cannot_be_is_told_by_its_options(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: dict[str, str], told: str
+) -> None:
+    out = tmp_path / "new.yaml"
+    given = {"--new": "x", "--base": "k*v + c", **options, "--out": str(out)}
+    assert run_command(["calibrate", a_log(tmp_path), *(word for pair in given.items() for word in pair)]) == 2
+    err = capsys.readouterr().err
+    assert told in err
+    assert "robot.yaml" not in err
+    assert not out.exists()
+
+
+def test_a_parameter_that_is_nearly_a_column_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "new.yaml"
+    assert run_command(["calibrate", a_log(tmp_path), "--new", "x", "--base", "k*v + sped_m_s", "--out", str(out)]) == 0
+    assert "if the column speed_m_s is meant" in " ".join(capsys.readouterr().out.split())
