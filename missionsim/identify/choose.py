@@ -29,7 +29,8 @@ ALIKE = 0.7
 FORM_LOSS = 0.2
 """An effect like one in the model counts from this part of the other's gain on."""
 FAINT = 0.015
-"""Beside a loud effect its misfit passes for others of up to this part of its gain."""
+CLEAR_NATS = 10.0
+"""Beside a loud effect its misfit passes for others of up to this part of its gain, but not for clear ones."""
 CLOSE = 0.6
 """The second best is fitted too when it reaches this part of the best."""
 
@@ -145,7 +146,7 @@ def _beyond_form(fitted: Model, column: int, gain: float, found: Choice) -> bool
     """
     gram = fitted.gram
     loudest = max((found.evidence[k].gain for k in found.model.chosen), default=0.0)
-    if gain < FAINT * loudest:
+    if gain < min(FAINT * loudest, CLEAR_NATS):
         return False
     for other in set(found.model.chosen) & set(fitted.chosen):
         left = gram.conditional([k for k in fitted.chosen if k not in (column, other)])

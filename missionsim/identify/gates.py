@@ -19,6 +19,8 @@ and many such runs must not outvote the ramps."""
 REPEATED = 0.01
 UNSURE_NATS = 2.0
 """The prediction of left-out runs is itself uncertain by this much; runs that agree with each other then decide."""
+FEW_BETTER = 3
+"""Runs that a clear gain of prediction must come from: an effect of the weather shows in the cold runs alone."""
 LOUD = 0.3
 """A block with this part of the information leaves too few degrees of freedom for a test with it."""
 
@@ -119,7 +121,8 @@ def weigh(model: Model, column: int, rules: Rules, settings: Settings, spread: f
         "likelihood": gain / spread > needed,
         "runs": (not several)
         or (predictive > 0 and (2 * better >= informative or backing > BACKING))
-        or (predictive > -UNSURE_NATS and p_runs < REPEATED),
+        or (predictive > -UNSURE_NATS and p_runs < REPEATED)
+        or (predictive > 2 * UNSURE_NATS and better >= FEW_BETTER),
         "robust": p_robust < level,
         "practical": abs(share) > settings.min_share,
     }
