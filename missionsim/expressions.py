@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 import functools
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,6 +78,10 @@ class Place(NamedTuple):
     def fault(self, message: str, *, got: str = "", allowed: str = "", hint: str = "") -> Fault:
         """An error here."""
         return Fault(self.file, self.line, self.column, message, self.path, got, allowed, hint)
+
+    def warning(self, message: str, *, got: str = "", allowed: str = "", hint: str = "") -> Fault:
+        """A warning here."""
+        return replace(self.fault(message, got=got, allowed=allowed, hint=hint), severity="warning")
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ def run_mission(
     spec = load_mission(mission, [split_assignment(text) for text in set_ or ()], robot)
     tell_warnings(spec.warnings, quiet)
     result = with_provenance(simulate(spec), provenance(spec, ["missionsim", *sys.argv[1:]]))
+    tell_warnings(result.warnings, quiet)
     written: list[Path] = []
     if out is not None:
         written += write_results(result, out, format)
@@ -76,6 +77,10 @@ def show(result: RunResult) -> None:
             terminal.print(f"  {name}: {text}")
     if unknown := [name for name, battery in result.batteries.items() if battery.home_wh is None]:
         terminal.print(f"  home Wh unknown ({', '.join(unknown)}): {_no_way_home(result)}")
+    for fault in result.warnings:
+        terminal.print(f"  warning: {fault.message}", markup=False)
+    if result.never_on:
+        terminal.print(f"  never on in this mission, so costing nothing: {', '.join(result.never_on)}")
     terminal.print(simple_table("Three largest consumers", ["component", "battery", ("Wh", right), ("share", right)], [
         (component, battery, f"{energy:.3f}", f"{100 * share:.1f} %")
         for battery, component, energy, share in largest_consumers(result)

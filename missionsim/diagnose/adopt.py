@@ -115,6 +115,13 @@ def _refuse(subject: Subject, robot: RobotSpec, effect: str, battery: str) -> No
     if battery not in robot.batteries:
         raise InputError.single(f"the robot has no battery '{battery}'", got=battery,
                                 allowed=", ".join(robot.batteries))
+    family, colon, component = effect.partition(":")
+    if colon and family.startswith("component_") and component not in robot.components:
+        raise InputError.single(
+            f"the robot has no component '{component}'", got=effect,
+            allowed=", ".join(f"{family}:{name}" for name in robot.components) or "a component in the robot file first",
+            hint=f"{family}:{near}" if (near := did_you_mean(component, robot.components)) else "",
+        )
     own = {e.id for e in subject.own.get(battery, ())}
     for spec in robot.effects:
         if not spec.candidate and effect in (spec.effect, spec.name) and spec.battery == battery:

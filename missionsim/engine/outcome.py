@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from missionsim.effects.model import TermKey
 from missionsim.effects.timeline import Timeline
+from missionsim.errors import Fault
 from missionsim.plan.legs import SegmentInfo
 
 Array = NDArray[np.float64]
@@ -98,6 +99,10 @@ class RunResult:
     segment_end_s : mapping of int to float
         When each executed segment ended.
     batteries : mapping of str to BatteryResult
+    warnings : tuple of Fault
+        What is strange but was computed: terms that charge a battery, charge beyond the capacity. Needs the trace.
+    never_on : tuple of str
+        Components that were never switched on. Needs the trace.
     """
 
     mission: str
@@ -115,6 +120,8 @@ class RunResult:
     batteries: Mapping[str, BatteryResult]
     provenance: Mapping[str, Any] = field(default_factory=dict)
     home: Callable[[], list[dict[str, float | None]]] | None = field(default=None, repr=False, compare=False)
+    warnings: tuple[Fault, ...] = ()
+    never_on: tuple[str, ...] = ()
 
     def home_energy(self) -> list[dict[str, float | None]]:
         """Energy in Wh to come home from the end of each segment, by battery; None where no way is known.
@@ -198,7 +205,8 @@ class RunResult:
             "schema": SCHEMA, "mission": self.mission, "robot": self.robot, "feasible": self.feasible,
             "completed": self.completed, "reason": self.reason or None, "duration_s": self.duration_s,
             "distance_m": self.distance_m, "segments": [segment.name for segment in self.segments],
-            "batteries": batteries, "provenance": dict(self.provenance),
+            "batteries": batteries, "warnings": [fault.message for fault in self.warnings],
+            "never_on": list(self.never_on), "provenance": dict(self.provenance),
         }
 
 

@@ -17,6 +17,7 @@ from missionsim.engine.components import ComponentInfo
 from missionsim.engine.joining import collapsed, distance_of, joined
 from missionsim.engine.meter import Alarm
 from missionsim.engine.outcome import J_PER_WH, BatteryResult, RunResult
+from missionsim.engine.remarks import doubts, never_on
 from missionsim.engine.reserve import home_energies
 from missionsim.engine.world import World
 from missionsim.errors import Fault, InputError
@@ -178,17 +179,22 @@ class RunSetup:
                     reasons.append(f"battery '{name}' ends below its reserve")
                 elif made.reserve_wh < -RESERVE_TOLERANCE * made.capacity_wh:
                     reasons.append(f"battery '{name}' cannot bring the robot home")
+        segments = tuple(world.segments)
+        warnings: tuple[Fault, ...] = ()
+        off: tuple[str, ...] = ()
         if trace:
-            segments = tuple(world.segments)
+            document = self.mission.robot.document
+            places = {} if document is None else {name: document.place(("batteries", name)) for name in self.batteries}
+            warnings = doubts(self.model, line, energies, charge, self.batteries, segments, places)
+            off = never_on(line)
         else:
             line, energies, charge = collapsed(line, energies, charge)
-            segments = tuple(world.segments)
         distance = distance_of(line) if trace else distance_of(joined(batches, self.batteries)[0])
         mission = self.mission
         return RunResult(
             mission.name, mission.robot.name, world.completed and not reasons, world.completed, "; ".join(reasons),
             duration, distance, line, energies, charge, segments, world.ends_s, results,
-            home=lambda: home_energies(world, self.homing, self.model, self.drawn),
+            home=lambda: home_energies(world, self.homing, self.model, self.drawn), warnings=warnings, never_on=off,
         )
 
     def _home_at_end(self, world: World) -> dict[str, float | None]:

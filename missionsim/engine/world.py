@@ -9,10 +9,10 @@ import simpy
 
 from missionsim.effects.model import PowerModel
 from missionsim.engine.batteries import CHARGING, HELD, Battery
+from missionsim.engine.bursts import refuse_bursts, too_many_bursts
 from missionsim.engine.components import ComponentInfo, Switchboard
 from missionsim.engine.meter import Alarm, Meter
 from missionsim.engine.recorder import Recorder
-from missionsim.errors import InputError
 from missionsim.plan.legs import Activity, Leg, Phase, Plan, Recharge, SegmentInfo, Step, Trigger
 
 Detour = Callable[[Leg, float, float], tuple[list[Leg], tuple[Step, ...]] | None]
@@ -86,6 +86,8 @@ class World:
         self._detour = detour
         self._batteries = batteries
         self._phases: tuple[Phase, ...] = ()
+        if any(activity.every_s is not None for activity in plan.activities):
+            refuse_bursts(plan, MOST_BURSTS)
         for activity in plan.activities:
             env.process(self._activity(activity))
         self.driver = env.process(self._drive())
@@ -248,12 +250,7 @@ class World:
     def _count_burst(self, activity: Activity) -> None:
         self._bursts_done += 1
         if self._bursts_done > MOST_BURSTS:
-            raise InputError.single(
-                f"the activity of '{activity.component}' every {activity.every_s:g} s has too many bursts in a mission "
-                f"of {self.env.now:.4g} s and more",
-                path=f"activities.{activity.key}.every", got=f"more than {MOST_BURSTS} bursts",
-                allowed="a longer period, or a shorter mission (a slow speed, a long way or wait?)",
-            )
+            raise too_many_bursts(activity, self.env.now, MOST_BURSTS)
 
     def _trigger(self, trigger: Trigger, edge: str) -> simpy.Event:
         if trigger.time_s is not None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import Fault, InputError
+from missionsim.expressions import Place
 from missionsim.plan.chance import failures, stopped_by_obstacles
 from missionsim.plan.legs import Activity, Leg, Limits, Plan, Recharge, SegmentInfo, Settings, Trigger
 from missionsim.plan.routes import Routes, Way, along
@@ -386,7 +387,9 @@ class _Builder:
         end = _trigger(self, spec.until)
         every = None if spec.every is None else self.number(spec.every)
         duration = None if spec.duration is None else self.number(spec.duration)
-        return Activity(spec.component, spec.units, begin, end, every, duration, key)
+        document = self.mission.document
+        place = Place() if document is None else document.place(("activities", key, "every"))
+        return Activity(spec.component, spec.units, begin, end, every, duration, key, place)
 
 
 def _trigger(builder: _Builder, anchor: AnchorSpec | None) -> Trigger | None:

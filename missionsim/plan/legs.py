@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
+from missionsim.expressions import Place
+
 Kind = Literal["roll", "turn", "slide", "stand", "dock"]
 
 
@@ -149,6 +151,8 @@ class Activity(NamedTuple):
     every_s: float | None = None
     duration_s: float | None = None
     key: int = 0
+    place: Place = Place()
+    """Of its period in the mission file, for messages."""
 
 
 class SegmentInfo(NamedTuple):

@@ -209,7 +209,8 @@ def run_alternatives(
         results.append(simulate(spec))
         if done is not None:
             done()
-    warnings = tuple(dict.fromkeys(fault for spec in specs for fault in spec.warnings))
+    told = [*(spec.warnings for spec in specs), *(result.warnings for result in results)]
+    warnings = tuple(dict.fromkeys(fault for faults in told for fault in faults))
     return WhatIf(specs[0].name, tuple(alternatives), tuple(results), warnings)
 
 

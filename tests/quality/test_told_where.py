@@ -190,3 +190,80 @@ def test_a_parameter_that_is_nearly_a_column_is_told(tmp_path: Path, capsys: pyt
     out = tmp_path / "new.yaml"
     assert run_command(["calibrate", a_log(tmp_path), "--new", "x", "--base", "k*v + sped_m_s", "--out", str(out)]) == 0
     assert "if the column speed_m_s is meant" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("robot", "mission", "told"),
+    [
+        (("p1*1", "-30*p1"), ("", ""), "bot.yaml:8:48: warning: the power of 'lidar' is negative: it charges battery "
+         "'main' with 1.29 Wh in segment 'drive'; is the sign right?"),
+        (("power: k*1", "power: -60*k*v"), ("", ""), "bot.yaml:10:39: warning: the power of 'own' is negative"),
+        (("c2*v + c4", "c2*v + c4 + 900*a*v"), ("", ""), "bot.yaml:6:51: warning: the power of 'motion' is negative"),
+        (("p1*1", "-30*p1"), ("", ""), "bot.yaml:5:9: warning: battery 'main' comes to 100.4 % of its capacity in "
+         "segment 'drive' and 1 more"),
+    ],
+)  # fmt: skip
+def test_what_charges_a_battery_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], robot: tuple[str, str], mission: tuple[str, str], told: str
+) -> None:
+    path = files(tmp_path, robot, mission)
+    text = (tmp_path / "bot.yaml").read_text()
+    (tmp_path / "bot.yaml").write_text(text.replace("mass: 30 kg}", "mass: 30 kg, max_acceleration: 0.5 m/s^2}"))
+    assert run_command(["run", path]) == 0
+    out, err = capsys.readouterr()
+    assert told in err
+    assert "warning: " in out
+    assert run_command(["run", path, "--quiet"]) == 0
+    assert not "".join(capsys.readouterr())
+
+
+@pytest.mark.parametrize(
+    "robot",
+    [
+        ("power: k*1", "power: -k*v"),  # less than the rest draws: a correction
+        ("max_speed: 1.2 m/s", "max_speed: 1.2 m/s, regeneration: 50 %"),  # below, with a formula that gives back
+    ],
+)
+def test_corrections_and_regeneration_are_no_doubt(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], robot: tuple[str, str]
+) -> None:
+    path = files(tmp_path, robot)
+    text = (tmp_path / "bot.yaml").read_text().replace("capacity: 288 Wh", "capacity: 288 Wh, initial_charge: 80 %")
+    text = text.replace("mass: 30 kg}", "mass: 30 kg, max_acceleration: 0.5 m/s^2}")
+    if "regeneration" in text:
+        text = text.replace("c2*v + c4", "c2*v + c4 + 900*a*v")
+    (tmp_path / "bot.yaml").write_text(text)
+    assert run_command(["run", path]) == 0
+    assert "warning" not in "".join(capsys.readouterr())
+
+
+def test_components_that_are_never_on_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    old, new = "components:\n", "components:\n  arm: {loads: [{battery: main, power: 40 W}]}\n"
+    assert run_command(["run", files(tmp_path, (old, new))]) == 0
+    assert "never on in this mission, so costing nothing: arm\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "activity",
+    ["every: 1e-7 s, duration: 1e-8 s", "from: {segment: go}, until: {segment: go}, every: 10 us, duration: 1 us"],
+)
+def test_bursts_that_are_too_many_are_refused_at_the_door(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, activity: str
+) -> None:
+    text = f"{{distance: 40 m, name: go}}\nactivities:\n  - {{component: lidar, {activity}}}\n"
+    path = files(tmp_path, mission=("{distance: 40 m}\n  - wait: {duration: 2 min}\n", text))
+    monkeypatch.setattr("simpy.Environment.run", lambda *_, **__: pytest.fail("was simulated"))
+    assert run_command(["run", path]) == 2
+    assert f"{path}:8:" in capsys.readouterr().err
+
+
+def test_an_effect_of_a_component_that_is_not_there_is_refused_before_fitting(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files(tmp_path)
+    monkeypatch.setattr("missionsim.diagnose.adopt.examine", lambda *_: pytest.fail("was fitted"))
+    log = a_log(tmp_path)
+    Path(log).write_text(Path(log).read_text().replace("power_robot_w", "power_main_w"))
+    command = ["add-effect", "--robot", str(tmp_path / "bot.yaml"), "--effect", "component_power:lidr", log]
+    assert run_command([*command, "--out", str(tmp_path / "new.yaml")]) == 2
+    assert "did you mean: component_power:lidar" in capsys.readouterr().err

@@ -1,0 +1,107 @@
+"""What a run makes strange: terms that charge a battery where nothing should, and charge beyond the capacity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.model import PowerModel, TermKey
+from missionsim.effects.timeline import Timeline
+from missionsim.engine.batteries import Battery
+from missionsim.errors import Fault
+from missionsim.expressions import Place
+from missionsim.plan.legs import SegmentInfo
+
+J_PER_WH = 3600.0
+TOLERANCE = 1e-9
+"""Relative to the energy of the battery's terms, or to its capacity: below it is rounding."""
+Energies = Mapping[str, Mapping[TermKey, NDArray[np.float64]]]
+
+
+def doubts(
+    model: PowerModel, line: Timeline, energies: Energies, charge_wh: Mapping[str, NDArray[np.float64]],
+    batteries: Mapping[str, Battery], segments: Sequence[SegmentInfo], places: Mapping[str, Place] | None = None,
+) -> tuple[Fault, ...]:
+    """Warnings about batteries that are charged by what should draw from them.
+
+    A component or a law with negative power is told wherever it has it; a formula of motion or of an added effect where
+    the whole battery is charged, unless that is while braking or descending of a robot that regenerates. Terms that the
+    engine itself limits to what a robot gives back are none of it.
+
+    Parameters
+    ----------
+    model : PowerModel
+    line : Timeline
+    energies : mapping
+        Battery → term key → energy of each interval [J], shape (n,).
+    charge_wh : mapping of str to ndarray, shape (n,)
+        At the end of each interval.
+    batteries : mapping of str to Battery
+    segments : sequence of SegmentInfo
+    places : mapping of str to Place, optional
+        Of the batteries in the robot file.
+
+    Returns
+    -------
+    tuple of Fault
+        Of severity ``warning``, at the place of the formula.
+    """
+    found: list[Fault] = []
+    if not len(line):
+        return ()
+    back = _giving_back(model, line)
+    for term in model.terms:
+        joules = energies[term.key.battery].get(term.key)
+        if joules is None or term.effect.recovers or not (negative := joules < 0.0).any():
+            continue
+        parts = energies[term.key.battery].values()
+        scale = float(sum(np.abs(part).sum() for part in parts))
+        if term.effect.id not in _OF_COMPONENTS:
+            negative = negative & (np.sum(list(parts), axis=0) < 0.0) & ~back
+        if (given := -float(joules[negative].sum())) <= TOLERANCE * scale:
+            continue
+        found.append(term.effect.place.warning(
+            f"the power of '{term.key.name}' is negative: it charges battery '{term.key.battery}' with "
+            f"{given / J_PER_WH:.4g} Wh in {_named(line.segment[negative], segments)}; is the sign right?",
+            got=term.effect.equation, allowed="power that is drawn is positive",
+        ))
+    for name, battery in batteries.items():
+        full = battery.capacity_j / J_PER_WH
+        beyond = charge_wh[name] > full * (1.0 + TOLERANCE)
+        if beyond.any():
+            most = float(charge_wh[name].max())
+            found.append((places or {}).get(name, Place()).warning(
+                f"battery '{name}' comes to {100.0 * most / full:.4g} % of its capacity in "
+                f"{_named(line.segment[beyond], segments)}: more than it can hold, {most - full:.4g} Wh beyond full; "
+                "the surplus is counted as if it were kept",
+            ))
+    return tuple(found)
+
+
+_OF_COMPONENTS = ("law", "component", "always_on", "startup", "switchboard", "processor")
+
+
+def _giving_back(model: PowerModel, line: Timeline) -> NDArray[np.bool_]:
+    """Intervals in which a robot that regenerates slows down or descends."""
+    if not float(model.constants.get("regeneration", 0.0)) > 0.0:
+        return np.zeros(len(line), dtype=bool)
+    columns: Mapping[str, Any] = line.columns
+    return np.asarray((columns["accel_m_s2"] < 0.0) | (columns["slope_rad"] < 0.0))
+
+
+def _named(numbers: NDArray[np.int64], segments: Sequence[SegmentInfo]) -> str:
+    names = list(dict.fromkeys(segments[int(i)].label or segments[int(i)].name for i in np.unique(numbers)))
+    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+    return f"segment '{names[0]}'{more}"
+
+
+def never_on(line: Timeline) -> tuple[str, ...]:
+    """Components that were neither on nor starting at any time."""
+    names = [name[3:] for name in line.columns if name.startswith("on_") and f"starting_{name[3:]}" in line.columns]
+    return tuple(
+        name for name in names
+        if not np.any(line.columns[f"on_{name}"]) and not np.any(line.columns[f"starting_{name}"])
+    )
