@@ -6,17 +6,22 @@ Charge is never clamped: a battery that gives more than it holds goes below zero
 from __future__ import annotations
 
 import itertools
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.engine.curves import Curves
 from missionsim.engine.solve import adaptive_runge_kutta, root
 
 Array = NDArray[np.float64]
 CHARGING, HELD = 1, 2
+_CLEAR = 1e-6
+"""State of charge, volts and share of the power by which a margin must be positive to be certainly so."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +40,8 @@ class Loads:
         Power of the charger while charging.
     energy_until : callable
         ``(interval, seconds) -> J`` from the start of an interval.
-    power_at : callable
-        ``(interval, seconds array) -> W array``, without impulses.
+    curves : Curves
+        Power within each interval as a function of time, its upper bound, and impulses at the start.
     """
 
     duration_s: Array
@@ -45,7 +50,7 @@ class Loads:
     changing: NDArray[np.bool_]
     charger_w: Array
     energy_until: Callable[[int, float], float]
-    power_at: Callable[[int, Array], Array]
+    curves: Curves
 
     @property
     def charged_j(self) -> Array:
@@ -188,10 +193,19 @@ class EquivalentCircuit:
     rated_time_s: float = 72000.0
     cut_off_v: float = 0.0
 
+    @cached_property
+    def _knots(self) -> tuple[list[float], list[float], list[float]]:
+        """States, volts and slopes after them as plain numbers: NumPy takes ten times as long for one."""
+        states, volts = self.curve
+        return states.tolist(), volts.tolist(), [*(np.diff(volts) / np.diff(states)).tolist(), 0.0]
+
     def voltage(self, state: float) -> float:
         """Open-circuit voltage [V]."""
-        states, volts = self.curve
-        return float(np.interp(state, states, volts))
+        states, volts, slopes = self._knots
+        if state <= states[0]:
+            return volts[0]
+        i = bisect_right(states, state) - 1
+        return volts[i] + slopes[i] * (state - states[i])
 
     def current(self, state: float, power_w: float) -> float:
         """Current [A] that delivers `power_w`; beyond the greatest possible power, that one's current."""
@@ -251,8 +265,24 @@ class EquivalentCircuit:
         return self._first(state, loads, interval, horizon_s, lambda s, _: s - level)
 
     def suspects(self, before: Array, after: Array, loads: Loads) -> NDArray[np.intp]:
-        """All intervals: the voltage may fall below its cut-off long before the charge ends."""
-        return np.flatnonzero(loads.charging == 0)
+        """Intervals whose margin is not certainly positive: the voltage may fall long before the charge ends.
+
+        Certain by bounds: of the power, so of the current at the curve's lowest voltage, so of the state and of the
+        voltage (which never falls with the charge) in the interval.
+        """
+        states, volts = self.curve
+        floor, ohm, seconds = float(volts.min()), self.resistance_ohm, loads.duration_s
+        high_w = np.maximum(loads.curves.most_w, 0.0)
+        with np.errstate(invalid="ignore", over="ignore"):
+            current = _discharge(floor, ohm, high_w)
+            stretch = (current * self.rated_time_s / self.charge_c) ** (self.peukert - 1.0)
+            leaving = current * seconds * np.maximum(stretch, 1.0) + np.abs(loads.curves.impulse_j) / floor
+            least = before - leaving / self.charge_c
+            voltage = np.interp(least, states, volts)
+            terminal = voltage - ohm * _discharge(voltage, ohm, high_w)
+            spare = voltage * voltage - 4.0 * ohm * high_w * (1.0 + _CLEAR)
+            certain = (least > _CLEAR) & (terminal - self.cut_off_v > _CLEAR) & (spare > 0.0)
+        return np.flatnonzero((loads.charging == 0) & ~certain)
 
     def empty_in(self, state: float, loads: Loads, interval: int) -> float | None:
         """Time at which the margin is used up."""
@@ -265,16 +295,14 @@ class EquivalentCircuit:
         if loads.charging[interval] == HELD:
             return lambda _: 0.0
         extra = float(loads.charger_w[interval]) if loads.charging[interval] == CHARGING else 0.0
-        if not loads.changing[interval]:
-            constant = float(loads.power_at(interval, np.zeros(1))[0]) - extra
-            return lambda _: constant
-        return lambda seconds: float(loads.power_at(interval, np.array([seconds]))[0]) - extra
+        power = loads.curves.of(interval)
+        return power if extra == 0.0 else lambda seconds: power(seconds) - extra
 
     def _walk(self, state: float, loads: Loads, interval: int, horizon_s: float) -> list[tuple[float, float]]:
         """Steps (time, state) of an interval whose error is under control."""
         power = self._net(loads, interval)
         if loads.changing[interval] and loads.charging[interval] != HELD:
-            impulse_j = loads.energy_until(interval, 0.0)
+            impulse_j = float(loads.curves.impulse_j[interval])
             if impulse_j:
                 state -= impulse_j / (self.voltage(state) * self.charge_c)
         return adaptive_runge_kutta(lambda t, s: self.rate(s, power(t)), state, horizon_s)
@@ -298,3 +326,8 @@ class EquivalentCircuit:
 
             return root(at, t0, t1, before, after)
         return None
+
+
+def _discharge(volts: Array | float, ohm: float, power_w: Array) -> Array:
+    """Current that delivers a power that is not negative [A]; not a number where none does."""
+    return np.asarray(2.0 * power_w / (volts + np.sqrt(volts * volts - 4.0 * ohm * power_w)))

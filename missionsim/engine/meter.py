@@ -17,13 +17,13 @@ from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery, Loads
+from missionsim.engine.curves import Curves
 from missionsim.engine.recorder import Recorder, Row, timeline
 from missionsim.errors import InputError
 from missionsim.plan.legs import Leg, SegmentInfo
 
 Array = NDArray[np.float64]
 Energies = dict[str, dict[TermKey, Array]]
-_NODES = 16
 
 
 @dataclass(frozen=True)
@@ -154,72 +154,13 @@ class Meter:
     ) -> Loads:
         total = np.sum(list(energies.values()), axis=0) if energies else np.zeros(len(line))
         changing = (line.changing(self.model.memory) | (np.asarray(line.columns["starts"]) > 0.0))
-        pieces: dict[int, tuple[Array, list[Array]]] = {}
 
         def energy_until(interval: int, seconds: float) -> float:
             part = _cut(line, interval, seconds)
             return float(sum(joules[0] for joules in integrate(self.model, part, self.values)[battery].values()))
 
-        def sample(interval: int, seconds: Array) -> Array:
-            cov = line.at(np.array([interval]), seconds[None, :])
-            power = self.model.total(cov, battery, self.values)
-            return np.array(np.broadcast_to(np.asarray(power, dtype=float), (1, len(seconds)))[0])
-
-        def power_at(interval: int, seconds: Array) -> Array:
-            if not changing[interval]:
-                return sample(interval, seconds)
-            if interval not in pieces:
-                pieces[interval] = interpolant(lambda t: sample(interval, t), float(line.duration_s[interval]))
-            borders, coefficients = pieces[interval]
-            which = np.clip(np.searchsorted(borders, seconds, side="right") - 1, 0, len(coefficients) - 1)
-            result = np.empty(len(seconds))
-            for i, (k, t) in enumerate(zip(which, seconds, strict=True)):
-                low, high = borders[k], borders[k + 1]
-                result[i] = _clenshaw(coefficients[k], (2.0 * t - low - high) / (high - low))
-            return result
-
-        return Loads(line.duration_s, total, modes, changing, charger_w, energy_until, power_at)
-
-
-def interpolant(function: Any, length: float, tolerance: float = 1e-11) -> tuple[Array, list[Array]]:
-    """Piecewise Chebyshev interpolant of a power over an interval, halved until its last coefficients vanish.
-
-    Parameters
-    ----------
-    function : callable
-        ``(seconds array) -> W array``.
-    length : float
-        Length of the interval [s].
-    tolerance : float
-        Size of the last coefficients relative to the first.
-
-    Returns
-    -------
-    borders : ndarray, shape (pieces + 1,)
-    coefficients : list of ndarray
-    """
-    nodes = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
-    matrix = np.polynomial.chebyshev.chebvander(nodes, _NODES - 1)
-    weights = np.full(_NODES, 2.0 / _NODES)
-    weights[0] = 1.0 / _NODES
-    borders, coefficients, waiting = [0.0], [], [(0.0, length, 0)]
-    while waiting:
-        low, high, depth = waiting.pop()
-        series = weights * (matrix.T @ function(0.5 * (low + high) + 0.5 * (high - low) * nodes))
-        if depth < 30 and np.abs(series[-3:]).max() > tolerance * np.abs(series).max():
-            middle = 0.5 * (low + high)
-            waiting += [(middle, high, depth + 1), (low, middle, depth + 1)]
-            continue
-        borders.append(high)
-        coefficients.append(series)
-    return np.array(borders), coefficients
-
-
-def _clenshaw(series: Array, x: float) -> float:
-    ahead = further = 0.0
-    for c in series[:0:-1].tolist():
-        ahead, further = c + 2.0 * x * ahead - further, ahead
-    return float(series[0]) + x * ahead - further
+        curves = Curves(self.model, line, battery, self.values, changing, total)
+        return Loads(line.duration_s, total, modes, changing, charger_w, energy_until, curves)
 
 
 def _cut(line: Timeline, interval: int, seconds: float) -> Timeline:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from missionsim.engine.batteries import EquivalentCircuit
-from missionsim.engine.meter import interpolant
+from missionsim.engine.curves import interpolants
 from missionsim.engine.solve import adaptive_runge_kutta, root
 from tests.engine.making import robot, run
 
@@ -245,7 +245,34 @@ def test_solvers() -> None:
     path = adaptive_runge_kutta(lambda t, y: -y + math.sin(t), 1.0, 5.0)
     exact = 1.5 * math.exp(-5.0) + 0.5 * (math.sin(5.0) - math.cos(5.0))
     assert path[-1] == pytest.approx((5.0, exact), abs=1e-9)
-    borders, parts = interpolant(lambda t: np.exp(-t / 50.0) + np.maximum(t - 300.0, 0.0), 3000.0)
+    bent = interpolants(lambda _, t: np.exp(-t / 50.0) + np.maximum(t - 300.0, 0.0), np.array([4]), np.array([3000.0]))
+    borders, parts = bent[4]
     assert borders[0] == 0.0
     assert borders[-1] == 3000.0
     assert len(parts) == len(borders) - 1
+
+
+@pytest.mark.parametrize(
+    ("cut_off", "resistance", "surge"), [(10.5, 0.2, 0.0), (1.0, 0.2, 400.0), (1.0, 2.5, 0.0), (10.9, 0.05, 0.0)]
+)
+def test_intervals_left_out_by_bounds_never_empty_a_battery(
+    monkeypatch: pytest.MonkeyPatch, cut_off: float, resistance: float, surge: float
+) -> None:
+    curve = [[0, 10], [0.3, 11.2], [0.6, 11.2], [1, 12]]
+    model = {"kind": "equivalent_circuit", "open_circuit_voltage": curve, "resistance": resistance,
+             "cut_off": cut_off, "peukert": 1.1}
+    machine = simple(
+        body={"drive": "differential", "max_speed": 2.0, "max_acceleration": 0.3},
+        batteries__main={"capacity": "0.6 Ah", "nominal_voltage": "11 V", "model": model},
+        motion__parameters={"c2": 4.0, "c3": 1.0, "c4": 3.0, "standing": 2.0},
+        effects=[{"effect": "start_surge", "battery": "main", "parameters": {"E": surge}}] if surge else [],
+    )
+    segments = [{"drive": {"distance": 20 + i % 7, "speed": 0.5 + 0.2 * (i % 6)}} for i in range(200)]
+    found = run(segments, machine).batteries["main"]
+    looked: list[int] = []
+    suspects = EquivalentCircuit.suspects
+    monkeypatch.setattr(EquivalentCircuit, "suspects", lambda cell, before, after, loads: (
+        looked.extend([len(suspects(cell, before, after, loads)), len(before)]), np.arange(len(before)))[1])
+    assert run(segments, machine).batteries["main"] == found
+    assert found.empty_at_s is not None
+    assert looked[0] < looked[1]

@@ -1,0 +1,158 @@
+"""Power of one battery within intervals as functions of time, for batteries whose state depends on its course."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.model import PowerModel
+from missionsim.effects.timeline import Timeline
+
+Array = NDArray[np.float64]
+Sample = Callable[[NDArray[np.intp], Array], Array]
+"""``(intervals (k,), seconds after their starts (k, q)) -> W (k, q)``."""
+_NODES = 16
+_MOST_AT_ONCE = 4096
+_MAX_DEPTH, _NOISE_DEPTH, _MOST_PIECES = 30, 9, 4096
+_ROUNDING = 1e-16
+
+
+class Curves:
+    """Power of one battery in the intervals of a timeline; evaluated for all of them when first asked for.
+
+    Parameters
+    ----------
+    model : PowerModel
+    line : Timeline
+    battery : str
+    values : mapping or None
+        Parameters that differ from the model's.
+    changing : ndarray of bool, shape (n,)
+        Where the power changes within the interval.
+    energy_j : ndarray, shape (n,)
+        Of all terms; its mean is the power where nothing changes.
+    """
+
+    def __init__(
+        self, model: PowerModel, line: Timeline, battery: str, values: Mapping[str, Any] | None,
+        changing: NDArray[np.bool_], energy_j: Array,
+    ) -> None:
+        self._model, self._line, self._battery, self._values = model, line, battery, values
+        self._changing = changing
+        self._mean_w = energy_j / line.duration_s
+
+    @cached_property
+    def impulse_j(self) -> Array:
+        """Energy taken at the very start of each interval [J], shape (n,)."""
+        impulses = self._model.impulses(self._line.covariates(), self._values)
+        own = [joules for key, joules in impulses.items() if key.battery == self._battery]
+        return np.array(np.broadcast_to(sum(own, start=0.0), len(self._line)), dtype=float)
+
+    def of(self, interval: int) -> Callable[[float], float]:
+        """Power [W] as a function of the time since the start of an interval [s], without impulses."""
+        if not self._changing[interval]:
+            mean = float(self._mean_w[interval])
+            return lambda _: mean
+        borders, series = self._pieces[interval]
+        if len(series) == 1:
+            return _single(series[0], borders[1])
+        parts = [_single(one, high - low) for one, low, high in zip(series, borders, borders[1:], strict=False)]
+        inner = borders[1:-1]
+
+        def power(seconds: float) -> float:
+            which = bisect_right(inner, seconds)
+            return parts[which](seconds - borders[which])
+
+        return power
+
+    @cached_property
+    def most_w(self) -> Array:
+        """Power that no moment of an interval is above [W], shape (n,); not the least such."""
+        most = self._mean_w.copy()
+        for interval, (_, series) in self._pieces.items():
+            most[interval] = max(one[0] + sum(map(abs, one[1:])) for one in series)
+        return most
+
+    @cached_property
+    def _pieces(self) -> dict[int, tuple[list[float], list[list[float]]]]:
+        index = np.flatnonzero(self._changing)
+        found: dict[int, tuple[list[float], list[list[float]]]] = {}
+        for begin in range(0, index.size, _MOST_AT_ONCE):
+            part = index[begin:begin + _MOST_AT_ONCE]
+            found.update(interpolants(self._sample, part, self._line.duration_s[part]))
+        return found
+
+    def _sample(self, index: NDArray[np.intp], seconds: Array) -> Array:
+        power = self._model.total(self._line.at(index, seconds), self._battery, self._values)
+        return np.broadcast_to(np.asarray(power, dtype=float), seconds.shape)
+
+
+def interpolants(
+    sample: Sample, index: NDArray[np.intp], length: Array, tolerance: float = 1e-11
+) -> dict[int, tuple[list[float], list[list[float]]]]:
+    """Piecewise Chebyshev interpolants of powers, halved until their last coefficients vanish.
+
+    Parameters
+    ----------
+    sample : callable
+    index : ndarray of int, shape (m,)
+        Intervals.
+    length : ndarray, shape (m,)
+        Their lengths [s].
+    tolerance : float
+        Size of the last coefficients relative to the first.
+
+    Returns
+    -------
+    dict
+        Interval → (borders [s], coefficients of each piece between them; what is rounding at their end left out).
+    """
+    nodes = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
+    matrix = np.polynomial.chebyshev.chebvander(nodes, _NODES - 1)
+    weights = np.full(_NODES, 2.0 / _NODES)
+    weights[0] = 1.0 / _NODES
+    low, high = np.zeros(index.size), np.asarray(length, dtype=float)
+    made: list[tuple[int, float, float, list[float]]] = []
+    count, depth = index.size, 0
+    while index.size:
+        half = 0.5 * (high - low)
+        series = sample(index, (low + half)[:, None] + half[:, None] * nodes) @ matrix * weights
+        size = np.abs(series).max(axis=1)
+        bad = np.abs(series[:, -3:]).max(axis=1) > tolerance * size
+        # a jump needs one piece a level; where pieces go on multiplying, the power is noise that no halving resolves
+        if depth >= _MAX_DEPTH or (depth >= _NOISE_DEPTH and index.size > max(_MOST_PIECES, 8 * count)):
+            bad[:] = False
+        good = np.flatnonzero(~bad)
+        kept = _NODES - np.argmax(np.abs(series[good, ::-1]) > _ROUNDING * size[good, None], axis=1)
+        made += [
+            (int(index[i]), float(low[i]), float(high[i]), series[i, :n].tolist())
+            for i, n in zip(good, kept, strict=True)
+        ]
+        index, middle, low, high = index[bad], (low + half)[bad], low[bad], high[bad]
+        low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
+        index, depth = np.concatenate([index, index]), depth + 1
+    found: dict[int, tuple[list[float], list[list[float]]]] = {}
+    for interval, _, end, coefficients in sorted(made, key=lambda item: item[:2]):
+        borders, pieces = found.setdefault(interval, ([0.0], []))
+        borders.append(end)
+        pieces.append(coefficients)
+    return found
+
+
+def _single(series: list[float], length: float) -> Callable[[float], float]:
+    """Chebyshev series on [0, length] by Clenshaw's recurrence."""
+    first, rest, scale = series[0], series[:0:-1], 2.0 / length
+
+    def power(seconds: float) -> float:
+        x = scale * seconds - 1.0
+        ahead = further = 0.0
+        for c in rest:
+            ahead, further = c + 2.0 * x * ahead - further, ahead
+        return first + x * ahead - further
+
+    return power
