@@ -22,7 +22,7 @@ RESUMABLE = 130
 def montecarlo(
     mission: Path,
     *,
-    runs: Annotated[int, Parameter(name="--runs")] = 1000,
+    runs: Annotated[int | None, Parameter(name="--runs")] = None,
     seed: Annotated[int, Parameter(name="--seed")] = 0,
     workers: Annotated[int, Parameter(name="--workers")] = 1,
     scheduler: Annotated[str | None, Parameter(name="--scheduler")] = None,
@@ -47,7 +47,7 @@ def montecarlo(
     mission
         Mission file.
     runs
-        How many runs.
+        How many runs; 1000 without it.
     seed
         Of all random numbers; run i of a seed is the same however many runs or workers there are.
     workers
@@ -58,7 +58,7 @@ def montecarlo(
         arrays evaluates many runs at once, simpy runs each; auto takes arrays where the mission allows it.
     only
         Run this one run of the batch alone, with SimPy, and print its draws and its result; its full trace goes to the
-        folder run_<number> in --out.
+        folder run_<number> in --out. The first is 0; with --runs N the last is N − 1.
     until
         Stop as soon as the 95 % interval of the probability of success is at most this wide.
     sobol
@@ -84,7 +84,10 @@ def montecarlo(
     from missionsim.uncertainty.batch import Task, prepare
     from missionsim.uncertainty.single import unread_values
 
-    _check(runs, workers, until, only, sobol, out, resume, plot)
+    # without --runs, a run alone may have any number
+    last = None if runs is None and only is not None else (1000 if runs is None else runs) - 1
+    runs = 1000 if runs is None else runs
+    _check(runs, workers, until, only, last, sobol, out, resume, plot)
     overrides = tuple(split_assignment(text) for text in set_ or ())
     chosen = "simpy" if only is not None and engine == "auto" else engine
     task = Task(str(mission), overrides, robot, seed, chosen)
@@ -115,6 +118,7 @@ def _check(
     workers: int,
     until: float | None,
     only: int | None,
+    last: int | None,
     sobol: int | None,
     out: Path | None,
     resume: bool,
@@ -122,11 +126,12 @@ def _check(
 ) -> None:
     faults: list[Fault] = []
     base = sobol or 0
+    numbers = "a run's number, 0 or more" if last is None else f"a run's number, 0 to {last} (--runs {runs})"
     for name, bad, got, allowed in (
         ("--runs", runs < 1, runs, "1 or more"),
         ("--workers", workers < 1, workers, "1 or more"),
         ("--until", until is not None and not 0.0 < until < 1.0, until, "a width between 0 and 1, such as 0.02"),
-        ("--only", only is not None and only < 0, only, "a run's number, 0 or more"),
+        ("--only", only is not None and not 0 <= only <= (only if last is None else last), only, numbers),
         ("--sobol", bool(base and (base < 64 or base & (base - 1))), sobol, "a power of two, 64 or more, or 0"),
         ("--resume", resume and out is None, "no --out", "--out with the folder of the batch"),
         ("--plot", plot and out is None, "no --out", "--out with a folder for the figures"),
@@ -140,7 +145,7 @@ def _check(
 def _only(prepared: Prepared, seed: int, run: int, out: Path | None, json: str | None, quiet: bool) -> int:
     from missionsim.uncertainty.single import simulate_run
 
-    drawn, result = simulate_run(prepared.mission, prepared.model, prepared.sampler, seed, run)
+    drawn, result, limited = simulate_run(prepared.mission, prepared.model, prepared.sampler, seed, run)
     if out is not None:
         from missionsim.cli.common import to_json
         from missionsim.files import write_text
@@ -149,7 +154,7 @@ def _only(prepared: Prepared, seed: int, run: int, out: Path | None, json: str |
         folder = out / f"run_{run:09d}"
         write_results(result, folder)
         write_text(folder / "drawn.json", to_json(drawn))
-    emit_json({**result.summary(), "run": run, "seed": seed, "drawn": drawn}, json)
+    emit_json({**result.summary(), "run": run, "seed": seed, "drawn": drawn, "speed_limited": limited}, json)
     if shows_text(json, quiet):
         terminal = console()
         units = {value.name: value.unit for value in prepared.sampler.values}
@@ -157,6 +162,8 @@ def _only(prepared: Prepared, seed: int, run: int, out: Path | None, json: str |
         terminal.print(
             simple_table(f"Run {run} of seed {seed}: drawn values", ["value", ("drawn", "right"), "unit"], rows)
         )
+        if limited:
+            terminal.print("A drawn speed is above the greatest of the robot or its control scheme and is cut to that.")
         from missionsim.cli.run_mission import show
 
         show(result)
@@ -310,6 +317,12 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
             rows,
         )
     )
+    if answer["speed_limited_share"]:
+        terminal.print(
+            f"  in {100 * answer['speed_limited_share']:.3g} % of the runs a drawn speed is above the greatest of the "
+            "robot or its control scheme and is cut to that",
+            markup=False,
+        )
     failures = answer["failures"]
     for item in failures["empty"][:5]:
         terminal.print(
@@ -337,8 +350,13 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
                 important,
             )
         )
-    if answer["chance"] and not any("total_interval" in row for row in answer["importance"]):
-        terminal.print("  with --sobol, what is left to chance counts as one value, 'chance'", markup=False)
+    if answer["importance"] and not any("total_interval" in row for row in answer["importance"]):
+        if prepared.sampler.groups:
+            text = "correlated values have no total indices"
+        else:
+            text = "total indices: add --sobol 64 (or more, a power of two); each costs a run for every value"
+            text += ", what is left to chance counting as one value, 'chance'" if answer["chance"] else ""
+        terminal.print(f"  {text}", markup=False)
 
 
 def _number(value: float | None, form: str, interval: list[float] | None = None) -> str:

@@ -19,6 +19,7 @@ from missionsim.identify.identify import fit_effects
 from missionsim.identify.result import FoundEffect, Identification
 
 if TYPE_CHECKING:
+    from missionsim.effects.model import ModelParameter
     from missionsim.spec.robot import RobotSpec
 
 METER_ALLOWANCE = 0.01
@@ -187,8 +188,8 @@ def _written(
     from missionsim.spec import edit
 
     updates = {
-        features.parameters[name].path: {"value": value, "sd": sd, "status": "fitted", "source": CALIBRATION,
-                                         "note": f"{features.parameters[name].value:.6g} before"}
+        features.parameters[name].path: _of_file(features.parameters[name], value, sd)
+        | {"note": f"{features.parameters[name].value / features.parameters[name].times:.6g} before"}
         for name, (value, sd) in base.items()
     }
     candidate = next(c for c in features.candidates if c.effect == found.effect)
@@ -216,7 +217,12 @@ def _lowered(
     old = features.parameters[parameter]
     value, sd = base.get(parameter, (old.value, abs(old.value) * features.prior_sd[parameter]))
     value += old.value * float(x @ y) / float(x @ x) * found.parameters[0].value
-    return {old.path: {"value": max(value, 0.0), "sd": sd, "status": "fitted", "source": CALIBRATION}}
+    return {old.path: _of_file(old, max(value, 0.0), sd)}
+
+
+def _of_file(parameter: ModelParameter, value: float, sd: float) -> dict[str, Any]:
+    """A fitted value as its file has it: of one unit, where the model has all units of a component."""
+    return {"value": value / parameter.times, "sd": sd / parameter.times, "status": "fitted", "source": CALIBRATION}
 
 
 def _entry(

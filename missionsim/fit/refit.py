@@ -63,10 +63,12 @@ def refit_robot(robot: str | Path, logs: Sequence[Any], battery: str | None = No
         fits.append(fit)
         remarks += fit.remarks
         for parameter in fit.parameters.values():
-            path = model.parameters[f"{name}/{parameter.name}"].path
-            if parameter.seen and path:
-                updates[path] = {"value": parameter.value, "sd": parameter.sd, "status": "fitted",
-                                 "source": CALIBRATION, "note": f"{parameter.before:.6g} before"}
+            whole = model.parameters[f"{name}/{parameter.name}"]
+            if parameter.seen and whole.path:
+                # the file has the power of one unit of a component that is always on, the model that of all
+                updates[whole.path] = {"value": parameter.value / whole.times, "sd": parameter.sd / whole.times,
+                                       "status": "fitted", "source": CALIBRATION,
+                                       "note": f"{parameter.before / whole.times:.6g} before"}
     if not fits:
         raise refused[0]
     text = edit.set_values(edit.robot_text(robot), updates)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import Fault, InputError
 from missionsim.expressions import Place
-from missionsim.plan.chance import failures, stopped_by_obstacles
+from missionsim.plan.chance import failures, stopped_by_obstacles, told_at
 from missionsim.plan.legs import Activity, Leg, Limits, Plan, Recharge, SegmentInfo, Settings, Trigger
+from missionsim.plan.pace import Pace, pace_of
 from missionsim.plan.routes import Routes, Way, along
 from missionsim.plan.steps import group, slow_components
 from missionsim.spec.mission import AnchorSpec, MissionSpec
@@ -19,8 +21,6 @@ if TYPE_CHECKING:
     import numpy as np
 
 MOST_SEGMENTS = 1_000_000
-RADIO_PIECE_M = 2.0
-"""Edges are cut to this length where the distance to an access point changes along them."""
 _EXTRAS = (("temperature", "temp_ambient_c"), ("cpu_load", "cpu_load"), ("cpu_frequency", "cpu_freq_hz"),
            ("access_point_distance", "access_point_distance_m"))
 
@@ -142,17 +142,23 @@ class _Builder:
         """Put stops at obstacles into the segment's legs; time [s] of relocalisations that fail at its end."""
         if self.rng is None:
             return 0.0
-        spacing = self._behaviour(segment, "obstacle_spacing")
+        spacing = self._given(segment, "obstacle_spacing")
         if spacing is not None:
             stop = self._behaviour(segment, "obstacle_stop") or 0.0
-            self.legs[before:], stops = stopped_by_obstacles(self.legs[before:], spacing, stop, self.rng)
+            with self._told_at(*spacing):
+                made, stops = stopped_by_obstacles(self.legs[before:], self.number(*spacing), stop, self.rng)
+            self.legs[before:] = made
             self._count("obstacles", stops)
-        failure = self._behaviour(segment, "relocalisation_failure")
+        failure = self._given(segment, "relocalisation_failure")
         if failure is None:
             return 0.0
-        failed = failures(failure, self.rng)
+        with self._told_at(*failure):
+            failed = failures(self.number(*failure), self.rng)
         self._count("relocalisations_failed", failed)
         return failed * (self._behaviour(segment, "relocalisation_time") or 0.0)
+
+    def _told_at(self, parameter: Parameter, prefix: str = "") -> contextlib.AbstractContextManager[None]:
+        return told_at(str((self.robot if prefix else self.mission).path), parameter)
 
     def _count(self, what: str, times: int) -> None:
         self.chance[what] = self.chance.get(what, 0) + times
@@ -217,25 +223,23 @@ class _Builder:
         return known
 
     def _behaviour(self, segment: Any, key: str) -> float | None:
+        given = self._given(segment, key)
+        return None if given is None else self.number(*given)
+
+    def _given(self, segment: Any, key: str) -> tuple[Parameter, str] | None:
+        """The parameter of the behaviour of a segment, and the prefix of its path."""
         for source, prefix in ((segment.behaviour, ""), *self._behaviours(self._scheme)):
             given = None if source is None else getattr(source, key)
             if given is not None:
-                return self.number(given, prefix)
+                return given, prefix
         return None
 
-    def _speed(self, segment: Any) -> float:
-        given = self.mission.setting(segment, "speed")
-        if given is not None:
-            speed = self.number(given)
-        else:
-            speed = self.number(self.robot.body.max_speed, "robot.")
-            scheme = self.robot.schemes.get(self._scheme)
-            if scheme is not None and scheme.max_speed is not None:
-                speed = min(speed, self.number(scheme.max_speed, "robot."))
-        if speed <= 0.0:
+    def _pace(self, segment: Any, way_m_s: float = math.inf) -> Pace:
+        tracking = self._given(segment, "speed_tracking")
+        found = pace_of(self.mission, self.number, segment, self._scheme, tracking, way_m_s)
+        if found is None:
             raise self.fault(segment, "a segment that drives needs a speed above 0")
-        tracking = self._behaviour(segment, "speed_tracking")
-        return speed if tracking is None else speed * tracking
+        return found
 
     def _stretch(self, segment: Any) -> float:
         return self._behaviour(segment, "path_stretch") or 1.0
@@ -252,8 +256,9 @@ class _Builder:
         if segment.distance is not None:
             heading = None if segment.heading is None else self.number(segment.heading)
             self._face(segment, base, heading)
-            self.legs.append(Leg("roll", base, self.number(segment.distance) * self._stretch(segment),
-                                 self._speed(segment), instant=self._instant(segment)))
+            pace = self._pace(segment)
+            self.legs.append(Leg("roll", base, self.number(segment.distance) * self._stretch(segment), pace.speed,
+                                 instant=self._instant(segment), pace=pace))
             self.place = ""
             return
         if self.routes is None:
@@ -270,12 +275,12 @@ class _Builder:
         self._face(segment, base, way.heading_rad)
         stretch = self._stretch(segment)
         settings = along(base, way, segment.surface)
-        speed = min(self._speed(segment), way.max_speed_m_s)
+        pace = self._pace(segment, way.max_speed_m_s)
         instant = self._instant(segment)
         pieces = self._radio(way, settings)
         for i, (share_from, share_to, here) in enumerate(pieces):
             self.legs.append(Leg(
-                "roll", here, way.length_m * (share_to - share_from) * stretch, speed, instant=instant,
+                "roll", here, way.length_m * (share_to - share_from) * stretch, pace.speed, instant=instant, pace=pace,
                 place=way.end if i + 1 == len(pieces) else "",
                 edge=(way.begin, way.end, way.length_m * share_from, way.length_m * share_to),
             ))
@@ -286,21 +291,13 @@ class _Builder:
         if environment is None or not environment.access_points or "access_point_distance_m" in way.extra:
             return [(0.0, 1.0, settings)]
         assert self.routes is not None
-        a, b = self.routes.position(way.begin), self.routes.position(way.end)
-        if a is None or b is None:
-            return [(0.0, 1.0, settings)]
         points = [(self.number(p.x, "environment."), self.number(p.y, "environment."))
                   for p in environment.access_points.values()]
-        count = max(1, math.ceil(way.length_m / RADIO_PIECE_M))
         pieces = []
-        for i in range(count):
-            low, high = i / count, (i + 1) / count
-            middle = 0.5 * (low + high)
-            x, y = a[0] + (b[0] - a[0]) * middle, a[1] + (b[1] - a[1]) * middle
-            span = math.hypot(b[0] - a[0], b[1] - a[1]) / count
-            square = min((x - px) ** 2 + (y - py) ** 2 for px, py in points) + span * span / 12.0
-            extra = {**dict(settings.extra), "access_point_distance_m": math.sqrt(square)}
-            pieces.append((low, high, settings._replace(extra=tuple(sorted(extra.items())))))
+        for low, high, distance in self.routes.away_from(way, points):
+            extra = settings.extra if distance is None else tuple(
+                sorted({**dict(settings.extra), "access_point_distance_m": distance}.items()))
+            pieces.append((low, high, settings._replace(extra=extra)))
         return pieces
 
     def _face(self, segment: Any, base: Settings, heading: float | None) -> None:
@@ -333,23 +330,24 @@ class _Builder:
             raise self.fault(segment, "an arc needs a radius above 0")
         given = self.mission.setting(segment, "yaw_rate")
         rate = self.limits.yaw_rate_rad_s if given is None else self.number(given)
-        speed = min(self._speed(segment), rate * radius)
+        pace = self._pace(segment, rate * radius)
         length = radius * abs(angle) * self._stretch(segment)
-        self.legs.append(Leg("roll", base, length, speed, math.copysign(1.0 / radius, angle),
-                             instant=self._instant(segment)))
+        self.legs.append(Leg("roll", base, length, pace.speed, math.copysign(1.0 / radius, angle),
+                             instant=self._instant(segment), pace=pace))
         self.place = ""
         self.heading = None if self.heading is None else self.heading + angle
 
     def _move(self, segment: Any, base: Settings) -> None:
-        self.legs.append(Leg("slide", base, self.number(segment.distance) * self._stretch(segment),
-                             self._speed(segment), direction_rad=self.number(segment.direction),
-                             instant=self._instant(segment)))
+        pace = self._pace(segment)
+        self.legs.append(Leg("slide", base, self.number(segment.distance) * self._stretch(segment), pace.speed,
+                             direction_rad=self.number(segment.direction), instant=self._instant(segment), pace=pace))
         self.place = ""
 
     def _inspect(self, segment: Any, base: Settings) -> None:
         times = 1
         if segment.repeat_probability is not None and self.rng is not None:
-            times += failures(self.number(segment.repeat_probability), self.rng)
+            with self._told_at(segment.repeat_probability):
+                times += failures(self.number(segment.repeat_probability), self.rng)
             self._count("inspections_repeated", times - 1)
         self._stand(base, times * self.number(segment.duration))
 

@@ -2,32 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+import math
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
+from missionsim.errors import Fault, InputError, MissionsimError
 from missionsim.plan.legs import Leg
+from missionsim.spec.parameter import Parameter
 
 if TYPE_CHECKING:
     import numpy as np
 
-MOST_ATTEMPTS = 1000
 MOST_OBSTACLES = 10_000
-"""On one leg."""
+"""On one leg; where half as many are to be expected, the mission is refused: more than that will never be drawn."""
 
 
 def failures(probability: float, rng: np.random.Generator) -> int:
-    """How often something fails before it succeeds (geometric), at most `MOST_ATTEMPTS` − 1.
+    """How often something fails before it succeeds (geometric, by inversion of one uniform number).
 
     Parameters
     ----------
     probability : float
-        Of failing, each time, independently.
+        Of failing, each time, independently; 0 or more, below 1.
     rng : numpy.random.Generator
+
+    Raises
+    ------
+    missionsim.errors.MissionsimError
+        Where a drawn probability is none, or 1: it would never succeed.
     """
-    count = 0
-    while count + 1 < MOST_ATTEMPTS and rng.random() < probability:
-        count += 1
-    return count
+    if not 0.0 <= probability < 1.0:
+        raise MissionsimError(f"a probability of {probability:g} was drawn; allowed: from 0 to less than 1")
+    lot = 1.0 - rng.random()
+    return int(math.log(lot) / math.log(probability)) if probability > 0.0 else 0
+
+
+@contextlib.contextmanager
+def told_at(file: str, parameter: Parameter) -> Iterator[None]:
+    """Tell what is wrong with a number where it stands."""
+    try:
+        yield
+    except MissionsimError as error:
+        raise InputError(Fault(file, parameter.line, 0, str(error), parameter.path)) from error
 
 
 def stopped_by_obstacles(
@@ -51,6 +68,11 @@ def stopped_by_obstacles(
     -------
     tuple
         The legs with the stops among them, and the number of stops.
+
+    Raises
+    ------
+    missionsim.errors.MissionsimError
+        Where more than half of `MOST_OBSTACLES` are to be expected on a leg.
     """
     made: list[Leg] = []
     stops = 0
@@ -58,8 +80,14 @@ def stopped_by_obstacles(
         if leg.kind not in ("roll", "slide") or leg.distance_m <= 0.0:
             made.append(leg)
             continue
+        expected = leg.distance_m / spacing_m if spacing_m > 0.0 else math.inf
+        if not expected <= 0.5 * MOST_OBSTACLES:
+            raise MissionsimError(
+                f"an obstacle every {spacing_m:g} m makes {expected:.3g} of them on a leg of {leg.distance_m:g} m; "
+                f"allowed: at most {MOST_OBSTACLES // 2}"
+            )
         done, here = 0.0, 0
-        while here < MOST_OBSTACLES:
+        while True:
             at = done + rng.exponential(spacing_m)
             if at >= leg.distance_m:
                 break

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from missionsim.expressions import Place
+from missionsim.plan.pace import Pace
 
 Kind = Literal["roll", "turn", "slide", "stand", "dock"]
 
@@ -93,6 +94,8 @@ class Leg(NamedTuple):
     first, last : bool
         Whether a segment begins or ends here.
     recharge : Recharge or None
+    pace : Pace
+        Where `speed_m_s` comes from.
     """
 
     kind: Kind
@@ -110,6 +113,7 @@ class Leg(NamedTuple):
     first: bool = False
     last: bool = False
     recharge: Recharge | None = None
+    pace: Pace = Pace()
 
 
 class Phase(NamedTuple):
@@ -200,3 +204,8 @@ class Plan:
     limits: Limits
     start: str = ""
     chance: tuple[tuple[str, int], ...] = ()
+
+    @property
+    def limited(self) -> bool:
+        """Whether a drawn speed is above what the robot, or its control scheme, can do, so that it was cut to that."""
+        return any(leg.pace.limited for leg in self.legs)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from missionsim.errors import InputError, did_you_mean
@@ -16,6 +16,8 @@ from missionsim.plan.legs import Settings
 from missionsim.spec.environment import EnvironmentSpec
 from missionsim.spec.values import Parameter
 
+RADIO_PIECE_M = 2.0
+"""Edges are cut to this length where the distance to an access point changes along them."""
 Number = Callable[[Parameter], float]
 
 
@@ -96,6 +98,27 @@ class Routes:
         if a is None or b is None or a == b:
             return None
         return math.atan2(b[1] - a[1], b[0] - a[0])
+
+    def away_from(
+        self, way: Way, points: Sequence[tuple[float, float]]
+    ) -> list[tuple[float, float, float | None]]:
+        """Pieces of a way and the distance [m] from each to the nearest point (its root mean square over the piece).
+
+        Begin and end are parts of the way; the distance is None where the way's ends have no coordinates.
+        """
+        a, b = self.position(way.begin), self.position(way.end)
+        if a is None or b is None:
+            return [(0.0, 1.0, None)]
+        count = max(1, math.ceil(way.length_m / RADIO_PIECE_M))
+        span = math.hypot(b[0] - a[0], b[1] - a[1]) / count
+        pieces: list[tuple[float, float, float | None]] = []
+        for i in range(count):
+            low, high = i / count, (i + 1) / count
+            middle = 0.5 * (low + high)
+            x, y = a[0] + (b[0] - a[0]) * middle, a[1] + (b[1] - a[1]) * middle
+            square = min((x - px) ** 2 + (y - py) ** 2 for px, py in points) + span * span / 12.0
+            pieces.append((low, high, math.sqrt(square)))
+        return pieces
 
     def shortest(self, begin: str, end: str) -> list[Way] | None:
         """The ways of the shortest route (Dijkstra 1959); None where there is none."""

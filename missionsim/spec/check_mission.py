@@ -85,7 +85,8 @@ class _MissionCheck(RouteCheck):
         schemes = self.robot.schemes.values() if self.robot is not None else ()
         everywhere = [item for _, item in told] + [scheme.behaviour for scheme in schemes]
         for long, often in (("obstacle_stop", "obstacle_spacing"), ("relocalisation_time", "relocalisation_failure")):
-            if any(getattr(item, often, None) is not None for item in everywhere):
+            wrong = any(self.check.faulty((*where, often)) for where, _ in told)
+            if wrong or any(getattr(item, often, None) is not None for item in everywhere):
                 continue
             for where, item in told:
                 if getattr(item, long, None) is not None:

@@ -29,7 +29,7 @@ class QuantityOf(UncertainReader):
     dimension : str
         Key of `units.DIMENSIONS`; empty for any unit.
     low, high : float
-        Allowed values, SI; with `strict_low` the low end itself is not allowed.
+        Allowed values, SI; with `strict_low` the low end itself is not allowed, with `strict_high` the high end.
     bounds : bool
         low/high of the mapping are bounds of a fit, not a uniform distribution (parameters of effects).
     """
@@ -40,6 +40,7 @@ class QuantityOf(UncertainReader):
     strict_low: bool = False
     bounds: bool = False
     percent_slope: bool = False
+    strict_high: bool = False
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
         return core_schema.with_info_plain_validator_function(
@@ -58,7 +59,7 @@ class QuantityOf(UncertainReader):
             if math.isfinite(self.low):
                 number["exclusiveMinimum" if self.strict_low else "minimum"] = self.low / factor
             if math.isfinite(self.high):
-                number["maximum"] = self.high / factor
+                number["exclusiveMaximum" if self.strict_high else "maximum"] = self.high / factor
         part = {"anyOf": [{"type": "number"}, text]}
         mapping = {
             "x-quantity": "mapping",
@@ -103,7 +104,8 @@ class QuantityOf(UncertainReader):
     def _label(self) -> str:
         """Name of this quantity among a schema's definitions."""
         kind = "slope" if self.percent_slope else self.dimension or "any number"
-        ends = [f"from {self.low:g}"] * math.isfinite(self.low) + [f"to {self.high:g}"] * math.isfinite(self.high)
+        last = f"{'below' if self.strict_high else 'to'} {self.high:g}"
+        ends = [f"from {self.low:g}"] * math.isfinite(self.low) + [last] * math.isfinite(self.high)
         return " ".join([kind, *(["above"] if self.strict_low else []), *ends])
 
     def _validate(self, raw: Any, info: core_schema.ValidationInfo) -> Parameter:
@@ -161,7 +163,7 @@ class QuantityOf(UncertainReader):
         si = units.DIMENSIONS[self.dimension].si if self.dimension else parameter.unit
         shown = "" if si == "1" else f" {si}"
         if math.isfinite(self.low) and self.high < _UNSAID and not self.strict_low:
-            allowed = f"{self.low:g} to {self.high:g}{shown}"
+            allowed = f"{self.low:g} to {'less than ' * self.strict_high}{self.high:g}{shown}"
         elif math.isfinite(self.low):
             most = f", at most {self.high:g}{shown}" if self.high < _UNSAID else ""
             allowed = f"{'more than' if self.strict_low else 'at least'} {self.low:g}{shown}{most}"
@@ -182,9 +184,10 @@ class QuantityOf(UncertainReader):
         for key, number in candidates:
             if number is None:
                 continue
-            wrong = (
-                number < self.low or number > self.high or (self.strict_low and number <= self.low and key == "value")
-            )
+            wrong = number < self.low or number > self.high
+            wrong |= self.strict_low and number <= self.low and key == "value"
+            drawn = key == "value" or (distribution is not None and bool(distribution.values))
+            wrong |= self.strict_high and number >= self.high and drawn
             if wrong:
                 at = (key,) if isinstance(raw, Mapping) and key in raw else ()
                 given = raw.get(key, number) if isinstance(raw, Mapping) else raw

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from missionsim.spec.base import Identifier, Model, Text
 from missionsim.spec.names import Sensors
-from missionsim.spec.values import Distance, Duration, Fraction, Power, Ratio, Speed
+from missionsim.spec.values import Chance, Distance, Duration, Power, Ratio, Speed
 
 
 class ProcessorSpec(Model):
@@ -58,7 +58,7 @@ class BehaviourSpec(Model):
     dwell: Duration | None = None
     obstacle_spacing: Distance | None = None
     obstacle_stop: Duration | None = None
-    relocalisation_failure: Fraction | None = None
+    relocalisation_failure: Chance | None = None
     relocalisation_time: Duration | None = None
 
 

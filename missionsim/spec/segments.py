@@ -12,6 +12,7 @@ from missionsim.spec.schemes import BehaviourSpec
 from missionsim.spec.tree import as_written
 from missionsim.spec.values import (
     Angle,
+    Chance,
     Condition,
     Distance,
     Duration,
@@ -119,7 +120,7 @@ class InspectSegment(SegmentSpec):
 
     kind: Literal["inspect"]
     duration: Duration
-    repeat_probability: Annotated[Fraction, Field()] | None = None
+    repeat_probability: Annotated[Chance, Field()] | None = None
 
 
 class WaitSegment(SegmentSpec):

@@ -187,7 +187,7 @@ class UncertainReader:
             if key != "kind" and key not in needs:
                 issues.append(
                     Issue(
-                        f"unknown key '{key}' of a {kind} distribution",
+                        f"unknown key '{key}' of {_a(kind)} distribution",
                         str(key),
                         ", ".join(("kind", *needs)),
                         did_you_mean(str(key), needs),
@@ -216,7 +216,7 @@ class UncertainReader:
         for key in needs:
             if numbers.get(key) is None and key not in optional:
                 issues.append(
-                    Issue(f"a {kind} distribution needs '{key}'", as_written(raw), ", ".join(needs), at=where)
+                    Issue(f"{_a(kind)} distribution needs '{key}'", as_written(raw), ", ".join(needs), at=where)
                 )
         if len(issues) > before:
             return None
@@ -231,6 +231,19 @@ class UncertainReader:
             return None
         return Distribution(kind, mean, numbers.get("sd"), low, high, mode)
 
+    def _value(
+        self, raw: Mapping[str, Any], rows: list[int] | None, index: int, item: Any, where: tuple[str | int, ...]
+    ) -> float:
+        """One of the values, told by its row where they are those of a CSV file."""
+        if rows is None:
+            return self._number(item, (*where, "values", index))[0]
+        try:
+            return self._number(item)[0]
+        except Issue as issue:
+            told = issue.entry
+            message = f"{told['message']}, in column '{raw['column']}' of {raw['file']}, line {rows[index]}"
+            raise Issue(message, str(told["got"]), str(told["allowed"]), str(told["hint"]), where) from None
+
     def _from_values(
         self,
         raw: Mapping[str, Any],
@@ -240,22 +253,23 @@ class UncertainReader:
         folder: Path | None,
         before: int,
     ) -> Distribution | None:
-        source = raw.get("values")
+        source: Any = raw.get("values")
+        rows: list[int] | None = None
         try:
-            if kind == "empirical" and "file" in raw:
+            if kind == "empirical" and ("file" in raw or "column" in raw):
                 if source is not None:
                     raise Issue("values and file together", as_written(raw), "one of them", at=where)
-                source = _read_column(raw.get("file"), raw.get("column"), folder, where)
+                source, rows = _read_column(raw.get("file"), raw.get("column"), folder, where)
             if not isinstance(source, (list, tuple)) or not source:
                 raise Issue(
-                    f"a {kind} distribution needs values",
+                    f"{_a(kind)} distribution needs values",
                     as_written(source),
                     "a list of numbers",
                     at=(*where, "values"),
                 )
             if len(source) > _MAX_EMPIRICAL:
                 raise Issue("too many values", str(len(source)), f"at most {_MAX_EMPIRICAL}", at=where)
-            values = tuple(self._number(item, (*where, "values", index))[0] for index, item in enumerate(source))
+            values = tuple(self._value(raw, rows, index, item, where) for index, item in enumerate(source))
             weights = raw.get("weights", [1.0] * len(values)) if kind == "discrete" else [1.0] * len(values)
             good = (
                 isinstance(weights, (list, tuple))
@@ -281,7 +295,14 @@ class UncertainReader:
         return Distribution(kind, values=values, weights=tuple(float(item) / total for item in weights))
 
 
-def _read_column(file: Any, column: Any, folder: Path | None, where: tuple[str | int, ...]) -> list[Any]:
+def _a(kind: str) -> str:
+    return f"an {kind}" if kind == "empirical" else f"a {kind}"
+
+
+def _read_column(
+    file: Any, column: Any, folder: Path | None, where: tuple[str | int, ...]
+) -> tuple[list[Any], list[int]]:
+    """Texts of a column of a CSV file, and their lines."""
     if not isinstance(file, str) or not isinstance(column, str):
         raise Issue(
             "an empirical distribution needs file and column",
@@ -303,13 +324,17 @@ def _read_column(file: Any, column: Any, folder: Path | None, where: tuple[str |
                     (*where, "column"),
                 )
             result: list[Any] = []
+            rows: list[int] = []
             for row in reader:
                 if row[column] not in (None, ""):
                     result.append(row[column])
+                    rows.append(reader.line_num)
                 if len(result) > _MAX_EMPIRICAL:
                     break
-            return result
+            if not result:
+                raise Issue(f"no numbers in column '{column}' of {file}", "", "one number a line", at=where)
+            return result, rows
     except (OSError, UnicodeDecodeError, csv.Error, ValueError) as problem:
         if isinstance(problem, Issue):
             raise
-        raise Issue(f"cannot read {file}", file, "a CSV file beside this YAML file", at=(*where, "file")) from None
+        raise Issue(f"cannot read {file}", file, "a CSV file beside this YAML file", at=where) from None

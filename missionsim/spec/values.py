@@ -35,6 +35,8 @@ Period = Annotated[Parameter, quantity("duration", 0.0, 1e9, strict=True)]
 Frequency = Annotated[Parameter, quantity("frequency", 0.0, 1e11)]
 Temperature = Annotated[Parameter, quantity("temperature", -90.0, 90.0)]
 Fraction = Annotated[Parameter, quantity("fraction", 0.0, 1.0)]
+Chance = Annotated[Parameter, QuantityOf("fraction", 0.0, 1.0, strict_high=True)]
+"""Of failing, each time: 1 would never succeed."""
 Efficiency = Annotated[Parameter, quantity("fraction", 0.0, 1.0, strict=True)]
 Ratio = Annotated[Parameter, quantity("number", 0.0, 100.0, strict=True)]
 Peukert = Annotated[Parameter, quantity("number", 1.0, 2.0)]

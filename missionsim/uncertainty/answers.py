@@ -133,17 +133,20 @@ def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) 
     Returns
     -------
     dict
-        ``runs``, ``p_feasible``, ``batteries``, ``failures``, ``duration_s``, ``importance`` of the contract's JSON.
+        ``runs``, ``p_feasible``, ``speed_limited_share``, ``batteries``, ``failures``, ``duration_s``, ``importance``
+        of the contract's JSON.
         Importance is found from the first `IMPORTANCE_RUNS` runs.
     """
     columns = store.columns_of(firsts)
-    total = good = 0
-    for part in columns("feasible")():
-        total, good = total + len(part), good + int(np.count_nonzero(part))
+    total = good = limited = 0
+    for table in store.tables(("feasible", "speed_limited"), firsts):
+        total, good = total + len(table["feasible"]), good + int(np.count_nonzero(table["feasible"]))
+        limited += int(np.count_nonzero(table["speed_limited"]))
     names = store.names()
     answer: dict[str, Any] = {
         "runs": total,
         "p_feasible": _proportion(good, total),
+        "speed_limited_share": limited / total if total else None,
         "duration_s": describe(columns("duration_s")),
         "batteries": {},
         "failures": failures(store, firsts, total),

@@ -59,6 +59,8 @@ class Motion:
     speed_m_s: Array
     accel_m_s2: Array
     """One row where no speed changes within an interval."""
+    limited: NDArray[np.bool_]
+    """The runs, shape (runs,) or (1,), in which a drawn speed is above what the robot can do."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,7 @@ class ArrayMission:
         energy = self._energies(cov, rates, motion, knots[-1], values, numbers, table.part)
         numbers[0], numbers[1] = knots[-1], self._distance(cov, motion)
         sound = np.isfinite(knots[-1]) & (motion.duration_s.min(axis=1) >= 0.0)
-        table.again[part] = ~sound
+        table.again[part], table.limited[part] = ~sound, motion.limited
         if not sound.all():
             knots = np.where(sound, knots, 0.0)
         progress = Progress(knots, PROGRESS_POINTS)
@@ -173,12 +175,14 @@ class ArrayMission:
         speed = np.zeros((size, count)).T
         ramps = [span for span in self.spans if not span[2] and self.plan.legs[span[0]].kind in _MOVES]
         rate = np.zeros((size, count)).T if ramps else np.zeros((1, size))
+        limited = np.zeros(1, dtype=bool)
         for kind, legs, places in self._together:
             if kind == "stand":
                 duration[:, places] = entries.legs(legs, "duration_s")
                 continue
             way = np.abs(entries.legs(legs, "angle_rad")) if kind == "turn" else entries.legs(legs, "distance_m")
-            limit = entries.legs(legs, "yaw_rate_rad_s" if kind == "turn" else "speed_m_s")
+            limit, above = entries.limits(legs, kind == "turn")
+            limited = limited | above
             if places == list(range(size)) and len(limit) == count:
                 speed = limit
                 np.divide(way, limit, out=duration)
@@ -188,7 +192,8 @@ class ArrayMission:
         for low, high, _ in ramps:
             legs, turn = tuple(range(low, high)), self.plan.legs[low].kind == "turn"
             way = np.abs(entries.legs(legs, "angle_rad" if turn else "distance_m"))
-            limit = entries.legs(legs, "yaw_rate_rad_s" if turn else "speed_m_s")
+            limit, above = entries.limits(legs, turn)
+            limited = limited | above
             up = entries.limit("yaw_accel_rad_s2" if turn else "accel_m_s2")
             down = up if turn else entries.limit("decel_m_s2")
             made = phases(way, limit, up, down)
@@ -198,7 +203,7 @@ class ArrayMission:
                     duration[:, j] = made.duration_s[:, k, phase]
                     speed[:, j] = made.speed_m_s[:, k, phase]
                     rate[:, j] = made.accel_m_s2[:, k, phase]
-        return Motion(duration, speed, rate)
+        return Motion(duration, speed, rate, limited)
 
     @functools.cached_property
     def _legs(self) -> list[Leg]:

@@ -15,6 +15,7 @@ from numpy import __version__ as numpy_version
 from missionsim import __version__
 from missionsim.errors import InputError, MissionsimError
 from missionsim.files import sha256
+from missionsim.plan.build import make_plan
 from missionsim.spec.loading import load_mission
 from missionsim.spec.mission import MissionSpec
 from missionsim.spec.power import build_power_model
@@ -24,6 +25,7 @@ from missionsim.uncertainty.compile import compile_arrays
 from missionsim.uncertainty.draws import Sampler, make_sampler
 from missionsim.uncertainty.single import simulate_block
 from missionsim.uncertainty.store import BlockStore
+from missionsim.uncertainty.streams import run_generator
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -63,11 +65,12 @@ def prepare(task: Task) -> Prepared:
     Raises
     ------
     missionsim.errors.InputError
-        Where files have faults, nothing is uncertain in a way that can be drawn, or `arrays` is asked but impossible.
+        Where files have faults, the nominal mission cannot be planned, or `arrays` is asked but impossible.
     """
     mission = load_mission(task.mission, overrides=task.overrides, robot=task.robot)
     model = build_power_model(mission.robot)
     sampler = make_sampler(mission)
+    make_plan(mission, rng=run_generator(0, "chance", 0))  # what no run could do is told once, where it stands
     compiled = compile_arrays(mission, model, sampler) if task.engine != "simpy" else "SimPy was asked for"
     if isinstance(compiled, str):
         if task.engine == "arrays":

@@ -16,17 +16,19 @@ from numpy.typing import NDArray
 from missionsim.effects.integrate import NODES
 from missionsim.engine.simulate import RunSetup
 from missionsim.plan.legs import Plan
+from missionsim.plan.pace import ROUNDING, Pace
 from missionsim.uncertainty.probe import Dependence
 
 Array = NDArray[np.float64]
-_LEG = ("distance_m", "speed_m_s", "curvature_1_m", "angle_rad", "yaw_rate_rad_s", "duration_s")
+_LEG = ("distance_m", "curvature_1_m", "angle_rad", "yaw_rate_rad_s", "duration_s")
+PACE = Pace._fields
 SETTINGS = ("payload_kg", "slope_rad")
 _LIMITS = ("accel_m_s2", "decel_m_s2", "yaw_accel_rad_s2")
 
 
 def entry_names(plan: Plan) -> tuple[str, ...]:
-    """Names of the numbers of each leg: its own, its settings, and numeric conditions such as ``temp_ambient_c``."""
-    return (*_LEG, *SETTINGS, *condition_names(plan))
+    """Names of each leg's numbers: its own, its pace's, its settings', and conditions such as ``temp_ambient_c``."""
+    return (*_LEG, *PACE, *SETTINGS, *condition_names(plan))
 
 
 def condition_names(plan: Plan) -> tuple[str, ...]:
@@ -53,8 +55,27 @@ class Entries:
         self.after_legs = len(self.names) * len(plan.legs)
 
     def legs(self, legs: tuple[int, ...], name: str) -> Array:
-        """A number of each of these legs, or a setting of theirs such as ``payload_kg``."""
+        """A number of each of these legs, of its pace, or a setting of theirs such as ``payload_kg``."""
         return self.dependence.at(self.changes, _places(self.names, legs, name))
+
+    def limits(self, legs: tuple[int, ...], turn: bool) -> tuple[Array, NDArray[np.bool_]]:
+        """Speed (or yaw rate) of each of these legs, and the runs, shape (runs,) or (1,), in which a drawn one is cut.
+
+        A way's own limit does not count as a cut.
+        """
+        limited = np.zeros(1, dtype=bool)
+        if turn:
+            return self.legs(legs, "yaw_rate_rad_s"), limited
+        speed = self.legs(legs, "asked")
+        for name in PACE[1:]:
+            if not np.isfinite(self.dependence.base[list(_places(self.names, legs, name))]).any():
+                continue
+            limit = self.legs(legs, name)
+            if (speed > limit).any():
+                if name != "way":
+                    limited = limited | (speed > limit * ROUNDING).any(axis=1)
+                speed = np.minimum(speed, limit)
+        return speed, limited
 
     def limit(self, name: str) -> Array:
         """A limit of the robot's motion, shape (runs,) or (1,)."""
@@ -87,6 +108,7 @@ def numbers_of_plan(plan: Plan, setup: RunSetup) -> Array:
     conditions = condition_names(plan)
     for leg in plan.legs:
         values += [getattr(leg, name) for name in _LEG]
+        values += leg.pace
         values += [getattr(leg.settings, name) for name in SETTINGS]
         extra = dict(leg.settings.extra)
         values += [extra[name] if isinstance(extra.get(name), float | int) else np.nan for name in conditions]

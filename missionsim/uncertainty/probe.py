@@ -8,8 +8,10 @@ planner a second time; what does not fit such a form is not evaluated as arrays.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,8 @@ Array = NDArray[np.float64]
 _Step = tuple[NDArray[np.intp], NDArray[np.intp], str, Array]
 RELATIVE_TOLERANCE = 1e-12
 _STEPS = (0.01, -0.013)
+_GOLDEN = 0.6180339887498949
+Name = TypeVar("Name", bound=Hashable)
 
 
 @dataclass(frozen=True)
@@ -93,11 +97,12 @@ class Dependence:
     def _steps(self, entries: tuple[int, ...]) -> tuple[Array, list[_Step]]:
         """Of these entries, `base` as a row, and how to go on from it: in a step, each takes part once at most."""
         if entries not in self._known:
-            rank = {name: i for i, name in enumerate((*self.powers, *self.slopes))}
+            both = [*((False, name) for name in self.powers), *((True, name) for name in self.slopes)]
+            rank = {key: i for i, key in enumerate(both)}
             steps: dict[tuple[int, str], list[tuple[int, int, float]]] = {}
             for place, entry in enumerate(entries):
                 for turn, (name, how, coefficient) in enumerate(self._of.get(entry, ())):
-                    steps.setdefault((turn, how), []).append((place, rank[name], coefficient))
+                    steps.setdefault((turn, how), []).append((place, rank[how == "plus", name], coefficient))
             self._known[entries] = self.base[None, list(entries)], [
                 (np.array([s[0] for s in step]), np.array([s[1] for s in step]), how, np.array([s[2] for s in step]))
                 for (_, how), step in sorted(steps.items())
@@ -146,17 +151,21 @@ def probe(
         base = numbers_of(nominal)
         powers: dict[str, tuple[NDArray[np.intp], Array]] = {}
         slopes: dict[str, tuple[NDArray[np.intp], Array]] = {}
-        for name, value in nominal.items():
-            steps = [value * step if value else step for step in _STEPS]
-            changed = [numbers_of({**nominal, name: value + step}) for step in steps]
-            index = np.flatnonzero(np.any([~_same(numbers, base) for numbers in changed], axis=0))
-            if not index.size:
-                continue
-            form = _form(base[index], [numbers[index] for numbers in changed], value, steps)
-            if isinstance(form, str):
-                return f"{form} {name}"
-            kind, coefficients = form
-            (powers if kind == "power" else slopes)[name] = (index, coefficients)
+        for batch in _apart(_supports(numbers_of, base, nominal)):
+            # values that touch different entries are varied together
+            steps = {name: [nominal[name] * step if nominal[name] else step for step in _STEPS] for name in batch}
+            changed = [
+                numbers_of({**nominal, **{name: nominal[name] + steps[name][i] for name in batch}})
+                for i in range(len(_STEPS))
+            ]
+            for name, index in batch.items():
+                form = _form(base[index], [numbers[index] for numbers in changed], nominal[name], steps[name])
+                if form is None:
+                    return f"the plan depends neither as a product nor as a sum on {name}"
+                product, coefficients = form
+                for chosen, found_so in ((product, powers), (~product, slopes)):
+                    if chosen.any():
+                        found_so[name] = (index[chosen], coefficients[chosen])
         found = Dependence(base, dict(nominal), powers, slopes)
         for draw in checks:
             changes = found.changes({name: np.array([value]) for name, value in draw.items()}, 1)
@@ -170,20 +179,71 @@ def probe(
     return found
 
 
+def _supports(
+    numbers_of: Callable[[Mapping[str, float]], Array], base: Array, nominal: Mapping[str, float]
+) -> dict[str, NDArray[np.intp]]:
+    """Entries that each value changes; values that change none are left out.
+
+    Groups of values are varied and halved, as in group testing; groups whose entries are known to be different ones
+    share an evaluation. Where each value touches its own part of a plan, twice the logarithm of their number suffices.
+    """
+    # steps that differ from value to value, so that a value in the numerator hides none in the denominator
+    step = {name: _STEPS[0] * (1.0 + math.modf(i * _GOLDEN)[0]) for i, name in enumerate(nominal)}
+
+    def narrowed(groups: Mapping[tuple[str, ...], NDArray[np.intp]]) -> dict[tuple[str, ...], NDArray[np.intp]]:
+        found: dict[tuple[str, ...], NDArray[np.intp]] = {}
+        for batch in _apart(groups):
+            moved = {name: nominal[name] + step[name] * (nominal[name] or 1.0) for group in batch for name in group}
+            changed = ~_same(numbers_of({**nominal, **moved}), base)
+            found |= {group: index[changed[index]] for group, index in batch.items()}
+        return {group: index for group, index in found.items() if index.size}
+
+    groups = narrowed({tuple(nominal): np.arange(base.size)}) if nominal else {}
+    while any(len(group) > 1 for group in groups):
+        halves: dict[tuple[str, ...], NDArray[np.intp]] = {}
+        for group, index in groups.items():
+            half = (len(group) + 1) // 2
+            halves |= {part: index for part in (group[:half], group[half:]) if part}
+        groups = narrowed(halves)
+    order = {group[0]: index for group, index in groups.items()}
+    return {name: order[name] for name in nominal if name in order}
+
+
+def _apart(supports: Mapping[Name, NDArray[np.intp]]) -> list[dict[Name, NDArray[np.intp]]]:
+    """Batches in which no entry belongs to two."""
+    batches: list[tuple[set[int], dict[Name, NDArray[np.intp]]]] = []
+    for name, index in supports.items():
+        own = set(index.tolist())
+        for taken, batch in batches:
+            if taken.isdisjoint(own):
+                taken |= own
+                batch[name] = index
+                break
+        else:
+            batches.append((own, {name: index}))
+    return [batch for _, batch in batches]
+
+
 def _same(a: Array, b: Array, absolute: float = 0.0, relative: float = 1e-14) -> NDArray[np.bool_]:
     return np.asarray(np.isclose(a, b, rtol=relative, atol=absolute, equal_nan=True))
 
 
-def _form(base: Array, changed: list[Array], value: float, steps: list[float]) -> tuple[str, Array] | str:
-    if value and np.all(base != 0.0):
-        ratios = [(numbers / base, 1.0 + step / value) for numbers, step in zip(changed, steps, strict=True)]
-        up = np.all([_same(got, np.full_like(got, want), 0.0, RELATIVE_TOLERANCE) for got, want in ratios], axis=0)
-        down = np.all(
-            [_same(got, np.full_like(got, 1 / want), 0.0, RELATIVE_TOLERANCE) for got, want in ratios], axis=0
-        )
-        if np.all(up | down):
-            return "power", np.where(up, 1.0, -1.0)
-    slope = [(numbers - base) / step for numbers, step in zip(changed, steps, strict=True)]
-    if np.all(_same(slope[0], slope[1], 0.0, 1e-9)):
-        return "slope", slope[0]
-    return "the plan depends neither as a product nor as a sum on"
+def _form(
+    base: Array, changed: list[Array], value: float, steps: list[float]
+) -> tuple[NDArray[np.bool_], Array] | None:
+    """Which entries are products, and their exponents, the others being sums with a slope; None where some is neither.
+    """
+    product = np.full(base.shape, bool(value)) & (base != 0.0)
+    known = base[product]
+    wanted = [1.0 + step / (value or 1.0) for step in steps]
+    ratios = [(numbers[product] / known, want) for numbers, want in zip(changed, wanted, strict=True)]
+    up = np.all([_same(got, np.full_like(got, want), 0.0, RELATIVE_TOLERANCE) for got, want in ratios], axis=0)
+    down = np.all([_same(got, np.full_like(got, 1 / want), 0.0, RELATIVE_TOLERANCE) for got, want in ratios], axis=0)
+    coefficients = np.zeros(base.shape)
+    coefficients[product] = np.where(up, 1.0, -1.0)
+    product[product] = up | down
+    slope = [(numbers - base)[~product] / step for numbers, step in zip(changed, steps, strict=True)]
+    if not np.all(_same(slope[0], slope[1], 0.0, 1e-9)):
+        return None
+    coefficients[~product] = slope[0]
+    return product, coefficients

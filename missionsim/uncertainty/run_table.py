@@ -34,6 +34,8 @@ class RunTable:
         Whether a battery ends below its reserve.
     again : ndarray of bool, shape (count,)
         Whether a battery comes to a threshold on the way, so that the run needs SimPy.
+    limited : ndarray of bool, shape (count,)
+        Whether a drawn speed is above what the robot can do.
     """
 
     def __init__(self, batteries: tuple[str, ...], components: tuple[tuple[str, str], ...], count: int) -> None:
@@ -44,6 +46,7 @@ class RunTable:
         self.charge = np.empty((len(batteries), PROGRESS_POINTS, count))
         self.below = np.zeros((len(batteries), count), dtype=bool)
         self.again = np.zeros(count, dtype=bool)
+        self.limited = np.zeros(count, dtype=bool)
 
     def row(self, battery: int, quantity: str) -> int:
         """Row of ``energy``, ``charge_left``, ``margin`` or ``needed`` of a battery."""
@@ -60,6 +63,7 @@ class RunTable:
         self.charge *= 1.0 / J_PER_WH
         found: dict[str, NDArray[Any]] = {
             "feasible": np.asarray(~self.below.any(axis=0)),
+            "speed_limited": self.limited,
             "duration_s": self.numbers[0],
             "distance_m": self.numbers[1],
             "failed_at_s": np.full(self.count, np.nan),

@@ -24,18 +24,18 @@ PROGRESS_POINTS = 21
 
 def simulate_run(
     mission: MissionSpec, model: PowerModel, sampler: Sampler, seed: int, run: int, *, trace: bool = True
-) -> tuple[dict[str, float], RunResult]:
+) -> tuple[dict[str, float], RunResult, bool]:
     """Run number `run` of a batch alone, with SimPy.
 
     Returns
     -------
     tuple
-        The drawn values by name, and the result.
+        The drawn values by name, the result, and whether a drawn speed was cut to what the robot can do.
     """
     drawn = {name: float(values[0]) for name, values in sampler.draw(seed, run, 1).items()}
     plan = _plan(mission, model, drawn, seed, run)
     result = simulate(mission, values=drawn, plan=plan, model=model, trace=trace)
-    return {**drawn, **_chance(plan)}, result
+    return {**drawn, **_chance(plan)}, result, plan.limited
 
 
 def _plan(mission: MissionSpec, model: PowerModel, values: Mapping[str, float], seed: int, run: int) -> Plan:
@@ -78,7 +78,8 @@ def simulate_block(
         try:
             plan = _plan(mission, model, values, seed, first + i)
             counted[-1] = _chance(plan)
-            rows.append(_row(simulate(mission, values=values, plan=plan, model=model)))
+            row = _row(simulate(mission, values=values, plan=plan, model=model))
+            rows.append({**row, "speed_limited": plan.limited})
         except MissionsimError as error:
             rows.append({"message": f"failed: {error}"})
         except (ArithmeticError, ValueError, RuntimeError) as error:
@@ -159,7 +160,8 @@ def _columns(
 ) -> dict[str, NDArray[Any]]:
     count = len(rows)
     columns: dict[str, NDArray[Any]] = {"run": np.arange(first, first + count, dtype=np.int64)}
-    columns["feasible"] = np.array([bool(row.get("feasible", False)) for row in rows])
+    for name in ("feasible", "speed_limited"):
+        columns[name] = np.array([bool(row.get(name, False)) for row in rows])
     numbers = ["duration_s", "distance_m", "failed_at_s"]
     for name in batteries:
         numbers += [f"energy_{name}_wh", f"charge_left_{name}_wh", f"margin_{name}_wh", f"needed_{name}_wh"]

@@ -11,6 +11,7 @@ from missionsim.errors import InputError
 from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.fit.parameters import fit_parameters
 from missionsim.fit.provenance import data_tag, fitted_to, log_hash
+from missionsim.fit.refit import refit_robot
 from missionsim.logs import LogTable
 from missionsim.spec.edit import robot_text
 from missionsim.spec.loading import load_robot, robot_from_text
@@ -60,6 +61,26 @@ def test_refit_stays_within_what_is_known() -> None:
     assert not sonar.seen
     assert sonar.value == sonar.before
     assert fit.rmse_w <= fit.rmse_before_w + 1e-9
+
+
+def test_refit_writes_the_power_of_one_unit_of_what_is_always_on(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(
+        "kind: robot\nname: boards\nbody: {mass: 25 kg, drive: differential, max_speed: 1 m/s}\n"
+        "batteries: {robot: {capacity: 100 Wh}}\n"
+        "motion: {battery: robot, model: polynomial, parameters: {c2: 6.25, c3: 9.79, c4: 3.0, standing: 2.01}}\n"
+        "components:\n"
+        "  board: {always_on: true, units: 3, loads: [{battery: robot, power: {value: 0.8 W, sd: 50 %}}]}\n"
+        "  kinect: {loads: [{battery: robot, power: 2.82 W}]}\n  laser: {loads: [{battery: robot, power: 2 W}]}\n",
+        encoding="utf-8",
+    )
+    made = refit_robot(path, LOGS)
+    fitted = made.fits[0].parameters["board.power"]
+    assert fitted.seen
+    assert abs(fitted.value - 2.4) > 0.1
+    again = build_power_model(robot_from_text(made.text)).parameters["robot/board.power"]
+    assert again.value == pytest.approx(fitted.value, rel=1e-5)
+    assert again.sd == pytest.approx(fitted.sd, rel=1e-2)
 
 
 @pytest.mark.parametrize("shift", [0.95, 1.06])

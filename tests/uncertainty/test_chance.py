@@ -94,7 +94,7 @@ def test_what_chance_did_is_stored_and_a_run_alone_repeats_it(prepared: Prepared
     }
     for name in left_to_chance(prepared.mission):
         assert np.array_equal(whole[f"drawn:{name}"][5:], part[f"drawn:{name}"])
-    drawn, result = simulate_run(prepared.mission, prepared.model, prepared.sampler, 6, 7)
+    drawn, result, _ = simulate_run(prepared.mission, prepared.model, prepared.sampler, 6, 7)
     assert drawn["chance.obstacles"] == whole["drawn:chance.obstacles"][7]
     assert result.batteries["robot"].energy_wh == whole["energy_robot_wh"][7]
 

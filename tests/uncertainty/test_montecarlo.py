@@ -115,7 +115,7 @@ def test_one_run_alone_is_the_run_of_the_batch() -> None:
     prepared = prepare(Task(PATROL, (), None, 11, "auto"))
     assert prepared.arrays is not None
     block = prepared.arrays.block(11, 0, 800)
-    drawn, result = simulate_run(prepared.mission, prepared.model, prepared.sampler, 11, 731)
+    drawn, result, _ = simulate_run(prepared.mission, prepared.model, prepared.sampler, 11, 731)
     assert all(block[f"drawn:{name}"][731] == value for name, value in drawn.items())
     assert block["energy_robot_wh"][731] == pytest.approx(result.batteries["robot"].energy_wh, rel=1e-9)
     assert len(result.timeline) > 1

@@ -1,0 +1,149 @@
+"""What a draw cannot do: exceed the robot's speed, drive nowhere fast, never succeed, or ask for a run that is not."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from missionsim.cli.app import run_command
+from missionsim.uncertainty.batch import Task, prepare
+from missionsim.uncertainty.probe import probe
+from missionsim.uncertainty.single import simulate_block
+from tests.uncertainty.test_montecarlo import PATROL, assert_agree
+
+ROBOT = """kind: robot
+name: limited
+body: {{mass: 20 kg, drive: differential, max_speed: {top}, max_acceleration: 0.5 m/s^2}}
+batteries: {{main: {{capacity: 50 Wh, reserve: 10 %}}}}
+motion: {{battery: main, model: polynomial, parameters: {{c2: {{value: 6, sd: 5 %}}, c3: 10, c4: 4}}}}
+schemes: {{follow: {{max_speed: 0.9 m/s}}}}
+"""
+DRIVES = """segments:
+  - drive: {distance: 30 m, speed: {value: 0.6 m/s, sd: 15 %}}
+  - drive: {distance: 20 m, speed: 0.7 m/s, behaviour: {speed_tracking: {value: 1.02, sd: 5 %}}}
+  - arc: {radius: {value: 0.6 m, sd: 3 %}, angle: 90 deg, speed: {value: 0.55 m/s, sd: 5 %}, yaw_rate: 1 rad/s}
+  - drive: {distance: 20 m, scheme: follow}
+"""
+
+
+def written(folder: Path, text: str, top: str = "0.75 m/s") -> str:
+    (folder / "robot.yaml").write_text(ROBOT.format(top=top), encoding="utf-8")
+    path = folder / "mission.yaml"
+    path.write_text(f"kind: mission\nname: limits\nrobot: robot.yaml\n{text}", encoding="utf-8")
+    return str(path)
+
+
+@pytest.mark.parametrize("top", ["0.75 m/s", "{value: 0.75 m/s, sd: 2 %}"])
+def test_a_drawn_speed_is_cut_to_what_the_robot_can_do_by_both_engines(tmp_path: Path, top: str) -> None:
+    prepared = prepare(Task(written(tmp_path, DRIVES, top), (), None, 2, "auto"))
+    assert prepared.arrays is not None, prepared.why_not_arrays
+    ours = prepared.arrays.block(2, 0, 80)
+    theirs = simulate_block(prepared.mission, prepared.model, prepared.sampler, 2, 0, 80)
+    assert_agree(ours, theirs)
+    fastest = ours.get("drawn:robot.body.max_speed", np.full(80, 0.75))
+    # a nominal tracking above 1 says by how much the file takes the greatest speed to be exceeded
+    tracked = 0.7 * ours["drawn:segments.1.drive.behaviour.speed_tracking"] > 1.02 * fastest
+    above = (ours["drawn:segments.0.drive.speed"] > fastest) | tracked | (1.02 * fastest < 0.7)
+    assert 3 < above.sum() < 70
+    assert np.array_equal(ours["speed_limited"], above)
+
+
+def test_cut_speeds_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path, DRIVES)
+    target = tmp_path / "answer.json"
+    assert run_command(["montecarlo", path, "--runs", "300", "--sobol", "0", "--json", str(target)]) == 0
+    share = json.loads(target.read_text(encoding="utf-8"))["speed_limited_share"]
+    assert 0.02 < share < 0.5
+    assert f"in {100 * share:.3g} % of the runs a drawn speed is above" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "told"),
+    [
+        ("behaviour: {obstacle_spacing: 1e-9 m, obstacle_stop: 2 s}\nsegments: [{drive: {distance: 9 m}}]\n", 4,
+         "an obstacle every 1e-09 m"),
+        ("segments:\n  - inspect: {duration: 3 s, repeat_probability: 1}\n", 5, "0 to less than 1"),
+        ("behaviour: {relocalisation_failure: 100 %, relocalisation_time: 2 s}\nsegments: [{drive: {distance: 9 m}}]\n",
+         4, "0 to less than 1"),
+        ("segments:\n  - wait: {duration: 3 s}\n  - drive: {distance: 9 m, speed: {value: 0.3 m/s, distribution: "
+         "{kind: empirical, file: nofile.csv, column: v}}}\n", 6, "cannot read nofile.csv"),
+    ],
+)  # fmt: skip
+def test_what_can_not_be_is_refused_where_it_stands(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, line: int, told: str
+) -> None:
+    assert run_command(["montecarlo", written(tmp_path, text), "--runs", "5"]) == 2
+    error = capsys.readouterr().err
+    assert f"mission.yaml:{line}" in error
+    assert told in error
+    assert error.count("error:") == 1
+    assert "a empirical" not in error
+
+
+def test_a_column_of_a_csv_that_holds_no_numbers_is_told_by_its_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "speeds.csv").write_text("v,w\n0.3,\n0.4,\nfast,\n", encoding="utf-8")
+    for column, told in (("v", "column 'v' of speeds.csv, line 4"), ("w", "no numbers in column 'w'")):
+        speed = f"{{value: 0.3 m/s, distribution: {{kind: empirical, file: speeds.csv, column: {column}}}}}"
+        path = written(tmp_path, f"segments:\n  - drive: {{distance: 9 m, speed: {speed}}}\n")
+        assert run_command(["montecarlo", path, "--runs", "5"]) == 2
+        assert told in capsys.readouterr().err
+
+
+def test_a_drawn_probability_that_is_none_is_kept_as_a_failed_run(tmp_path: Path) -> None:
+    chance = "repeat_probability: {value: 90 %, distribution: {kind: normal, sd: 20 %}}"
+    path = written(tmp_path, f"segments:\n  - inspect: {{duration: 3 s, {chance}}}\n")
+    prepared = prepare(Task(path, (), None, 2, "auto"))
+    block = simulate_block(prepared.mission, prepared.model, prepared.sampler, 2, 0, 40)
+    drawn = block["drawn:segments.0.inspect.repeat_probability"]
+    assert 5 < np.count_nonzero(drawn >= 1.0) < 35
+    assert all(("was drawn" in text) == (value >= 1.0) for text, value in zip(block["message"], drawn, strict=True))
+
+
+def test_a_run_beyond_the_batch_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["montecarlo", PATROL, "--runs", "20", "--only", "20"]) == 2
+    assert "0 to 19" in capsys.readouterr().err
+    assert run_command(["montecarlo", PATROL, "--runs", "20", "--only", "19", "--quiet"]) == 0
+    assert run_command(["montecarlo", PATROL, "--only", "5000", "--quiet"]) == 0
+
+
+def test_probing_takes_few_evaluations() -> None:
+    """Values that touch numbers of their own are varied together; those that touch the same, one after the other."""
+    count = 200
+    nominal = {f"v{i}": 1.0 + i / count for i in range(count)} | {"all": 2.0, "none": 3.0}
+    calls = 0
+
+    def numbers_of(values: dict[str, float]) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        own = np.array([values[f"v{i}"] for i in range(count)])
+        return np.concatenate([own * values["all"], np.roll(own, 1) / own, own + 3.0])
+
+    draw = {name: 1.1 * value for name, value in nominal.items()}
+    found = probe(numbers_of, nominal, [draw])
+    assert not isinstance(found, str)
+    assert calls < 90
+    assert found.powers["all"][0].tolist() == list(range(count))
+    assert "none" not in {**found.powers, **found.slopes}
+    changes = found.changes({name: np.array([value]) for name, value in draw.items()}, 1)
+    assert found.at(changes, tuple(range(3 * count)))[0] == pytest.approx(numbers_of(draw), rel=1e-12)
+
+
+def test_a_mission_with_hundreds_of_uncertain_values_compiles_quickly(tmp_path: Path) -> None:
+    times = []
+    for count in (20, 200):
+        drives = "".join(
+            f"  - drive: {{distance: {{value: {10 + i % 7} m, sd: 2 %}}, speed: {{value: 0.5 m/s, sd: 3 %}}}}\n"
+            for i in range(count)
+        )
+        path = written(tmp_path, f"segments:\n{drives}")
+        prepare.cache_clear()
+        begin = time.process_time()
+        assert prepare(Task(path, (), None, 1, "auto")).arrays is not None
+        times.append(time.process_time() - begin)
+    assert times[1] < 30.0 * times[0]  # ten times the values; quadratic would be a hundred times the work
