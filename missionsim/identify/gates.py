@@ -112,7 +112,8 @@ def weigh(model: Model, column: int, rules: Rules, settings: Settings, spread: f
 
     others = [c for c in model.chosen if c != column]
     gain = float(single_gains(model.gram, rules, others)[column])
-    level = settings.alpha / effects
+    # a grid of time constants is tried at several places that look alike: the root of their number counts
+    level = settings.alpha / effects / np.sqrt(np.sum(rules.effect == rules.effect[column]))
     needed = 0.5 * float(norm.isf(level / 2)) ** 2
     share, sd, p_robust, p_runs = _robust(model, column, others, settings)
     predictive, better, informative, backing = _left_out(model, column, others)
