@@ -32,8 +32,8 @@ _GAUSS = np.array([0.129484966168869693270611432679082, 0.2797053914892766679014
                    0.381830050505118944950369775488975, 0.417959183673469387755102040816327])
 NODES = np.concatenate([-_NODES[:-1], [0.0], _NODES[:-1][::-1]])
 WEIGHTS = np.concatenate([_KRONROD[:-1], _KRONROD[-1:], _KRONROD[:-1][::-1]])
-_GAUSS_WEIGHTS = np.zeros(15)
-_GAUSS_WEIGHTS[1::2] = np.concatenate([_GAUSS[:-1], _GAUSS[-1:], _GAUSS[:-1][::-1]])
+GAUSS_WEIGHTS = np.zeros(15)
+GAUSS_WEIGHTS[1::2] = np.concatenate([_GAUSS[:-1], _GAUSS[-1:], _GAUSS[:-1][::-1]])
 
 
 def integrate(
@@ -121,7 +121,7 @@ def _quadrature(
                 integral = half * (samples @ WEIGHTS)
                 parts[key] = integral
                 scale += half * (np.abs(samples) @ WEIGHTS)
-                spread += np.abs(half * (samples @ _GAUSS_WEIGHTS) - integral)
+                spread += np.abs(half * (samples @ GAUSS_WEIGHTS) - integral)
         bad |= spread > RELATIVE_TOLERANCE * scale
     # a jump needs one piece a level; where pieces go on multiplying, the power is noise that no halving resolves
     if depth >= _MAX_DEPTH or (depth >= _NOISE_DEPTH and index.size > max(_MOST_PIECES, 8 * len(timeline))):

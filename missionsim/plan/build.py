@@ -84,6 +84,7 @@ class _Builder:
         self._names: dict[str, int] = {}
         self._base: dict[int, Settings] = {}
         self._scheme = ""
+        self._routes: list[tuple[str, str, tuple[int, ...]]] = []
         self._ambient_values = self._ambient()
         self._ambient_surface = (environment.ambient.surface or "") if environment is not None else ""
         self._behaviours_of: dict[str, tuple[tuple[Any, str], ...]] = {}
@@ -110,7 +111,7 @@ class _Builder:
         steps = group(self.legs, self.limits, breaks if slow else None)
         activities = tuple(self._activity(i, spec) for i, spec in enumerate(self.mission.activities))
         return Plan(tuple(self.legs), steps, tuple(self.segments), activities, self.limits, start,
-                    tuple(sorted(self.chance.items())))
+                    tuple(sorted(self.chance.items())), tuple(self._routes))
 
     def fault(self, segment: Any, message: str, allowed: str = "") -> InputError:
         """A fault at the line of a segment."""
@@ -267,7 +268,9 @@ class _Builder:
             raise self.fault(segment, "the place from which this drive starts is not known", "start: a place")
         stops = segment.along if segment.along is not None else (*segment.via, segment.to)
         for stop in stops:
-            for way in self.routes.route(self.place, stop, str(self.mission.path)) if stop != self.place else ():
+            ways = self.routes.route(self.place, stop, str(self.mission.path)) if stop != self.place else []
+            self._routes.append((self.place, stop, tuple(way.edge for way in ways)))
+            for way in ways:
                 self._way(segment, base, way)
             self.place = stop
 

@@ -195,6 +195,8 @@ class Plan:
     chance : tuple of (str, int)
         What chance did, by what it is (``obstacles``, ``relocalisations_failed``, ``inspections_repeated``); empty
         where nothing is left to chance or no generator was given.
+    routes : tuple of (str, str, tuple of int)
+        The routes taken through the environment: begin, end, edges.
     """
 
     legs: tuple[Leg, ...]
@@ -204,6 +206,7 @@ class Plan:
     limits: Limits
     start: str = ""
     chance: tuple[tuple[str, int], ...] = ()
+    routes: tuple[tuple[str, str, tuple[int, ...]], ...] = ()
 
     @property
     def limited(self) -> bool:

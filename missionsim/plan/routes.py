@@ -38,6 +38,8 @@ class Way:
         Direction on the map where both places have coordinates.
     extra : mapping of str to float or str
         ``temp_ambient_c``, ``access_point_distance_m`` and conditions where the edge gives them.
+    edge : int
+        Which of the environment's edges.
     """
 
     begin: str
@@ -48,6 +50,7 @@ class Way:
     max_speed_m_s: float
     heading_rad: float | None
     extra: Mapping[str, float | str]
+    edge: int = 0
 
 
 class Routes:
@@ -63,7 +66,7 @@ class Routes:
     def __init__(self, environment: EnvironmentSpec, number: Number) -> None:
         self.environment = environment
         self.ways: dict[str, list[Way]] = {name: [] for name in environment.places}
-        for edge in environment.edges:
+        for index, edge in enumerate(environment.edges):
             length = number(edge.length) if edge.length is not None else environment.length_m(edge)
             if length is None:
                 raise InputError.single(
@@ -85,7 +88,7 @@ class Routes:
                 ends.append((edge.to, edge.from_, -slope))
             for begin, end, grade in ends:
                 heading = self.heading(begin, end)
-                self.ways[begin].append(Way(begin, end, length, grade, surface, fastest, heading, extra))
+                self.ways[begin].append(Way(begin, end, length, grade, surface, fastest, heading, extra, index))
 
     def position(self, place: str) -> tuple[float, float] | None:
         """Coordinates of a place [m]."""

@@ -17,19 +17,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.integrate import NODES, WEIGHTS
+from missionsim.effects.integrate import GAUSS_WEIGHTS, NODES, WEIGHTS
 from missionsim.effects.model import PowerModel
 from missionsim.engine.simulate import RESERVE_TOLERANCE, split_values
 from missionsim.plan.kinematics import phases
 from missionsim.plan.legs import Leg, Plan
 from missionsim.spec.mission import MissionSpec
 from missionsim.uncertainty.draws import Draws, Sampler
-from missionsim.uncertainty.entries import SETTINGS, Entries, Progress, at_nodes, drawn_conditions, running_sum, take
+from missionsim.uncertainty.entries import (
+    SETTINGS,
+    Entries,
+    Interval,
+    Motion,
+    Progress,
+    at_nodes,
+    distance,
+    drawn_conditions,
+    running_sum,
+    take,
+)
 from missionsim.uncertainty.probe import Dependence
 from missionsim.uncertainty.run_table import RunTable
 from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, simulate_block
+from missionsim.uncertainty.ways import Edges
 
 Array = NDArray[np.float64]
+AGREEMENT = 1e-9
+"""Largest relative difference to SimPy that is accepted."""
 CACHED_RUNS = 2048
 """Runs evaluated at a time: their arrays of draws × intervals stay in the processor's cache."""
 _PARTS = np.linspace(0.0, 1.0, PROGRESS_POINTS)
@@ -38,29 +52,6 @@ _PARTS = np.linspace(0.0, 1.0, PROGRESS_POINTS)
 _largest = np.empty(24 << 20, dtype=np.uint8)
 del _largest
 _MOVES = ("roll", "slide", "turn")
-
-
-@dataclass(frozen=True)
-class Interval:
-    """One interval of every run: which leg, which of its three phases (or standing)."""
-
-    leg: int
-    phase: int
-    moving: bool
-    begins: bool
-    """Whether the robot starts from rest in it."""
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Duration, speed at the start and acceleration of each interval, shape (runs, intervals) in Fortran order."""
-
-    duration_s: Array
-    speed_m_s: Array
-    accel_m_s2: Array
-    """One row where no speed changes within an interval."""
-    limited: NDArray[np.bool_]
-    """The runs, shape (runs,) or (1,), in which a drawn speed is above what the robot can do."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +64,8 @@ class ArrayMission:
         The terms that some draw changes.
     fixed : mapping
         Battery and component → power of all other terms in each interval [W], shape (intervals,).
+    edges : Edges or None
+        Where the shortest ways may follow from draws.
     """
 
     mission: MissionSpec
@@ -86,6 +79,7 @@ class ArrayMission:
     switched_on: Mapping[str, NDArray[np.intp]]
     varying: PowerModel
     fixed: Mapping[tuple[str, str], Array]
+    edges: Edges | None = None
 
     def block(self, seed: int, first: int, count: int) -> dict[str, NDArray[Any]]:
         """Columns of the runs ``first … first + count − 1``."""
@@ -116,6 +110,8 @@ class ArrayMission:
             part = slice(low, min(low + CACHED_RUNS, count))
             with np.errstate(all="ignore"):  # what is no number goes to SimPy, which tells why
                 self._piece(changes[:, part], {name: value[part] for name, value in values.items()}, table, part)
+        if self.edges is not None:
+            table.again |= self.edges.others_shorter(draws, count)
         return table.columns(), table.again
 
     def _piece(self, changes: Array, values: Mapping[str, Array], table: RunTable, part: slice) -> None:
@@ -126,8 +122,8 @@ class ArrayMission:
         motion = self.motion(entries, count)
         knots = running_sum(motion.duration_s.T)
         cov, rates = self.covariates(entries, motion, knots)
-        energy = self._energies(cov, rates, motion, knots[-1], values, numbers, table.part)
-        numbers[0], numbers[1] = knots[-1], self._distance(cov, motion)
+        energy, doubt = self._energies(cov, rates, motion, knots[-1], values, numbers, table.part)
+        numbers[0], numbers[1] = knots[-1], distance(cov, motion)
         sound = np.isfinite(knots[-1]) & (motion.duration_s.min(axis=1) >= 0.0)
         table.again[part], table.limited[part] = ~sound, motion.limited
         if not sound.all():
@@ -147,6 +143,7 @@ class ArrayMission:
             left = initial - total
             floor = required if self.mission.policy.on_empty == "return_to_dock" else 0.0
             table.again[part] |= ~(initial - most > floor + slack)  # also where it is not a number
+            table.again[part] |= doubt > AGREEMENT * np.abs(total)
             np.less(left, required - slack, out=table.below[b, part])
             for quantity, joules in (("energy", total), ("charge_left", left), ("margin", left - required),
                                      ("needed", np.maximum(most, 0.0))):
@@ -336,8 +333,12 @@ class ArrayMission:
         values: Mapping[str, Array],
         numbers: Array,
         part: Mapping[tuple[str, str], int],
-    ) -> dict[str, Array]:
-        """Energy by battery and interval, shape (runs, intervals), in J; by component it is added to `numbers`."""
+    ) -> tuple[dict[str, Array], Any]:
+        """Energy by battery and interval, shape (runs, intervals), in J; by component it is added to `numbers`.
+
+        Also how far two quadratures of each run differ [J]: far, where a term has a kink inside an interval.
+        """
+        doubt: Any = 0.0
         duration = motion.duration_s
         total, even, changing, powers = self._fixed
         for key, watts in even.items():
@@ -348,6 +349,7 @@ class ArrayMission:
         energy = {name: duration * total[name] for name in steady_loads}
 
         def book(powers: Mapping[str, Mapping[Any, Any]], where: Any, length: Array, weights: Array | None) -> None:
+            nonlocal doubt
             whole = length is duration
             lasts = time_s if whole else length.sum(axis=1)
             for battery, terms in powers.items():
@@ -357,6 +359,7 @@ class ArrayMission:
                     if weights is not None:
                         shape = (length.shape[1], len(weights))
                         watts = np.broadcast_to(watts, (*watts.shape[:-1], shape[0] * shape[1])).reshape(-1, *shape)
+                        doubt = doubt + (length * np.abs(watts @ (weights - 0.5 * GAUSS_WEIGHTS))).sum(axis=1)
                         watts = watts @ weights
                     if watts.shape == (len(length), 1):  # the same in all intervals
                         joules = lasts * watts[:, 0]
@@ -388,13 +391,4 @@ class ArrayMission:
                 spread = np.broadcast_to(impulse, duration.shape)
                 energy[term.battery] += spread
                 numbers[part[term.battery, term.component]] += spread.sum(axis=1)
-        return energy
-
-    def _distance(self, cov: Mapping[str, Any], motion: Motion) -> Array:
-        duration = motion.duration_s
-        if not motion.accel_m_s2.any() and not np.any(cov["lateral_speed_m_s"]):
-            speed = np.broadcast_to(np.abs(cov["speed_m_s"]), duration.shape)
-            return np.asarray(np.einsum("ij,ij->i", speed, duration))
-        ahead = cov["speed_m_s"] * duration + 0.5 * cov["accel_m_s2"] * duration**2
-        aside = cov["lateral_speed_m_s"] * duration + 0.5 * cov["lateral_accel_m_s2"] * duration**2
-        return np.asarray(np.hypot(ahead, aside).sum(axis=1))
+        return energy, doubt

@@ -16,16 +16,16 @@ from missionsim.errors import MissionsimError
 from missionsim.plan.build import make_plan
 from missionsim.plan.legs import Plan
 from missionsim.spec.mission import MissionSpec
-from missionsim.uncertainty.arrays import ArrayMission, Interval
+from missionsim.uncertainty.arrays import AGREEMENT, ArrayMission
 from missionsim.uncertainty.draws import Sampler
-from missionsim.uncertainty.entries import Entries, numbers_of_plan, running_sum
+from missionsim.uncertainty.entries import Entries, Interval, numbers_of_plan, running_sum
 from missionsim.uncertainty.probe import Dependence, probe
 from missionsim.uncertainty.single import left_to_chance
+from missionsim.uncertainty.ways import drawn_edges
 
 Array = NDArray[np.float64]
 _CHECK_PROBABILITIES = (0.5, 0.002, 0.998, 0.25, 0.75)
-AGREEMENT = 1e-9
-"""Largest relative difference to SimPy that is accepted."""
+_CHECK_DRAWS, _TRIED = 3, 256
 
 
 def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) -> ArrayMission | str:
@@ -69,11 +69,27 @@ def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) ->
         }
         for p in _CHECK_PROBABILITIES
     ]
+    edges = drawn_edges(mission, plan, frozenset(nominal))
+    drawn = sampler.draw(0, 0, _CHECK_DRAWS)
+    checks += [{name: float(values[i]) for name, values in drawn.items()} for i in range(_CHECK_DRAWS)]
+    if edges is not None:  # draws by which the robot goes another way are SimPy's
+        numbers = {name: np.array([check[name] for check in checks]) for name in nominal}
+        elsewhere = edges.others_shorter(numbers, len(checks))
+        checks = [check for check, away in zip(checks, elsewhere, strict=True) if not away]
     found = probe(numbers_of, nominal, checks)
     if isinstance(found, str):
         return found
     made = _assemble(mission, model, sampler, plan, found, world)
-    return made if isinstance(made, str) else (_disagreement(made, checks) or made)
+    if isinstance(made, str):
+        return made
+    made = replace(made, edges=edges)
+    _, again = made.evaluate(sampler.draw(0, 0, _TRIED), _TRIED)
+    if again.mean() > 0.5:
+        return (
+            f"in {100 * again.mean():.0f} % of its runs a battery comes to a threshold, another way is shorter or a "
+            "power has a kink inside an interval"
+        )
+    return _disagreement(made, checks) or made
 
 
 def _shape(plan: Plan) -> list[Any]:

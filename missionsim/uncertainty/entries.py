@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -118,6 +119,40 @@ def numbers_of_plan(plan: Plan, setup: RunSetup) -> Array:
     for name, battery in setup.batteries.items():
         values += [battery.capacity_j, float(battery.charge_j(battery.initial)), setup.required[name]]
     return np.asarray(values, dtype=float)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """One interval of every run: which leg, which of its three phases (or standing)."""
+
+    leg: int
+    phase: int
+    moving: bool
+    begins: bool
+    """Whether the robot starts from rest in it."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Duration, speed at the start and acceleration of each interval, shape (runs, intervals) in Fortran order."""
+
+    duration_s: Array
+    speed_m_s: Array
+    accel_m_s2: Array
+    """One row where no speed changes within an interval."""
+    limited: NDArray[np.bool_]
+    """The runs, shape (runs,) or (1,), in which a drawn speed is above what the robot can do."""
+
+
+def distance(cov: Mapping[str, Any], motion: Motion) -> Array:
+    """Distance driven [m], shape (runs,)."""
+    duration = motion.duration_s
+    if not motion.accel_m_s2.any() and not np.any(cov["lateral_speed_m_s"]):
+        speed = np.broadcast_to(np.abs(cov["speed_m_s"]), duration.shape)
+        return np.asarray(np.einsum("ij,ij->i", speed, duration))
+    ahead = cov["speed_m_s"] * duration + 0.5 * cov["accel_m_s2"] * duration**2
+    aside = cov["lateral_speed_m_s"] * duration + 0.5 * cov["lateral_accel_m_s2"] * duration**2
+    return np.asarray(np.hypot(ahead, aside).sum(axis=1))
 
 
 def running_sum(rows: Array) -> Array:

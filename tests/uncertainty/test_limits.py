@@ -147,3 +147,38 @@ def test_a_mission_with_hundreds_of_uncertain_values_compiles_quickly(tmp_path: 
         assert prepare(Task(path, (), None, 1, "auto")).arrays is not None
         times.append(time.process_time() - begin)
     assert times[1] < 30.0 * times[0]  # ten times the values; quadratic would be a hundred times the work
+
+
+def test_runs_in_which_a_drawn_length_makes_another_way_shorter_take_it(tmp_path: Path) -> None:
+    (tmp_path / "map.yaml").write_text(
+        "kind: environment\nname: two_ways\nplaces: {A: {}, B: {}, C: {}, D: {}}\nedges:\n"
+        "  - {from: A, to: B, length: {value: 25 m, sd: 8 %}}\n  - {from: B, to: D, length: {value: 25 m, sd: 8 %}}\n"
+        "  - {from: A, to: C, length: {value: 27 m, sd: 8 %}}\n  - {from: C, to: D, length: 27 m, slope: 1 %}\n",
+        encoding="utf-8",
+    )
+    text = "environment: map.yaml\nstart: A\ndefaults: {speed: 0.5 m/s}\nsegments: [{drive: {to: D}}, {drive: {to: A}}]"
+    prepared = prepare(Task(written(tmp_path, text), (), None, 2, "auto"))
+    assert prepared.arrays is not None, prepared.why_not_arrays
+    ours = prepared.arrays.block(2, 0, 60)
+    first = ours["drawn:environment.edges.0.length"] + ours["drawn:environment.edges.1.length"]
+    other = ours["drawn:environment.edges.2.length"] + 27.0
+    assert 2 < np.count_nonzero(other < first) < 30
+    np.testing.assert_allclose(ours["distance_m"], 2.0 * np.minimum(first, other), rtol=1e-12)
+    assert_agree(ours, simulate_block(prepared.mission, prepared.model, prepared.sampler, 2, 0, 60))
+
+
+def test_runs_with_a_kink_inside_an_interval_go_to_simpy(tmp_path: Path) -> None:
+    path = written(tmp_path, "segments:\n  - drive: {distance: 30 m, speed: {value: 0.5 m/s, sd: 4 %}}\n")
+    robot = tmp_path / "robot.yaml"
+    own = 'effects:\n  - {name: own, battery: main, power: "maximum(0, k*(v - 0.54))", parameters: {k: 30}}\n'
+    robot.write_text(robot.read_text(encoding="utf-8") + own, encoding="utf-8")
+    prepared = prepare(Task(path, (), None, 1, "auto"))
+    assert prepared.arrays is not None, prepared.why_not_arrays
+    draws = prepared.sampler.draw(1, 0, 300)
+    _, again = prepared.arrays.evaluate(draws, 300)
+    assert np.array_equal(again, draws["segments.0.drive.speed"] > 0.54)
+    assert 1 < again.sum() < 30
+    assert_agree(
+        prepared.arrays.block(1, 0, 300),
+        simulate_block(prepared.mission, prepared.model, prepared.sampler, 1, 0, 300),
+    )
