@@ -52,7 +52,7 @@ def group(case: str) -> str:
         return "nothing, 1 % model discrepancy" if case.endswith("level3") else "nothing hidden"
     if case.startswith("two-"):
         return "two effects"
-    for start in ("outside", "confounded", "execution"):
+    for start in ("outside", "confounded", "execution", "mixed"):
         if case.startswith(start):
             return start
     found = re.search(r"-(\d+)pct(?:-(.*))?$", case)
@@ -96,6 +96,7 @@ def judge(case: str, seed: int, answer: Mapping[str, Any], outcome: Outcome) -> 
         "first_right": bool(named and named[0] in hidden) if naming else None,
         "exact": set(named) == set(hidden) if naming else (not named if want != "outside" else None),
         "all_named": set(hidden) <= set(named) if naming else None,
+        "all_in_set": set(hidden) <= set().union(*credible.values()) if naming else None,
         "in_set": bool(set().union(*credible.values()) & set(hidden)) if naming and named else None,
         "missed": not named if naming else None,
         "any_wrong": bool(wrong),

@@ -32,6 +32,32 @@ PAIRS = (
     ("acceleration", "grade"),
     ("temperature_friction", "turning_scrub"),
     ("component_warmup:kinect", "grade"),
+    ("cold_friction", "component_power:kinect"),
+    ("radio_range", "grade"),
+    ("cpu_frequency", "turning_scrub"),
+    ("start_surge", "payload"),
+    ("aerodynamic_drag", "grade"),
+    ("rolling_friction", "turning_scrub"),
+    ("standby_load", "acceleration"),
+    ("conversion_loss", "grade"),
+    ("cold_friction", "temperature_friction"),
+    ("surface_rolling_resistance", "payload"),
+    ("viscous_friction", "acceleration"),
+    ("cpu_load", "cpu_frequency"),
+)
+MIXED = (  # an effect of the library beside one that no library names
+    ("grade", "fan"),
+    ("payload", "fan"),
+    ("turning_scrub", "skid"),
+    ("cpu_load", "skid"),
+    ("payload", "highspeed"),
+    ("cold_friction", "highspeed"),
+    ("cpu_load", "voltage_load"),
+    ("standby_load", "voltage_load"),
+    ("cold_friction", "random_onset"),
+    ("grade", "random_onset"),
+    ("standby_load", "hysteresis"),
+    ("turning_scrub", "hysteresis"),
 )
 
 
@@ -71,8 +97,9 @@ def _build() -> dict[str, Case]:
             cases.append(Case(f"{stem}-5pct-level3", (hidden,), 0.05, noise_level=3))
             for robot in ("husky_like", "small_rover"):
                 cases.append(Case(f"{stem}-5pct-{robot}", (hidden,), 0.05, robot=robot))
-    cases += [Case(f"two-{a.split(':')[0]}-{b}", (a, b), 0.04) for a, b in PAIRS]
+    cases += [Case(f"two-{a.split(':')[0]}-{b.split(':')[0]}", (a, b), 0.04) for a, b in PAIRS]
     cases += [Case(f"outside-{name}", (name,), 0.05) for name in OUTSIDE]
+    cases += [Case(f"mixed-{a}-{b}", (a, b), 0.05) for a, b in MIXED]
     for design, truth, same in CONFOUNDED:
         share = 0.08 if truth in ("standby_load", "rolling_friction") else 0.05
         cases.append(

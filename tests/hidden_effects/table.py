@@ -99,6 +99,7 @@ def _goals(rows: Sequence[Row]) -> list[str]:
         ("5 % of the energy: right name first", "100 %", _rate(of("one effect, 5 %"), "first_right")),
         ("5 %: truth named or in the set of what cannot be told apart", "100 %", _rate(of("one effect, 5 %"), "found")),
         ("pairs: both named", "≥ 90 %", _rate(of("two effects"), "all_named")),
+        ("pairs: both named or in the set of what cannot be told apart", "–", _rate(of("two effects"), "all_in_set")),
         (
             "removable held-out energy error removed (2, 5, 10 %, pairs)",
             "≥ 95 %",
@@ -106,6 +107,8 @@ def _goals(rows: Sequence[Row]) -> list[str]:
         ),
         ("confounded: a confident wrong name", "0 %", _rate(of("confounded"), "confident_wrong")),
         ("outside the library: a confident wrong name", "0 %", _rate(of("outside"), "confident_wrong")),
+        ("outside, beside one of the library: a confident wrong name", "0 %", _rate(of("mixed"), "confident_wrong")),
+        ("in all cases: a confident wrong name", "0 %", _rate(ours, "confident_wrong")),
         ("confounded: cannot tell, kept honest", "100 %", _rate(of("confounded"), "honest")),
         (
             "confounded: resolved by at most two proposed experiments",
