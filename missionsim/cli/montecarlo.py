@@ -15,8 +15,10 @@ from missionsim.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from missionsim.uncertainty.batch import Prepared, Task
+    from missionsim.uncertainty.store import BlockStore
 
 RESUMABLE = 130
+MOST_RUNS, MOST_WORKERS = 10**9, 1024
 
 
 def montecarlo(
@@ -128,8 +130,8 @@ def _check(
     base = sobol or 0
     numbers = "a run's number, 0 or more" if last is None else f"a run's number, 0 to {last} (--runs {runs})"
     for name, bad, got, allowed in (
-        ("--runs", runs < 1, runs, "1 or more"),
-        ("--workers", workers < 1, workers, "1 or more"),
+        ("--runs", not 1 <= runs <= MOST_RUNS, runs, f"1 to {MOST_RUNS}"),
+        ("--workers", not 1 <= workers <= MOST_WORKERS, workers, f"1 to {MOST_WORKERS}"),
         ("--until", until is not None and not 0.0 < until < 1.0, until, "a width between 0 and 1, such as 0.02"),
         ("--only", only is not None and not 0 <= only <= (only if last is None else last), only, numbers),
         ("--sobol", bool(base and (base < 64 or base & (base - 1))), sobol, "a power of two, 64 or more, or 0"),
@@ -187,10 +189,8 @@ def _batch(
 ) -> int:
     from missionsim.cli.common import to_json
     from missionsim.files import write_text
-    from missionsim.uncertainty.answers import summarise
-    from missionsim.uncertainty.batch import identity, run_batch
-    from missionsim.uncertainty.importance import affordable_samples, refuse_correlated, sobol_importance
-    from missionsim.uncertainty.single import left_to_chance, unread_values
+    from missionsim.uncertainty.batch import block_span, identity, run_batch
+    from missionsim.uncertainty.importance import refuse_correlated
     from missionsim.uncertainty.store import BlockStore
 
     if sobol:
@@ -198,6 +198,12 @@ def _batch(
     engine = "simpy" if prepared.arrays is None else "arrays"
     store = BlockStore(out)
     store.begin(identity(task, runs, engine), resume=resume)
+    if resume and (damaged := store.drop_damaged(lambda first: block_span(engine, runs, first)[1])):
+        print(
+            f"warning: computing again {len(damaged)} damaged block{'s' * (len(damaged) > 1)}, the first with run "
+            f"{damaged[0]}",
+            file=sys.stderr,
+        )
     try:
         with progress(quiet) as bar, _executor(scheduler) as executor:
             row = bar.add_task(f"runs ({engine})", total=runs)
@@ -211,13 +217,32 @@ def _batch(
                 until=until,
                 advance=lambda count: bar.advance(row, count),
             )
+        answer = _answer(task, prepared, engine, store, firsts, sobol)
+        write_text(out / "summary.json", to_json(answer))
+        if plot:
+            from missionsim.report.figures_montecarlo import write_figures
+
+            write_figures(store, firsts, tuple(prepared.mission.robot.batteries), out)
     except KeyboardInterrupt:
         kept = "nothing is kept without --out"
         if not passing:
             kept = f"finished blocks are in {out}; go on with the same command and --resume"
         print(f"interrupted; {kept}", file=sys.stderr)
         return RESUMABLE
-    batteries = tuple(prepared.mission.robot.batteries)
+    emit_json(answer, json)
+    if shows_text(json, quiet):
+        _print(answer, prepared)
+    return 0
+
+
+def _answer(
+    task: Task, prepared: Prepared, engine: str, store: BlockStore, firsts: list[int], sobol: int | None
+) -> dict[str, Any]:
+    """All that the batch says, as JSON has it."""
+    from missionsim.uncertainty.answers import summarise
+    from missionsim.uncertainty.importance import affordable_samples, sobol_importance
+    from missionsim.uncertainty.single import left_to_chance, unread_values
+
     answer: dict[str, Any] = {
         "schema": "missionsim.montecarlo/1",
         "mission": prepared.mission.name,
@@ -227,21 +252,13 @@ def _batch(
         "why_not_arrays": prepared.why_not_arrays,
         "unread": list(unread_values(prepared.mission, prepared.model, prepared.sampler)),
         "chance": [name.removeprefix("chance.") for name in left_to_chance(prepared.mission)],
-        **summarise(store, firsts, batteries),
+        **summarise(store, firsts, tuple(prepared.mission.robot.batteries)),
     }
     sobol = affordable_samples(prepared, task.seed) if sobol is None else sobol
     if sobol:
         answer["importance"] = sobol_importance(prepared, task.seed, sobol, answer["importance"])
     answer["sobol_samples"] = sobol
-    write_text(out / "summary.json", to_json(answer))
-    if plot:
-        from missionsim.report.figures_montecarlo import write_figures
-
-        write_figures(store, firsts, batteries, out)
-    emit_json(answer, json)
-    if shows_text(json, quiet):
-        _print(answer, prepared)
-    return 0
+    return answer
 
 
 class _executor:
@@ -262,6 +279,11 @@ class _executor:
                 got="no package 'distributed'",
                 allowed='pip install "missionsim[dask]"',
             ) from None
+        import logging
+
+        for name in [*logging.root.manager.loggerDict, "asyncio"]:
+            if name.startswith(("distributed", "tornado", "asyncio")):  # what matters is told here
+                logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
             self.client = Client(self.address, timeout=10)  # type: ignore[no-untyped-call]
         except (OSError, TimeoutError, ValueError) as error:
@@ -337,6 +359,7 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
             row["battery"],
             row["parameter"],
             _number(row["rank_correlation"], "+.2f"),
+            _number(row["margin_rank_correlation"], "+.2f"),
             _number(row["first"], ".3f", row.get("first_interval")),
             _number(row["total"], ".3f", row.get("total_interval")),
         )
@@ -345,8 +368,8 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
     if important:
         terminal.print(
             simple_table(
-                "What matters",
-                ["battery", "value", ("rank corr.", "right"), ("first order", "right"), ("total", "right")],
+                "What matters: rank correlation with energy and with the margin above the reserve; indices of energy",
+                ["battery", "value", *((head, "right") for head in ("energy", "margin", "first order", "total"))],
                 important,
             )
         )

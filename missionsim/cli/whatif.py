@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -125,16 +126,30 @@ def _draw(
 def show_differences(answer: dict[str, Any]) -> None:
     """Print which differences of the alternatives hold under the uncertainty."""
     rows = [
-        (row["name"], f"{100 * row['p_feasible']:.1f} %", d["quantity"], f"{d['mean']:+.4g}",
+        (row["name"], _percent(row), d["quantity"], f"{d['mean']:+.4g}",
          f"{d['low']:+.3g} … {d['high']:+.3g}", "yes" if d["real"] else "cannot be told")
-        for row in answer["alternatives"] for d in row["differences"]
+        for row in answer["alternatives"] for d in row["differences"] if not _mirrored(d, row["differences"])
     ]
     first = answer["alternatives"][0]
     terminal = console()
-    succeeds = f"{first['name']}: succeeds in {100 * first['p_feasible']:.1f} %"
+    succeeds = f"{first['name']}: succeeds in {_percent(first)}"
     terminal.print(f"{answer['runs']} runs each, same draws; {succeeds}")
     terminal.print(simple_table("Differences to the baseline", [
         "alternative", ("succeeds", "right"), "quantity", ("mean", "right"), "95 % interval", "real?"], rows))
+
+
+def _percent(row: Mapping[str, Any]) -> str:
+    low, high = row["p_feasible_interval"]
+    return f"{100 * row['p_feasible']:.1f} % ({100 * low:.1f}–{100 * high:.1f})"
+
+
+def _mirrored(difference: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether what a battery keeps changes by just what it gives, so that one of the two tells all."""
+    energy = difference["quantity"].replace("margin_", "energy_")
+    return energy != difference["quantity"] and any(
+        other["quantity"] == energy and math.isclose(other["mean"], -difference["mean"], rel_tol=1e-9)
+        for other in others
+    )
 
 
 def split_values(text: str) -> list[str]:

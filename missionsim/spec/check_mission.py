@@ -8,7 +8,7 @@ from typing import Any
 from missionsim.errors import Fault
 from missionsim.spec.check_route import RouteCheck
 from missionsim.spec.checker import Checker, Where
-from missionsim.spec.mission import MissionSpec
+from missionsim.spec.mission import CorrelationSpec, MissionSpec
 from missionsim.spec.robot import RobotSpec
 from missionsim.spec.tree import Document
 from missionsim.spec.uncertain_values import uncertain_values
@@ -304,6 +304,12 @@ class _MissionCheck(RouteCheck):
                 if not known and (self.robot is None or self.environment_broken):
                     continue
                 self.check.known((*where, number), path, known, "uncertain value")
+        if not self.check.touched("correlations") and not _possible(self.mission.correlations):
+            self.check.add(
+                ("correlations",), "these correlations cannot hold together", key=True,
+                got=", ".join(dict.fromkeys(path for item in self.mission.correlations for path in item.between)),
+                allowed="a positive definite matrix of correlations",
+            )
 
     def uncertain(self) -> list[str]:
         """Paths of all uncertain values of mission, robot and environment."""
@@ -312,6 +318,23 @@ class _MissionCheck(RouteCheck):
             if model is not None:
                 found += [f"{prefix}.{path}" for path, _ in uncertain_values(model)]
         return found
+
+
+def _possible(correlations: Sequence[CorrelationSpec]) -> bool:
+    """Whether the matrix of all correlations is positive definite."""
+    import numpy as np
+
+    place = {path: i for i, path in enumerate(dict.fromkeys(path for item in correlations for path in item.between))}
+    matrix = np.eye(len(place))
+    for item in correlations:
+        i, j = (place[path] for path in item.between)
+        if i != j:
+            matrix[i, j] = matrix[j, i] = item.rho
+    try:
+        np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def _raw(robot: RobotSpec, key: str) -> list[str]:

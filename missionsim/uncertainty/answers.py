@@ -164,10 +164,12 @@ def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) 
             },
         }
     drawn = {f"drawn:{name}": name for name in drawn_columns(names)}
-    used = {f"energy_{name}_wh": name for name in batteries}
+    used = [f"{what}_{name}_wh" for what in ("energy", "margin") for name in batteries]
     first = store.beginning([*drawn, *used], firsts, IMPORTANCE_RUNS)
     answer["importance"] = rank_importance(
-        {name: first[column] for column, name in drawn.items()}, {name: first[column] for column, name in used.items()}
+        {name: first[column] for column, name in drawn.items()},
+        {name: first[f"energy_{name}_wh"] for name in batteries},
+        {name: first[f"margin_{name}_wh"] for name in batteries},
     )
     answer["importance_runs"] = min(total, IMPORTANCE_RUNS)
     return answer
@@ -206,7 +208,9 @@ def capacity_needed(parts: Parts, share: float = 0.99) -> dict[str, Any]:
 
 
 def rank_importance(
-    drawn: Mapping[str, NDArray[np.float64]], energies: Mapping[str, NDArray[np.float64]]
+    drawn: Mapping[str, NDArray[np.float64]],
+    energies: Mapping[str, NDArray[np.float64]],
+    margins: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> list[dict[str, Any]]:
     """Which values matter: first-order index from the sample itself, and Spearman's rank correlation.
 
@@ -219,12 +223,16 @@ def rank_importance(
         Value → ndarray of shape (n,).
     energies : mapping
         Battery → ndarray of shape (n,), NaN where a run failed.
+    margins : mapping, optional
+        The same for what each battery keeps above its reserve, on which capacity and ageing act too.
     """
     found: list[dict[str, Any]] = []
     ok = np.all([np.isfinite(energy) for energy in energies.values()], axis=0) if energies else np.zeros(0, dtype=bool)
     count = int(np.count_nonzero(ok))
     outcomes = {name: energy[ok] for name, energy in energies.items() if count >= 20 and _varies(energy[ok])}
     ranks = {name: _ranks(energy)[0] for name, energy in outcomes.items()}
+    kept = {name: values[ok] for name, values in (margins or {}).items() if name in outcomes}
+    kept_ranks = {name: _ranks(values)[0] for name, values in kept.items() if _varies(values)}
     classes = int(min(50, max(4, round(count ** (1 / 3)))))
     for parameter, values in drawn.items() if outcomes else ():
         column = values[ok]
@@ -246,10 +254,17 @@ def rank_importance(
                     "first": max(0.0, float(first)),
                     "total": None,
                     "rank_correlation": float(np.corrcoef(own, ranks[battery])[0, 1]),
+                    "margin_rank_correlation": (
+                        float(np.corrcoef(own, kept_ranks[battery])[0, 1]) if battery in kept_ranks else None
+                    ),
                 }
             )
     place = {name: i for i, name in enumerate(energies)}
-    return sorted(found, key=lambda row: (place[row["battery"]], -abs(row["rank_correlation"])))
+
+    def weight(row: Mapping[str, Any]) -> float:
+        return max(abs(float(row["rank_correlation"])), abs(float(row["margin_rank_correlation"] or 0.0)))
+
+    return sorted(found, key=lambda row: (place[row["battery"]], -weight(row)))
 
 
 def _varies(values: NDArray[np.float64]) -> bool:

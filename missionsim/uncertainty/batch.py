@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import hashlib
+import itertools
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED as FIRST
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -13,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from numpy import __version__ as numpy_version
 
 from missionsim import __version__
-from missionsim.errors import InputError, MissionsimError
+from missionsim.errors import InputError
 from missionsim.files import sha256
 from missionsim.plan.build import make_plan
 from missionsim.spec.loading import load_mission
@@ -110,6 +113,8 @@ def identity(task: Task, runs: int, engine: str) -> dict[str, Any]:
         "block_runs": BLOCK_RUNS[engine],
         "overrides": [list(pair) for pair in task.overrides],
         "files": files,
+        # what is drawn from may lie in further files
+        "distributions": hashlib.sha256(repr(prepared.sampler.values).encode()).hexdigest(),
     }
 
 
@@ -148,11 +153,9 @@ def run_batch(
     list of int
         First runs of the blocks that count, in order.
     """
-    size = BLOCK_RUNS[engine]
-    spans = [(first, min(size, runs - first)) for first in range(0, runs, size)]
     counted: list[int] = []
     good = total = 0
-    for first, count in _finished(task, engine, spans, store, workers, executor):
+    for first, count in _finished(task, engine, runs, store, workers, executor):
         advance(count)
         counted.append(first)
         if until is not None:
@@ -164,55 +167,86 @@ def run_batch(
     return counted
 
 
+def block_span(engine: str, runs: int, first: int) -> tuple[int, int]:
+    """First run and number of runs of the block that begins with run `first`."""
+    return first, min(BLOCK_RUNS[engine], runs - first)
+
+
 def _finished(
-    task: Task,
-    engine: str,
-    spans: list[tuple[int, int]],
-    store: BlockStore,
-    workers: int,
-    executor: Executor | None,
+    task: Task, engine: str, runs: int, store: BlockStore, workers: int, executor: Executor | None
 ) -> Iterator[tuple[int, int]]:
     """Spans in order of runs, each after its block is on disk."""
+    firsts = range(0, runs, BLOCK_RUNS[engine])
+    span = functools.partial(block_span, engine, runs)
     if executor is None and workers <= 1:
-        for first, count in spans:
+        for first in firsts:
             if not store.has(first):
-                store.write(first, compute_block(task, first, count))
-            yield first, count
+                store.write(first, compute_block(task, *span(first)))
+            yield span(first)
         return
-    missing = [span for span in spans if not store.has(span[0])]
     decided = replace(task, engine=engine)  # so that no worker tries again what cannot be arrays
     if executor is not None:  # a cluster's workers may see other disks
-        yield from _pooled(executor, functools.partial(compute_block, decided), spans, missing, store, 8)
+        work = functools.partial(compute_block, decided)
+        try:
+            yield from _pooled(executor, work, firsts, span, store, lambda: _cluster_room(executor))
+        except (OSError, CancelledError) as error:
+            if isinstance(error, OSError) and error.filename is not None:
+                raise
+            raise InputError.single(
+                "the Dask scheduler was lost", got=" ".join(str(error).split())[:100],
+                allowed="with --out, finished blocks are kept: --resume and a scheduler that runs",
+            ) from error
         return
     import multiprocessing
 
     taken = lost = 0
-    while taken < len(spans):
+    while taken < len(firsts):
         pool = ProcessPoolExecutor(
-            max(1, min(workers, len(missing))),
+            min(workers, len(firsts) - taken),
             mp_context=multiprocessing.get_context("spawn"),
             initializer=_leave_interrupts_to_the_parent,
         )
-        work = functools.partial(_write_block, decided, store)
+        write = functools.partial(_write_block, decided, store)
         try:
-            for span in _pooled(pool, work, spans[taken:], missing, store, 2 * workers):
+            for done in _pooled(pool, write, firsts[taken:], span, store, lambda: 2 * workers):
                 taken += 1
-                yield span
+                yield done
         except BrokenProcessPool:
             lost += 1
             if lost > MOST_LOST:
-                raise MissionsimError(
-                    f"{lost} times a worker process ended unexpectedly (out of memory?); the finished blocks are kept"
+                raise InputError.single(
+                    f"{lost} times a worker process ended unexpectedly (out of memory?)",
+                    allowed="with --out, finished blocks are kept: --resume, perhaps with fewer --workers",
                 ) from None
-            missing = [span for span in spans[taken:] if not store.has(span[0])]
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _cluster_room(client: Any) -> int:
+    """Blocks that a cluster may hold at once: twice its threads, as many as they are now."""
+    return max(8, 2 * int(sum(client.nthreads().values())))
 
 
 def _leave_interrupts_to_the_parent() -> None:
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold Ctrl-C back meanwhile: a process that starts here inherits that, and does not die of it while it starts."""
+    import signal
+    import threading
+
+    if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _write_block(task: Task, store: BlockStore, first: int, count: int) -> None:
@@ -223,29 +257,31 @@ def _write_block(task: Task, store: BlockStore, first: int, count: int) -> None:
 def _pooled(
     pool: Any,
     work: Callable[[int, int], dict[str, NDArray[Any]] | None],
-    spans: list[tuple[int, int]],
-    missing: list[tuple[int, int]],
+    firsts: range,
+    span: Callable[[int], tuple[int, int]],
     store: BlockStore,
-    ahead: int,
+    room: Callable[[], int],
 ) -> Iterator[tuple[int, int]]:
-    """Keep `ahead` blocks under way, so that memory does not grow with the number of runs."""
-    waiting = iter(missing)
+    """Keep so many blocks under way as there is room for, so that memory does not grow with the number of runs."""
+    waiting = (first for first in firsts if not store.has(first))
     under_way: dict[Future[Any], int] = {}
 
     def fill() -> None:
-        while len(under_way) < ahead and (span := next(waiting, None)) is not None:
-            under_way[pool.submit(work, *span)] = span[0]
+        free = room() - len(under_way)
+        with _interrupts_held():  # a pool starts its processes when it gets work
+            for first in itertools.islice(waiting, max(0, free)):
+                under_way[pool.submit(work, *span(first))] = first
 
-    for span in spans:
+    for first in firsts:
         fill()
-        while not store.has(span[0]):
+        while not store.has(first):
             done, _ = wait_for(under_way)
             for future in done:
-                first, columns = under_way.pop(future), future.result()
+                begin, columns = under_way.pop(future), future.result()
                 if columns is not None:
-                    store.write(first, columns)
+                    store.write(begin, columns)
             fill()
-        yield span
+        yield span(first)
 
 
 def wait_for(futures: Iterable[Any]) -> tuple[set[Any], set[Any]]:

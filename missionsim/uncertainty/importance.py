@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,8 +25,10 @@ DESIGNS = 16
 FEWEST = 4 * DESIGNS
 CHANCE = "chance"
 """Name of all that a mission leaves to chance, taken as one value."""
-_TRIED, _AFFORDABLE, _MOST_SAMPLES = 512, 150_000, 1024
+_TRIED, _AFFORDABLE, _AFFORDABLE_SIMPY, _MOST_SAMPLES = 512, 150_000, 400, 1024
 _EDGE = 2.0**-40
+_MATTERS = 0.05
+"""A rank correlation with the margin above this is told even of a value that changes no energy (a capacity)."""
 _POINTS = 1 << 14
 """So many points are evaluated at once, at most."""
 
@@ -65,7 +68,7 @@ def sobol_importance(prepared: Prepared, seed: int, samples: int, ranks: list[di
     if not names:
         return ranks
     first, total = _indices(prepared, seed, samples, len(names))
-    known = {(row["battery"], row["parameter"]): row.get("rank_correlation") for row in ranks}
+    known = {(row["battery"], row["parameter"]): row for row in ranks}
     rows = [
         {
             "parameter": name,
@@ -74,13 +77,19 @@ def sobol_importance(prepared: Prepared, seed: int, samples: int, ranks: list[di
             "total": total[0, i, b],
             "first_interval": [first[1, i, b], first[2, i, b]],
             "total_interval": [total[1, i, b], total[2, i, b]],
-            "rank_correlation": known.get((battery, name)),
+            "rank_correlation": known.get((battery, name), {}).get("rank_correlation"),
+            "margin_rank_correlation": known.get((battery, name), {}).get("margin_rank_correlation"),
         }
         for b, battery in enumerate(prepared.mission.robot.batteries)
         for i, name in enumerate(names)
-        if total[0, i, b] > 0.0  # else the value does not touch this battery
+        # else the value does not touch this battery's energy, nor what it keeps
+        if total[0, i, b] > 0.0 or abs(_with_margin(known.get((battery, name), {}))) > _MATTERS
     ]
-    return sorted(rows, key=lambda row: -float(row["total"]))
+    return sorted(rows, key=lambda row: -max(float(row["total"]), _with_margin(row) ** 2))
+
+
+def _with_margin(row: Mapping[str, Any]) -> float:
+    return float(row.get("margin_rank_correlation") or 0.0)
 
 
 def refuse_correlated(prepared: Prepared) -> None:
@@ -94,13 +103,14 @@ def refuse_correlated(prepared: Prepared) -> None:
 
 
 def affordable_samples(prepared: Prepared, seed: int) -> int:
-    """Base samples for which Sobol indices cost about as much as a batch; 0 where a run needs SimPy."""
+    """Base samples for which Sobol indices cost about as much as a batch; 0 where many runs need SimPy."""
     arrays, values = prepared.arrays, prepared.sampler.values
     if arrays is None or not values or prepared.sampler.groups:
         return 0
     _, again = arrays.evaluate(prepared.sampler.draw(seed, 0, _TRIED), _TRIED)
-    samples = _AFFORDABLE // (len(values) + 2)
-    if again.any() or samples < FEWEST:
+    most = min(_AFFORDABLE, _AFFORDABLE_SIMPY / max(float(again.mean()), 1e-9))
+    samples = int(most) // (len(values) + 2)
+    if samples < FEWEST:
         return 0
     return int(min(_MOST_SAMPLES, 1 << (samples.bit_length() - 1)))
 

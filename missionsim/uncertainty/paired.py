@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.uncertainty.answers import LEVEL
+from missionsim.uncertainty.answers import LEVEL, proportion_interval
 from missionsim.uncertainty.batch import BLOCK_RUNS, Task, compute_block, prepare
 
 
@@ -21,7 +21,7 @@ class PairedDifference:
     Attributes
     ----------
     quantity : str
-        ``energy_<battery>_wh``, ``duration_s`` or ``feasible``.
+        ``energy_<battery>_wh``, ``margin_<battery>_wh``, ``duration_s`` or ``feasible``.
     mean, low, high : float
         Mean difference (alternative − baseline) and its 95 % interval.
     real : bool
@@ -86,14 +86,17 @@ def compare_alternatives(
     Returns
     -------
     list of dict
-        One an alternative: engine, share of feasible runs, mean energies, and for all but the first the differences.
+        One an alternative: engine, share of feasible runs with its interval, mean energies and margins above the
+        reserve, and for all but the first the differences.
     """
     found: list[dict[str, Any]] = []
     baseline: dict[str, NDArray[np.float64]] = {}
     for task in tasks:
         prepared = prepare(task)
         engine = "simpy" if prepared.arrays is None else "arrays"
-        quantities = ["feasible", "duration_s", *(f"energy_{name}_wh" for name in prepared.mission.robot.batteries)]
+        batteries = prepared.mission.robot.batteries
+        quantities = ["feasible", "duration_s"]
+        quantities += [f"{what}_{name}_wh" for name in batteries for what in ("energy", "margin")]
         parts: dict[str, list[NDArray[np.float64]]] = {name: [] for name in quantities}
         for first in range(0, runs, BLOCK_RUNS[engine]):
             count = min(BLOCK_RUNS[engine], runs - first)
@@ -105,6 +108,7 @@ def compare_alternatives(
         row: dict[str, Any] = {
             "engine": engine,
             "p_feasible": float(columns["feasible"].mean()),
+            "p_feasible_interval": list(proportion_interval(int(columns["feasible"].sum()), runs)),
             "mean": {name: float(np.nanmean(values)) for name, values in columns.items() if name != "feasible"},
             "differences": [],
         }

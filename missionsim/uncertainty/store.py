@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +39,31 @@ class BlockStore:
         """Whether that block is there, whole."""
         return self.path(first).is_file()
 
+    def drop_damaged(self, count_of: Callable[[int], int]) -> list[int]:
+        """Delete blocks that cannot be read or have not as many runs as they should; their first runs.
+
+        Parameters
+        ----------
+        count_of : callable
+            First run of a block → its number of runs.
+        """
+        damaged = []
+        for first in self.firsts():
+            try:
+                sound = self._read(first, None).num_rows == count_of(first)
+            except (OSError, ValueError):
+                sound = False
+            if not sound:
+                self.path(first).unlink()
+                damaged.append(first)
+        return damaged
+
+    def _read(self, first: int, names: Sequence[str] | None) -> Any:
+        import pyarrow.parquet as pq
+
+        with pq.ParquetFile(self.path(first), page_checksum_verification=True) as file:
+            return file.read(columns=None if names is None else [*names], use_threads=False)
+
     def write(self, first: int, columns: Mapping[str, NDArray[Any]]) -> None:
         """Write a block, whole or not at all; the same columns give the same bytes."""
         import pyarrow as pa
@@ -50,9 +76,16 @@ class BlockStore:
             else:
                 arrays[name] = pa.array(values.tolist() if values.dtype == object else values)
         texts = [name for name, values in columns.items() if values.dtype == object]
-        with atomic_write(self.path(first)) as temporary:
-            # numbers that are all different gain nothing from a dictionary
-            pq.write_table(pa.table(arrays), temporary, compression="zstd", use_dictionary=texts)
+        try:
+            with atomic_write(self.path(first)) as temporary:
+                # numbers that are all different gain nothing from a dictionary
+                pq.write_table(
+                    pa.table(arrays), temporary, compression="zstd", use_dictionary=texts, write_page_checksum=True
+                )
+        except OSError as error:
+            if error.filename is None and error.errno is not None:  # Arrow tells the number alone
+                raise OSError(error.errno, os.strerror(error.errno), str(self.path(first))) from error
+            raise
 
     def firsts(self) -> list[int]:
         """First runs of the blocks that are there, in order."""
@@ -77,11 +110,14 @@ class BlockStore:
 
     def tables(self, names: Sequence[str], firsts: list[int] | None = None) -> Iterator[dict[str, NDArray[Any]]]:
         """Some columns, block by block."""
-        import pyarrow.parquet as pq
-
         for first in self.firsts() if firsts is None else firsts:
-            with pq.ParquetFile(self.path(first)) as file:
-                table = file.read(columns=[*names], use_threads=False)
+            try:
+                table = self._read(first, names)
+            except (OSError, ValueError) as error:
+                raise InputError.single(
+                    "this block of runs is damaged", file=str(self.path(first)), got=str(error).splitlines()[0],
+                    allowed="--resume computes it again",
+                ) from error
             yield {name: _numpy(table.column(name).combine_chunks()) for name in names}
 
     def beginning(self, names: Sequence[str], firsts: list[int] | None, count: int) -> dict[str, NDArray[Any]]:
@@ -136,19 +172,38 @@ class BlockStore:
                 raise InputError.single(
                     "this folder holds a batch already", file=str(self.folder), allowed="another --out, or --resume"
                 )
-            before = json.loads(path.read_text(encoding="utf-8"))
-            differing = sorted(key for key in {*before, *identity} if before.get(key) != identity.get(key))
+            try:
+                old = _flat(json.loads(path.read_text(encoding="utf-8")))
+            except (ValueError, AttributeError) as error:
+                raise InputError.single(
+                    "this file does not tell which batch is in the folder", file=str(path), got=str(error),
+                    allowed="another --out, or the file as it was written",
+                ) from error
+            new = _flat(identity)
+            differing = sorted(key for key in {*old, *new} if old.get(key) != new.get(key))
             if differing:
                 raise InputError.single(
-                    f"the batch in this folder is another one: {', '.join(differing)} differ",
+                    f"the batch in this folder is another one, by its {', '.join(differing)}",
                     file=str(path),
-                    got=", ".join(f"{key}={identity.get(key)}" for key in differing),
-                    allowed=", ".join(f"{key}={before.get(key)}" for key in differing),
+                    got=", ".join(f"{key}={_short(new.get(key))}" for key in differing),
+                    allowed=", ".join(f"{key}={_short(old.get(key))}" for key in differing) + "; or another --out",
                 )
             return
         if self.folder.exists() and any(self.folder.iterdir()):
             raise InputError.single("this folder is not empty and holds no batch", file=str(self.folder))
         write_text(path, json.dumps(identity, indent=2, sort_keys=True) + "\n")
+
+
+def _flat(identity: Mapping[str, Any]) -> dict[str, Any]:
+    """What identifies a batch, each file by itself."""
+    files = identity.get("files")
+    named = {f"{name} file": value for name, value in files.items()} if isinstance(files, dict) else {}
+    return {key: value for key, value in identity.items() if key != "files"} | named
+
+
+def _short(value: Any) -> str:
+    text = str(value)
+    return f"{text[:8]}…" if len(text) == 64 else text
 
 
 def _numpy(chunk: Any) -> NDArray[Any]:
