@@ -141,6 +141,8 @@ def _as_json(done: list[Improved], skipped: dict[str, Any], out: Path, how: str)
 
 
 def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Path | None) -> None:
+    from missionsim.diagnose.waterfall import energy_note
+
     terminal = console()
     for one in done:
         which = "held-out runs" if one.heldout else "fitted runs (none held out)"
@@ -153,6 +155,8 @@ def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Pat
         terminal.print(simple_table(f"Battery {one.battery}: error on {which}", [
             "model", ("energy error, %", "right"), ("power RMSE, W", "right"), ""], rows))
         terminal.print(f"added: {', '.join(one.added) or 'nothing'}; {one.stopped}", markup=False)
+        if note := energy_note(one):
+            terminal.print(note, markup=False)
     for name, error in skipped.items():
         terminal.print(f"battery {name} was left as it is: {' '.join(str(error).split())}", markup=False)
     terminal.print(f"written: {out}", markup=False)

@@ -162,4 +162,9 @@ def _why(last: BatteryDiagnosis, declined: Sequence[str]) -> str:
         return f"something remains that the library does not contain; it varies with {on}."
     if declined:
         return f"declined: {', '.join(declined)}."
+    if last.unexplained.depends_on:
+        on = ", ".join(last.unexplained.depends_on)
+        return f"no further effect is above the detection limits; what remains still varies with {on}."
+    if last.unexplained.shape:
+        return f"no further effect is above the detection limits; what remains: {last.unexplained.shape}."
     return "nothing is left above the detection limits."

@@ -32,6 +32,8 @@ def headline(battery: BatteryDiagnosis) -> str:
         also = "also " if battery.effects else ""
         said.append(f"Battery {name}: something is {also}missing that the library does not contain; it varies with "
                     f"{on} ({battery.unexplained.shape}).")
+    elif battery.unexplained.shape:
+        said.append(f"Battery {name}: {'beyond that, ' if said else ''}something remains: {battery.unexplained.shape}.")
     if not said:
         least = _smallest_limits(battery)
         said.append(f"Battery {name}: no evidence of anything missing above the detection limits{least}.")

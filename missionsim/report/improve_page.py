@@ -7,6 +7,7 @@ from typing import Any
 
 from missionsim.diagnose.findings import Diagnosis
 from missionsim.diagnose.improve import Improved
+from missionsim.diagnose.waterfall import energy_note
 from missionsim.report.blocks import Block, Chart, Section, Table, Tiles, Verdict
 from missionsim.report.diagnosis_page import diagnosis_sections
 from missionsim.report.page import COLOURS, format_cell, label, page
@@ -40,6 +41,8 @@ def _result(one: Improved) -> list[Block]:
             f"{first.power_rmse_w:.3g} to {last.power_rmse_w:.3g} W, the energy error from "
             f"{first.energy_error_pct:.2f} to {last.energy_error_pct:.2f} %. "
             f"{one.stopped[:1].upper()}{one.stopped[1:]}")
+    if note := energy_note(one):
+        text += f" {note}"
     names = [label(step.name) for step in one.steps]
     floor = one.steps[-1]
     charts: list[Block] = []

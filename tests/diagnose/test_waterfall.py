@@ -1,0 +1,51 @@
+"""The waterfall in words: a rising energy error is told, and remains are never called nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from html import unescape
+
+import pytest
+
+from missionsim.diagnose import words
+from missionsim.diagnose.findings import HeldOut, Unexplained
+from missionsim.diagnose.improve import Improved, Step, _why
+from missionsim.diagnose.waterfall import energy_note
+from missionsim.report.improve_page import improve_page
+from tests.diagnose.test_words import BATTERY, HELD
+
+WANDERS = Unexplained(0.1, (), "the residual wanders by 3.6 % of the power")
+
+
+def improved(after_pct: float, runs: int = 1) -> Improved:
+    held = HeldOut("the last", tuple(f"run_{i}" for i in range(runs)), HELD, HELD)
+    first = replace(BATTERY, heldout=held)
+    steps = (Step("before", 2.3, 1.25), Step("recalibrated", 0.2, 1.22), Step("+ grade", after_pct, 0.57),
+             Step("noise floor", 0.6, 0.34))
+    return Improved("robot", "", ("grade",), (), steps, True, first, replace(first, effects=()), "stopped.")
+
+
+def test_energy_note_is_silent_where_both_errors_fall() -> None:
+    assert energy_note(improved(0.1)) == ""
+
+
+# one run: 0.6 (1 + 2 sqrt(pi/2 - 1)) = 1.51 %; nine runs: 0.6 (1 + 2/3 sqrt(pi/2 - 1)) = 0.90 %
+@pytest.mark.parametrize(("after_pct", "runs", "told"), [
+    (1.45, 1, "up to 1.5 %; what is left may be chance"), (1.55, 1, "is more than chance"),
+    (1.45, 9, "up to 0.9 %; what is left is more than chance"),
+])  # fmt: skip
+def test_energy_note_weighs_the_rise_against_the_floor(after_pct: float, runs: int, told: str) -> None:
+    note = energy_note(improved(after_pct, runs))
+    assert note.startswith(f"With '+ grade' the energy error rises from 0.20 to {after_pct:.2f} %")
+    assert told in note
+    assert note in unescape(improve_page("r", [improved(after_pct, runs)]))
+
+
+@pytest.mark.parametrize("left", [WANDERS, Unexplained(0.1, ("slope_rad",), "residual varies with slope_rad")])
+def test_what_remains_is_never_called_nothing(left: Unexplained) -> None:
+    quiet = replace(BATTERY, verdict="effects_found", unexplained=left)
+    assert _why(BATTERY, ()) == "nothing is left above the detection limits."
+    assert "what remains" in _why(quiet, ())
+    assert "nothing is left" not in _why(quiet, ())
+    assert left.shape in words.headline(quiet)
+    assert left.shape in dict(words.report(quiet))["REMAINS"]
