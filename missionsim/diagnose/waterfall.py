@@ -36,5 +36,5 @@ def energy_note(done: Improved) -> str:
     chance = floor.energy_error_pct * (1.0 + 2.0 * math.sqrt((math.pi / 2.0 - 1.0) / count))
     told = "may be chance" if new.energy_error_pct <= chance else "is more than chance"
     return (f"With '{new.name}' the energy error rises from {old.energy_error_pct:.2f} to {new.energy_error_pct:.2f} % "
-            "while the power error falls: base and effect are fitted together, and errors of power that cancelled out over "
-            f"a run no longer do. On {runs} a true model shows up to {chance:.1f} %; what is left {told}.")
+            "while the power error falls: base and effect are fitted together, and errors of power that cancelled out "
+            f"over a run no longer do. On {runs} a true model shows up to {chance:.1f} %; what is left {told}.")
