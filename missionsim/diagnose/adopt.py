@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -105,6 +105,7 @@ def adopt(
     if not significant and not force:
         raise NotSignificant(reason)
     rivals = found.indistinguishable_from
+    found, fitted = _alone(features, found, fitted, settings)
     base = _base(features, fitted) if recalibrate else {}
     new = _written(text, robot, features, fitted, found, split, battery, base, significant, rivals)
     return Adopted(new, found, significant, reason, rivals, base)
@@ -146,6 +147,27 @@ def _fit(seen: Examined, effect: str, settings: Settings) -> tuple[FoundEffect, 
     except ValueError as error:
         raise InputError.single(str(error), got=effect) from error
     return next(e for e in fitted.effects if e.effect == effect), fitted
+
+
+def _alone(
+    features: Features, found: FoundEffect, fitted: Identification, settings: Settings
+) -> tuple[FoundEffect, Identification]:
+    """Effect and base fitted to each other, without what else is missing: the file will hold just these.
+
+    A base that was fitted beside a second effect is wrong in a file that lacks it.
+    """
+    layout = fitted.choice.model.design.layout
+    inside = {fitted.library[layout.columns[k].candidate].effect for k in fitted.choice.model.chosen}
+    if inside <= {found.effect}:
+        return found, fitted
+    again = fit_effects(features.runs, features.candidates, [found.effect], features.prior_sd, settings)
+    own = next(e for e in again.effects if e.effect == found.effect)
+    turned = any(a.value * b.value < 0.0 for a, b in zip(own.parameters[:1], found.parameters[:1], strict=False))
+    if turned or len(own.parameters) != len(found.parameters):
+        return found, fitted
+    size = replace(found, parameters=own.parameters, energy_share=own.energy_share,
+                   energy_share_sd=own.energy_share_sd)  # fmt: skip
+    return size, again
 
 
 def _supported(seen: Examined, fitted: Identification, effect: str) -> tuple[bool, str]:
