@@ -28,7 +28,7 @@ from missionsim.diagnose.heldout import Tested, on_heldout, on_left_out, predict
 from missionsim.diagnose.manoeuvres import site_of
 from missionsim.diagnose.split import Split, choose_split
 from missionsim.effects.base import Effect
-from missionsim.effects.model import PowerModel
+from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.errors import InputError
 from missionsim.fit.provenance import fitted_to
 from missionsim.identify.data import RunData, Settings
@@ -42,8 +42,10 @@ if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
     from missionsim.spec.robot import RobotSpec
 
-NO_PRIOR_SD = 1.0
+NO_PRIOR_SD = float("inf")
 """Prior of a parameter that was fitted to these very logs: they may not count twice."""
+LEAST_FREE_SD = 1.0
+"""Relative standard deviation that stands for no prior at least."""
 MOST_WHERE = 4
 WORTH_SAYING = 0.03
 
@@ -277,16 +279,26 @@ def _renamed(log: Any, taken: set[str]) -> Any:
 
 def _priors(subject: Subject, features: Features, logs: Sequence[Any]) -> dict[str, float]:
     """Priors of the base parameters; none for those that were fitted to these very logs."""
-    again = {key: fitted_to(text, logs) for key, text in subject.sources.items()}
     priors = {}
     for name, parameter in features.parameters.items():
-        if subject.priors is not None and name in subject.priors:
-            priors[name] = subject.priors[name]
-            continue
-        source = parameter.source
-        same = again.get(source, False) or fitted_to(source, logs)
-        priors[name] = NO_PRIOR_SD if same else max(parameter.prior_sd, 1e-6)  # sd: 0 is as good as known
+        given = (subject.priors or {}).get(name, prior_before(subject, parameter, logs))
+        priors[name] = max(given, 1e-6) if given < NO_PRIOR_SD else _no_prior(features, name)  # 0 is as good as known
     return priors
+
+
+def prior_before(subject: Subject, parameter: ModelParameter, logs: Sequence[Any]) -> float:
+    """Relative standard deviation known beside these logs; `NO_PRIOR_SD` where it was fitted to these very logs."""
+    source = parameter.source
+    same = fitted_to(subject.sources.get(source, source), logs)
+    return NO_PRIOR_SD if same else parameter.prior_sd
+
+
+def _no_prior(features: Features, name: str) -> float:
+    """So wide that it says nothing: the parameter may make all the power, even where it now makes hardly any."""
+    power = float(np.mean([np.nanmean(np.abs(run.measured_w)) for run in features.runs]))
+    parts = [float(np.mean(np.abs(run.gradient[name]))) for run in features.runs if name in run.gradient]
+    size = float(np.mean(parts)) if parts else 0.0
+    return max(LEAST_FREE_SD, power / size) if size > 0.0 else LEAST_FREE_SD
 
 
 def _execution(

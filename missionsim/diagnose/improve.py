@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.diagnose.adopt import adopt
-from missionsim.diagnose.diagnosis import NO_PRIOR_SD, Subject, diagnose_battery
+from missionsim.diagnose.diagnosis import NO_PRIOR_SD, Subject, diagnose_battery, prior_before
 from missionsim.diagnose.findings import BatteryDiagnosis, Finding
 from missionsim.diagnose.split import Split
 from missionsim.identify.data import Settings
@@ -84,7 +84,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
 
     robot = robot_from_text(text)
     start = Subject.of(robot)
-    priors = _own_priors(start, battery)
+    priors = _own_priors(start, battery, split.train)
     first = last = diagnose_battery(start, split, battery, None, settings)
     steps = [_step("before", first, "nominal"), _step("recalibrated", first, "recalibrated")]
     added: list[str] = []
@@ -110,9 +110,10 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
                     stopped)
 
 
-def _own_priors(subject: Subject, battery: str) -> dict[str, float]:
+def _own_priors(subject: Subject, battery: str, logs: Sequence[Any]) -> dict[str, float]:
+    """What was known before these logs; nothing of parameters that were fitted to them by `calibrate`."""
     return {
-        term.name_of(name): parameter.prior_sd
+        term.name_of(name): prior_before(subject, parameter, logs)
         for term in subject.model.of(battery) for name, parameter in term.parameters.items()
     }
 

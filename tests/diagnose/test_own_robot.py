@@ -1,0 +1,89 @@
+"""A robot that is only known from its logs: what was fitted to these very logs is no knowledge beside them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from missionsim.compare import compare_files
+from missionsim.diagnose.adopt import adopt
+from missionsim.diagnose.diagnosis import Subject, examine
+from missionsim.diagnose.improve import improve
+from missionsim.diagnose.split import Split
+from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.fit.provenance import data_tag
+from missionsim.identify.data import Settings
+from missionsim.logs import LogTable
+from missionsim.spec.loading import robot_from_text
+
+from .logs import drive
+from .test_commands import write
+
+BASE = "c2*v**2 + c3*v + c4"
+BATTERY = "robot"
+
+
+def with_payload(log: LogTable, payload_kg: float) -> LogTable:
+    """The log of the same drive with a load that costs 8 W per kg and m/s."""
+    power = log.power_w[BATTERY] + 8.0 * payload_kg * log.columns["speed_m_s"]
+    columns = {**log.columns, "power_robot_w": power, "payload_kg": np.full(log.rows, payload_kg)}
+    return replace(log, columns=columns, power_w={BATTERY: power})
+
+
+def test_a_poor_fit_to_these_very_logs_hides_nothing_and_names_nothing() -> None:
+    logs = [drive(seed, seconds=300.0) for seed in range(5)]
+    right = calibrate_new(NewRobot("own", BASE), logs)
+    value = {name: p.value for name, p in right.fit.parameters.items()}
+    # as if a hidden effect had bent the curve: the square's part has gone to the other two
+    text = right.text
+    for name, poor in (("c2", 0.05), ("c3", value["c3"] + 4.0), ("c4", value["c4"] - 0.4)):
+        text = text.replace(f"{name}: {{value: {value[name]:.6g},", f"{name}: {{value: {poor:.6g},")
+    subject = Subject.of(robot_from_text(text))
+    seen = examine(subject, Split(tuple(logs), (), ""), BATTERY, Settings())
+    assert seen.found.effects == ()
+    shift = next(s for s in seen.found.recalibration if s.parameter == "c2")
+    assert 0.05 * (1.0 + shift.shift) == pytest.approx(6.25, abs=1.5)
+
+
+def test_knowledge_from_elsewhere_stays_a_prior() -> None:
+    logs = [drive(seed, seconds=300.0) for seed in range(3)]
+    made = calibrate_new(NewRobot("own", BASE), logs)
+    other = made.text.replace(data_tag(logs), "0" * 8)
+    own, from_elsewhere = (
+        examine(Subject.of(robot_from_text(text)), Split(tuple(logs), (), ""), BATTERY, Settings()).features.prior_sd
+        for text in (made.text, other)
+    )
+    assert own["c3"] >= 1.0
+    assert from_elsewhere["c3"] < 0.2
+
+
+def test_the_file_with_one_of_two_missing_effects_fits_as_it_is(tmp_path: Path) -> None:
+    logs = [with_payload(drive(seed, seconds=300.0, scrub_w_s_rad=4.0), 2.0 if seed else 0.0) for seed in range(5)]
+    made = calibrate_new(NewRobot("own", BASE, mass="20 kg"), logs)
+    split = Split(tuple(logs), (), "")
+    robot = robot_from_text(made.text)
+    assert {e.effect for e in examine(Subject.of(robot), split, BATTERY, Settings()).found.effects} == {
+        "turning_scrub", "payload"}
+    adopted = adopt(made.text, robot, split, "turning_scrub", BATTERY, Settings())
+    path = tmp_path / "own.yaml"
+    path.write_text(adopted.text, encoding="utf-8")
+    for log in logs:
+        write(log, tmp_path / "logs")
+    error = {}
+    for name, text in (("before", made.text), ("after", adopted.text)):
+        path.write_text(text, encoding="utf-8")
+        error[name] = compare_files(str(path), [tmp_path / "logs"]).batteries[BATTERY]
+    assert abs(error["after"].energy_error_pct) < 2.0
+    assert error["after"].power_rmse_w < 0.9 * error["before"].power_rmse_w
+
+
+def test_improve_lowers_the_error_of_a_calibrated_robot() -> None:
+    logs = [drive(seed, seconds=300.0, scrub_w_s_rad=6.0) for seed in range(6)]
+    made = calibrate_new(NewRobot("own", BASE), logs)
+    done = improve(made.text, Split(tuple(logs[:5]), (logs[5],), "last"), BATTERY, Settings(), lambda *_: True)
+    assert done.added == ("turning_scrub",)
+    steps = {step.name: step.power_rmse_w for step in done.steps}
+    assert steps["+ turning_scrub"] < 0.5 * steps["recalibrated"]
