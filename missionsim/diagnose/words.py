@@ -45,7 +45,7 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
     lines: list[tuple[str, str]] = []
     for where in battery.where:
         lines.append(("WHERE", f"{where.by} {where.value}: {100 * where.share:.0f} % of the squared error, model "
-                      f"{where.bias_w:+.2g} W against the meter".replace("-", "−")))  # fmt: skip
+                      f"{_watts(where.bias_w)} W against the meter"))
     edge = ("; at the edge of what is searched: check the clocks" if battery.clock_at_edge else "")
     clock = f"meter {battery.delay_s:+.2f} s behind the motion, lag {battery.lag_s:.2f} s (applied{edge})"
     lines.append(("CLOCK", clock))
@@ -136,10 +136,10 @@ def _execution(effect: Finding) -> str:
 
 def _noise(battery: BatteryDiagnosis) -> str:
     n = battery.noise
-    told = f"{n['sd_w']:.2g} W ({100 * n['sd_w'] / battery.mean_power_w:.1f} % of the mean power)"
+    told = f"{_watts(n['sd_w']).lstrip('+')} W ({100 * n['sd_w'] / battery.mean_power_w:.1f} % of the mean power)"
     if "correlation_1s" in n:
         told += f", correlation {n['correlation_1s']:.2f} after {n.get('step_s', 1.0):.3g} s"
-    return told + f"; meter differs between runs ±{n['offset_w']:.2g} W and ±{100 * n['gain']:.1f} %"
+    return told + f"; meter differs between runs ±{_watts(n['offset_w']).lstrip('+')} W and ±{100 * n['gain']:.1f} %"
 
 
 def _not_seen(battery: BatteryDiagnosis) -> str:
@@ -178,6 +178,12 @@ def _untestable(battery: BatteryDiagnosis) -> str:
 
 def _share(effect: Finding) -> str:
     return f"{100 * effect.energy_share:.1f} % of the energy"
+
+
+def _watts(power_w: float) -> str:
+    """Two significant digits, never as a power of ten."""
+    digits = 1 - math.floor(math.log10(abs(power_w))) if power_w and math.isfinite(power_w) else 0
+    return f"{round(power_w, digits):+.{max(digits, 0)}f}".replace("-", "−")
 
 
 def _unit(unit: str) -> str:

@@ -151,7 +151,10 @@ def _next(battery: BatteryDiagnosis) -> list[Block]:
         blocks.append(Table(["drive this", "to tell apart", "separation now, nats", "after, nats",
                              "probability that it resolves", "minutes"], rows, digits=3))
     else:
-        blocks.append(Paragraph("Nothing is left that an experiment would have to separate."))
+        blocks.append(Paragraph(
+            "No drive of ours varies what remains; log what may cause it." if battery.unexplained.shape else
+            "Nothing is left that an experiment would have to separate."
+        ))
     return blocks
 
 

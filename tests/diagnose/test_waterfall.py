@@ -8,9 +8,10 @@ from html import unescape
 import pytest
 
 from missionsim.diagnose import words
-from missionsim.diagnose.findings import HeldOut, Unexplained
+from missionsim.diagnose.findings import Diagnosis, HeldOut, Unexplained
 from missionsim.diagnose.improve import Improved, Step, _why
 from missionsim.diagnose.waterfall import energy_note
+from missionsim.report.diagnosis_page import diagnosis_page
 from missionsim.report.improve_page import improve_page
 from tests.diagnose.test_words import BATTERY, HELD
 
@@ -49,3 +50,16 @@ def test_what_remains_is_never_called_nothing(left: Unexplained) -> None:
     assert "nothing is left" not in _why(quiet, ())
     assert left.shape in words.headline(quiet)
     assert left.shape in dict(words.report(quiet))["REMAINS"]
+
+
+@pytest.mark.parametrize(("bias_w", "told"), [(-720.4, "−720 W"), (-1234.0, "−1200 W"), (0.0123, "+0.012 W"),
+                                              (4.07, "+4.1 W"), (0.0, "+0 W")])  # fmt: skip
+def test_where_gives_watts_without_powers_of_ten(bias_w: float, told: str) -> None:
+    lines = dict(words.report(replace(BATTERY, where=(replace(BATTERY.where[0], bias_w=bias_w),))))
+    assert lines["WHERE"].endswith(f"model {told} against the meter")
+
+
+def test_next_does_not_call_what_remains_nothing() -> None:
+    page = diagnosis_page(Diagnosis("r", {"robot": replace(BATTERY, unexplained=WANDERS, next_experiments=())}))
+    assert "No drive of ours varies what remains" in page
+    assert "Nothing is left" not in page
