@@ -10,6 +10,10 @@ if TYPE_CHECKING:
     from missionsim.diagnose.improve import Improved
 
 
+SEEN = 0.1
+"""A rise by less than this part of the noise floor is not worth a line."""
+
+
 def energy_note(done: Improved) -> str:
     """In words, why the energy error grew with an effect although the power error fell; empty where it did not.
 
@@ -24,7 +28,7 @@ def energy_note(done: Improved) -> str:
     *steps, floor = done.steps
     worse = [
         (old, new) for old, new in pairwise(steps[1:])
-        if new.energy_error_pct > old.energy_error_pct and new.power_rmse_w < old.power_rmse_w
+        if new.energy_error_pct - old.energy_error_pct > SEEN * floor.energy_error_pct and new.power_rmse_w < old.power_rmse_w
     ]
     if not worse:
         return ""
