@@ -28,7 +28,8 @@ def energy_note(done: Improved) -> str:
     *steps, floor = done.steps
     worse = [
         (old, new) for old, new in pairwise(steps[1:])
-        if new.energy_error_pct - old.energy_error_pct > SEEN * floor.energy_error_pct and new.power_rmse_w < old.power_rmse_w
+        if new.energy_error_pct > old.energy_error_pct + SEEN * floor.energy_error_pct
+        and new.power_rmse_w < old.power_rmse_w
     ]
     if not worse:
         return ""
@@ -38,7 +39,7 @@ def energy_note(done: Improved) -> str:
     runs = f"{count} run{'s' * (count != 1)}"
     # the mean m of n absolute normal errors has the standard deviation m sqrt(pi/2 - 1) / sqrt(n)
     chance = floor.energy_error_pct * (1.0 + 2.0 * math.sqrt((math.pi / 2.0 - 1.0) / count))
-    told = "may be chance" if new.energy_error_pct <= chance else "is more than chance"
+    told = "may be chance" if new.energy_error_pct <= chance else "is more than noise and meters make"
     return (f"With '{new.name}' the energy error rises from {old.energy_error_pct:.2f} to {new.energy_error_pct:.2f} % "
             "while the power error falls: base and effect are fitted together, and errors of power that cancelled out "
             f"over a run no longer do. On {runs} a true model shows up to {chance:.1f} %; what is left {told}.")

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 from html import unescape
+from pathlib import Path
 
 import pytest
 
 from missionsim.diagnose import words
 from missionsim.diagnose.findings import Diagnosis, HeldOut, Unexplained
-from missionsim.diagnose.improve import Improved, Step, _why
+from missionsim.diagnose.improve import Improved, Step, _why, improve
+from missionsim.diagnose.split import choose_split
 from missionsim.diagnose.waterfall import energy_note
+from missionsim.identify.data import Settings
+from missionsim.logs import read_logs
 from missionsim.report.diagnosis_page import diagnosis_page
 from missionsim.report.improve_page import improve_page
+from missionsim.spec.loading import shipped_robots
 from tests.diagnose.test_words import BATTERY, HELD
 
+RAMPS = Path(__file__).parents[2] / "docs" / "examples" / "ramp_runs"
 WANDERS = Unexplained(0.1, (), "the residual wanders by 3.6 % of the power")
 
 
@@ -33,8 +39,8 @@ def test_energy_note_is_silent_where_both_errors_fall() -> None:
 
 # one run: 0.6 (1 + 2 sqrt(pi/2 - 1)) = 1.51 %; nine runs: 0.6 (1 + 2/3 sqrt(pi/2 - 1)) = 0.90 %
 @pytest.mark.parametrize(("after_pct", "runs", "told"), [
-    (1.45, 1, "up to 1.5 %; what is left may be chance"), (1.55, 1, "is more than chance"),
-    (1.45, 9, "up to 0.9 %; what is left is more than chance"),
+    (1.45, 1, "up to 1.5 %; what is left may be chance"), (1.55, 1, "is more than noise and meters make"),
+    (1.45, 9, "up to 0.9 %; what is left is more than noise and meters make"),
 ])  # fmt: skip
 def test_energy_note_weighs_the_rise_against_the_floor(after_pct: float, runs: int, told: str) -> None:
     note = energy_note(improved(after_pct, runs))
@@ -64,3 +70,14 @@ def test_next_does_not_call_what_remains_nothing() -> None:
     page = diagnosis_page(Diagnosis("r", {"robot": replace(BATTERY, unexplained=WANDERS, next_experiments=())}))
     assert "No drive of ours varies what remains" in page
     assert "Nothing is left" not in page
+
+
+def test_the_bar_of_an_added_effect_is_the_error_that_the_diagnosis_promised() -> None:
+    text = shipped_robots()["pioneer3dx"].read_text(encoding="utf-8")
+    split = choose_split(read_logs([RAMPS]), None)
+    done = improve(text, split, "robot", Settings(), lambda *_: True)
+    assert done.added == ("grade",)
+    assert done.first.heldout is not None
+    bar = {step.name: step for step in done.steps}["+ grade"]
+    assert bar.energy_error_pct == pytest.approx(done.first.heldout.energy_error_pct["with_effects"], abs=0.1)
+    assert bar.power_rmse_w == pytest.approx(done.first.heldout.power_rmse_w["with_effects"], rel=0.05)
