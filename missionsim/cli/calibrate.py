@@ -44,7 +44,8 @@ def calibrate(
     robot
         A robot (shipped name or file) whose parameters are refitted, each with its own prior.
     battery
-        Battery that is fitted; by default "robot" for a new robot, and every measured one for --robot.
+        Battery that is fitted; by default every measured one for --robot, and for a new robot the only one that the
+        logs measure, or "robot".
     mass
         Mass of a new robot, such as "25 kg"; without it, effects of mass come out per robot instead of per kg.
     capacity
@@ -76,7 +77,9 @@ def calibrate(
     if new is not None and base is not None:
         from missionsim.fit.newrobot import NewRobot, calibrate_new
 
-        made = calibrate_new(NewRobot(new, base, battery or "robot", mass, capacity, max_speed, drive), tables)
+        measured = {name for log in tables for name in log.power_w}
+        battery = battery or (measured.pop() if len(measured) == 1 else "robot")
+        made = calibrate_new(NewRobot(new, base, battery, mass, capacity, max_speed, drive), tables)
         text, fits, remarks = made.text, [made.fit], list(made.remarks)
     else:
         from missionsim.fit.refit import refit_robot

@@ -85,7 +85,7 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Any]) -> Calibration:
     """
     if not any(robot.battery in log.power_w for log in logs):
         measured = sorted({name for log in logs for name in log.power_w})
-        raise InputError.single(f"no log measures the battery '{robot.battery}'", got=robot.battery,
+        raise InputError.single(f"no log measures the battery '{robot.battery}'", file="--battery", got=robot.battery,
                                 allowed=", ".join(measured), hint=did_you_mean(robot.battery, measured))
     formula = _formula(robot, logs)
     remarks: list[str] = []

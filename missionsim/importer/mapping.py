@@ -61,7 +61,7 @@ def _logs(mapper: Mapper, part: Part) -> list[LogTable]:
         result |= {
             name: data for name, data in source.items() if name not in result and name not in mapper.spec.signals
         }
-    remarks: list[Remark] = []
+    remarks = _words_that_are_columns(mapper)
     number = np.flatnonzero(part.rows) if part.rows.dtype == bool else part.rows
     if mapper.keep is not None:
         values = {**mapper.constants, **result, **mapper.helpers(source, result), **source}
@@ -89,6 +89,16 @@ def _logs(mapper: Mapper, part: Part) -> list[LogTable]:
             _finish(mapper, name, run, signals, number[chosen], [*mapper.raw.remarks, *part.remarks, *remarks, *more])
         )
     return logs
+
+
+def _words_that_are_columns(mapper: Mapper) -> list[Remark]:
+    """Remarks on `text: name` where the source has a column of that name, which was perhaps meant."""
+    return [
+        Remark("name", name, f"'{column.text}' is this very word in every row, although the source has a "
+               "column of that name", f"as the map says; for the column write {name}: {column.text}")
+        for name, column in mapper.spec.columns.items()
+        if column.text is not None and column.text in mapper.raw.columns
+    ]  # fmt: skip
 
 
 def _finish(

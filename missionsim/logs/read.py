@@ -226,6 +226,7 @@ def _freeze(
         limit = robot.body.max_speed if robot is not None else None
         suspect.check_magnitudes(rows, None if limit is None else float(limit))
         suspect.check_agreement(rows, kinds)
+        suspect.check_standstill(rows)
     repeated |= suspect.check_frozen(rows, held.__contains__)
     power, fresh = {}, {}
     for battery, kind in kinds.items():

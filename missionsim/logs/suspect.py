@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.glossary import COLUMNS, STILL_SPEED_M_S, column_of
+from missionsim.glossary import COLUMNS, STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
 from missionsim.logs.power import refreshes
@@ -21,6 +21,8 @@ Bools = NDArray[np.bool_]
 _SAMPLE = 100_000
 """Rows that the statistical checks look at: one stretch from the start of the table."""
 _LEFT = "left as it is; a map converts it"
+_REST_BAND = 5.0
+"""Rows within so many times the limits of standing still are at rest if they hop over the limits again and again."""
 
 _LARGE: dict[str, tuple[float, str]] = {
     "speed_m_s": (15.0, "faster than a mobile robot drives: km/h or mm/s"),
@@ -206,6 +208,42 @@ def check_dead_meter(rows: Rows, battery: str, power_w: Floats) -> None:
             int(np.argmax(dead)),
             count,
         )
+
+
+def check_standstill(rows: Rows) -> None:
+    """Tell a speed or yaw rate whose noise at rest is above the limits of standing still."""
+    number = {name: rows.columns.get(name) for name in ("speed_m_s", "yaw_rate_rad_s")}
+    speed, yaw = (None if data is None or isinstance(data, Labels) else np.abs(data[:_SAMPLE])
+                  for data in number.values())
+    if speed is None:
+        return
+    turning = np.zeros_like(speed) if yaw is None else yaw
+    slow = (speed < _REST_BAND * STILL_SPEED_M_S) & (turning < _REST_BAND * STILL_YAW_RATE_RAD_S)
+    still = (speed < STILL_SPEED_M_S) & (turning < STILL_YAW_RATE_RAD_S)
+    changes = int(np.count_nonzero(slow[1:] & slow[:-1] & (still[1:] != still[:-1])))
+    count, beyond = int(slow.sum()), int((slow & ~still).sum())
+    if changes < max(20, 0.1 * count) or beyond < 0.05 * count:
+        return
+    name, values, limit, unit = ("speed_m_s", speed, STILL_SPEED_M_S, "m/s")
+    if yaw is not None and np.count_nonzero(slow & (yaw >= STILL_YAW_RATE_RAD_S)) > beyond / 2:
+        name, values, limit, unit = ("yaw_rate_rad_s", yaw, STILL_YAW_RATE_RAD_S, "rad/s")
+    high = float(np.quantile(values[slow], 0.99))
+    rows.remark(
+        "standstill",
+        name,
+        f"noise at rest: {beyond} of {count} rows at rest are above {limit:g} {unit} (up to {high:.2g}) and count as "
+        "driving",
+        f"left as it is; a map can set it to zero there: where(abs({name}) < {_round_up(high):g}, 0, {name})",
+        "warning",
+        int(np.argmax(slow & ~still)),
+        beyond,
+    )
+
+
+def _round_up(value: float) -> float:
+    """The next number with one digit."""
+    size = 10.0 ** np.floor(np.log10(value))
+    return float(np.ceil(value / size) * size)
 
 
 def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools]:

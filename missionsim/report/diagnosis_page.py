@@ -16,6 +16,7 @@ TONES: dict[str, Any] = {"effects_found": "warn", "nothing_missing": "good", "am
                          "unexplained_structure": "bad"}
 TOTAL_POINTS = 90_000
 MOST_RUNS = 30
+MOST_ALIKE = 14
 MEASURED, NOMINAL, FITTED, RESIDUAL = COLOURS[0], COLOURS[1], COLOURS[2], "#52606d"
 
 
@@ -136,6 +137,7 @@ def _run_chart(run: RunSeries, points: int) -> Chart:
          "yaxis": "y2", "line": {"color": RESIDUAL, "width": 1}}]
     layout = {
         "xaxis": {"title": {"text": "time, s"}, "anchor": "y2"},
+        "margin": {"l": 64, "r": 16, "t": 56, "b": 48},  # the legend stands below the buttons
         "yaxis": {"title": {"text": "power, W"}, "domain": [0.36, 1.0]},
         "yaxis2": {"title": {"text": "left, W"}, "domain": [0.0, 0.28]},
     }
@@ -164,19 +166,30 @@ def _details(battery: BatteryDiagnosis) -> list[Block]:
         [[s.parameter, s.shift_pct, s.shift_in_prior_sd, s.value, s.sd, s.unit] for s in battery.recalibration],
         "Recalibration of the base model: shifts within 4 prior standard deviations are no discovery", 3)]
     if battery.confounding:
-        names = list(battery.confounding)
-        blocks.append(Chart(
-            [{"type": "heatmap", "x": [label(n) for n in names], "y": [label(n) for n in names], "zmin": -1, "zmax": 1,
-              "z": [[battery.confounding[a].get(b) for b in names] for a in names], "colorscale": "RdBu",
-              "hovertemplate": "%{y} and %{x}: r = %{z:.2f}<extra></extra>"}],
-            {"hovermode": "closest", "margin": {"l": 200, "r": 16, "t": 12, "b": 160}},
-            "How alike two effects look in these data once recalibration is allowed for; at 1 they look the same.",
-            200 + 26 * len(names)))
+        blocks.append(_alike(battery))
     if battery.heldout is not None:
         blocks.append(_heldout_table(battery))
     if battery.remarks:
         blocks.append(Bullets(list(battery.remarks)))
     return blocks
+
+
+def _alike(battery: BatteryDiagnosis) -> Chart:
+    """Each effect found against the effects that look most like it."""
+    found = list(battery.confounding)
+    most: dict[str, float] = {}
+    for row in battery.confounding.values():
+        for name, r in row.items():
+            most[name] = max(most.get(name, 0.0), abs(r))
+    others = sorted(most, key=lambda name: -most[name])[:MOST_ALIKE]
+    values = [[1.0 if a == b else battery.confounding[a].get(b) for b in others] for a in found]
+    return Chart(
+        [{"type": "heatmap", "x": [label(n) for n in others], "y": [label(n) for n in found], "zmin": -1, "zmax": 1,
+          "z": values, "texttemplate": "%{z:.2f}", "colorscale": [[0, "#d55e00"], [0.5, "#f4f6f8"], [1, "#0072b2"]],
+          "hovertemplate": "%{y} and %{x}: r = %{z:.2f}<extra></extra>"}],
+        {"hovermode": "closest", "margin": {"l": 200, "r": 16, "t": 36, "b": 160}},
+        "How alike the effects found and others look in these data once recalibration is allowed for: at 1 they look "
+        "the same, at 0 they have nothing in common.", 240 + 30 * len(found))
 
 
 def _heldout_table(battery: BatteryDiagnosis) -> Table:

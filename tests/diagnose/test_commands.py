@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -198,6 +199,17 @@ def test_calibrate_finds_the_base_of_a_new_robot(folders: dict[str, Path], tmp_p
     assert fitted["explained_variance"] > 0.95
     assert compare(str(robot), folders["clean"], tmp_path)["energy_error_pct"] == pytest.approx(0.0, abs=0.5)
     assert run("validate", str(robot), "--quiet") == 0
+
+
+def test_calibrate_takes_the_only_battery_that_is_measured(tmp_path: Path) -> None:
+    log = drive(3, seconds=200.0)
+    columns = {("power_main_w" if n == "power_robot_w" else n): c for n, c in log.columns.items()}
+    write(replace(log, columns=columns), tmp_path / "logs")
+    robot = tmp_path / "new.yaml"
+    command = ["calibrate", "--new", "rover", "--base", "c2*v**2 + c3*v + c4", str(tmp_path / "logs"), "--out",
+               str(robot), "--quiet"]
+    assert run(*command) == 0
+    assert "battery: main" in robot.read_text(encoding="utf-8")
 
 
 def test_calibrate_refits_a_robot_and_keeps_its_comments(folders: dict[str, Path], tmp_path: Path) -> None:

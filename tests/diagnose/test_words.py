@@ -20,7 +20,8 @@ from missionsim.diagnose.findings import (
     Unexplained,
     Where,
 )
-from missionsim.report.diagnosis_page import diagnosis_page
+from missionsim.report.blocks import Chart
+from missionsim.report.diagnosis_page import diagnosis_page, diagnosis_sections
 
 GRADE = Finding("grade", {"k": Estimate(0.98, 0.95, 1.01)}, 0.033, 1e-9, 0.030, 0.036, 2e-9,
                 "identified, repeated across runs", 1.8, 0.5)
@@ -87,3 +88,16 @@ def test_json_and_page_hold_for_every_verdict(battery: BatteryDiagnosis) -> None
     page = diagnosis_page(diagnosis)
     assert battery.effects[0].effect in page
     assert "http" + "://" not in page.split("<script")[0]
+
+
+def test_the_page_shows_what_looks_alike() -> None:
+    """Each effect found against all others, most alike first; one effect alone is enough for a figure."""
+    def alike(battery: BatteryDiagnosis) -> list[Chart]:
+        details = diagnosis_sections(Diagnosis("r", {"robot": battery}))[-1]
+        return [b for b in details.blocks if isinstance(b, Chart)]
+
+    assert alike(BATTERY) == []
+    (chart,) = alike(replace(BATTERY, confounding={"grade": {"payload": -0.2, "acceleration": 0.93, "turning": 0.1}}))
+    (trace,) = chart.traces
+    assert trace["x"] == ["acceleration", "payload", "turning"]
+    assert trace["z"] == [[0.93, -0.2, 0.1]]

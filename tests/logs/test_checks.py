@@ -151,6 +151,20 @@ def test_frozen_sensor(tmp_path: Path) -> None:
     assert (~fresh).sum() == 49
 
 
+@pytest.mark.parametrize(("column", "noise"), [("speed_m_s", 0.005), ("yaw_rate_rad_s", 0.03)])
+def test_noise_at_rest_that_counts_as_driving_is_told(tmp_path: Path, column: str, noise: float) -> None:
+    columns = motion(2000, 0.1)
+    rest = (columns["time_s"] > 60) & (columns["time_s"] < 120)
+    for name in ("speed_m_s", "yaw_rate_rad_s"):
+        columns[name] = np.where(rest, 0.0, columns[name])
+    assert all(r.kind != "standstill" for r in read(tmp_path, columns).remarks)
+    columns[column] = columns[column] + np.where(rest, np.random.default_rng(1).normal(0.0, noise, 2000), 0.0)
+    remark = found(read(tmp_path, columns), "standstill", column)
+    assert "count as driving" in remark.message
+    assert f"where(abs({column}) < " in remark.action
+    assert 100 < remark.count < 600
+
+
 def test_a_robot_that_stands_is_not_frozen(tmp_path: Path) -> None:
     columns = motion()
     columns["speed_m_s"][100:200] = 0.0

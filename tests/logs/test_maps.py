@@ -137,6 +137,16 @@ def test_keep_others_and_gaps(tmp_path: Path) -> None:
     assert any("1 pieces of grass_07 (150 rows) are too short" in r.message for r in only.remarks)
 
 
+def test_a_word_that_is_a_column_s_name_is_told(tmp_path: Path) -> None:
+    (log,) = run(tmp_path, BASE + "  scheme: {text: mode}\n  surface: mode\n")
+    scheme, surface = log.columns["scheme"], log.columns["surface"]
+    assert isinstance(scheme, Labels)
+    assert isinstance(surface, Labels)
+    assert (scheme.names, set(surface.names)) == (("mode",), {"auto", "manual"})
+    (told,) = [r for r in log.remarks if r.column == "scheme"]
+    assert "for the column write scheme: mode" in told.action
+
+
 def test_runs_by_columns_and_restart(tmp_path: Path) -> None:
     by = BASE.replace("columns:", "runs: {by: [mode, floor]}\ncolumns:")
     logs = run(tmp_path, by)
