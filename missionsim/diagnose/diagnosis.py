@@ -12,7 +12,7 @@ import numpy as np
 
 from missionsim.diagnose.adapter import effects_of, judged, noise_of, recalibrated
 from missionsim.diagnose.experiments import Bench, propose, to_learn
-from missionsim.diagnose.features import Features, make_features
+from missionsim.diagnose.features import Features, at_size, make_features
 from missionsim.diagnose.findings import (
     BatteryDiagnosis,
     Diagnosis,
@@ -46,6 +46,9 @@ NO_PRIOR_SD = float("inf")
 """Prior of a parameter that was fitted to these very logs: they may not count twice."""
 LEAST_FREE_SD = 1.0
 """Relative standard deviation that stands for no prior at least."""
+MOST_PASSES = 3
+SAME_SIZE = 0.05
+"""A column is evaluated anew when the size found differs by more than this from the one that it was made for."""
 MOST_WHERE = 4
 WORTH_SAYING = 0.03
 
@@ -214,9 +217,32 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings) ->
         )
     try:
         found = identify(features.runs, features.candidates, features.prior_sd, settings)
+        used: dict[str, float] = {}
+        for _ in range(MOST_PASSES):
+            sizes = _limited(found, features)
+            if all(abs(size / used.get(name, 1.0) - 1.0) < SAME_SIZE for name, size in sizes.items()):
+                break
+            features, used = at_size(features, sizes), sizes
+            tested = None if tested is None else at_size(tested, sizes)
+            found = identify(features.runs, features.candidates, features.prior_sd, settings)
     except ValueError as error:
         raise InputError.single(f"battery '{battery}': {error}") from error
     return Examined(features, tested, found)
+
+
+def _limited(found: Identification, features: Features) -> dict[str, float]:
+    """Sizes in the model of the effects whose power is limited by what the drive can give back, where that limit is not
+    proportional to the size (see `missionsim.physics.motion.relieved_part`)."""
+    model = found.choice.model
+    layout = model.design.layout
+    sizes: dict[str, float] = {}
+    for k in model.chosen:
+        column = layout.columns[k]
+        name = features.candidates[column.candidate].effect
+        size = found.choice.evidence[k].share * layout.mean_power_w / column.watts_per_unit
+        if features.effects[name].recovers and size > 0.0:
+            sizes[name] = max(size, 1.0)
+    return sizes
 
 
 def diagnose_battery(

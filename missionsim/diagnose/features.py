@@ -129,6 +129,27 @@ def effect_columns(
     return found
 
 
+def at_size(features: Features, sizes: Mapping[str, float]) -> Features:
+    """The same features, with the columns of some effects as they are at a size of the effect.
+
+    What a descent gives back ends where the drive needs nothing any more, so that the power of `grade` is not
+    proportional to its coefficient; its column is the power at the size found, divided by that size.
+
+    Parameters
+    ----------
+    features : Features
+    sizes : mapping of str to float
+        Coefficient by id of the effect; effects without a shape and levels only.
+    """
+    runs = []
+    for run, cov in zip(features.runs, features.covariates, strict=True):
+        columns = dict(run.columns)
+        for name, size in sizes.items():
+            columns[name] = _column(features.effects[name], cov, {}, "", size) / size
+        runs.append(replace(run, columns=columns))
+    return replace(features, runs=tuple(runs))
+
+
 def _held(model: PowerModel, battery: str) -> set[str]:
     held = {term.effect.id for term in model.of(battery) if not term.base}
     return held | {id.partition(":")[0] for id in held if id.startswith(SURFACE)}
@@ -217,12 +238,14 @@ def _default_grid(low: float, high: float, default: float) -> tuple[float, ...]:
     return (default if np.isfinite(default) else 1.0,)
 
 
-def _column(effect: Effect, cov: Mapping[str, Any], shape: Mapping[str, float], level: str) -> Array:
+def _column(
+    effect: Effect, cov: Mapping[str, Any], shape: Mapping[str, float], level: str, size: float = 1.0
+) -> Array:
     rows = len(cov["time_s"])
     if level:
         values: dict[str, float] = {spec.name: float(spec.name == f"k_{level}") for spec in effect.parameters}
     else:
-        values = {effect.coefficient.name: 1.0, **{s.name: s.default for s in effect.shape}, **shape}
+        values = {effect.coefficient.name: size, **{s.name: s.default for s in effect.shape}, **shape}
     power = np.broadcast_to(np.asarray(effect.power(cov, values), dtype=float), (rows,))
     return np.ascontiguousarray(np.nan_to_num(power, nan=0.0, posinf=0.0, neginf=0.0))
 

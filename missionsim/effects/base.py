@@ -85,6 +85,8 @@ class Effect:
     execution: bool = False
     sign: int = 1
     memory: tuple[str, ...] = ()
+    relief: Callable[[Parameters], Any] | None = field(default=None, compare=False)
+    """The part of the drive's power that it can relieve; all of it where not given."""
     covariate: str = ""
     """The covariate that it is mostly about, for reports and shifted splits."""
     place: Place = field(default=Place(), repr=False, compare=False)

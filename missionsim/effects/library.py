@@ -62,7 +62,8 @@ def _drive(
 
 def _grade(cov: Covariates, p: Mapping[str, Any]) -> Any:
     lifting = motion.grade_power(cov["speed_m_s"], cov["slope_rad"], number(cov, "mass_kg", 1.0), p["k"])
-    return motion.recovered_power(lifting, number(cov, "drive_w"), number(cov, "regeneration"))
+    drive = motion.relieved_part(p["k"]) * number(cov, "drive_w")
+    return motion.recovered_power(lifting, drive, number(cov, "regeneration"))
 
 
 _TAU = ParameterSpec("tau", "s", "time constant", low=1.0, high=7200.0, default=120.0, grid=TAU_GRID_S)
@@ -72,7 +73,8 @@ _REFERENCE = ParameterSpec(
 
 _EFFECTS: tuple[Effect, ...] = (
     _drive("grade", "k·m·g·v·sin θ, never below what the drive can give back", "1",
-           "lifting the robot on a slope", ("slope_rad", "speed_m_s"), _grade, recovers=True),
+           "lifting the robot on a slope", ("slope_rad", "speed_m_s"), _grade, recovers=True,
+           relief=lambda p: motion.relieved_part(p["k"])),
     _drive("payload", "k·m_payload·v", "m/s^2", "rolling resistance of the load carried", ("payload_kg", "speed_m_s"),
            lambda c, p: motion.payload_power(c["speed_m_s"], c["payload_kg"], p["k"])),
     _drive("acceleration", "k·m·a·v when speeding up", "1", "inertia of the robot when it speeds up",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -203,20 +203,22 @@ class PowerModel:
         powers: dict[TermKey, Any] = {}
         drive: Any = 0.0
         relieving: dict[TermKey, Any] = {}
+        parts: list[Any] = []
         for term in self.of(battery):
             effect = term.effect
             for name in effect.needs:
                 if name not in cov:
                     raise InputError(self.lacking(cov, battery))
             if relieving and effect.stage > 1:
-                powers.update(_relieved(relieving, drive, cov))
+                powers.update(_relieved(relieving, drive, cov, parts))
                 relieving = {}
             local = cov
             if effect.recovers:
                 local = {**cov, "drive_w": np.inf}  # whole; what the drive cannot take is braked away for all at once
             elif effect.of_load:
                 local = {**cov, "load_w": sum(powers.values(), start=0.0)}
-            power = effect.power(local, self._values(term, values))
+            own = self._values(term, values)
+            power = effect.power(local, own)
             scale = term.scale
             if values and term.link[0] in values:
                 scale = scale * term.link[1] / values[term.link[0]]
@@ -225,10 +227,11 @@ class PowerModel:
             powers[term.key] = power
             if effect.recovers:
                 relieving[term.key] = power
+                parts.append(1.0 if effect.relief is None else effect.relief(own))
             elif effect.drive:
                 drive = drive + power
         if relieving:
-            powers.update(_relieved(relieving, drive, cov))
+            powers.update(_relieved(relieving, drive, cov, parts))
         return powers
 
     def _values(self, term: Term, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -309,7 +312,9 @@ class PowerModel:
         return replace(self, terms=terms)
 
 
-def _relieved(powers: Mapping[TermKey, Any], drive_w: Any, cov: Covariates) -> dict[TermKey, Any]:
+def _relieved(
+    powers: Mapping[TermKey, Any], drive_w: Any, cov: Covariates, parts: Sequence[Any]
+) -> dict[TermKey, Any]:
     """Terms that may be negative, limited together."""
-    left = relieved_powers(list(powers.values()), drive_w, number(cov, "regeneration"))
+    left = relieved_powers(list(powers.values()), drive_w, number(cov, "regeneration"), parts)
     return dict(zip(powers, left, strict=True))

@@ -240,12 +240,18 @@ def _effects(
 
 
 def _on_ramps(model: Model) -> dict[int, float]:
-    """Part of the size of each chosen column that lies beside ramps of the base model, from 0 to 1."""
+    """How much more of each chosen column than of the base model's power lies beside ramps, from 0 to 1.
+
+    Where the whole drive is one ramp, all columns are blurred alike and keep their relations.
+    """
     edge = ramps(model)
+    base = model.design.base**2
+    usual = float(base[edge].sum() / max(float(base.sum()), 1e-300))
     out = {}
     for k in model.chosen:
         square = model.design.phi[k] ** 2
-        out[k] = float(square[edge].sum() / max(float(square.sum()), 1e-300))
+        part = float(square[edge].sum() / max(float(square.sum()), 1e-300))
+        out[k] = max(0.0, part - usual) / max(1.0 - usual, 1e-9)
     return out
 
 

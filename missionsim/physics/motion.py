@@ -113,7 +113,18 @@ def recovered_power(power_w: Value, drive_w: Value, regeneration: Value) -> Valu
     return np.maximum(power_w, floor) + regeneration * np.minimum(power_w - floor, 0.0)
 
 
-def relieved_powers(powers_w: Sequence[Value], drive_w: Value, regeneration: Value) -> list[Value]:
+def relieved_part(k: Value) -> Value:
+    """Part of the drive's power that lifting with the factor ``k`` can relieve on the way down.
+
+    With ``k`` = 1/efficiency, 1 or more: all of it. A factor below 1 stands for a weight that is felt only in part, and
+    the weight then takes over the drive's work in the same part (assumed).
+    """
+    return np.minimum(k, 1.0)
+
+
+def relieved_powers(
+    powers_w: Sequence[Value], drive_w: Value, regeneration: Value, parts: Sequence[Value] | None = None
+) -> list[Value]:
     """What several terms that may be negative leave on the battery together; see `recovered_power`.
 
     Braking on the way uphill first pays for the lifting: the forces add up at the wheels before the brake takes what is
@@ -128,16 +139,23 @@ def relieved_powers(powers_w: Sequence[Value], drive_w: Value, regeneration: Val
         The power that the drive takes without them [W].
     regeneration : float
         Fraction of the surplus given back, 0 to 1.
+    parts : sequence of float or ndarray, optional
+        The part of `drive_w` that each term can relieve, all of it where not given.
 
     Returns
     -------
     list of float or ndarray
         Their parts of the battery power [W], in the same order.
     """
+    parts = [1.0] * len(powers_w) if parts is None else parts
     if len(powers_w) == 1:
-        return [recovered_power(powers_w[0], drive_w, regeneration)]
-    taken = sum((np.maximum(watts, 0.0) for watts in powers_w), start=np.maximum(drive_w, 0.0))
+        return [recovered_power(powers_w[0], parts[0] * drive_w, regeneration)]
     helping = sum((np.minimum(watts, 0.0) for watts in powers_w), start=0.0)
+    part: Value = 1.0
+    if any(np.any(np.asarray(p) != 1.0) for p in parts):
+        weighed = sum((p * np.minimum(watts, 0.0) for p, watts in zip(parts, powers_w, strict=True)), start=0.0)
+        part = weighed / np.where(helping < 0.0, helping, 1.0)
+    taken = sum((np.maximum(watts, 0.0) for watts in powers_w), start=part * np.maximum(drive_w, 0.0))
     share = recovered_power(helping, taken, regeneration) / np.where(helping < 0.0, helping, 1.0)
     return [np.maximum(watts, 0.0) + share * np.minimum(watts, 0.0) for watts in powers_w]
 
