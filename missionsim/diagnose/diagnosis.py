@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from missionsim.diagnose.adapter import effects_of, judged, noise_of, recalibrated
+from missionsim.diagnose.execution import ExecutionEffect, execution_effects, seen_once, told_of
 from missionsim.diagnose.experiments import Bench, propose, to_learn
 from missionsim.diagnose.features import Features, at_size, make_features
 from missionsim.diagnose.findings import (
@@ -257,7 +258,8 @@ def diagnose_battery(
         tested = on_heldout(found.choice, seen.heldout.runs, features.candidates, features.prior_sd, settings,
                             split.how, split.shifted, [e.effect for e in found.effects])  # fmt: skip
     effects = effects_of(found, features, tested)
-    execution = _execution(split, battery, timeline, settings, segments)
+    driven = _execution(split, battery, timeline, settings, segments)
+    execution = tuple(_as_finding(one) for one in driven if one.found)
     verdict = found.verdict
     if verdict == "nothing_missing" and execution:
         verdict = "effects_found"
@@ -269,10 +271,10 @@ def diagnose_battery(
     if timeline is not None:
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
     clock, left = found.clock, found.unexplained
-    remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks]
+    remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks, *seen_once(driven)]
     return BatteryDiagnosis(
-        battery, verdict, effects, judged(found), recalibrated(found, features), clock.delay_s, clock.lag_s,
-        clock.at_edge, noise_of(found), untestable,
+        battery, verdict, effects, (*judged(found), *told_of(driven)), recalibrated(found, features), clock.delay_s,
+        clock.lag_s, clock.at_edge, noise_of(found), untestable,
         Unexplained(left.share_of_residual, tuple(left.depends_on), "; ".join(t for t in (left.shape, level) if t)),
         _next(subject, seen, effects, settings), None if tested is None else tested.summary,
         _shifted(seen), execution, found.mean_power_w, tuple(run.run for run in features.runs),
@@ -329,20 +331,19 @@ def _no_prior(features: Features, name: str) -> float:
 
 def _execution(
     split: Split, battery: str, timeline: Timeline | None, settings: Settings, segments: Sequence[str]
-) -> tuple[Finding, ...]:
+) -> list[ExecutionEffect]:
     if timeline is None:
-        return ()
-    from missionsim.diagnose.execution import execution_effects
-
+        return []
     logs = [log for log in (*split.train, *split.heldout) if battery in log.power_w]
     if not all("speed_m_s" in log.columns for log in logs):
-        return ()
-    return tuple(
-        Finding(
-            one.effect, {"k": Estimate(one.value, one.low, one.high, one.unit)}, one.energy_share, one.p_value,
-            scheme=one.scheme, level="identified", remark=one.reason,
-        )
-        for one in execution_effects(timeline, logs, battery, settings.alpha, segments) if one.found
+        return []
+    return execution_effects(timeline, logs, battery, settings.alpha, segments)
+
+
+def _as_finding(one: ExecutionEffect) -> Finding:
+    return Finding(
+        one.effect, {"k": Estimate(one.value, one.low, one.high, one.unit)}, one.energy_share, one.p_value,
+        scheme=one.scheme, level="identified", remark=one.reason,
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.diagnose.findings import Judged
 from missionsim.effects.timeline import Timeline
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S
 from missionsim.labels import Labels
@@ -21,6 +22,10 @@ ODOMETRY_SCALE = 0.01
 """Ratios closer to 1 than this may be the odometry's scale, and are not called an effect (assumed)."""
 SHORTEST_DWELL_S = 2.0
 FEWEST_RUNS = 2
+WORTH_SAYING = 0.01
+"""Part of the energy from which a difference in a single run is told."""
+TOLD = {"path_stretch": "times the planned way", "speed_tracking": "times the planned speed",
+        "dwell": "s at rest a run that nothing plans"}
 
 
 @dataclass(frozen=True)
@@ -115,6 +120,30 @@ def execution_effects(
     # a log says its scheme while it waits, a plan need not: standing still is compared over the whole mission
     found.append(_dwell(_planned(timeline, False)[""], whole, measured_j, alpha / count))
     return found
+
+
+def told_of(effects: Sequence[ExecutionEffect]) -> list[Judged]:
+    """The execution effects as candidates that were looked at, all schemes of one together."""
+    return [
+        Judged(name, any(one.found for one in own),
+               "; ".join(f"{one.scheme}: {one.reason}" if one.scheme else one.reason for one in own), None)
+        for name, own in by_effect(effects).items()
+    ]  # fmt: skip
+
+
+def seen_once(effects: Sequence[ExecutionEffect]) -> list[str]:
+    """In words, how the only run differs from the plan, where it takes energy worth saying."""
+    told = []
+    for one in effects:
+        away = abs(one.value) > SHORTEST_DWELL_S if one.unit == "s" else abs(one.value - 1.0) > ODOMETRY_SCALE
+        if np.isfinite(one.p_value) or not away or abs(one.energy_share) < WORTH_SAYING:
+            continue
+        scheme = f" in {one.scheme}" if one.scheme else ""
+        told.append(f"{one.effect}{scheme}: {one.value:.3g} {TOLD[one.effect]} ({100 * one.energy_share:+.1f} % of the "
+                    "energy)")
+    if not told:
+        return []
+    return [f"driven otherwise than planned in this run: {'; '.join(told)}; one run cannot show whether it repeats"]
 
 
 def _of_scheme(

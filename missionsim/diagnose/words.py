@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from missionsim.diagnose.execution import TOLD
 from missionsim.diagnose.findings import BatteryDiagnosis, Experiment, Finding, HeldOut
 
 MOST_NOT_SEEN = 8
@@ -128,8 +129,7 @@ def heldout_line(heldout: HeldOut) -> str:
 def _execution(effect: Finding) -> str:
     estimate = next(iter(effect.parameters.values()))
     scheme = f" in {effect.scheme}" if effect.scheme else ""
-    told = {"path_stretch": "times the planned way", "speed_tracking": "times the planned speed",
-            "dwell": "s at rest a run that nothing plans"}[effect.effect]
+    told = TOLD[effect.effect]
     interval = f" (95 % {estimate.low:.3g} to {estimate.high:.3g})" if math.isfinite(estimate.low) else ""
     return f"{effect.effect}{scheme}: {estimate.value:.3g} {told}{interval}"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from missionsim.diagnose.execution import ExecutionEffect, execution_effects
+from missionsim.diagnose.execution import ExecutionEffect, execution_effects, seen_once, told_of
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.simulate import simulate
 from missionsim.labels import Labels
@@ -91,6 +91,14 @@ def test_one_run_says_that_it_cannot_show_scatter(plan: Timeline) -> None:
     effects = execution_effects(plan, [log(0, stretch=1.2)], "robot")
     assert not any(one.found for one in effects)
     assert "one run cannot show how it scatters" in {one.reason for one in effects}
+    (told,) = seen_once(effects)
+    assert "path_stretch: 1.2 times the planned way (+" in told
+    assert "cannot show whether it repeats" in told
+    assert seen_once(execution_effects(plan, [log(0)], "robot")) == []
+    assert seen_once(execution_effects(plan, [log(seed, stretch=1.2) for seed in range(4)], "robot")) == []
+    judged = {one.effect: one for one in told_of(effects)}
+    assert set(judged) == {"path_stretch", "speed_tracking", "dwell"}
+    assert not any(one.accepted for one in judged.values())
 
 
 def test_each_scheme_has_its_own_stretch(tmp_path: Path) -> None:
