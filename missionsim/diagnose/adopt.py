@@ -11,6 +11,7 @@ import numpy as np
 
 from missionsim.diagnose.diagnosis import Examined, Subject, examine
 from missionsim.diagnose.features import Features
+from missionsim.diagnose.priors import of_formula
 from missionsim.diagnose.split import Split
 from missionsim.errors import InputError, MissionsimError, did_you_mean
 from missionsim.fit.provenance import CALIBRATION, data_tag, log_hash
@@ -198,6 +199,8 @@ def _base(features: Features, fitted: Identification) -> dict[str, tuple[float, 
     for shift in fitted.recalibration:
         parameter = features.parameters[shift.parameter]
         value = parameter.value * (1.0 + shift.shift)
+        if parameter.value > 0.0 and not of_formula(parameter):
+            value = max(value, 0.0)  # what is drawn at rest or by a component may be unknown, not negative
         if parameter.path and shift.sd < 0.95 * features.prior_sd.get(shift.parameter, np.inf):
             base[shift.parameter] = (value, abs(parameter.value) * float(np.hypot(shift.sd, METER_ALLOWANCE)))
     return base

@@ -27,11 +27,11 @@ from missionsim.diagnose.findings import (
 )
 from missionsim.diagnose.heldout import Tested, on_heldout, on_left_out, prediction
 from missionsim.diagnose.manoeuvres import site_of
+from missionsim.diagnose.priors import priors_of
 from missionsim.diagnose.split import Split, choose_split
 from missionsim.effects.base import Effect
-from missionsim.effects.model import ModelParameter, PowerModel
+from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
-from missionsim.fit.provenance import fitted_to
 from missionsim.identify.data import RunData, Settings
 from missionsim.identify.heldout import heldout
 from missionsim.identify.identify import identify
@@ -43,10 +43,6 @@ if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
     from missionsim.spec.robot import RobotSpec
 
-NO_PRIOR_SD = float("inf")
-"""Prior of a parameter that was fitted to these very logs: they may not count twice."""
-LEAST_FREE_SD = 1.0
-"""Relative standard deviation that stands for no prior at least."""
 MOST_PASSES = 3
 SAME_SIZE = 0.05
 """A column is evaluated anew when the size found differs by more than this from the one that it was made for."""
@@ -208,7 +204,7 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings) ->
     held = [_renamed(log, {t.run for t in train}) for log in split.heldout if battery in log.power_w]
     every = make_features(subject.model, [*train, *held], battery, subject.own.get(battery, ()),
                           switchable=subject.switchable.get(battery, ()))  # fmt: skip
-    every = replace(every, prior_sd=_priors(subject, every, split.train))
+    every = replace(every, prior_sd=priors_of(subject, every, split.train))
     features = every.select(range(len(train)))
     tested = every.select(range(len(train), len(train) + len(held))) if held else None
     if all(float(np.ptp(run.measured_w)) == 0.0 for run in features.runs):
@@ -303,30 +299,6 @@ def level_difference(found: Identification, runs: Sequence[RunData]) -> str:
 
 def _renamed(log: Any, taken: set[str]) -> Any:
     return replace(log, run=f"held-out {log.run}") if log.run in taken else log
-
-
-def _priors(subject: Subject, features: Features, logs: Sequence[Any]) -> dict[str, float]:
-    """Priors of the base parameters; none for those that were fitted to these very logs."""
-    priors = {}
-    for name, parameter in features.parameters.items():
-        given = (subject.priors or {}).get(name, prior_before(subject, parameter, logs))
-        priors[name] = max(given, 1e-6) if given < NO_PRIOR_SD else _no_prior(features, name)  # 0 is as good as known
-    return priors
-
-
-def prior_before(subject: Subject, parameter: ModelParameter, logs: Sequence[Any]) -> float:
-    """Relative standard deviation known beside these logs; `NO_PRIOR_SD` where it was fitted to these very logs."""
-    source = parameter.source
-    same = fitted_to(subject.sources.get(source, source), logs)
-    return NO_PRIOR_SD if same else parameter.prior_sd
-
-
-def _no_prior(features: Features, name: str) -> float:
-    """So wide that it says nothing: the parameter may make all the power, even where it now makes hardly any."""
-    power = float(np.mean([np.nanmean(np.abs(run.measured_w)) for run in features.runs]))
-    parts = [float(np.mean(np.abs(run.gradient[name]))) for run in features.runs if name in run.gradient]
-    size = float(np.mean(parts)) if parts else 0.0
-    return max(LEAST_FREE_SD, power / size) if size > 0.0 else LEAST_FREE_SD
 
 
 def _execution(

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from missionsim.diagnose.adopt import adopt
-from missionsim.diagnose.diagnosis import NO_PRIOR_SD, Subject, diagnose_battery, prior_before
+from missionsim.diagnose.diagnosis import Subject, diagnose_battery
 from missionsim.diagnose.findings import BatteryDiagnosis, Finding
+from missionsim.diagnose.priors import NO_PRIOR_SD, prior_before
 from missionsim.diagnose.split import Split
 from missionsim.identify.data import Settings
 

@@ -74,7 +74,7 @@ def _result(battery: BatteryDiagnosis) -> list[Block]:
 def _candidates(battery: BatteryDiagnosis) -> list[Block]:
     found = {effect.effect: effect for effect in battery.effects}
     rows = sorted(
-        (c for c in battery.candidates if c.effect in found or _finite(c.smallest_detectable_share)),
+        (c for c in battery.candidates if c.effect in found or _seen(c.smallest_detectable_share)),
         key=lambda c: (c.effect not in found, c.smallest_detectable_share or 0.0),
     )
     blocks: list[Block] = []
@@ -97,7 +97,8 @@ def _candidates(battery: BatteryDiagnosis) -> list[Block]:
         blocks.append(Chart(
             traces, {"xaxis": {"title": {"text": "share of the battery's energy, %"}, "rangemode": "tozero"},
                      "hovermode": "closest", "margin": {"l": 220, "r": 16, "t": 30, "b": 48}},
-            "Effects that were found, and how large the others could be without being seen (80 % power).",
+            "Effects that were found, and how large the others could be without being seen (80 % power); those of "
+            "which these data say nothing are left out.",
             90 + 24 * len(names)))
     blocks.append(Details("Every candidate and the reason", [Table(
         ["effect", "taken", "reason", "smallest detectable share, %"],
@@ -201,6 +202,10 @@ def _heldout_table(battery: BatteryDiagnosis) -> Table:
                 rows.append([held.how, text, held.energy_error_pct[kind], held.power_rmse_w[kind]])
     return Table(["held-out runs", "model", "energy error, %", "power error (RMS), W"], rows,
                  "Errors on runs that were not used to fit", 3)
+
+
+def _seen(limit: float | None) -> bool:
+    return limit is not None and limit < words.BLIND_SHARE  # not so where it is no number
 
 
 def _finite(value: float | None) -> bool:

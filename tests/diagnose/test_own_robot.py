@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from missionsim.compare import compare_files
+from missionsim.diagnose.adopt import _base as base_values
 from missionsim.diagnose.adopt import adopt
 from missionsim.diagnose.diagnosis import Subject, examine
 from missionsim.diagnose.improve import improve
@@ -87,3 +88,14 @@ def test_improve_lowers_the_error_of_a_calibrated_robot() -> None:
     assert done.added == ("turning_scrub",)
     steps = {step.name: step.power_rmse_w for step in done.steps}
     assert steps["+ turning_scrub"] < 0.5 * steps["recalibrated"]
+
+
+def test_what_is_drawn_at_rest_is_never_written_below_nought() -> None:
+    logs = [drive(seed, seconds=200.0) for seed in range(2)]
+    made = calibrate_new(NewRobot("own", BASE), logs)
+    seen = examine(Subject.of(robot_from_text(made.text)), Split(tuple(logs), (), ""), BATTERY, Settings())
+    negative = tuple(replace(shift, shift=-1.5, sd=0.1) for shift in seen.found.recalibration)
+    base = base_values(seen.features, replace(seen.found, recalibration=negative))
+    assert base["standing"][0] == 0.0
+    assert base["kinect.power"][0] == 0.0
+    assert base["c2"][0] < 0.0  # a formula may bend either way

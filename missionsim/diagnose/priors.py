@@ -1,0 +1,55 @@
+"""What is known of the base parameters beside these logs: the file's standard deviations, or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from missionsim.fit.provenance import fitted_to
+
+if TYPE_CHECKING:
+    from missionsim.diagnose.diagnosis import Subject
+    from missionsim.diagnose.features import Features
+    from missionsim.effects.model import ModelParameter
+
+NO_PRIOR_SD = float("inf")
+"""Prior of a parameter that was fitted to these very logs: they may not count twice."""
+LEAST_FREE_SD = 1.0
+"""Relative standard deviation that stands for no prior at least."""
+
+
+def priors_of(subject: Subject, features: Features, logs: Sequence[Any]) -> dict[str, float]:
+    """Priors of the base parameters; none for those that were fitted to these very logs."""
+    priors = {}
+    for name, parameter in features.parameters.items():
+        given = (subject.priors or {}).get(name, prior_before(subject, parameter, logs))
+        priors[name] = max(given, 1e-6) if given < NO_PRIOR_SD else _no_prior(features, name)  # 0 is as good as known
+    return priors
+
+
+def prior_before(subject: Subject, parameter: ModelParameter, logs: Sequence[Any]) -> float:
+    """Relative standard deviation known beside these logs; `NO_PRIOR_SD` where it was fitted to these very logs."""
+    source = parameter.source
+    same = fitted_to(subject.sources.get(source, source), logs)
+    return NO_PRIOR_SD if same else parameter.prior_sd
+
+
+def of_formula(parameter: ModelParameter) -> bool:
+    """Whether a parameter is one of several in the formula of motion, and no power of its own."""
+    return parameter.path.startswith("motion.") and not parameter.path.endswith(".standing")
+
+
+def _no_prior(features: Features, name: str) -> float:
+    """So wide that it says nothing.
+
+    Parameters of one formula of motion share its power among them as what is missing bends it, so that one may make all
+    the power even where it now makes hardly any. Power at rest and of components has rows of its own.
+    """
+    parts = [float(np.mean(np.abs(run.gradient[name]))) for run in features.runs if name in run.gradient]
+    size = float(np.mean(parts)) if parts else 0.0
+    if not of_formula(features.parameters[name]) or size <= 0.0:
+        return LEAST_FREE_SD
+    power = float(np.mean([np.nanmean(np.abs(run.measured_w)) for run in features.runs]))
+    return max(LEAST_FREE_SD, power / size)
