@@ -45,8 +45,12 @@ def test_arrays_against_simpy_bare_arithmetic_and_a_peer(patrol: Prepared) -> No
     arrays = patrol.arrays
     assert arrays is not None
     rng = np.random.default_rng(1)
-    ours = least(lambda: arrays.block(SEED, 0, RUNS), 12) / RUNS
-    bare = least(lambda: forty.by_hand(RUNS, rng), 12) / RUNS
+    ours = bare = float("inf")
+    for _ in range(3):  # once more on a busy machine: neither can take less than it needs
+        ours = min(ours, least(lambda: arrays.block(SEED, 0, RUNS), 12) / RUNS)
+        bare = min(bare, least(lambda: forty.by_hand(RUNS, rng), 12) / RUNS)
+        if ours / bare <= 2.5:
+            break
     number = least(lambda: forty.one_number(RUNS, rng), 12) / RUNS
     charge = least(lambda: forty.by_hand(RUNS, rng, charge=True), 3) / RUNS
     simpy = least(lambda: simulate_block(patrol.mission, patrol.model, patrol.sampler, SEED, 0, 12), 3) / 12
