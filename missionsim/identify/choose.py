@@ -26,6 +26,7 @@ LEAST_RISE = -2.0
 PLAIN_RISE = 1.02
 """An effect must not need opposite gains of the single runs to make up for it."""
 ALIKE = 0.7
+ALIKE_IN_KIND = 0.4
 FORM_LOSS = 0.2
 """An effect like one in the model counts from this part of the other's gain on."""
 FAINT = 0.015
@@ -125,7 +126,7 @@ def _next_step(
             # noise refitted on both sides: an effect must not live on a noise model of its own
             weighed[c].passed["likelihood"] &= rise > LEAST_RISE
             weighed[c].passed["plain error"] = plain_error(fitted) < PLAIN_RISE * plain_error(model)
-            weighed[c].passed["beyond form"] = _beyond_form(fitted, c, weighed[c].gain, found)
+            weighed[c].passed["beyond form"] = _beyond_form(fitted, c, weighed[c].gain, found, candidates)
         if all(e.accepted for e in weighed.values()):
             options.append((rise, Choice(fitted, found.empty, spread, weighed, refused)))
         else:
@@ -139,7 +140,9 @@ def _next_step(
     return best
 
 
-def _beyond_form(fitted: Model, column: int, gain: float, found: Choice) -> bool:
+def _beyond_form(
+    fitted: Model, column: int, gain: float, found: Choice, candidates: Sequence[Candidate]
+) -> bool:
     """Whether a column is more than a correction to the form of an effect in the model.
 
     No form is exact: v2 with a little v3 explains any friction curve better than either alone, and only one is there.
@@ -151,7 +154,8 @@ def _beyond_form(fitted: Model, column: int, gain: float, found: Choice) -> bool
     for other in set(found.model.chosen) & set(fitted.chosen):
         left = gram.conditional([k for k in fitted.chosen if k not in (column, other)])
         r = left[1 + column, 1 + other] / np.sqrt(left[1 + column, 1 + column] * left[1 + other, 1 + other])
-        if abs(r) > ALIKE and gain < FORM_LOSS * found.evidence[other].gain:
+        about = [candidates[fitted.design.layout.columns[k].candidate].covariate for k in (column, other)]
+        if abs(r) > (ALIKE_IN_KIND if about[0] == about[1] else ALIKE) and gain < FORM_LOSS * found.evidence[other].gain:
             return False
     return True
 
