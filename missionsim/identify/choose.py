@@ -155,7 +155,8 @@ def _beyond_form(
         left = gram.conditional([k for k in fitted.chosen if k not in (column, other)])
         r = left[1 + column, 1 + other] / np.sqrt(left[1 + column, 1 + column] * left[1 + other, 1 + other])
         about = [candidates[fitted.design.layout.columns[k].candidate].covariate for k in (column, other)]
-        if abs(r) > (ALIKE_IN_KIND if about[0] == about[1] else ALIKE) and gain < FORM_LOSS * found.evidence[other].gain:
+        alike = ALIKE_IN_KIND if about[0] == about[1] else ALIKE
+        if abs(r) > alike and gain < FORM_LOSS * found.evidence[other].gain:
             return False
     return True
 
