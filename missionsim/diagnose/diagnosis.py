@@ -36,6 +36,7 @@ from missionsim.identify.data import RunData, Settings
 from missionsim.identify.heldout import heldout
 from missionsim.identify.identify import identify
 from missionsim.identify.result import Identification
+from missionsim.identify.shape import at_shapes
 from missionsim.labels import Labels
 from missionsim.logs import describe
 
@@ -251,7 +252,8 @@ def diagnose_battery(
     features, found = seen.features, seen.found
     tested: Tested | None = None
     if seen.heldout is not None:
-        tested = on_heldout(found.choice, seen.heldout.runs, features.candidates, features.prior_sd, settings,
+        held = at_shapes(seen.heldout.runs, seen.heldout.candidates, found.shapes)
+        tested = on_heldout(found.choice, held, features.candidates, features.prior_sd, settings,
                             split.how, split.shifted, [e.effect for e in found.effects])  # fmt: skip
     effects = effects_of(found, features, tested)
     driven = _execution(split, battery, timeline, settings, segments)

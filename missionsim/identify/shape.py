@@ -9,7 +9,7 @@ import numpy as np
 
 from missionsim.identify.align import RunColumns
 from missionsim.identify.choose import Choice
-from missionsim.identify.data import Array, Candidate, Settings
+from missionsim.identify.data import Array, Candidate, RunData, Settings
 from missionsim.identify.design import HEAD_ROWS, Source
 from missionsim.identify.gates import weigh
 from missionsim.identify.model import Model, fit_model, score
@@ -184,9 +184,39 @@ def _replaced(source: Source, column: int, candidate: Candidate, shape: Mapping[
     if not mean > 0:
         return source
     numbered = list(source.layout.columns)
-    numbered[column] = replace(numbered[column], watts_per_unit=mean, mix=_mix(candidate, shape))
+    numbered[column] = replace(numbered[column], watts_per_unit=mean, mix=_mix(candidate, shape),
+                               exact=exact_name(candidate.effect))
     layout = replace(source.layout, columns=tuple(numbered))
     return Source(source.runs, columns, source.covariates, layout, source.clock, source.aligned, source.kept)
+
+
+def exact_name(effect: str) -> str:
+    """Name of a column at the refitted shape of its effect."""
+    return f"{effect}|refitted"
+
+
+def at_shapes(
+    runs: Sequence[RunData], candidates: Sequence[Candidate], shapes: Mapping[str, Mapping[str, float]]
+) -> list[RunData]:
+    """Other runs with the columns at the shapes that were found.
+
+    Parameters
+    ----------
+    runs : sequence of RunData
+    candidates : sequence of Candidate
+        With `refit` evaluating these runs.
+    shapes : mapping
+        Effect -> shape parameters, as `Identification.shapes` has them.
+    """
+    out = [dict(run.columns) for run in runs]
+    for candidate in candidates:
+        found = shapes.get(candidate.effect)
+        if found is None or candidate.refit is None:
+            continue
+        raw = candidate.refit({name: found[name] for name in candidate.shape[0]})
+        for columns, values in zip(out, raw, strict=True):
+            columns[exact_name(candidate.effect)] = np.asarray(values, dtype=float)
+    return [replace(run, columns=columns) for run, columns in zip(runs, out, strict=True)]
 
 
 def _mix(candidate: Candidate, shape: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
