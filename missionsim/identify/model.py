@@ -11,9 +11,12 @@ import numpy as np
 from missionsim.identify.align import Clock
 from missionsim.identify.design import Design, Source
 from missionsim.identify.gram import Gram, eliminate_random, make_gram, project, random_effects, raw_blocks
-from missionsim.identify.noise import Noise, fit_noise, start_factor
+from missionsim.identify.noise import Noise, fit_noise, start_factor, start_noise
 
 LARGEST_RUN_DELAY_S = 0.6
+UNUSUAL_GAIN = 0.03
+USUAL_GAIN = 0.015
+"""Where the fit begins once single runs differ by more than meters and drives do."""
 
 
 @dataclass(frozen=True)
@@ -99,16 +102,31 @@ def _move_runs(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]
     return replace(clock, delay_s=clock.delay_s + mean, run_delay_s=tuple(float(d) for d in own))
 
 
+def _unusual(noise: Noise, design: Design) -> bool:
+    offset = noise.offset_w / design.layout.mean_power_w
+    return max(noise.gain, noise.motion_gain, offset) > UNUSUAL_GAIN
+
+
 def fit_model(source: Source, chosen: Sequence[int], start: Model | None = None, thorough: bool = True) -> Model:
     """Fit clock and noise for a set of effects, starting from a neighbouring model."""
     chosen = tuple(chosen)
     clock = start.clock if start else source.clock
     design = source.design(clock)
-    noise = fit_noise(design, chosen, start.noise if start else None, thorough=start is None)
+    guess = start.noise if start else None
+    unusual = guess is not None and _unusual(guess, design)
+    if guess is not None and unusual:
+        # what a new effect explains had passed for differences between runs, and a fit from there would stay there
+        fresh = start_noise(design)
+        guess = replace(
+            guess, gain=min(guess.gain, USUAL_GAIN), motion_gain=min(guess.motion_gain, USUAL_GAIN),
+            offset_w=min(guess.offset_w, fresh.offset_w), fast_s=fresh.fast_s, slow_s=fresh.slow_s,
+            fast_share=fresh.fast_share, slow_share=fresh.slow_share,
+        )  # fmt: skip
+    noise = fit_noise(design, chosen, guess, thorough=guess is None or unusual)
     if source.aligned:
         clock = refine_clock(source, clock, noise, chosen, 2 if start is None else 1)
         design = source.design(clock)
-        noise = fit_noise(design, chosen, noise, thorough=thorough)
+        noise = fit_noise(design, chosen, noise, thorough=thorough or unusual)
     return Model(source, chosen, clock, design, noise)
 
 
