@@ -147,13 +147,11 @@ def _beyond_form(
 
     No form is exact: v2 with a little v3 explains any friction curve better than either alone, and only one is there.
     """
-    gram = fitted.gram
     loudest = max((found.evidence[k].gain for k in found.model.chosen), default=0.0)
     if gain < min(FAINT * loudest, CLEAR_NATS):
         return False
     for other in set(found.model.chosen) & set(fitted.chosen):
-        left = gram.conditional([k for k in fitted.chosen if k not in (column, other)])
-        r = left[1 + column, 1 + other] / np.sqrt(left[1 + column, 1 + column] * left[1 + other, 1 + other])
+        r = fitted.gram.correlation(column, other, fitted.chosen)
         about = [candidates[fitted.design.layout.columns[k].candidate].covariate for k in (column, other)]
         alike = ALIKE_IN_KIND if about[0] == about[1] else ALIKE
         if abs(r) > alike and gain < FORM_LOSS * found.evidence[other].gain:

@@ -118,6 +118,11 @@ class Gram:
         cross = self.full[:, index]
         return np.asarray(self.full - cross @ np.linalg.solve(_steady(self.full[np.ix_(index, index)]), cross.T))
 
+    def correlation(self, a: int, b: int, chosen: Sequence[int]) -> float:
+        """Correlation of two columns after the other chosen ones are projected out, from -1 to 1."""
+        left = self.conditional([k for k in chosen if k not in (a, b)])
+        return float(left[1 + a, 1 + b] / np.sqrt(left[1 + a, 1 + a] * left[1 + b, 1 + b]))
+
 
 def _steady(matrix: Array) -> Array:
     """A hair of ridge, so that exact twins give a finite answer."""

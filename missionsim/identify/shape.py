@@ -62,7 +62,8 @@ def without_shadows(
 
     for column in sorted(choice.model.chosen, key=lambda k: choice.evidence[k].gain):
         model = choice.model
-        partners = [k for k in model.chosen if k != column and shaped(k) and _alike(model, column, k)]
+        partners = [k for k in model.chosen if k != column and shaped(k)
+                    and abs(model.gram.correlation(column, k, model.chosen)) > ALIKE]  # fmt: skip
         if shaped(column) or not partners:
             continue
         rest = tuple(k for k in model.chosen if k != column)
@@ -79,11 +80,6 @@ def without_shadows(
             shadow.passed["beyond form"] = False
             choice = replace(smaller, refused={**choice.refused, column: shadow})
     return choice
-
-
-def _alike(model: Model, a: int, b: int) -> bool:
-    left = model.gram.conditional([k for k in model.chosen if k not in (a, b)])
-    return bool(left[1 + a, 1 + b] ** 2 > ALIKE**2 * left[1 + a, 1 + a] * left[1 + b, 1 + b])
 
 
 def _refit(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from missionsim.errors import Fault
@@ -10,6 +10,7 @@ from missionsim.spec.check_route import RouteCheck
 from missionsim.spec.checker import Checker, Where
 from missionsim.spec.mission import CorrelationSpec, MissionSpec
 from missionsim.spec.robot import RobotSpec
+from missionsim.spec.segments import flat_segments
 from missionsim.spec.tree import Document
 from missionsim.spec.uncertain_values import uncertain_values
 
@@ -81,7 +82,7 @@ class _MissionCheck(RouteCheck):
         told: list[tuple[Where, Any]] = [(("behaviour",), mission.behaviour)]
         told += [(("behaviour", "schemes", name), item) for name, item in mission.behaviour.schemes.items()]
         told += [(("defaults", "behaviour"), mission.defaults.behaviour)]
-        told += [((*item.where, "behaviour"), item.behaviour) for item in _flat(mission.segments)]
+        told += [((*item.where, "behaviour"), item.behaviour) for item in flat_segments(mission.segments)]
         schemes = self.robot.schemes.values() if self.robot is not None else ()
         everywhere = [item for _, item in told] + [scheme.behaviour for scheme in schemes]
         for long, often in (("obstacle_stop", "obstacle_spacing"), ("relocalisation_time", "relocalisation_failure")):
@@ -341,15 +342,6 @@ def _raw(robot: RobotSpec, key: str) -> list[str]:
     """Names in the robot's file, also those whose values are at fault (they are told once, there)."""
     document = robot.document
     return Checker(document).raw_keys(key) if document is not None else list(getattr(robot, key))
-
-
-def _flat(segments: Sequence[Any]) -> Iterator[Any]:
-    """Segments that are no repeats, each once."""
-    for segment in segments:
-        if segment.kind == "repeat":
-            yield from _flat(segment.segments)
-        else:
-            yield segment
 
 
 def _count(segments: Sequence[Any]) -> int:

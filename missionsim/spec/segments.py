@@ -1,5 +1,6 @@
 """Segments of a mission, and the settings that they share with `defaults`."""
 
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, GetJsonSchemaHandler, WrapValidator, model_validator
@@ -225,3 +226,12 @@ Segment = Annotated[
     WrapValidator(_unwrap),
     _SegmentSchema(),
 ]
+
+
+def flat_segments(segments: Sequence[Any]) -> Iterator[Any]:
+    """Segments that are no repeats, each once."""
+    for segment in segments:
+        if segment.kind == "repeat":
+            yield from flat_segments(segment.segments)
+        else:
+            yield segment

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 from missionsim.errors import Fault
 from missionsim.spec.mission import MissionSpec
 from missionsim.spec.robot import RobotSpec
+from missionsim.spec.segments import flat_segments
 
 _READERS = {"slope": {"grade"}, "payload": {"payload", "grade", "acceleration"}}
 """Effects of the library that read the setting; lifting and speeding up read the load as part of the mass."""
@@ -64,7 +65,7 @@ def _given(mission: MissionSpec, setting: str) -> Iterator[tuple[Any, tuple[str 
     if setting == "payload" and mission.defaults.payload is not None and mission.defaults.payload.value:
         yield document, ("defaults", "payload"), f"{mission.defaults.payload.value:g} kg"
     by_place = False
-    for segment in _flat(mission.segments):
+    for segment in flat_segments(mission.segments):
         by_place |= bool(getattr(segment, "to", None) or getattr(segment, "along", None))
         value = getattr(segment, setting, None)
         if value is not None and value.value:
@@ -74,11 +75,3 @@ def _given(mission: MissionSpec, setting: str) -> Iterator[tuple[Any, tuple[str 
         for index, edge in enumerate(mission.environment.edges):
             if edge.slope.value:
                 yield mission.environment.document, ("edges", index, "slope"), f"{edge.slope.value:.4g} rad"
-
-
-def _flat(segments: Sequence[Any]) -> Iterator[Any]:
-    for segment in segments:
-        if segment.kind == "repeat":
-            yield from _flat(segment.segments)
-        else:
-            yield segment
