@@ -8,17 +8,20 @@ their value.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.identify.averaging import Intervals, integral_curves
 from missionsim.identify.data import Array, RunData
 
 FINEST_STEP_S = 0.1
 MANY_RUNS = 8
 GAP_ROWS = 4.0
+CONSTANT = 1e-16
+"""What is left of a column's square without its mean, when it is rounding only: scaled up it would be pure chance."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,14 @@ def _grouped(low: Array, high: Array, power: Array, per_bin: int, step: float) -
     return Bins(low[begin_at], high[end_at - 1], total / weight, np.asarray(starts, dtype=np.intp))
 
 
+def _regridded(values: Array, edges: Array, grid: Array) -> Array:
+    """Integral over the rows of another grid of columns (k, n) that hold their value between their edges."""
+    cumulative = np.pad(np.cumsum(values * np.diff(edges), axis=1), ((0, 0), (1, 0)))
+    before = np.clip(np.searchsorted(edges, grid, side="right") - 1, 0, values.shape[1] - 1)
+    inside = np.clip(grid, edges[0], edges[-1]) - edges[before]
+    return np.diff(cumulative.take(before, axis=1) + values.take(before, axis=1) * inside, axis=1)
+
+
 @dataclass
 class RunColumns:
     """Columns of one run on an even raw grid, ready to be lagged, delayed and averaged; ``values`` (columns, rows)."""
@@ -97,8 +108,6 @@ class RunColumns:
     start_s: float
     step_s: float
     values: Array
-    _curve: tuple[Array, ...] | None = None
-    _picked: dict[tuple[int, ...], tuple[Array, ...]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, run: RunData, bins: Bins, rows: Sequence[Array]) -> RunColumns:
@@ -111,71 +120,26 @@ class RunColumns:
             count = max(2, int(np.ceil((edges[-1] - edges[0]) / target - 1e-6)))
             target = float(edges[-1] - edges[0]) / count  # no part of a row beyond the end
             grid = np.linspace(edges[0], edges[-1], count + 1)
-            cumulative = np.pad(np.cumsum(values * np.diff(edges), axis=1), ((0, 0), (1, 0)))
-            values = np.diff(np.vstack([np.interp(grid, edges, row) for row in cumulative]), axis=1) / target
+            values = _regridded(values, edges, grid) / target
             step = target
         return cls(bins, float(edges[0]), step, values)
 
-    def averaged(self, delay_s: float, lag_s: float, rows: Sequence[int] | None = None) -> Array:
+    def averaged(self, delay_s: float, lag_s: float) -> Array:
         """Mean of columns over every bin, shape (columns, bins), as a late and sluggish meter would see it."""
-        if self._curve is None:
-            # one row of memory for each row of the log: picking rows is then fast
-            self._curve = tuple(np.ascontiguousarray(p.T) for p in (self.values, *_integral_curve(self.values)))
-        parts = self._curve
-        if rows is not None and len(rows) < self.values.shape[0]:
-            key = tuple(rows)
-            if key not in self._picked:
-                if len(self._picked) > 3:
-                    self._picked.clear()
-                self._picked[key] = tuple(np.ascontiguousarray(p[:, list(rows)]) for p in parts)
-            parts = self._picked[key]
-        low, high = self.bins.low_s, self.bins.high_s
-        joined = bool(np.all(np.abs(high[:-1] - low[1:]) < 1e-9))
-        edges = np.append(low, high[-1]) if joined else np.concatenate([low, high])
-        total: Array | float = 0.0
-        length: Array | float = 0.0
-        n = len(low)
-        for node, weight in LAG_NODES if lag_s > 0 else ((0.0, 1.0),):
-            position = np.clip((edges - delay_s - node * lag_s - self.start_s) / self.step_s, 0.0, self.values.shape[1])
-            total = total + weight * _integral_at(parts, position)
-            length = length + weight * (np.diff(position) if joined else position[n:] - position[:n])
-        whole = np.asarray(total)
-        difference = np.diff(whole, axis=1) if joined else whole[:, n:] - whole[:, :n]
-        # at the ends of the log a delayed column is known for a part of the bin only; a constant stays a constant
-        return np.asarray(difference / np.maximum(length, 0.1 * (high - low) / self.step_s))
+        intervals = intervals_of([self])
+        weights = intervals.weights(np.array([delay_s]), lag_s)
+        return np.ascontiguousarray(intervals.means(integral_curves(self.values), weights).T)
 
 
-LAG_NODES = ((0.4157745568, 0.7110930099), (2.2942803603, 0.2785177336), (6.2899450829, 0.0103892565))
-"""Gauss-Laguerre nodes: a first-order lag is an exponentially weighted mean of delays."""
+def intervals_of(runs: Sequence[RunColumns]) -> Intervals:
+    """Analysis intervals of several runs, to be averaged over together."""
+    ends = [(r.bins.low_s, r.bins.high_s) for r in runs]
+    return Intervals.of(ends, [r.start_s for r in runs], [r.step_s for r in runs], [r.values.shape[1] for r in runs])
 
 
-def _integral_curve(values: Array) -> tuple[Array, Array]:
-    """Cumulative integral at the row edges (unit step) and its slope there.
-
-    The slope is the mean of the neighbours, limited so that the cubic between edges stays monotone; a linear ramp
-    between rows is thereby reproduced although each row holds only its mean.
-    """
-    cumulative = np.pad(np.cumsum(values, axis=1), ((0, 0), (1, 0)))
-    left, right = values[:, :-1], values[:, 1:]
-    limit = 3.0 * np.minimum(np.abs(left), np.abs(right))
-    inner = np.clip(0.5 * (left + right), -limit, limit)
-    inner = np.where(left * right > 0, inner, 0.0)
-    slope = np.concatenate([values[:, :1], inner, values[:, -1:]], axis=1)
-    return cumulative, slope
-
-
-def _integral_at(parts: tuple[Array, ...], position: Array) -> Array:
-    """Cubic Hermite interpolation of the cumulative integral at fractional row positions; parts have a row each."""
-    values, cumulative, slope = parts
-    left = np.minimum(position.astype(np.intp), values.shape[0] - 1)
-    s = (position - left)[:, None]
-    s2 = s * s
-    s3 = s2 * s
-    out = cumulative.take(left, axis=0)
-    out += values.take(left, axis=0) * (3 * s2 - 2 * s3)
-    out += slope.take(left, axis=0) * (s - 2 * s2 + s3)
-    out += slope.take(left + 1, axis=0) * (s3 - s2)
-    return np.asarray(out.T)
+def stacked_curves(runs: Sequence[RunColumns], rows: Sequence[int] | None = None) -> Array:
+    """Integral curves of all columns, or of the given ones, of several runs one after the other."""
+    return np.concatenate([integral_curves(r.values if rows is None else r.values[list(rows)]) for r in runs])
 
 
 @dataclass(frozen=True)
@@ -197,11 +161,12 @@ def find_clock(runs: Sequence[RunColumns], step_s: float) -> Clock:
     if len(runs) > MANY_RUNS:
         runs = runs[:: -(-len(runs) // 4)]  # a start is all that is wanted; the model refines it with every run
     best: dict[tuple[float, float], float] = {}
+    trial = _Alignment.of(runs, step_s)
 
     def score(delay: float, lag: float) -> float:
         key = (round(delay, 4), round(lag, 4))
         if key not in best:
-            best[key] = _alignment_score(runs, key[0], key[1], step_s)
+            best[key] = trial.score(key[0], key[1])
         return best[key]
 
     delays = [round(float(d), 4) for d in np.arange(-0.8, 0.81, 0.2) * reach]
@@ -224,25 +189,48 @@ def find_clock(runs: Sequence[RunColumns], step_s: float) -> Clock:
     return Clock(centre[0], centre[1], tuple(0.0 for _ in runs), at_edge)
 
 
-def _alignment_score(runs: Sequence[RunColumns], delay_s: float, lag_s: float, step_s: float) -> float:
-    from scipy.signal import lfilter
+@dataclass(frozen=True)
+class _Alignment:
+    """Runs prepared for the profile likelihood of a common delay and lag."""
 
-    keep = 0.85**step_s
-    gram: Array | float = 0.0
-    count = 0
-    for run in runs:
-        rows = np.vstack([run.bins.measured_w, run.averaged(delay_s, lag_s)])
-        rows[0] -= rows[1]
-        white = lfilter([1.0, -keep], [1.0], rows, axis=1)
-        later = np.ones(white.shape[1], dtype=bool)
-        later[run.bins.starts] = False
-        white = white[:, later]
-        white = white - white.mean(axis=1, keepdims=True)
-        gram = gram + white @ white.T
-        count += white.shape[1] - 1
-    full = np.asarray(gram)
-    size = np.sqrt(np.maximum(np.diag(full), 1e-300))
-    normal = full / size[:, None] / size[None, :]
-    inner = normal[1:, 1:] + 1e-6 * np.eye(len(normal) - 1)
-    rss = normal[0, 0] - normal[0, 1:] @ np.linalg.solve(inner, normal[0, 1:])
-    return float(-0.5 * count * np.log(max(rss, 1e-12) * full[0, 0]))
+    intervals: Intervals
+    curves: Array
+    measured_w: Array
+    keep: float
+    later: NDArray[np.intp]
+    """Bins with one before them in the same stretch."""
+    firsts: NDArray[np.intp]
+    """Place in `later` at which each run begins."""
+
+    @classmethod
+    def of(cls, runs: Sequence[RunColumns], step_s: float) -> _Alignment:
+        """Everything that does not depend on the clock."""
+        later, firsts, total, count = [], [], 0, 0
+        for run in runs:
+            inside = np.delete(np.arange(len(run.bins.measured_w)), run.bins.starts)
+            later.append(inside + total)
+            firsts.append(count)
+            count += len(inside)
+            total += len(run.bins.measured_w)
+        measured = np.concatenate([run.bins.measured_w for run in runs])
+        return cls(intervals_of(runs), stacked_curves(runs), measured, 0.85**step_s, np.concatenate(later),
+                   np.asarray(firsts, dtype=np.intp))  # fmt: skip
+
+    def score(self, delay_s: float, lag_s: float) -> float:
+        """Log-likelihood of differenced rows, every column in."""
+        weights = self.intervals.weights(np.full(len(self.firsts), delay_s), lag_s)
+        means = self.intervals.means(self.curves, weights)
+        rows = np.column_stack([self.measured_w - means[:, 0], means])
+        white = rows[self.later] - self.keep * rows[self.later - 1]
+        counts = np.diff(self.firsts, append=len(white))
+        least = CONSTANT * np.sum(white * white, axis=0)
+        own = np.add.reduceat(white, self.firsts, axis=0) / counts[:, None]
+        white -= np.repeat(own, counts, axis=0)
+        white[:, np.sum(white * white, axis=0) < least] = 0.0
+        full = white.T @ white
+        size = np.sqrt(np.maximum(np.diag(full), 1e-300))
+        normal = full / size[:, None] / size[None, :]
+        inner = normal[1:, 1:] + 1e-6 * np.eye(len(normal) - 1)
+        rss = normal[0, 0] - normal[0, 1:] @ np.linalg.solve(inner, normal[0, 1:])
+        freedom = len(white) - len(counts)
+        return float(-0.5 * freedom * np.log(max(rss, 1e-12) * full[0, 0]))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.align import Clock, RunColumns, find_clock, make_bins
+from missionsim.identify.align import Clock, RunColumns, find_clock, intervals_of, make_bins, stacked_curves
+from missionsim.identify.averaging import Intervals, Weights
 from missionsim.identify.data import DEFAULT_PRIOR_SD, Array, Candidate, RunData, Settings
 
 DERIVATIVE_STEP_S = 0.2
@@ -25,6 +26,7 @@ JITTER_ROWS = 2
 NOISY = 0.1
 AGREE = 4.5
 """Three standard deviations of a difference, in units of the median difference."""
+KEPT_CURVES = 4
 HEAD_ROWS = 4
 """Rows before the gradient in a run's columns: base, motion, switching, speed change inside a row."""
 RANDOM_NAMES = ("meter offset", "meter gain", "motion gain", "clock jitter", "lag jitter")
@@ -107,57 +109,71 @@ class Source:
     aligned: bool = False
     kept: tuple[int, ...] = ()
     """Numbers of the given runs that were long enough."""
+    _grid: Intervals | None = None
+    _kept_curves: dict[tuple[int, ...], Array] = field(default_factory=dict)
+    _kept_weights: tuple[Clock, Weights] | None = None
 
     def design(self, clock: Clock, only: Sequence[int] | None = None) -> Design:
         """Build the regression for a clock, with all candidate columns or some only."""
         q = len(self.layout.parameters)
         chosen = list(range(len(self.layout.columns))) if only is None else list(only)
-        rows_wanted = [*range(HEAD_ROWS + q), *(HEAD_ROWS + q + k for k in chosen)]
-        blocks: list[Array] = []
+        grid = self._intervals()
+        here = grid.means(self._curves((*range(HEAD_ROWS + q), *(HEAD_ROWS + q + k for k in chosen))),
+                          self._weights(clock)).T  # fmt: skip
+        base_curve = self._curves((0,))
+        run_delay = clock.delay_s + np.asarray(clock.run_delay_s)
+        later, earlier = (grid.means(base_curve, grid.weights(run_delay + shift, clock.lag_s))[:, 0]
+                          for shift in (DERIVATIVE_STEP_S, -DERIVATIVE_STEP_S))  # fmt: skip
+        base, motion, switching, spread = np.ascontiguousarray(here[:HEAD_ROWS])
+        slope = (later - earlier) / (2 * DERIVATIVE_STEP_S)
+        bend = (later - 2 * base + earlier) / DERIVATIVE_STEP_S**2
+        scale = np.array([self.layout.mean_power_w / self.layout.columns[k].watts_per_unit for k in chosen])
+        bins = [run.bins for run in self.columns]
+        low, high = (np.concatenate([getattr(b, name) for b in bins]) for name in ("low_s", "high_s"))
         runs: list[slice] = []
         stretches: list[slice] = []
         total = 0
-        for j, run in enumerate(self.columns):
-            delay = clock.delay_s + clock.run_delay_s[j]
-            here = run.averaged(delay, clock.lag_s, rows_wanted)
-            later = run.averaged(delay + DERIVATIVE_STEP_S, clock.lag_s, [0])[0]
-            earlier = run.averaged(delay - DERIVATIVE_STEP_S, clock.lag_s, [0])[0]
-            bins = run.bins
-            blocks.append(
-                np.vstack(
-                    [
-                        bins.measured_w,
-                        bins.high_s - bins.low_s,
-                        0.5 * (bins.high_s + bins.low_s),
-                        here[0],
-                        (later - earlier) / (2 * DERIVATIVE_STEP_S),
-                        (later - 2 * here[0] + earlier) / DERIVATIVE_STEP_S**2,
-                        here[1:],
-                    ]
-                )
-            )
-            count = len(bins.measured_w)
+        for b in bins:
+            count = len(b.measured_w)
             runs.append(slice(total, total + count))
-            ends = [*(total + bins.starts[1:]), total + count]
-            stretches += [slice(int(total + a), int(b)) for a, b in zip(bins.starts, ends, strict=True)]
+            ends = [*(total + b.starts[1:]), total + count]
+            stretches += [slice(int(total + first), int(end)) for first, end in zip(b.starts, ends, strict=True)]
             total += count
-        rows = np.hstack(blocks)
-        scale = np.array([self.layout.mean_power_w / self.layout.columns[k].watts_per_unit for k in chosen])
-        base = rows[3]
-        random = np.vstack([np.ones(total), base, rows[6], rows[4], rows[5]])
         return Design(
-            self.layout, rows[0], base, rows[1], rows[2], np.vstack([rows[9 : 9 + q], rows[4:6], rows[8], rows[7]]),
-            rows[9 + q :] * scale[:, None], random,
+            self.layout, np.concatenate([b.measured_w for b in bins]), base, high - low, 0.5 * (high + low),
+            np.vstack([here[HEAD_ROWS : HEAD_ROWS + q], slope, bend, spread, switching]),
+            np.ascontiguousarray(here[HEAD_ROWS + q :]) * scale[:, None],
+            np.vstack([np.ones(total), base, motion, slope, bend]),
             tuple(runs), tuple(stretches), tuple(r.run for r in self.runs),
         )  # fmt: skip
 
     def averaged(self, raw: Sequence[Array], clock: Clock) -> Array:
         """Any raw columns, one array (k, rows) a run, averaged to the analysis rate with a clock, shape (k, n)."""
-        parts = []
-        for j, (run, columns) in enumerate(zip(self.runs, self.columns, strict=True)):
-            one = RunColumns.of(run, columns.bins, list(np.nan_to_num(np.asarray(raw[j], dtype=float))))
-            parts.append(one.averaged(clock.delay_s + clock.run_delay_s[j], clock.lag_s))
-        return np.hstack(parts)
+        even = [
+            RunColumns.of(run, columns.bins, list(np.nan_to_num(np.asarray(rows, dtype=float))))
+            for run, columns, rows in zip(self.runs, self.columns, raw, strict=True)
+        ]
+        return np.ascontiguousarray(self._intervals().means(stacked_curves(even), self._weights(clock)).T)
+
+    def _intervals(self) -> Intervals:
+        if self._grid is None:
+            self._grid = intervals_of(self.columns)
+        return self._grid
+
+    def _curves(self, rows: tuple[int, ...]) -> Array:
+        """Integral curves of some columns; those of the last few choices are kept."""
+        if rows not in self._kept_curves:
+            while len(self._kept_curves) >= KEPT_CURVES:
+                del self._kept_curves[next(iter(self._kept_curves))]
+            self._kept_curves[rows] = stacked_curves(self.columns, rows)
+        return self._kept_curves[rows]
+
+    def _weights(self, clock: Clock) -> Weights:
+        """Weights of a clock; those of the last one are kept."""
+        if self._kept_weights is None or self._kept_weights[0] != clock:
+            delays = clock.delay_s + np.asarray(clock.run_delay_s)
+            self._kept_weights = (clock, self._intervals().weights(delays, clock.lag_s))
+        return self._kept_weights[1]
 
 
 def without_jitter(rows: Array) -> Array:

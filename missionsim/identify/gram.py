@@ -11,17 +11,45 @@ from numpy.typing import NDArray
 
 from missionsim.identify.data import Array
 from missionsim.identify.design import Design
-from missionsim.identify.noise import Noise, whiten
+from missionsim.identify.noise import Noise, packed
+from missionsim.identify.whitening import Packed, Shape
 
 RANDOM_COUNT = 5
+CLOCK_IN_GRADIENT = (-4, -3)
+"""Rows of the gradient that are the last random effects as well: first and second derivative after the delay."""
 SHARE_PRIOR = 4.0
 """Precision of the weak prior on a candidate's share of energy (sd 50 %): keeps runs without the effect harmless."""
 
 
-def raw_blocks(design: Design, noise: Noise, rows: Array) -> tuple[Array, Array]:
-    """Whitened Gram matrix of each run, shape (runs, k, k), and the whitened rows (k, n)."""
-    white = whiten(design, noise, rows)
-    return np.stack([white[:, part] @ white[:, part].T for part in design.runs]), white
+@dataclass(frozen=True)
+class Blocks:
+    """Rows, gradient, chosen columns and random effects of a design, to be whitened with any shape of the noise.
+
+    ``index`` says which of the packed rows stands for each of these: the clock's two random effects are nuisances of
+    the base model as well, and are whitened once.
+    """
+
+    rows: Packed
+    index: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, design: Design, noise: Noise, rows: Array, chosen: Sequence[int]) -> Blocks:
+        """Prepare rows (k, n) in front of everything else; the noise gives scale and weights."""
+        own = design.random[: -len(CLOCK_IN_GRADIENT)]
+        stack = np.vstack([rows, design.gradient, design.phi[list(chosen)], own])
+        q = len(design.gradient)
+        index = np.append(np.arange(len(stack)), [len(rows) + q + at for at in CLOCK_IN_GRADIENT])
+        return cls(packed(design, noise, stack), index)
+
+    def at(self, shape: Shape) -> Array:
+        """Gram matrix of each run for innovations of unit variance, shape (runs, k, k)."""
+        blocks = self.rows.blocks(shape)
+        return blocks[:, self.index[:, None], self.index]
+
+
+def raw_blocks(design: Design, noise: Noise, rows: Array, chosen: Sequence[int]) -> Array:
+    """Whitened Gram matrix of rows, gradient, chosen columns and random effects of each run, shape (runs, k, k)."""
+    return Blocks.of(design, noise, rows, chosen).at(noise.shape) / noise.sigma_w**2
 
 
 def eliminate_random(blocks: Array, random_sd: Array) -> tuple[Array, Array]:
@@ -37,6 +65,18 @@ def eliminate_random(blocks: Array, random_sd: Array) -> tuple[Array, Array]:
     half = np.linalg.solve(factor, np.swapaxes(cross, 1, 2))
     reduced = blocks[:, :-r, :-r] - np.swapaxes(half, 1, 2) @ half
     return reduced, 2 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+
+
+def total_without_random(blocks: Array, random_sd: Array, sigma_w: float) -> tuple[Array, float]:
+    """Sum over the runs of `eliminate_random(blocks / sigma_w**2, random_sd)`, from blocks of unit variance."""
+    r = RANDOM_COUNT
+    sd = np.maximum(random_sd, 1e-12) / sigma_w
+    scaled = blocks[:, -r:, :] * sd[:, None]
+    inner = scaled[:, :, -r:] * sd + np.eye(r)
+    factor = np.linalg.cholesky(inner)
+    half = np.linalg.solve(factor, scaled[:, :, :-r]).reshape(-1, blocks.shape[1] - r)
+    total = (blocks[:, :-r, :-r].sum(axis=0) - half.T @ half) / sigma_w**2
+    return total, 2.0 * float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
 
 
 @dataclass(frozen=True)
@@ -134,8 +174,7 @@ def _steady(matrix: Array) -> Array:
 
 def make_gram(design: Design, noise: Noise) -> Gram:
     """Gram matrices of the whole design under a noise model."""
-    rows = np.vstack([design.residual, design.gradient, design.phi, design.random])
-    blocks, _ = raw_blocks(design, noise, rows)
+    blocks = raw_blocks(design, noise, design.residual[None, :], range(len(design.phi)))
     reduced, _ = eliminate_random(blocks, noise.random_sd())
     return Gram(reduced, design.layout.prior_sd**-2.0)
 
@@ -158,8 +197,9 @@ def project(design: Design, noise: Noise, rows: Array, chosen: Sequence[int]) ->
     """Residual of each row (k, n) after penalised regression on everything but the rows themselves."""
     k = rows.shape[0]
     q, s = len(design.layout.prior_sd), len(chosen)
-    stack = np.vstack([rows, design.gradient, design.phi[list(chosen)], design.random])
-    blocks, white = raw_blocks(design, noise, stack)
+    prepared = Blocks.of(design, noise, rows, chosen)
+    white = prepared.rows.white(noise.shape)[prepared.index] / noise.sigma_w
+    blocks = np.stack([white[:, part] @ white[:, part].T for part in design.runs])
     sd = np.maximum(noise.random_sd(), 1e-12)
     reduced, _ = eliminate_random(blocks, sd)
     total = reduced.sum(axis=0)
@@ -168,13 +208,13 @@ def project(design: Design, noise: Noise, rows: Array, chosen: Sequence[int]) ->
     inner[np.diag_indices(q + s)] += precision
     fixed = np.linalg.solve(inner, total[k : k + q + s, :k]) if q + s else np.zeros((0, k))
     out = white[:k] - fixed.T @ white[k : k + q + s]
+    # Gram matrices of the random effects with what is left of the rows
+    left = blocks[:, -RANDOM_COUNT:, :k] - blocks[:, -RANDOM_COUNT:, k : k + q + s] @ fixed
+    random = np.linalg.solve(blocks[:, -RANDOM_COUNT:, -RANDOM_COUNT:] + np.diag(sd**-2.0), left)
+    for part, u in zip(design.runs, random, strict=True):
+        out[:, part] -= u.T @ white[k + q + s :, part]
     pseudo = [-(fixed[:q].T / design.layout.prior_sd)] if q else []
-    for j, part in enumerate(design.runs):
-        z = white[k + q + s :, part]
-        lhs = blocks[j, -RANDOM_COUNT:, -RANDOM_COUNT:] + np.diag(sd**-2.0)
-        u = np.linalg.solve(lhs, z @ out[:, part].T)
-        out[:, part] -= u.T @ z
-        pseudo.append(-(u.T / sd))
+    pseudo.append(-(random / sd[:, None]).transpose(2, 0, 1).reshape(k, -1))
     return Projection(out, np.hstack(pseudo))
 
 

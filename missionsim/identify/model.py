@@ -11,7 +11,8 @@ import numpy as np
 from missionsim.identify.align import Clock
 from missionsim.identify.design import Design, Source
 from missionsim.identify.gram import Gram, eliminate_random, make_gram, project, random_effects, raw_blocks
-from missionsim.identify.noise import Noise, fit_noise, start_factor, start_noise
+from missionsim.identify.noise import Noise, fit_noise, start_noise
+from missionsim.identify.whitening import start_factor
 
 LARGEST_RUN_DELAY_S = 0.6
 UNUSUAL_GAIN = 0.03
@@ -49,8 +50,7 @@ class Model:
 def score(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> float:
     """Log-likelihood of the chosen columns at a clock, noise given; base parameters and run effects integrated out."""
     design = source.design(clock, chosen)
-    rows = np.vstack([design.residual, design.gradient, design.phi, design.random])
-    blocks, _ = raw_blocks(design, noise, rows)
+    blocks = raw_blocks(design, noise, design.residual[None, :], range(len(chosen)))
     reduced, log_det = eliminate_random(blocks, noise.random_sd())
     gram = Gram(reduced, design.layout.prior_sd**-2.0)
     spread = sum((d / 0.2) ** 2 for d in clock.run_delay_s)
@@ -133,8 +133,7 @@ def fit_model(source: Source, chosen: Sequence[int], start: Model | None = None,
 def log_likelihood(model: Model) -> float:
     """Log evidence of the model with its own noise, for comparing models whose noise was fitted separately."""
     noise, design = model.noise, model.design
-    rows = np.vstack([design.residual, design.gradient, design.phi[list(model.chosen)], design.random])
-    blocks, _ = raw_blocks(design, noise, rows)
+    blocks = raw_blocks(design, noise, design.residual[None, :], model.chosen)
     reduced, log_det = eliminate_random(blocks, noise.random_sd())
     gram = Gram(reduced, design.layout.prior_sd**-2.0)
     start = 0.5 * len(design.stretches) * start_factor(*noise.shape)[2]

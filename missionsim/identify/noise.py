@@ -1,21 +1,24 @@
 """Noise of the power: fast and slow AR(1) parts and white noise, levels that differ between runs (step 2).
 
-Two AR(1) processes beside white noise make an ARMA(2,2) process; its moving-average part comes from spectral
-factorisation, so that whitening is one recursive filter. Runs differ by meter offset, meter gain, motion gain,
-clock jitter and lag jitter: random effects that are integrated out (`missionsim.identify.gram`).
+Two AR(1) processes beside white noise (`missionsim.identify.whitening`). Runs differ by meter offset, meter gain,
+motion gain, clock jitter and lag jitter: random effects that are integrated out (`missionsim.identify.gram`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from missionsim.identify.data import Array
 from missionsim.identify.design import Design
+from missionsim.identify.whitening import Packed, Shape, arma_of, start_factor
+
+if TYPE_CHECKING:
+    from missionsim.identify.gram import Blocks
 
 JITTER_SD_S = 0.10
 LAG_JITTER_SD_S2 = 0.05
@@ -24,7 +27,6 @@ LARGEST_GAIN = 0.05
 """Runs that differ by more than this in gain differ by something that should be named."""
 FLOOR = 0.3
 """The noise no longer falls below this part of the mean power (a rest that draws next to nothing)."""
-START_ROWS = 40
 SPLIT_S = 25.0
 """Border between the correlation times of the fast and of the slow part [s]."""
 
@@ -59,91 +61,25 @@ class Noise:
         """Standard deviations of the random effects between runs, shape (5,)."""
         return np.array([self.offset_w, self.gain, self.motion_gain, JITTER_SD_S, LAG_JITTER_SD_S2])
 
-    def filter(self) -> tuple[Array, Array, float]:
-        """AR and MA polynomials and the ratio sd(noise) / sd(innovation)."""
-        return arma_of(*self.shape)
-
     @property
-    def shape(self) -> tuple[float, float, float, float, float]:
+    def shape(self) -> Shape:
         """Analysis step and the four shape parameters."""
         return self.step_s, self.fast_s, self.slow_s, self.fast_share, self.slow_share
 
     @property
     def total_sd_w(self) -> float:
         """Standard deviation of the noise at mean power [W]."""
-        return self.sigma_w * self.filter()[2]
+        return self.sigma_w * arma_of(*self.shape)[2]
 
 
-def arma_of(
-    step_s: float, fast_s: float, slow_s: float, fast_share: float, slow_share: float
-) -> tuple[Array, Array, float]:
-    """Sum of two AR(1) processes and white noise as ARMA(2,2).
-
-    Returns the AR polynomial, the invertible MA polynomial and sd(process) / sd(innovation).
-    """
-    r1, r2 = np.exp(-step_s / fast_s), np.exp(-step_s / slow_s)
-    v1, v2 = fast_share * (1 - r1**2), slow_share * (1 - r2**2)
-    white = max(1e-6, 1.0 - fast_share - slow_share)
-    ar = np.array([1.0, -(r1 + r2), r1 * r2])
-    g0 = v1 * (1 + r2**2) + v2 * (1 + r1**2) + white * float(ar @ ar)
-    g1 = -v1 * r2 - v2 * r1 + white * (ar[0] * ar[1] + ar[1] * ar[2])
-    g2 = white * ar[0] * ar[2]
-    # with x = z + 1/z the spectrum of the MA part is a quadratic in x
-    square = np.sqrt(complex(g1 * g1 - 4 * g2 * (g0 - 2 * g2)))
-    poly = np.array([1.0 + 0j])
-    for x in ((-g1 + square) / (2 * g2), (-g1 - square) / (2 * g2)):
-        half = np.sqrt(x * x / 4 - 1 + 0j)
-        root = min(x / 2 + half, x / 2 - half, key=abs)
-        poly = np.convolve(poly, np.array([1.0, -root]))
-    ma = poly.real
-    innovation = np.sqrt(g2 / ma[2]) if abs(ma[2]) > 1e-12 else np.sqrt(g0)
-    return ar, ma, float(1.0 / innovation)
-
-
-@lru_cache(maxsize=16)
-def start_factor(
-    step_s: float, fast_s: float, slow_s: float, fast_share: float, slow_share: float
-) -> tuple[Array, Array, float]:
-    """Exact whitening of the first rows of a stretch, where the recursive filter has no past yet.
-
-    Returns the inverse Cholesky factor of their correlation matrix, the factor's diagonal (both for unit variance of
-    the noise) and the log-determinant that the start adds to that of the filter.
-    """
-    rows = np.arange(START_ROWS)
-    lags = step_s * rows
-    correlation = fast_share * np.exp(-lags / fast_s) + slow_share * np.exp(-lags / slow_s)
-    correlation[0] = 1.0 + 1e-9
-    factor = np.linalg.cholesky(correlation[np.abs(rows[:, None] - rows)])
-    ratio = arma_of(step_s, fast_s, slow_s, fast_share, slow_share)[2]
-    diagonal = np.diag(factor)
-    excess = 2.0 * float(np.sum(np.log(diagonal * ratio)))
-    return np.linalg.inv(factor), diagonal, excess
+def packed(design: Design, noise: Noise, rows: Array) -> Packed:
+    """Rows (k, n), divided by the scale of the noise, ready to be whitened with any shape of the noise."""
+    return Packed.of(rows, noise.scale, noise.weight, design.stretches, design.runs)
 
 
 def whiten(design: Design, noise: Noise, rows: Array) -> Array:
     """Rows (k, n) divided by scale, filtered to white noise of unit variance, outliers down-weighted."""
-    from scipy.signal import lfilter
-
-    ar, ma, ratio = noise.filter()
-    inverse, diagonal, _ = start_factor(*noise.shape)
-    scaled = rows / noise.scale
-    out = np.empty_like(scaled)
-    for part in design.stretches:
-        x = scaled[:, part]
-        head = min(START_ROWS, x.shape[1])
-        piece = np.empty_like(x)
-        piece[:, :head] = x[:, :head] @ inverse[:head, :head].T
-        if x.shape[1] > head:
-            e1 = piece[:, head - 1] * diagonal[head - 1]
-            e2 = piece[:, head - 2] * diagonal[head - 2]
-            x1, x2 = x[:, head - 1], x[:, head - 2]
-            first = ar[1] * x1 + ar[2] * x2 - ma[1] * e1 - ma[2] * e2
-            second = ar[2] * x1 - ma[2] * e1
-            piece[:, head:], _ = lfilter(ar, ma, x[:, head:], axis=1, zi=np.stack([first, second], axis=1))
-        piece[:, :head] /= ratio
-        out[:, part] = piece
-    out *= np.sqrt(noise.weight) / noise.sigma_w
-    return out
+    return packed(design, noise, rows).white(noise.shape) / noise.sigma_w
 
 
 def start_noise(design: Design) -> Noise:
@@ -165,15 +101,14 @@ def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None,
     Weak log-normal priors hold parameters that few runs cannot show. Alternates between filter parameters (each
     needs the data) and the levels between runs (need Gram matrices only), then heteroscedasticity and outliers.
     """
-    from missionsim.identify.gram import raw_blocks
+    from missionsim.identify.gram import Blocks
 
     noise = guess or start_noise(design)
     effort = (90, 50) if thorough else (45,)
-    rows = np.vstack([design.residual, design.gradient, design.phi[list(chosen)], design.random])
     for round_, evaluations in enumerate(effort):
+        rows = Blocks.of(design, noise, design.residual[None, :], chosen)
         noise = _fit_filter(design, noise, rows, len(chosen), evaluations)
-        blocks, _ = raw_blocks(design, replace(noise, sigma_w=1.0), rows)
-        noise = _fit_levels(design, noise, blocks, len(chosen), evaluations + 20)
+        noise = _fit_levels(design, noise, rows.at(noise.shape), len(chosen), evaluations + 20)
         if round_ == 0:
             noise = _fit_scale(design, noise, chosen)
     return noise
@@ -181,11 +116,10 @@ def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None,
 
 def _objective(design: Design, noise: Noise, blocks: Array, count: int, chosen: int) -> float:
     """Minus two times the restricted log-likelihood plus priors, from blocks whitened with sigma 1."""
-    from missionsim.identify.gram import eliminate_random
+    from missionsim.identify.gram import total_without_random
 
     q = len(design.layout.prior_sd)
-    per_run, log_det = eliminate_random(blocks / noise.sigma_w**2, noise.random_sd())
-    total = per_run.sum(axis=0)
+    total, log_det = total_without_random(blocks, noise.random_sd(), noise.sigma_w)
     size = 1 + q + chosen
     inner = total[1:size, 1:size].copy()
     precision = np.concatenate([design.layout.prior_sd**-2.0, np.full(chosen, 4.0)])
@@ -200,7 +134,7 @@ def _objective(design: Design, noise: Noise, blocks: Array, count: int, chosen: 
         rss -= half @ half
     det = 2 * float(np.sum(np.log(np.diag(factor)))) - float(np.sum(np.log(precision)))
     start = len(design.stretches) * start_factor(*noise.shape)[2]
-    return float(count * np.log(noise.sigma_w**2) + log_det.sum() + rss + det + start + _prior(design, noise))
+    return float(count * np.log(noise.sigma_w**2) + log_det + rss + det + start + _prior(design, noise))
 
 
 def _prior(design: Design, noise: Noise) -> float:
@@ -208,21 +142,19 @@ def _prior(design: Design, noise: Noise) -> float:
     h = noise.step_s
     white = max(1e-6, 1 - noise.fast_share - noise.slow_share)
     terms = [
-        (np.log(noise.offset_w / (0.005 * power)), 1.0),
-        (np.log(noise.gain / 0.005), 0.7),
-        (np.log(noise.motion_gain / 0.005), 0.7),
-        (np.log(noise.fast_s / max(4.0, 1.5 * h)), 0.9),
-        (np.log(noise.slow_s / max(50.0, 20 * h)), 0.6),
-        (np.log(noise.slow_share / white) + 1.5, 1.5),
-        (np.log(noise.fast_share / white) - 0.5, 2.0),
+        (math.log(noise.offset_w / (0.005 * power)), 1.0),
+        (math.log(noise.gain / 0.005), 0.7),
+        (math.log(noise.motion_gain / 0.005), 0.7),
+        (math.log(noise.fast_s / max(4.0, 1.5 * h)), 0.9),
+        (math.log(noise.slow_s / max(50.0, 20 * h)), 0.6),
+        (math.log(noise.slow_share / white) + 1.5, 1.5),
+        (math.log(noise.fast_share / white) - 0.5, 2.0),
     ]
     return float(sum((value / sd) ** 2 for value, sd in terms))
 
 
-def _fit_filter(design: Design, noise: Noise, rows: Array, chosen: int, evaluations: int) -> Noise:
+def _fit_filter(design: Design, noise: Noise, rows: Blocks, chosen: int, evaluations: int) -> Noise:
     from scipy.optimize import minimize
-
-    from missionsim.identify.gram import raw_blocks
 
     count = len(design.y)
     border = max(SPLIT_S, 10 * noise.step_s)
@@ -239,8 +171,7 @@ def _fit_filter(design: Design, noise: Noise, rows: Array, chosen: int, evaluati
         if not (0.05 * noise.step_s < np.exp(x[0]) < border < np.exp(x[1]) < 40 * border):
             return 1e12
         trial = at(x)
-        blocks, _ = raw_blocks(design, replace(trial, sigma_w=1.0), rows)
-        return _objective(design, trial, blocks, count, chosen)
+        return _objective(design, trial, rows.at(trial.shape), count, chosen)
 
     white = max(1e-6, 1 - noise.fast_share - noise.slow_share)
     x0 = np.array(
@@ -331,7 +262,7 @@ def _edge_variance(design: Design, noise: Noise, scale: Array) -> tuple[Array, A
     Where the model changes fast, small errors of time, speed or of the moving/standing threshold are large errors
     of power; such rows say less.
     """
-    ar, ma, _ = noise.filter()
+    ar, ma, _ = arma_of(*noise.shape)
     echo = float(ar[1] - ma[1]) ** 2
     jumps = design.gradient[-1]
     out = np.empty((2, len(design.y)))

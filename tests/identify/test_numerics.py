@@ -11,9 +11,10 @@ from missionsim.identify.align import RunColumns, make_bins
 from missionsim.identify.data import RunData, Settings
 from missionsim.identify.design import make_source, switch_jumps
 from missionsim.identify.gram import make_gram, project
-from missionsim.identify.noise import arma_of, start_noise, whiten
+from missionsim.identify.noise import start_noise, whiten
 from missionsim.identify.remainder import hats, knots_of
 from missionsim.identify.search import Rules, all_sets, set_gains
+from missionsim.identify.whitening import arma_of
 
 from .world import library, make_runs, with_gap
 
