@@ -132,6 +132,8 @@ def _as_json(done: list[Improved], skipped: dict[str, Any], out: Path, how: str)
                 "on_heldout_runs": one.heldout,
                 "steps": [{"name": s.name, "energy_error_pct": s.energy_error_pct, "power_rmse_w": s.power_rmse_w}
                           for s in one.steps],
+                "compare": one.compared and {"energy_error_pct": one.compared.energy_error_pct,
+                                             "power_rmse_w": one.compared.power_rmse_w},
                 "first": one.first.to_json(), "last": one.last.to_json(),
             }
             for one in done
@@ -141,7 +143,7 @@ def _as_json(done: list[Improved], skipped: dict[str, Any], out: Path, how: str)
 
 
 def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Path | None) -> None:
-    from missionsim.diagnose.waterfall import energy_note
+    from missionsim.diagnose.waterfall import energy_note, measured_note
 
     terminal = console()
     for one in done:
@@ -155,8 +157,9 @@ def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Pat
         terminal.print(simple_table(f"Battery {one.battery}: error on {which}", [
             "model", ("energy error, %", "right"), ("power RMSE, W", "right"), ""], rows))
         terminal.print(f"added: {', '.join(one.added) or 'nothing'}; {one.stopped}", markup=False)
-        if note := energy_note(one):
-            terminal.print(note, markup=False)
+        for note in (energy_note(one), measured_note(one)):
+            if note:
+                terminal.print(note, markup=False)
     for name, error in skipped.items():
         terminal.print(f"battery {name} was left as it is: {' '.join(str(error).split())}", markup=False)
     terminal.print(f"written: {out}", markup=False)

@@ -63,11 +63,12 @@ def recalibrated(found: Identification, features: Features) -> tuple[Recalibrate
 
 def noise_of(found: Identification) -> dict[str, float]:
     """Noise and differences between runs."""
-    noise = found.noise
+    noise, shape = found.noise, found.choice.model.noise
     return {
         "sd_w": noise.sd_share * found.mean_power_w, "sd_share": noise.sd_share, "fast_s": noise.fast_s,
-        "slow_s": noise.slow_s, "offset_w": noise.meter_offset_w, "gain": noise.meter_gain,
-        "motion_gain": noise.motion_gain, "overdispersion": noise.overdispersion,
+        "slow_s": noise.slow_s,
+        "fast_share": shape.fast_share, "slow_share": shape.slow_share, "offset_w": noise.meter_offset_w,
+        "gain": noise.meter_gain, "motion_gain": noise.motion_gain, "overdispersion": noise.overdispersion,
     }
 
 

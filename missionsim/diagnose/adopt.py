@@ -60,7 +60,7 @@ class Adopted:
 
 def adopt(
     text: str, robot: RobotSpec, split: Split, effect: str, battery: str, settings: Settings, *, force: bool = False,
-    recalibrate: bool = True, priors: Mapping[str, float] | None = None,
+    recalibrate: bool = True, beside: Sequence[str] = (),
 ) -> Adopted:
     """Fit an effect to logs and write it into the text of a robot file.
 
@@ -80,8 +80,9 @@ def adopt(
         Write it even if the data do not support it.
     recalibrate : bool
         Write the base parameters that were fitted with it.
-    priors : mapping, optional
-        Prior relative standard deviations in place of the file's.
+    beside : sequence of str
+        Effects that were taken in before, from the same file and logs: all are fitted together and written, so that no
+        effect is fitted to a base that another one has bent.
 
     Raises
     ------
@@ -90,7 +91,9 @@ def adopt(
     missionsim.errors.InputError
         Unknown effect, one that the file already holds, or one that these logs cannot test.
     """
-    subject = Subject.of(robot, priors=priors)
+    from missionsim.spec import edit
+
+    subject = Subject.of(robot)
     _refuse(subject, robot, effect, battery)
     seen = examine(subject, Split(split.train, (), split.how), battery, settings)
     features = seen.features
@@ -106,10 +109,14 @@ def adopt(
     if not significant and not force:
         raise NotSignificant(reason)
     rivals = found.indistinguishable_from
-    found, fitted = _alone(features, found, fitted, settings)
+    found, fitted = _alone(features, found, fitted, beside, settings)
     base = _base(features, fitted) if recalibrate else {}
-    new = _written(text, robot, features, fitted, found, split, battery, base, significant, rivals)
-    return Adopted(new, found, significant, reason, rivals, base)
+    new = _based(text, features, base)
+    for one in (*(e for e in fitted.effects if e.effect in beside), found):
+        new = _with(new, robot, features, one, split, battery, base, *((significant, rivals) if one is found else ()))
+    count = len(split.train)
+    told = f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(split.train)}"
+    return Adopted(edit.set_source(new, CALIBRATION, told), found, significant, reason, rivals, base)
 
 
 def _refuse(subject: Subject, robot: RobotSpec, effect: str, battery: str) -> None:
@@ -151,20 +158,21 @@ def _fit(seen: Examined, effect: str, settings: Settings) -> tuple[FoundEffect, 
 
 
 def _alone(
-    features: Features, found: FoundEffect, fitted: Identification, settings: Settings
+    features: Features, found: FoundEffect, fitted: Identification, beside: Sequence[str], settings: Settings
 ) -> tuple[FoundEffect, Identification]:
-    """Effect and base fitted to each other, without what else is missing: the file will hold just these.
+    """Effect, those beside it and base fitted to each other, without what else is missing: the file holds just these.
 
     A base that was fitted beside a second effect is wrong in a file that lacks it.
     """
     layout = fitted.choice.model.design.layout
     inside = {fitted.library[layout.columns[k].candidate].effect for k in fitted.choice.model.chosen}
-    if inside <= {found.effect}:
+    wanted = {*beside, found.effect}
+    if inside == wanted and wanted <= {e.effect for e in fitted.effects}:
         return found, fitted
-    again = fit_effects(features.runs, features.candidates, [found.effect], features.prior_sd, settings)
+    again = fit_effects(features.runs, features.candidates, [*beside, found.effect], features.prior_sd, settings)
     own = next(e for e in again.effects if e.effect == found.effect)
     turned = any(a.value * b.value < 0.0 for a, b in zip(own.parameters[:1], found.parameters[:1], strict=False))
-    if turned or len(own.parameters) != len(found.parameters):
+    if not beside and (turned or len(own.parameters) != len(found.parameters)):
         return found, fitted
     size = replace(found, parameters=own.parameters, energy_share=own.energy_share,
                    energy_share_sd=own.energy_share_sd)  # fmt: skip
@@ -206,10 +214,8 @@ def _base(features: Features, fitted: Identification) -> dict[str, tuple[float, 
     return base
 
 
-def _written(
-    text: str, robot: RobotSpec, features: Features, fitted: Identification, found: FoundEffect, split: Split,
-    battery: str, base: Mapping[str, tuple[float, float]], significant: bool, rivals: Sequence[str],
-) -> str:
+def _based(text: str, features: Features, base: Mapping[str, tuple[float, float]]) -> str:
+    """The text with recalibrated base values."""
     from missionsim.spec import edit
 
     updates = {
@@ -217,21 +223,25 @@ def _written(
         | {"note": f"{features.parameters[name].value / features.parameters[name].times:.6g} before"}
         for name, (value, sd) in base.items()
     }
+    return edit.set_values(text, updates) if updates else text
+
+
+def _with(
+    text: str, robot: RobotSpec, features: Features, found: FoundEffect, split: Split, battery: str,
+    base: Mapping[str, tuple[float, float]], significant: bool = True, rivals: Sequence[str] = (),
+) -> str:
+    """The text with one effect more."""
+    from missionsim.spec import edit
+    from missionsim.spec.loading import robot_from_text
+
     candidate = next(c for c in features.candidates if c.effect == found.effect)
-    negative = any(p.value < 0.0 for p in found.parameters[:1])
-    if candidate.prior is not None and negative:
+    if candidate.prior is not None and any(p.value < 0.0 for p in found.parameters[:1]):
         # less of something than the file says: the base itself is smaller, there is no effect to add
-        updates |= _lowered(features, candidate.prior, candidate.columns[0], found, base)
-        text = edit.set_values(text, updates)
-    else:
-        text = edit.set_values(text, updates) if updates else text
-        for i, spec in enumerate(robot.effects):
-            if spec.candidate and spec.name == found.effect and spec.battery == battery:
-                text = edit.remove_effect(text, i)
-        text = edit.add_effect(text, _entry(robot, found, split, battery, significant, rivals))
-    count = len(split.train)
-    told = f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(split.train)}"
-    return edit.set_source(text, CALIBRATION, told)
+        return edit.set_values(text, _lowered(features, candidate.prior, candidate.columns[0], found, base))
+    for i, spec in reversed(list(enumerate(robot_from_text(text).effects))):
+        if spec.candidate and spec.name == found.effect and spec.battery == battery:
+            text = edit.remove_effect(text, i)
+    return edit.add_effect(text, _entry(robot, found, split, battery, significant, rivals))
 
 
 def _lowered(

@@ -32,6 +32,7 @@ from missionsim.diagnose.split import Split, choose_split
 from missionsim.effects.base import Effect
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
+from missionsim.identify.align import Clock
 from missionsim.identify.data import RunData, Settings
 from missionsim.identify.heldout import heldout
 from missionsim.identify.identify import identify
@@ -245,16 +246,25 @@ def _limited(found: Identification, features: Features) -> dict[str, float]:
 
 def diagnose_battery(
     subject: Subject, split: Split, battery: str, timeline: Timeline | None, settings: Settings,
-    segments: Sequence[str] = (),
+    segments: Sequence[str] = (), clock: Clock | None = None,
 ) -> BatteryDiagnosis:
-    """The diagnosis of one battery."""
+    """The diagnosis of one battery.
+
+    Parameters
+    ----------
+    subject, split, battery, timeline, settings, segments
+        As for `diagnose`.
+    clock : Clock, optional
+        At which held-out errors and series are told, so that several models can be held against each other; by default
+        the one that is found.
+    """
     seen = examine(subject, split, battery, settings)
     features, found = seen.features, seen.found
     tested: Tested | None = None
     if seen.heldout is not None:
         held = at_shapes(seen.heldout.runs, seen.heldout.candidates, found.shapes)
         tested = on_heldout(found.choice, held, features.candidates, features.prior_sd, settings,
-                            split.how, split.shifted, [e.effect for e in found.effects])  # fmt: skip
+                            split.how, split.shifted, [e.effect for e in found.effects], clock)  # fmt: skip
     effects = effects_of(found, features, tested)
     driven = _execution(split, battery, timeline, settings, segments)
     execution = tuple(_as_finding(one) for one in driven if one.found)
@@ -268,16 +278,16 @@ def diagnose_battery(
     untestable = dict(features.untestable)
     if timeline is not None:
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
-    clock, left = found.clock, found.unexplained
+    own, left = found.clock, found.unexplained
     remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks, *seen_once(driven)]
     return BatteryDiagnosis(
-        battery, verdict, effects, (*judged(found), *told_of(driven)), recalibrated(found, features), clock.delay_s,
-        clock.lag_s, clock.at_edge, noise_of(found), untestable,
+        battery, verdict, effects, (*judged(found), *told_of(driven)), recalibrated(found, features), own.delay_s,
+        own.lag_s, own.at_edge, noise_of(found), untestable,
         Unexplained(left.share_of_residual, tuple(left.depends_on), "; ".join(t for t in (left.shape, level) if t)),
         _next(subject, seen, effects, settings), None if tested is None else tested.summary,
         _shifted(seen), execution, found.mean_power_w, tuple(run.run for run in features.runs),
         float(sum(np.sum(run.dt_s) for run in features.runs)), tuple(dict.fromkeys(remarks)), _confounding(found),
-        _where(subject, split, battery), _series(found),
+        _where(subject, split, battery), _series(found, clock), found.choice.model.clock,
     )  # fmt: skip
 
 
@@ -384,9 +394,9 @@ def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:
     return tuple(Where(w.title, f"{w.value} {w.unit}".strip(), w.share_of_squared_error, w.bias_w) for w in told)
 
 
-def _series(found: Identification) -> tuple[RunSeries, ...]:
+def _series(found: Identification, clock: Clock | None) -> tuple[RunSeries, ...]:
     model = found.choice.model
-    design = model.design
+    design = model.design if clock is None else model.source.design(clock)
     names = {effect.effect for effect in found.effects}
     chosen = [k for k in model.chosen if found.library[design.layout.columns[k].candidate].effect in names]
     fitted = prediction(model, chosen, design)

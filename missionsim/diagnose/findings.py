@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from missionsim.identify.align import Clock
 
 SCHEMA = "missionsim.diagnosis/1"
 VERDICTS = ("effects_found", "nothing_missing", "ambiguous", "unexplained_structure")
@@ -248,6 +251,8 @@ class BatteryDiagnosis:
     confounding: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     where: tuple[Where, ...] = ()
     series: tuple[RunSeries, ...] = field(default=(), repr=False, compare=False)
+    clock: Clock | None = field(default=None, repr=False, compare=False)
+    """Clock of meter and motion that was found, for comparing other models at the same one."""
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields, and ours beside them."""

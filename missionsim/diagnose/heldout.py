@@ -1,4 +1,9 @@
-"""Errors on runs that were not used to fit: robot file as it is, recalibrated, and with the effects found."""
+"""Errors on runs that were not used to fit: robot file as it is, recalibrated, and with the effects found.
+
+One definition for the diagnosis and for the waterfall of `improve`: rows averaged to the analysis rate, gaps left
+out, one clock for all models, and nothing in a prediction that a robot file cannot hold (what is fitted
+beside the base for clock, curvature within a row and switching stays out).
+"""
 
 from __future__ import annotations
 
@@ -9,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.diagnose.findings import HeldOut
+from missionsim.identify.align import Clock
 from missionsim.identify.choose import Choice
 from missionsim.identify.data import Candidate, RunData, Settings
 from missionsim.identify.design import Design, make_source
@@ -35,7 +41,7 @@ class Tested:
 
 def on_heldout(
     choice: Choice, runs: Sequence[RunData], candidates: Sequence[Candidate], prior_sd: Mapping[str, float],
-    settings: Settings, how: str, shifted: bool, effects: Sequence[str],
+    settings: Settings, how: str, shifted: bool, effects: Sequence[str], clock: Clock | None = None,
 ) -> Tested:
     """Predict held-out runs with what was fitted on the others; nothing of them is fitted, their meters included.
 
@@ -53,26 +59,26 @@ def on_heldout(
         Whether by a condition.
     effects : sequence of str
         Effects that are reported; others in the model stay out of the prediction.
+    clock : Clock, optional
+        Delay and lag of the meter; those of the model with the effects where not given.
     """
     model, empty = choice.model, choice.empty
     source = make_source(runs, candidates, prior_sd, settings, like=model.source)
-    aligned = {id(m): source.design(replace(m.clock, run_delay_s=tuple(0.0 for _ in source.runs)))
-               for m in (model, empty)}  # fmt: skip
-    with_effects, without = aligned[id(model)], aligned[id(empty)]
+    design = source.design(replace(clock or model.clock, run_delay_s=tuple(0.0 for _ in source.runs)))
     columns = model.design.layout.columns
     chosen = tuple(k for k in model.chosen if candidates[columns[k].candidate].effect in effects)
     predictions = {
-        "nominal": (without, without.base),
-        "recalibrated": (without, prediction(empty, (), without)),
-        "with_effects": (with_effects, prediction(model, chosen, with_effects)),
+        "nominal": design.base,
+        "recalibrated": prediction(empty, (), design),
+        "with_effects": prediction(model, chosen, design),
     }
     if not chosen:
         # nothing is reported, so nothing beyond recalibration may help
         predictions["with_effects"] = predictions["recalibrated"]
-    energy = {name: energy_error_pct(design, power) for name, (design, power) in predictions.items()}
-    rmse = {name: power_rmse_w(design, power) for name, (design, power) in predictions.items()}
+    energy = {name: energy_error_pct(design, power) for name, power in predictions.items()}
+    rmse = {name: power_rmse_w(design, power) for name, power in predictions.items()}
     summary = HeldOut(how, tuple(run.run for run in source.runs), energy, rmse, shifted)
-    return Tested(summary, _leaving_out(model, chosen, candidates, with_effects))
+    return Tested(summary, _leaving_out(model, chosen, candidates, design))
 
 
 def on_left_out(
@@ -98,13 +104,13 @@ def on_left_out(
     columns = design.layout.columns
     chosen = tuple(k for k in model.chosen if candidates[columns[k].candidate].effect in effects)
     powers = {
-        "nominal": (empty.design, empty.design.base),
-        "recalibrated": (empty.design, prediction(empty, (), empty.design, ~out)),
-        "with_effects": (design, prediction(model, chosen, design, ~out)),
+        "nominal": design.base,
+        "recalibrated": prediction(empty, (), design, ~out),
+        "with_effects": prediction(model, chosen, design, ~out),
     }
     rows = [part for part, left in zip(design.runs, out, strict=True) if left]
-    energy = {name: energy_error_pct(d, power, rows) for name, (d, power) in powers.items()}
-    rmse = {name: power_rmse_w(d, power, rows) for name, (d, power) in powers.items()}
+    energy = {name: energy_error_pct(design, power, rows) for name, power in powers.items()}
+    rmse = {name: power_rmse_w(design, power, rows) for name, power in powers.items()}
     return HeldOut(how, tuple(held), energy, rmse, True)
 
 
@@ -113,12 +119,14 @@ def prediction(
 ) -> Array:
     """Power that a model with some of its effects predicts at the rows of a design [W], shape (n,).
 
-    Base parameters at their most probable values with these effects in, offsets and gains of single runs left out;
-    with `fitted`, from these runs of the model only.
+    Base parameters at their most probable values with these effects in; what a robot file cannot hold is left out:
+    offsets and gains of single runs, and the nuisances of clock, curvature and switching. With `fitted`, from these
+    runs of the model only.
     """
     gram = model.gram if fitted is None else Gram(model.gram.per_run[fitted], model.gram.prior_precision)
     shifts, _ = gram.shifts(chosen)
-    power = design.base + shifts @ design.gradient
+    count = len(design.layout.parameters)
+    power = design.base + shifts[:count] @ design.gradient[:count]
     if len(chosen):
         shares, _ = gram.coefficients(chosen)
         power = power + shares @ design.phi[list(chosen)]

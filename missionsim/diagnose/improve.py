@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from missionsim.diagnose.diagnosis import Subject, diagnose_battery
 from missionsim.diagnose.findings import BatteryDiagnosis, Finding
 from missionsim.diagnose.priors import NO_PRIOR_SD, prior_before
 from missionsim.diagnose.split import Split
+from missionsim.diagnose.waterfall import noise_floor
 from missionsim.identify.data import Settings
 
 MOST_ROUNDS = 8
@@ -55,6 +56,8 @@ class Improved:
         Before anything was added, and after.
     stopped : str
         Why it ended, in words.
+    compared : Step, optional
+        What `missionsim compare` says of the written file on the runs of the steps: clocks as logged, row by row.
     """
 
     battery: str
@@ -66,10 +69,13 @@ class Improved:
     first: BatteryDiagnosis
     last: BatteryDiagnosis
     stopped: str
+    compared: Step | None = None
 
 
 def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask) -> Improved:
     """Improve the text of a robot file for one battery.
+
+    All steps are errors at the clock of the first diagnosis, so that only the model differs between them.
 
     Parameters
     ----------
@@ -87,6 +93,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     start = Subject.of(robot)
     priors = _own_priors(start, battery, split.train)
     first = last = diagnose_battery(start, split, battery, None, settings)
+    given, as_given = text, robot
     steps = [_step("before", first, "nominal"), _step("recalibrated", first, "recalibrated")]
     added: list[str] = []
     declined: list[str] = []
@@ -98,17 +105,18 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         if not ask(choice, last):
             declined.append(choice.effect)
             continue
-        made = adopt(text, robot, split, choice.effect, battery, settings, force=True, priors=priors)
+        # from the file as it was given: no round moves a base or an effect on from where another left it
+        made = adopt(given, as_given, split, choice.effect, battery, settings, force=True, beside=added)
         text, robot = made.text, robot_from_text(made.text)
         added.append(choice.effect)
         # the file's own base values came from these logs: what was known before them stays the prior
         again = Subject.of(robot, priors={**_fitted_priors(robot, battery), **priors})
-        last = diagnose_battery(again, split, battery, None, settings)
+        last = diagnose_battery(again, split, battery, None, settings, clock=first.clock)
         steps.append(_step(f"+ {choice.effect}", last, "nominal"))
     stopped = _why(last, declined)
-    steps.append(_floor(last))
+    steps.append(Step("noise floor", *noise_floor(last)))
     return Improved(battery, text, tuple(added), tuple(declined), tuple(steps), first.heldout is not None, first, last,
-                    stopped)
+                    stopped, _compared(robot, split, battery))
 
 
 def _own_priors(subject: Subject, battery: str, logs: Sequence[Any]) -> dict[str, float]:
@@ -141,16 +149,19 @@ def _step(name: str, diagnosis: BatteryDiagnosis, kind: str) -> Step:
     return Step(name, float(np.mean(energy)), float(np.sqrt(square / max(seconds, 1.0))))
 
 
-def _floor(diagnosis: BatteryDiagnosis) -> Step:
-    """Errors that a true model would have: the noise, and meters that differ between runs."""
-    noise: Mapping[str, float] = diagnosis.noise
-    power = diagnosis.mean_power_w
-    rmse = float(np.sqrt(noise["sd_w"] ** 2 + noise["offset_w"] ** 2 + (noise["gain"] * power) ** 2))
-    seconds = diagnosis.seconds / max(len(diagnosis.runs), 1)
-    # energy noise of a run from the noise's two correlation times, the slower one as the careful choice
-    slow = min(1.0, np.sqrt(2.0 * max(noise["fast_s"], 1.0) / seconds))
-    spread = np.sqrt((noise["offset_w"] / power) ** 2 + noise["gain"] ** 2 + (noise["sd_share"] * slow) ** 2)
-    return Step("noise floor", 100.0 * float(spread) * float(np.sqrt(2.0 / np.pi)), rmse)
+def _compared(robot: Any, split: Split, battery: str) -> Step | None:
+    """The error of a robot file as `missionsim compare` measures it."""
+    from missionsim.compare import compare
+    from missionsim.spec.power import build_power_model
+
+    logs = [log for log in (split.heldout or split.train) if battery in log.power_w]
+    found = compare(build_power_model(robot), logs, robot=robot).batteries.get(battery)
+    if found is None:
+        return None
+    seconds = np.array([run.seconds for run in found.runs])
+    square = np.array([run.power_rmse_w**2 for run in found.runs])
+    return Step("compare", float(np.mean([abs(run.energy_error_pct) for run in found.runs])),
+                float(np.sqrt(np.average(square, weights=seconds))))  # fmt: skip
 
 
 def _why(last: BatteryDiagnosis, declined: Sequence[str]) -> str:

@@ -1,45 +1,113 @@
-"""What the steps of an improvement mean, in words."""
+"""What errors on held-out runs mean, in words: the noise floor, why an energy error may rise, how it was measured."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from missionsim.diagnose.findings import BatteryDiagnosis
     from missionsim.diagnose.improve import Improved
-
 
 SEEN = 0.1
 """A rise by less than this part of the noise floor is not worth a line."""
 
 
-def energy_note(done: Improved) -> str:
-    """In words, why the energy error grew with an effect although the power error fell; empty where it did not.
+def noise_floor(diagnosis: BatteryDiagnosis) -> tuple[float, float]:
+    """Errors that a true model would show: the noise, and runs whose meters and drives differ.
 
-    Errors of a model without the effect cancel out over a run. The noise floor, the mean error that a true model would
-    have, says whether what is left with the effect may be chance.
+    Returns
+    -------
+    tuple of float
+        Mean over runs of the absolute energy error [%], and RMS of the power error [W].
+    """
+    noise: Mapping[str, float] = diagnosis.noise
+    power_w = diagnosis.mean_power_w
+    between = (noise["offset_w"] / power_w) ** 2 + noise["gain"] ** 2 + noise["motion_gain"] ** 2
+    rmse_w = math.sqrt(noise["sd_w"] ** 2 + between * power_w**2)
+    seconds = diagnosis.seconds / max(len(diagnosis.runs), 1)
+    spread = math.sqrt(between + noise["sd_share"] ** 2 * mean_variance(noise, seconds))
+    return 100.0 * spread * math.sqrt(2.0 / math.pi), rmse_w
+
+
+def mean_variance(noise: Mapping[str, float], seconds: float) -> float:
+    """Variance of the mean of the noise over a run, relative to that of single rows.
+
+    ``2 τ/T (1 − τ/T (1 − exp(−T/τ)))`` for each of its two parts of correlation time τ; white noise averages out.
+    """
+    total = 0.0
+    for part in ("fast", "slow"):
+        reach = noise[f"{part}_s"] / seconds
+        total += noise[f"{part}_share"] * 2.0 * reach * (1.0 - reach * (1.0 - math.exp(-1.0 / reach)))
+    return total
+
+
+def rise_note(
+    name: str, energy_pct: tuple[float, float], rmse_w: tuple[float, float], floor_pct: float, count: int,
+    fitted: int,
+) -> str:
+    """In words, why an energy error grew with an effect although the power error fell; empty where it did not.
 
     Parameters
     ----------
-    done : Improved
-        Its last step is the noise floor.
+    name : str
+        What came in.
+    energy_pct, rmse_w : tuple of float
+        Errors without and with it.
+    floor_pct : float
+        Mean absolute energy error of a true model.
+    count : int
+        Number of runs that the errors are of.
+    fitted : int
+        Number of runs that the model was fitted to; their common level is known no better than that.
     """
-    *steps, floor = done.steps
-    worse = [
-        (old, new) for old, new in pairwise(steps[1:])
-        if new.energy_error_pct > old.energy_error_pct + SEEN * floor.energy_error_pct
-        and new.power_rmse_w < old.power_rmse_w
-    ]
-    if not worse:
+    before, after = energy_pct
+    if after <= before + SEEN * floor_pct or rmse_w[1] >= rmse_w[0]:
         return ""
-    old, new = worse[0]
-    held = done.first.heldout
-    count = len(held.runs) if held is not None else len(done.first.runs)
-    runs = f"{count} run{'s' * (count != 1)}"
     # the mean m of n absolute normal errors has the standard deviation m sqrt(pi/2 - 1) / sqrt(n)
-    chance = floor.energy_error_pct * (1.0 + 2.0 * math.sqrt((math.pi / 2.0 - 1.0) / count))
-    told = "may be chance" if new.energy_error_pct <= chance else "is more than noise and meters make"
-    return (f"With '{new.name}' the energy error rises from {old.energy_error_pct:.2f} to {new.energy_error_pct:.2f} % "
-            "while the power error falls: base and effect are fitted together, and errors of power that cancelled out "
-            f"over a run no longer do. On {runs} a true model shows up to {chance:.1f} %; what is left {told}.")
+    chance = floor_pct * math.sqrt(1.0 + 1.0 / fitted) * (1.0 + 2.0 * math.sqrt((math.pi / 2.0 - 1.0) / count))
+    level = floor_pct * math.sqrt(math.pi / 2.0)
+    told = "this may be chance" if after <= chance else "this is more than that"
+    runs = f"{count} run{'s' * (count != 1)}"
+    return (f"With {name} the energy error rises from {before:.2f} to {after:.2f} % while the power error falls from "
+            f"{rmse_w[0]:.3g} to {rmse_w[1]:.3g} W. Energy is a sum: without it, errors of opposite sign cancelled out "
+            "over a run. With it, what is left is mostly the level by which a whole run differs from the fitted ones, "
+            f"±{level:.1f} % in these logs (one sd: meter, drive, slow noise). On {runs} even a model of the right "
+            f"form shows up to {chance:.1f} %; {told}.")
+
+
+def energy_note(done: Improved) -> str:
+    """`rise_note` of the first step of an improvement that makes the energy error grow; empty where none does."""
+    *steps, floor = done.steps
+    count = len((done.first.heldout or done.first).runs)
+    notes = (
+        rise_note(f"'{new.name}'", (old.energy_error_pct, new.energy_error_pct), (old.power_rmse_w, new.power_rmse_w),
+                  floor.energy_error_pct, count, len(done.first.runs))
+        for old, new in pairwise(steps[1:])
+    )  # fmt: skip
+    return next((note for note in notes if note), "")
+
+
+def heldout_note(battery: BatteryDiagnosis) -> str:
+    """`rise_note` of what a diagnosis found, against recalibration alone."""
+    if battery.heldout is None or not battery.effects:
+        return ""
+    energy, rmse = battery.heldout.energy_error_pct, battery.heldout.power_rmse_w
+    name = "the effect" if len(battery.effects) == 1 else "the effects"
+    kinds = ("recalibrated", "with_effects")
+    return rise_note(name, (energy[kinds[0]], energy[kinds[1]]), (rmse[kinds[0]], rmse[kinds[1]]),
+                     noise_floor(battery)[0], len(battery.heldout.runs), len(battery.runs))  # fmt: skip
+
+
+def measured_note(done: Improved) -> str:
+    """How the errors of the steps were measured, and what `missionsim compare` says of the same runs."""
+    first = done.first
+    clock = f"the clock that was found (meter {first.delay_s:+.2f} s, lag {first.lag_s:.2f} s)"
+    told = f"Measured as in diagnose: means over about a second at {clock}, gaps left out."
+    if done.compared is None:
+        return told
+    one = done.compared
+    return (f"{told} missionsim compare takes clocks and rows as logged; of the file written it says "
+            f"{one.energy_error_pct:.2f} % and {one.power_rmse_w:.3g} W on these runs.")

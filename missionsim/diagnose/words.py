@@ -6,6 +6,7 @@ import math
 
 from missionsim.diagnose.execution import TOLD
 from missionsim.diagnose.findings import BatteryDiagnosis, Experiment, Finding, HeldOut
+from missionsim.diagnose.waterfall import heldout_note
 
 MOST_NOT_SEEN = 8
 BLIND_SHARE = 0.5
@@ -74,7 +75,7 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         count = len(battery.runs)
         lines.append(("HELD-OUT", f"nothing held out ({count} run{'s' * (count != 1)}): how the model does on runs "
                       "that were not used is not shown"))
-    lines += [("NOTE", remark) for remark in battery.remarks]
+    lines += [("NOTE", remark) for remark in (heldout_note(battery), *battery.remarks) if remark]
     if battery.untestable:
         lines.append(("UNTESTABLE", _untestable(battery)))
     return lines
@@ -137,9 +138,10 @@ def _execution(effect: Finding) -> str:
 def _noise(battery: BatteryDiagnosis) -> str:
     n = battery.noise
     told = f"{_watts(n['sd_w']).lstrip('+')} W ({100 * n['sd_w'] / battery.mean_power_w:.1f} % of the mean power)"
-    if "correlation_1s" in n:
-        told += f", correlation {n['correlation_1s']:.2f} after {n.get('step_s', 1.0):.3g} s"
-    return told + f"; meter differs between runs ±{_watts(n['offset_w']).lstrip('+')} W and ±{100 * n['gain']:.1f} %"
+    if n["fast_share"] + n["slow_share"] > 0.5:
+        told += f", lasting {n['fast_s']:.2g} to {n['slow_s']:.2g} s"
+    return (f"{told}; runs differ by ±{_watts(n['offset_w']).lstrip('+')} W and ±{100 * n['gain']:.1f} % (meter), "
+            f"±{100 * n['motion_gain']:.1f} % of the power (drive)")
 
 
 def _not_seen(battery: BatteryDiagnosis) -> str:

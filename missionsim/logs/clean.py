@@ -202,7 +202,7 @@ def _gaps(rows: Rows) -> None:
             "time_s",
             f"{count} gap{'s' if count > 1 else ''}, the longest {step[longest]:.3g} s after "
             f"{rows.time[longest]:.6g} s (usual step {typical:.3g} s)",
-            "the rows on both sides stand for the time between them",
+            "the rows on both sides stand for the time between them (diagnose leaves it out)",
             "warning",
             longest + 1,
             count,

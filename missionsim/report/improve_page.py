@@ -7,7 +7,7 @@ from typing import Any
 
 from missionsim.diagnose.findings import Diagnosis
 from missionsim.diagnose.improve import Improved
-from missionsim.diagnose.waterfall import energy_note
+from missionsim.diagnose.waterfall import energy_note, measured_note
 from missionsim.report.blocks import Block, Chart, Section, Table, Tiles, Verdict
 from missionsim.report.diagnosis_page import diagnosis_sections
 from missionsim.report.page import COLOURS, format_cell, label, page
@@ -63,8 +63,8 @@ def _result(one: Improved) -> list[Block]:
                             "would still show.", 360))
     tone: Any = "good" if one.added and last.power_rmse_w < first.power_rmse_w else "neutral"
     table = Table(["model", "energy error, %", "power error (RMS), W"],
-                  [[s.name, s.energy_error_pct, s.power_rmse_w] for s in one.steps], digits=3)
+                  [[s.name, s.energy_error_pct, s.power_rmse_w] for s in one.steps], measured_note(one), 3)
     tiles = Tiles([("Added", str(len(one.added)), ", ".join(one.added)),
                    ("Power error", f"{first.power_rmse_w:.3g} → {last.power_rmse_w:.3g} W", which),
-                   ("Noise floor", f"{floor.power_rmse_w:.3g} W", "noise and meters that differ between runs")])
+                   ("Noise floor", f"{floor.power_rmse_w:.3g} W", "noise, and runs whose meters and drives differ")])
     return [Verdict(text, tone), tiles, *charts, table]

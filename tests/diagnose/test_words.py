@@ -32,7 +32,8 @@ BATTERY = BatteryDiagnosis(
     "robot", "effects_found", (GRADE,), (Judged("aerodynamic_drag", False, "adds nothing", 0.011),
                                         Judged("conversion_loss", False, "adds nothing", 1.4)),
     (Recalibrated("c3", 4.2, 1.4, 10.2, 0.2, "W s/m"),), 0.3, 0.3, False,
-    {"sd_w": 0.4, "sd_share": 0.03, "offset_w": 0.18, "gain": 0.01}, {"radio_range": ("access_point_distance_m",)},
+    {"sd_w": 0.4, "sd_share": 0.03, "fast_s": 4.0, "slow_s": 40.0, "fast_share": 0.5, "slow_share": 0.3,
+     "offset_w": 0.18, "gain": 0.01, "motion_gain": 0.008}, {"radio_range": ("access_point_distance_m",)},
     Unexplained(0.0, (), ""), (), HeldOut("the last 2 runs of 8", ("run_06", "run_07"), HELD, HELD), None, (), 13.0,
     ("run_00",), 420.0, (), {}, (Where("slope", "2 to 4 °", 0.4, -1.5),),
 )  # fmt: skip
@@ -47,6 +48,7 @@ def test_found() -> None:
     told = text(BATTERY)
     assert "WHERE slope 2 to 4 °: 40 % of the squared error" in told
     assert "CLOCK meter +0.30 s behind the motion, lag 0.30 s (applied)" in told
+    assert "NOISE 0.40 W (3.1 % of the mean power), lasting 4 to 40 s; runs differ by ±0.18 W and ±1.0 %" in told
     assert "grade: 3.3 % of energy (95 % 3.0 to 3.6); k = 0.98 (95 % 0.95 to 1.01)" in told
     assert "aerodynamic_drag < 1.1 % of energy; these data say nothing of conversion_loss" in told
     assert "energy error 4.60 -> 2.70 (recalibrated) -> 1.20 % (with the effects)" in told
