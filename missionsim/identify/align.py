@@ -92,12 +92,43 @@ def _grouped(low: Array, high: Array, power: Array, per_bin: int, step: float) -
     return Bins(low[begin_at], high[end_at - 1], total / weight, np.asarray(starts, dtype=np.intp))
 
 
-def _regridded(values: Array, edges: Array, grid: Array) -> Array:
-    """Integral over the rows of another grid of columns (k, n) that hold their value between their edges."""
-    cumulative = np.pad(np.cumsum(values * np.diff(edges), axis=1), ((0, 0), (1, 0)))
-    before = np.clip(np.searchsorted(edges, grid, side="right") - 1, 0, values.shape[1] - 1)
-    inside = np.clip(grid, edges[0], edges[-1]) - edges[before]
-    return np.diff(cumulative.take(before, axis=1) + values.take(before, axis=1) * inside, axis=1)
+@dataclass(frozen=True)
+class EvenGrid:
+    """How columns at the rows of one run are put on an even grid, unchanged where the rows already are even.
+
+    ``before`` and ``inside_s`` say in which row, and how far behind its edge, each edge of the even grid lies.
+    """
+
+    start_s: float
+    step_s: float
+    length_s: Array
+    before: NDArray[np.intp] | None = None
+    inside_s: Array | None = None
+
+    @classmethod
+    def of(cls, run: RunData) -> EvenGrid:
+        """Grid of a run."""
+        edges, gaps, step = _row_edges(run.time_s)
+        length = np.diff(edges)
+        if bool(np.all(np.abs(gaps - step) <= 0.02 * step)) and step >= 0.99 * FINEST_STEP_S:
+            return cls(float(edges[0]), step, length)
+        target = max(step, FINEST_STEP_S)
+        count = max(2, int(np.ceil((edges[-1] - edges[0]) / target - 1e-6)))
+        target = float(edges[-1] - edges[0]) / count  # no part of a row beyond the end
+        grid = np.linspace(edges[0], edges[-1], count + 1)
+        before = np.clip(np.searchsorted(edges, grid, side="right") - 1, 0, len(length) - 1)
+        return cls(float(edges[0]), target, length, before, grid - edges[before])
+
+    def on(self, values: Array) -> Array:
+        """Columns (k, rows) as means over the rows of the even grid, which keep their integral."""
+        if self.before is None or self.inside_s is None:
+            return values
+        cumulative = np.zeros((values.shape[0], values.shape[1] + 1))
+        np.cumsum(values * self.length_s, axis=1, out=cumulative[:, 1:])
+        at_edges = values.take(self.before, axis=1)
+        at_edges *= self.inside_s
+        at_edges += cumulative.take(self.before, axis=1)
+        return np.asarray((at_edges[:, 1:] - at_edges[:, :-1]) / self.step_s)
 
 
 @dataclass
@@ -112,34 +143,21 @@ class RunColumns:
     @classmethod
     def of(cls, run: RunData, bins: Bins, rows: Sequence[Array]) -> RunColumns:
         """Put the given raw columns on an even grid (unchanged where the rows already are even)."""
-        edges, gaps, step = _row_edges(run.time_s)
+        grid = EvenGrid.of(run)
         values = np.ascontiguousarray(np.vstack([np.asarray(r, dtype=float) for r in rows]))
-        even = bool(np.all(np.abs(gaps - step) <= 0.02 * step)) and step >= 0.99 * FINEST_STEP_S
-        if not even:
-            target = max(step, FINEST_STEP_S)
-            count = max(2, int(np.ceil((edges[-1] - edges[0]) / target - 1e-6)))
-            target = float(edges[-1] - edges[0]) / count  # no part of a row beyond the end
-            grid = np.linspace(edges[0], edges[-1], count + 1)
-            values = _regridded(values, edges, grid) / target
-            step = target
-        return cls(bins, float(edges[0]), step, values)
+        return cls(bins, grid.start_s, grid.step_s, grid.on(values))
 
     def averaged(self, delay_s: float, lag_s: float) -> Array:
         """Mean of columns over every bin, shape (columns, bins), as a late and sluggish meter would see it."""
         intervals = intervals_of([self])
         weights = intervals.weights(np.array([delay_s]), lag_s)
-        return np.ascontiguousarray(intervals.means(integral_curves(self.values), weights).T)
+        return np.ascontiguousarray(intervals.means(integral_curves([self.values]), weights).T)
 
 
 def intervals_of(runs: Sequence[RunColumns]) -> Intervals:
     """Analysis intervals of several runs, to be averaged over together."""
     ends = [(r.bins.low_s, r.bins.high_s) for r in runs]
     return Intervals.of(ends, [r.start_s for r in runs], [r.step_s for r in runs], [r.values.shape[1] for r in runs])
-
-
-def stacked_curves(runs: Sequence[RunColumns], rows: Sequence[int] | None = None) -> Array:
-    """Integral curves of all columns, or of the given ones, of several runs one after the other."""
-    return np.concatenate([integral_curves(r.values if rows is None else r.values[list(rows)]) for r in runs])
 
 
 @dataclass(frozen=True)
@@ -213,8 +231,9 @@ class _Alignment:
             count += len(inside)
             total += len(run.bins.measured_w)
         measured = np.concatenate([run.bins.measured_w for run in runs])
-        return cls(intervals_of(runs), stacked_curves(runs), measured, 0.85**step_s, np.concatenate(later),
-                   np.asarray(firsts, dtype=np.intp))  # fmt: skip
+        curves = integral_curves([run.values for run in runs])
+        places = np.concatenate(later), np.asarray(firsts, dtype=np.intp)
+        return cls(intervals_of(runs), curves, measured, 0.85**step_s, *places)
 
     def score(self, delay_s: float, lag_s: float) -> float:
         """Log-likelihood of differenced rows, every column in."""

@@ -19,32 +19,54 @@ LAG_NODES = ((0.4157745568, 0.7110930099), (2.2942803603, 0.2785177336), (6.2899
 """Gauss-Laguerre nodes: a first-order lag is an exponentially weighted mean of delays."""
 
 
-def integral_curves(values: Array) -> Array:
-    """Cumulative integral of columns at the row edges (unit step), rows, and slope of the integral at the edges.
+def integral_curves(columns: Sequence[Array]) -> Array:
+    """Cumulative integral of columns (unit step) of each run as a cubic inside each row, runs one after the other.
 
-    The slope is the mean of the neighbours, limited so that the cubic between edges stays monotone; a linear ramp
+    Its slope at a row's edge is the mean of the neighbours, limited so that the cubic stays monotone; a linear ramp
     between rows is thereby reproduced although each row holds only its mean.
 
     Parameters
     ----------
-    values : ndarray, shape (k, n)
+    columns : sequence of ndarray, shape (k, rows of the run)
 
     Returns
     -------
-    ndarray, shape (3 * (n + 1), k)
-        Integral, row (0 after the last) and slope of edge 0, then of edge 1, and so on.
+    ndarray, shape (4, rows of all runs, k)
+        Coefficients of the powers 0 to 3 of the place in each row.
     """
-    k, n = values.shape
-    out = np.zeros((n + 1, 3, k))
-    out[1:, 0] = np.cumsum(values, axis=1).T
-    rows = np.ascontiguousarray(values.T)
-    out[:-1, 1] = rows
+    out = np.empty((4, sum(values.shape[1] for values in columns), columns[0].shape[0]))
+    begin = 0
+    for values in columns:
+        end = begin + values.shape[1]
+        _one_curve(np.ascontiguousarray(values.T), out[:, begin:end])
+        begin = end
+    return out
+
+
+def _one_curve(rows: Array, out: Array) -> None:
+    """Fill in the coefficients (4, n, k) of one run's rows (n, k)."""
+    before, slope, square, cube = out
+    before[0] = 0.0
+    np.cumsum(rows[:-1], axis=0, out=before[1:])
     left, right = rows[:-1], rows[1:]
-    limit = 3.0 * np.minimum(np.abs(left), np.abs(right))
-    inner = np.clip(0.5 * (left + right), -limit, limit)
-    out[1:-1, 2] = np.where(left * right > 0, inner, 0.0)
-    out[0, 2], out[-1, 2] = rows[0], rows[-1]
-    return out.reshape(-1, k)
+    slope[0] = rows[0]
+    inner = slope[1:]
+    np.add(left, right, out=inner)
+    inner *= 0.5
+    limit = np.minimum(np.abs(left), np.abs(right))
+    limit *= 3.0
+    np.minimum(inner, limit, out=inner)
+    np.negative(limit, out=limit)
+    np.maximum(inner, limit, out=inner)
+    np.multiply(left, right, out=limit)
+    inner *= limit > 0.0
+    # Hermite: slopes at both edges, and the rise by one row's value
+    np.multiply(rows, -2.0, out=cube)
+    cube += slope
+    cube[:-1] += slope[1:]
+    cube[-1] += rows[-1]
+    np.subtract(rows, slope, out=square)
+    square -= cube
 
 
 @dataclass(frozen=True)
@@ -52,7 +74,7 @@ class Weights:
     """Weights of one clock: of the stacked curves at every edge, and how much of each interval the rows cover."""
 
     at_edges: Any
-    """Sparse, shape (edges, 3 * (rows + runs))."""
+    """Sparse, shape (edges, 4 * rows)."""
     covered: Array
     """Rows, shape (intervals,)."""
 
@@ -67,8 +89,8 @@ class Intervals:
         Edges in the order of time, run by run, and the number of their run.
     low_at : shape (intervals,)
         Edge at which each interval begins; it ends at the next.
-    start_s, step_s, rows : shape (runs,)
-        Raw grid of each run.
+    start_s, step_s, rows, first : shape (runs,)
+        Raw grid of each run, and the number of its first row when the rows of all runs are stacked.
     least : shape (intervals,)
         Least number of rows that a mean is divided by.
     """
@@ -78,7 +100,8 @@ class Intervals:
     low_at: NDArray[np.intp]
     start_s: Array
     step_s: Array
-    rows: NDArray[np.intp]
+    rows: NDArray[np.int32]
+    first: NDArray[np.int32]
     least: Array
 
     @classmethod
@@ -100,46 +123,64 @@ class Intervals:
             least.append(0.1 * (high - low) / step)
             total += len(own)
         run = np.repeat(np.arange(len(edges)), [len(e) for e in edges])
+        first = np.concatenate([[0], np.cumsum(rows)[:-1]])
         return cls(
             np.concatenate(edges), run, np.concatenate(low_at).astype(np.intp), np.asarray(start_s, dtype=float),
-            np.asarray(step_s, dtype=float), np.asarray(rows, dtype=np.intp), np.concatenate(least),
+            np.asarray(step_s, dtype=float), np.asarray(rows, dtype=np.int32), first.astype(np.int32),
+            np.concatenate(least),
         )  # fmt: skip
 
     def weights(self, delay_s: Array, lag_s: float) -> Weights:
-        """Weights for the delay of each run, shape (runs,), and a common lag [s].
-
-        Cubic Hermite interpolation of the integral at the fractional row positions of the edges.
-        """
+        """Weights for the delay of each run, shape (runs,), and a common lag [s]."""
         from scipy.sparse import csr_array
 
-        nodes = LAG_NODES if lag_s > 0 else ((0.0, 1.0),)
-        late = (self.edges_s - delay_s[self.run])[:, None] - lag_s * np.array([node for node, _ in nodes])
-        size = self.rows[self.run][:, None]
-        position = np.clip((late - self.start_s[self.run][:, None]) / self.step_s[self.run][:, None], 0.0, size)
-        left = np.minimum(position.astype(np.intp), size - 1)
-        s = position - left
-        weight = np.array([weight for _, weight in nodes])
-        s2 = s * s
-        s3 = s2 * s
+        left, s, weight = self._places(delay_s, lag_s)
         data = np.empty((*s.shape, 4))
-        data[..., 0] = weight
-        data[..., 1] = weight * (3 * s2 - 2 * s3)
-        data[..., 2] = weight * (s - 2 * s2 + s3)
-        data[..., 3] = weight * (s3 - s2)
-        first = np.concatenate([[0], np.cumsum(self.rows[:-1] + 1)])
-        # integral, row and slope at the edge before; slope at the edge after
-        at = 3 * (left + first[self.run][:, None])[..., None] + np.array([0, 1, 2, 5])
-        count = len(self.edges_s)
-        ends = np.arange(count + 1) * (4 * len(nodes))
-        shape = (count, 3 * int(np.sum(self.rows + 1)))
-        matrix = csr_array((data.ravel(), at.ravel().astype(np.int32), ends.astype(np.int32)), shape=shape)
-        mean = position @ weight
-        return Weights(matrix, mean[self.low_at + 1] - mean[self.low_at])
+        data[..., 0] = power = weight
+        for i in range(1, 4):
+            power = power * s
+            data[..., i] = power
+        count, total = len(self.edges_s), int(np.sum(self.rows))
+        at = left[..., None] + np.arange(0, 4 * total, total, dtype=np.int32)
+        ends = np.arange(count + 1, dtype=np.int32) * np.int32(4 * len(weight))
+        matrix = csr_array((data.ravel(), at.ravel(), ends), shape=(count, 4 * total))
+        return Weights(matrix, self._covered(left, s, weight))
 
     def means(self, curves: Array, weights: Weights) -> Array:
-        """Mean of columns over every interval, shape (intervals, k), from the runs' stacked `integral_curves`."""
-        whole = weights.at_edges @ curves
-        difference = np.diff(whole, axis=0)[self.low_at]
+        """Mean of columns over every interval, shape (intervals, k), from their `integral_curves`."""
+        return self._means(weights.at_edges @ curves.reshape(-1, curves.shape[2]), weights.covered)
+
+    def means_of_one(self, curve: Array, delay_s: Array, lag_s: float) -> Array:
+        """The same for a single column without a matrix, shape (intervals,), from its curve (4, rows, 1)."""
+        left, s, weight = self._places(delay_s, lag_s)
+        curve = curve[:, :, 0]
+        whole = curve[3].take(left)
+        for i in (2, 1, 0):
+            whole *= s
+            whole += curve[i].take(left)
+        return self._means((whole @ weight)[:, None], self._covered(left, s, weight))[:, 0]
+
+    def _places(self, delay_s: Array, lag_s: float) -> tuple[NDArray[np.int32], Array, Array]:
+        """Stacked row and place in it at every edge and node of the lag, shapes (edges, nodes); weights (nodes,)."""
+        nodes = np.array(LAG_NODES if lag_s > 0 else ((0.0, 1.0),))
+        late = ((self.edges_s - delay_s[self.run] - self.start_s[self.run]) / self.step_s[self.run])[:, None]
+        position = late - (lag_s / self.step_s)[self.run][:, None] * nodes[:, 0]
+        size = self.rows[self.run][:, None]
+        np.maximum(position, 0.0, out=position)
+        np.minimum(position, size, out=position)
+        left = position.astype(np.int32)
+        np.minimum(left, size - 1, out=left, casting="unsafe")
+        position -= left
+        left += self.first[self.run][:, None]
+        return left, position, nodes[:, 1]
+
+    def _covered(self, left: NDArray[np.int32], s: Array, weight: Array) -> Array:
+        mean = (left + s) @ weight
+        return np.asarray(mean[self.low_at + 1] - mean[self.low_at])
+
+    def _means(self, whole: Array, covered: Array) -> Array:
+        difference = whole[self.low_at + 1]
+        difference -= whole[self.low_at]
         # at the ends of the log a delayed column is known for a part of the interval only; a constant stays one
-        difference /= np.maximum(weights.covered, self.least)[:, None]
-        return np.asarray(difference)
+        difference /= np.maximum(covered, self.least)[:, None]
+        return difference

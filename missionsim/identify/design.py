@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.align import Clock, RunColumns, find_clock, intervals_of, make_bins, stacked_curves
-from missionsim.identify.averaging import Intervals, Weights
+from missionsim.identify.align import Clock, EvenGrid, RunColumns, find_clock, intervals_of, make_bins
+from missionsim.identify.averaging import Intervals, Weights, integral_curves
 from missionsim.identify.data import DEFAULT_PRIOR_SD, Array, Candidate, RunData, Settings
 
 DERIVATIVE_STEP_S = 0.2
@@ -109,7 +109,9 @@ class Source:
     aligned: bool = False
     kept: tuple[int, ...] = ()
     """Numbers of the given runs that were long enough."""
+    _even: list[EvenGrid] | None = None
     _grid: Intervals | None = None
+    _kept_base: Array | None = None
     _kept_curves: dict[tuple[int, ...], Array] = field(default_factory=dict)
     _kept_weights: tuple[Clock, Weights] | None = None
 
@@ -120,9 +122,8 @@ class Source:
         grid = self._intervals()
         here = grid.means(self._curves((*range(HEAD_ROWS + q), *(HEAD_ROWS + q + k for k in chosen))),
                           self._weights(clock)).T  # fmt: skip
-        base_curve = self._curves((0,))
         run_delay = clock.delay_s + np.asarray(clock.run_delay_s)
-        later, earlier = (grid.means(base_curve, grid.weights(run_delay + shift, clock.lag_s))[:, 0]
+        later, earlier = (grid.means_of_one(self._base_curve(), run_delay + shift, clock.lag_s)
                           for shift in (DERIVATIVE_STEP_S, -DERIVATIVE_STEP_S))  # fmt: skip
         base, motion, switching, spread = np.ascontiguousarray(here[:HEAD_ROWS])
         slope = (later - earlier) / (2 * DERIVATIVE_STEP_S)
@@ -149,23 +150,29 @@ class Source:
 
     def averaged(self, raw: Sequence[Array], clock: Clock) -> Array:
         """Any raw columns, one array (k, rows) a run, averaged to the analysis rate with a clock, shape (k, n)."""
-        even = [
-            RunColumns.of(run, columns.bins, list(np.nan_to_num(np.asarray(rows, dtype=float))))
-            for run, columns, rows in zip(self.runs, self.columns, raw, strict=True)
-        ]
-        return np.ascontiguousarray(self._intervals().means(stacked_curves(even), self._weights(clock)).T)
+        if self._even is None:
+            self._even = [EvenGrid.of(run) for run in self.runs]
+        finite = [np.nan_to_num(np.asarray(rows, dtype=float)) for rows in raw]
+        even = [grid.on(rows) for grid, rows in zip(self._even, finite, strict=True)]
+        return np.ascontiguousarray(self._intervals().means(integral_curves(even), self._weights(clock)).T)
 
     def _intervals(self) -> Intervals:
         if self._grid is None:
             self._grid = intervals_of(self.columns)
         return self._grid
 
+    def _base_curve(self) -> Array:
+        """Integral curve of the base model, shape (4, rows, 1)."""
+        if self._kept_base is None:
+            self._kept_base = integral_curves([run.values[:1] for run in self.columns])
+        return self._kept_base
+
     def _curves(self, rows: tuple[int, ...]) -> Array:
         """Integral curves of some columns; those of the last few choices are kept."""
         if rows not in self._kept_curves:
             while len(self._kept_curves) >= KEPT_CURVES:
                 del self._kept_curves[next(iter(self._kept_curves))]
-            self._kept_curves[rows] = stacked_curves(self.columns, rows)
+            self._kept_curves[rows] = integral_curves([run.values[list(rows)] for run in self.columns])
         return self._kept_curves[rows]
 
     def _weights(self, clock: Clock) -> Weights:

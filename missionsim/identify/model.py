@@ -111,7 +111,7 @@ def fit_model(source: Source, chosen: Sequence[int], start: Model | None = None,
     """Fit clock and noise for a set of effects, starting from a neighbouring model."""
     chosen = tuple(chosen)
     clock = start.clock if start else source.clock
-    design = source.design(clock)
+    design = start.design if start and start.source is source else source.design(clock)
     guess = start.noise if start else None
     unusual = guess is not None and _unusual(guess, design)
     if guess is not None and unusual:

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from missionsim.identify.data import Array
 
 START_ROWS = 40
-ALIKE = 0.8
-"""Stretches of at least this part of the longest's rows are filtered together, filled up with zeros."""
+APART = np.abs(np.subtract.outer(np.arange(START_ROWS), np.arange(START_ROWS)))
+FILLED = 0.8
+"""Stretches are filtered together, filled up with zeros to the longest, as long as they fill this part themselves."""
 Shape = tuple[float, float, float, float, float]
 """Analysis step, fast and slow correlation time [s], shares of the variance of both."""
 
@@ -59,16 +60,16 @@ def start_factor(
     Returns the inverse Cholesky factor of their correlation matrix, the factor's diagonal (both for unit variance of
     the noise) and the log-determinant that the start adds to that of the filter.
     """
-    from scipy.linalg import solve_triangular, toeplitz
+    from scipy.linalg.lapack import dtrtri
 
     lags = step_s * np.arange(START_ROWS)
     correlation = fast_share * np.exp(-lags / fast_s) + slow_share * np.exp(-lags / slow_s)
     correlation[0] = 1.0 + 1e-9
-    factor = np.linalg.cholesky(toeplitz(correlation))
+    factor = np.linalg.cholesky(correlation[APART])
     ratio = arma_of(step_s, fast_s, slow_s, fast_share, slow_share)[2]
     diagonal = np.diag(factor)
     excess = 2.0 * float(np.sum(np.log(diagonal * ratio)))
-    return solve_triangular(factor, np.eye(START_ROWS), lower=True, check_finite=False), diagonal, excess
+    return np.ascontiguousarray(dtrtri(factor, lower=1)[0]), diagonal, excess
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,8 @@ class Group:
     root: Array
     parts: tuple[slice, ...]
     run: NDArray[np.intp]
+    alone: bool
+    """No two of the stretches lie in one run."""
 
     def filtered(self, shape: Shape) -> tuple[Array, Array]:
         """White rows of unit variance, weighted: the first `START_ROWS` and the others."""
@@ -119,10 +122,15 @@ class Packed:
         begins = np.array([run.start for run in runs])
         longest_first = sorted(stretches, key=lambda part: part.start - part.stop)
         alike: list[list[slice]] = []
+        filled = 0
         for part in longest_first:
-            if not alike or part.stop - part.start < ALIKE * (alike[-1][0].stop - alike[-1][0].start):
+            length = part.stop - part.start
+            whole = (len(alike[-1]) + 1) * (alike[-1][0].stop - alike[-1][0].start) if alike else 0
+            if not alike or filled + length < FILLED * whole:
                 alike.append([])
+                filled = 0
             alike[-1].append(part)
+            filled += length
         groups = []
         for parts in alike:
             length = parts[0].stop - parts[0].start
@@ -132,7 +140,7 @@ class Packed:
                 own[i, :, : part.stop - part.start] = scaled[:, part]
                 roots[i, 0, : part.stop - part.start] = root[part]
             at = np.searchsorted(begins, [part.start for part in parts], side="right") - 1
-            groups.append(Group(own, roots, tuple(parts), at))
+            groups.append(Group(own, roots, tuple(parts), at, len(set(at.tolist())) == len(at)))
         return cls(tuple(groups), (rows.shape[0], rows.shape[1]), len(runs))
 
     def blocks(self, shape: Shape) -> Array:
@@ -141,7 +149,10 @@ class Packed:
         for group in self.groups:
             head, tail = group.filtered(shape)
             own = head @ head.transpose(0, 2, 1) + tail @ tail.transpose(0, 2, 1)
-            np.add.at(out, group.run, own)
+            if group.alone:
+                out[group.run] += own
+            else:
+                np.add.at(out, group.run, own)
         return out
 
     def white(self, shape: Shape) -> Array:
