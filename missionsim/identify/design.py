@@ -168,12 +168,14 @@ class Source:
         return self._kept_base
 
     def _curves(self, rows: tuple[int, ...]) -> Array:
-        """Integral curves of some columns; those of the last few choices are kept."""
-        if rows not in self._kept_curves:
-            while len(self._kept_curves) >= KEPT_CURVES:
-                del self._kept_curves[next(iter(self._kept_curves))]
-            self._kept_curves[rows] = integral_curves([run.values[list(rows)] for run in self.columns])
-        return self._kept_curves[rows]
+        """Integral curves of some columns; those that were used last are kept."""
+        found = self._kept_curves.pop(rows, None)
+        if found is None:
+            found = integral_curves([run.values[list(rows)] for run in self.columns])
+        self._kept_curves[rows] = found
+        if len(self._kept_curves) > KEPT_CURVES:
+            del self._kept_curves[next(iter(self._kept_curves))]
+        return found
 
     def _weights(self, clock: Clock) -> Weights:
         """Weights of a clock; those of the last one are kept."""

@@ -1,0 +1,168 @@
+"""Averages of all runs at once, and whitening of all stretches at once, against one at a time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from missionsim.identify.align import RunColumns, _Alignment, intervals_of, make_bins
+from missionsim.identify.averaging import integral_curves
+from missionsim.identify.data import RunData, Settings
+from missionsim.identify.design import KEPT_CURVES, make_source
+from missionsim.identify.gram import eliminate_random, raw_blocks, total_without_random
+from missionsim.identify.noise import start_noise
+from missionsim.identify.whitening import START_ROWS, Packed, arma_of, start_factor
+
+from .world import library, make_runs, with_gap
+
+
+def _columns(step_s: float, rows: int, seed: int, gap: bool = False) -> RunColumns:
+    rng = np.random.default_rng(seed)
+    time_s = step_s * (np.arange(rows) + 0.5)
+    power = rng.uniform(1, 9, rows)
+    if gap:
+        power[rows // 3 : rows // 2] = np.nan
+    run = RunData(f"r{seed}", time_s, np.full(rows, step_s), power, rng.uniform(1, 9, rows))
+    return RunColumns.of(run, make_bins(run, 1.0), [run.base_w, rng.standard_normal(rows), np.full(rows, 2.5)])
+
+
+@pytest.fixture(scope="module")
+def several() -> list[RunColumns]:
+    return [_columns(0.1, 900, 1), _columns(0.5, 200, 2, gap=True), _columns(1.0, 60, 3)]
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.35])
+def test_runs_together_are_averaged_like_runs_alone(several: list[RunColumns], lag_s: float) -> None:
+    intervals = intervals_of(several)
+    delays = np.array([0.2, -0.37, 1.4])
+    curves = integral_curves([run.values for run in several])
+    together = intervals.means(curves, intervals.weights(delays, lag_s)).T
+    alone = np.hstack([run.averaged(d, lag_s) for run, d in zip(several, delays, strict=True)])
+    assert together == pytest.approx(alone, rel=1e-10, abs=1e-10)
+    known = np.abs(together[2]) > 0.0  # a late column says nothing yet in the very first interval
+    assert together[2, known] == pytest.approx(np.full(known.sum(), 2.5), rel=1e-9)
+    assert known.sum() >= len(known) - 1
+    base = integral_curves([run.values[:1] for run in several])
+    assert intervals.means_of_one(base, delays, lag_s) == pytest.approx(together[0], rel=1e-10)
+
+
+def test_a_delay_of_whole_rows_is_a_plain_mean_of_rows(several: list[RunColumns]) -> None:
+    run = several[0]
+    found = run.averaged(0.3, 0.0)[:, 5]
+    assert found == pytest.approx(run.values[:, 50 - 3 : 60 - 3].mean(axis=1), rel=1e-9)
+
+
+def test_a_lag_is_the_exponentially_weighted_mean_of_delays(several: list[RunColumns]) -> None:
+    """On a smooth column, three Gauss-Laguerre nodes are as good as many delays."""
+    time_s = 0.1 * (np.arange(900) + 0.5)
+    run = replace(several[0], values=np.sin(time_s / 3.0)[None, :])
+    fine = np.arange(0.0005, 4.0, 0.001)
+    weight = np.exp(-fine / 0.3)
+    late = np.array([run.averaged(d, 0.0)[0, 20:-20] for d in fine[::20]])
+    expected = weight[::20] @ late / weight[::20].sum()
+    assert run.averaged(0.0, 0.3)[0, 20:-20] == pytest.approx(expected, abs=4e-3)
+
+
+def test_intervals_beside_a_gap_have_edges_of_their_own(several: list[RunColumns]) -> None:
+    intervals = intervals_of(several)
+    low = intervals.edges_s[intervals.low_at]
+    high = intervals.edges_s[intervals.low_at + 1]
+    assert low == pytest.approx(np.concatenate([run.bins.low_s for run in several]))
+    assert high == pytest.approx(np.concatenate([run.bins.high_s for run in several]))
+    assert np.all(intervals.run[intervals.low_at] == intervals.run[intervals.low_at + 1])
+
+
+def test_a_constant_column_says_nothing_about_the_clock(several: list[RunColumns]) -> None:
+    """What is left of it after differences and means is rounding, which must not be blown up to a regressor."""
+    without = [replace(run, values=run.values[:2]) for run in several]
+    for delay_s, lag_s in ((0.0, 0.0), (0.1, 0.3), (-0.4, 0.2)):
+        with_it = _Alignment.of(several, 1.0).score(delay_s, lag_s)
+        assert with_it == pytest.approx(_Alignment.of(without, 1.0).score(delay_s, lag_s), abs=1e-7)
+
+
+def test_kept_curves_change_nothing() -> None:
+    runs = make_runs(1, count=3)
+    source, fresh = (make_source(runs, library(), {}, Settings(align=False)) for _ in range(2))
+    clocks = [replace(source.clock, delay_s=d, lag_s=t, run_delay_s=(0.1, 0.0, -0.1)) for d, t in ((0, 0), (0.2, 0.3))]
+    whole = [source.design(c) for c in clocks]
+    count = len(source.layout.columns)
+    for k in range(count):
+        assert source.design(clocks[1], [k]).phi[0] == pytest.approx(whole[1].phi[k], rel=1e-12)
+    assert len(source._kept_curves) <= KEPT_CURVES < count
+    again = source.design(clocks[0])
+    for name in ("y", "base", "gradient", "phi", "random", "duration_s", "time_s"):
+        assert np.array_equal(getattr(again, name), getattr(whole[0], name))
+        assert np.array_equal(getattr(fresh.design(clocks[0]), name), getattr(again, name))
+
+
+SHAPE = (1.0, 5.0, 80.0, 0.5, 0.3)
+
+
+def _packed(lengths: list[int], runs: list[int]) -> tuple[Packed, np.ndarray, list[slice], list[slice]]:
+    ends = np.cumsum(lengths)
+    stretches = [slice(int(e - n), int(e)) for e, n in zip(ends, lengths, strict=True)]
+    bounds = [0, *np.cumsum(runs).tolist()]
+    whole = [slice(a, b) for a, b in pairwise(bounds)]
+    rng = np.random.default_rng(5)
+    rows, scale = rng.standard_normal((4, int(ends[-1]))), rng.uniform(0.5, 2.0, int(ends[-1]))
+    weight = rng.uniform(0.1, 1.0, int(ends[-1]))
+    return Packed.of(rows, scale, weight, stretches, whole), rows, stretches, whole
+
+
+@pytest.mark.parametrize("lengths", [[200, 197, 210], [300, 3, 41, 1, 39, 180], [5, 7], [40, 400, 39, 41]])
+def test_stretches_side_by_side_are_whitened_like_each_alone(lengths: list[int]) -> None:
+    packed, _, stretches, _ = _packed(lengths, lengths)
+    white = packed.white(SHAPE)
+    assert sum(len(group.parts) for group in packed.groups) == len(lengths)
+    rng = np.random.default_rng(5)
+    n = sum(lengths)
+    rows, scale, weight = rng.standard_normal((4, n)), rng.uniform(0.5, 2.0, n), rng.uniform(0.1, 1.0, n)
+    lags = np.arange(START_ROWS)
+    covariance = 0.5 * np.exp(-lags / 5.0) + 0.3 * np.exp(-lags / 80.0)
+    covariance[0] = 1.0
+    for part in stretches:
+        length = part.stop - part.start
+        own = Packed.of(rows[:, part], scale[part], weight[part], [slice(0, length)], [slice(0, length)])
+        assert white[:, part] == pytest.approx(own.white(SHAPE), rel=1e-9, abs=1e-10)
+        head = min(length, START_ROWS)
+        factor = np.linalg.cholesky(covariance[np.abs(np.subtract.outer(lags[:head], lags[:head]))])
+        begun = slice(part.start, part.start + head)
+        exact = np.linalg.solve(factor, (rows / scale)[:, begun].T).T * np.sqrt(weight[begun])
+        ratio = arma_of(*SHAPE)[2]
+        assert ratio * white[:, begun] == pytest.approx(exact, abs=1e-6)
+
+
+def test_blocks_are_gram_matrices_of_the_white_rows_of_each_run() -> None:
+    packed, _, _, runs = _packed([120, 60, 150, 20, 30], [180, 150, 50])
+    white = packed.white(SHAPE)
+    expected = np.stack([white[:, part] @ white[:, part].T for part in runs])
+    assert packed.blocks(SHAPE) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def test_start_factor_undoes_the_correlation() -> None:
+    inverse, diagonal, _ = start_factor(*SHAPE)
+    lags = np.abs(np.subtract.outer(np.arange(START_ROWS), np.arange(START_ROWS)))
+    covariance = 0.5 * np.exp(-lags / 5.0) + 0.3 * np.exp(-lags / 80.0)
+    np.fill_diagonal(covariance, 1.0)
+    assert inverse @ covariance @ inverse.T == pytest.approx(np.eye(START_ROWS), abs=1e-6)
+    assert np.all(np.triu(inverse, 1) == 0.0)
+    assert 1.0 / np.diag(inverse) == pytest.approx(diagonal)
+
+
+def test_the_sum_without_random_effects_is_that_of_the_single_runs() -> None:
+    runs = [*make_runs(1, count=2), with_gap(make_runs(2, count=1)[0], 100, 140)]
+    source = make_source(runs, library(), {}, Settings(align=False))
+    design = source.design(source.clock)
+    noise = replace(start_noise(design), sigma_w=0.7)
+    blocks = raw_blocks(design, noise, design.residual[None, :], [0, 1])
+    reduced, log_det = eliminate_random(blocks, noise.random_sd())
+    total, whole_det = total_without_random(blocks * 0.7**2, noise.random_sd(), 0.7)
+    assert total == pytest.approx(reduced.sum(axis=0), rel=1e-9, abs=1e-9 * np.abs(total).max())
+    assert whole_det == pytest.approx(log_det.sum(), rel=1e-10)
+    # the clock's random effects are rows of the gradient as well, whitened once only
+    q = len(design.gradient)
+    assert blocks[:, -2:, 0] == pytest.approx(blocks[:, 1 + q - 4 : 1 + q - 2, 0])
+    assert design.random[3:] == pytest.approx(design.gradient[-4:-2])
