@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.fit.provenance import fitted_to
+from missionsim.fit.provenance import fitted_to, sd_on_other_logs
 
 if TYPE_CHECKING:
     from missionsim.diagnose.diagnosis import Subject
@@ -30,10 +30,12 @@ def priors_of(subject: Subject, features: Features, logs: Sequence[Any]) -> dict
 
 
 def prior_before(subject: Subject, parameter: ModelParameter, logs: Sequence[Any]) -> float:
-    """Relative standard deviation known beside these logs; `NO_PRIOR_SD` where it was fitted to these very logs."""
-    source = parameter.source
-    same = fitted_to(subject.sources.get(source, source), logs)
-    return NO_PRIOR_SD if same else parameter.prior_sd
+    """Relative standard deviation known beside these logs; `NO_PRIOR_SD` where it was fitted to these very logs.
+
+    What was fitted to other logs is known less well here than there, see `missionsim.fit.provenance.sd_on_other_logs`.
+    """
+    source = subject.sources.get(parameter.source, parameter.source)
+    return NO_PRIOR_SD if fitted_to(source, logs) else sd_on_other_logs(parameter.prior_sd, source)
 
 
 def of_formula(parameter: ModelParameter) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -11,6 +12,12 @@ MOST_HASHES = 40
 LENGTH = 8
 CALIBRATION = "calibration"
 """Key of a robot file's ``sources`` that says to which logs its parameters were fitted."""
+
+
+OTHER_DAY_SD = 0.03
+"""Relative change of a fitted parameter from the logs that it was fitted to, to others: meter, tyres, warmth, load of
+the computer. The same as for a parameter that comes without a standard deviation (assumed)."""
+_TAG = re.compile(r"\bdata ((?:[0-9a-f]{8}\s?)+)")
 
 
 def log_hash(log: Any) -> str:
@@ -36,7 +43,7 @@ def fitted_to(source: str, logs: Iterable[Any]) -> bool:
 
     Such a number is no knowledge beside the logs: as a prior it would count the same data twice.
     """
-    match = re.search(r"\bdata ((?:[0-9a-f]{8}\s?)+)", source)
+    match = _TAG.search(source)
     if not match:
         return False
     known = set(match.group(1).split())
@@ -44,3 +51,19 @@ def fitted_to(source: str, logs: Iterable[Any]) -> bool:
     return any(log_hash(log)[:LENGTH] in known for log in tables) or (
         len(tables) > MOST_HASHES and data_tag(tables) in known
     )
+
+
+def sd_on_other_logs(sd: float, source: str) -> float:
+    """Relative standard deviation of a parameter for logs that it was not fitted to.
+
+    What `calibrate` writes is how well the average over its own logs is known. On another day the robot is not quite
+    the same, so that `OTHER_DAY_SD` adds to it; else drift would pass for a missing effect.
+
+    Parameters
+    ----------
+    sd : float
+        As the robot file has it.
+    source : str
+        What the file says of where the number comes from; others than fits keep their sd.
+    """
+    return math.hypot(sd, OTHER_DAY_SD) if _TAG.search(source) else sd

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import InputError
 from missionsim.fit.parameters import ModelFit, fit_parameters
-from missionsim.fit.provenance import CALIBRATION, data_tag
+from missionsim.fit.provenance import CALIBRATION, data_tag, fitted_to, sd_on_other_logs
+
+if TYPE_CHECKING:
+    from missionsim.effects.model import ModelParameter, PowerModel
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ def refit_robot(robot: str | Path, logs: Sequence[Any], battery: str | None = No
                                              allowed=", ".join(model.batteries)))
             continue
         try:
-            fit = fit_parameters(model, logs, name)
+            fit = fit_parameters(_aged(model, spec.sources, logs), logs, name)
         except InputError as error:
             refused.append(error)
             remarks.append(f"battery {name} was not fitted: {' '.join(str(error).split())}")
@@ -71,7 +74,24 @@ def refit_robot(robot: str | Path, logs: Sequence[Any], battery: str | None = No
                                        "note": f"{parameter.before / whole.times:.6g} before"}
     if not fits:
         raise refused[0]
+    if twice := [n for n, p in model.parameters.items() if fitted_to(spec.sources.get(p.source, p.source), logs)]:
+        remarks.append(f"{', '.join(n.partition('/')[2] for n in twice)}: fitted to these very logs before, so that "
+                       "they count twice now and the intervals are too narrow; refit the file as it was before")
     text = edit.set_values(edit.robot_text(robot), updates)
     count = len(logs)
     text = edit.set_source(text, CALIBRATION, f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(logs)}")
     return Refit(text, tuple(fits), tuple(dict.fromkeys(remarks)))
+
+
+def _aged(model: PowerModel, sources: Mapping[str, str], logs: Sequence[Any]) -> PowerModel:
+    """The model with what was fitted to other logs known less well; see `sd_on_other_logs`."""
+
+    def aged(parameter: ModelParameter) -> ModelParameter:
+        source = sources.get(parameter.source, parameter.source)
+        if parameter.value == 0.0 or fitted_to(source, logs):
+            return parameter
+        return replace(parameter, sd=sd_on_other_logs(parameter.prior_sd, source) * abs(parameter.value))
+
+    terms = tuple(replace(term, parameters={name: aged(p) for name, p in term.parameters.items()})
+                  for term in model.terms)  # fmt: skip
+    return replace(model, terms=terms)
