@@ -80,6 +80,17 @@ class Weights:
 
 
 @dataclass(frozen=True)
+class Grid:
+    """Even raw grid of a run: its beginning and step [s], its rows, and the number of its first row when the rows of
+    all runs are stacked; arrays with one value for each edge of an interval."""
+
+    start_s: Array
+    step_s: Array
+    rows: NDArray[np.int32]
+    first: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
 class Intervals:
     """Analysis intervals of several runs on the even raw grid of each.
 
@@ -89,8 +100,10 @@ class Intervals:
         Edges in the order of time, run by run, and the number of their run.
     low_at : shape (intervals,)
         Edge at which each interval begins; it ends at the next.
-    start_s, step_s, rows, first : shape (runs,)
-        Raw grid of each run, and the number of its first row when the rows of all runs are stacked.
+    at_edges : Grid
+        Raw grid of the run of each edge.
+    rows : int
+        Rows of all runs.
     least : shape (intervals,)
         Least number of rows that a mean is divided by.
     """
@@ -98,10 +111,8 @@ class Intervals:
     edges_s: Array
     run: NDArray[np.intp]
     low_at: NDArray[np.intp]
-    start_s: Array
-    step_s: Array
-    rows: NDArray[np.int32]
-    first: NDArray[np.int32]
+    at_edges: Grid
+    rows: int
     least: Array
 
     @classmethod
@@ -124,11 +135,12 @@ class Intervals:
             total += len(own)
         run = np.repeat(np.arange(len(edges)), [len(e) for e in edges])
         first = np.concatenate([[0], np.cumsum(rows)[:-1]])
-        return cls(
-            np.concatenate(edges), run, np.concatenate(low_at).astype(np.intp), np.asarray(start_s, dtype=float),
-            np.asarray(step_s, dtype=float), np.asarray(rows, dtype=np.int32), first.astype(np.int32),
-            np.concatenate(least),
+        grid = Grid(
+            np.asarray(start_s, dtype=float)[run], np.asarray(step_s, dtype=float)[run],
+            np.asarray(rows, dtype=np.int32)[run], first.astype(np.int32)[run],
         )  # fmt: skip
+        return cls(np.concatenate(edges), run, np.concatenate(low_at).astype(np.intp), grid, int(np.sum(rows)),
+                   np.concatenate(least))  # fmt: skip
 
     def weights(self, delay_s: Array, lag_s: float) -> Weights:
         """Weights for the delay of each run, shape (runs,), and a common lag [s]."""
@@ -140,7 +152,7 @@ class Intervals:
         for i in range(1, 4):
             power = power * s
             data[..., i] = power
-        count, total = len(self.edges_s), int(np.sum(self.rows))
+        count, total = len(self.edges_s), self.rows
         at = left[..., None] + np.arange(0, 4 * total, total, dtype=np.int32)
         ends = np.arange(count + 1, dtype=np.int32) * np.int32(4 * len(weight))
         matrix = csr_array((data.ravel(), at.ravel(), ends), shape=(count, 4 * total))
@@ -163,15 +175,16 @@ class Intervals:
     def _places(self, delay_s: Array, lag_s: float) -> tuple[NDArray[np.int32], Array, Array]:
         """Stacked row and place in it at every edge and node of the lag, shapes (edges, nodes); weights (nodes,)."""
         nodes = np.array(LAG_NODES if lag_s > 0 else ((0.0, 1.0),))
-        late = ((self.edges_s - delay_s[self.run] - self.start_s[self.run]) / self.step_s[self.run])[:, None]
-        position = late - (lag_s / self.step_s)[self.run][:, None] * nodes[:, 0]
-        size = self.rows[self.run][:, None]
+        edge = self.at_edges
+        late = ((self.edges_s - delay_s[self.run] - edge.start_s) / edge.step_s)[:, None]
+        position = late - (lag_s / edge.step_s)[:, None] * nodes[:, 0]
+        size = edge.rows[:, None]
         np.maximum(position, 0.0, out=position)
         np.minimum(position, size, out=position)
         left = position.astype(np.int32)
-        np.minimum(left, size - 1, out=left, casting="unsafe")
+        np.minimum(left, size - 1, out=left)
         position -= left
-        left += self.first[self.run][:, None]
+        left += edge.first[:, None]
         return left, position, nodes[:, 1]
 
     def _covered(self, left: NDArray[np.int32], s: Array, weight: Array) -> Array:
