@@ -19,12 +19,7 @@ def effects_of(found: Identification, features: Features, tested: Tested | None)
 
 def _finding(one: FoundEffect, found: Identification, features: Features, tested: Tested | None) -> Finding:
     reach = Z95 * one.energy_share_sd
-    main = one.parameters[0] if one.parameters else None
     low, high = one.energy_share - reach, one.energy_share + reach
-    if main is not None and main.value:
-        # the coefficient's own interval carries the systematic allowance
-        ends = sorted((one.energy_share * main.low / main.value, one.energy_share * main.high / main.value))
-        low, high = min(low, ends[0]), max(high, ends[1])
     rivals = [pair for pair in found.pairs if pair.a == one.effect and pair.b in one.indistinguishable_from]
     closest = [pair for pair in found.pairs if pair.a == one.effect]
     lead = min((pair.separation_nats for pair in rivals or closest), default=float("nan"))

@@ -9,10 +9,11 @@ import numpy as np
 
 from missionsim.identify.data import Candidate, Settings
 from missionsim.identify.design import Layout, Source
-from missionsim.identify.gates import Evidence, overdispersion, weigh
+from missionsim.identify.gates import Evidence, nats_needed, overdispersion, tails, weigh
 from missionsim.identify.gram import make_gram
 from missionsim.identify.model import Model, fit_model, log_likelihood
 from missionsim.identify.search import Rules, best_set, single_gains
+from missionsim.identify.shape import bend
 
 TRIED = 2
 PROMISING = 0.5
@@ -72,7 +73,11 @@ def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) 
         step = _next_step(source, candidates, rules, settings, effects, found)
         if step is None:
             break
-        found = step
+        new = set(step.model.chosen) - set(found.model.chosen)
+        # what is left beside an effect is judged with that effect at its best: a reference temperature 5 K off leaves
+        # a constant friction over
+        found = bend(step, candidates, rules, settings, new)
+        source = found.model.source
     return found
 
 
@@ -84,11 +89,9 @@ def _next_step(
     effects: int,
     found: Choice,
 ) -> Choice | None:
-    from scipy.stats import norm
-
     model = found.model
     gains = single_gains(model.gram, rules, model.chosen)
-    needed = 0.5 * float(norm.isf(settings.alpha / effects / 2)) ** 2
+    needed = nats_needed(float(np.max(tails(rules, settings, effects, bool(model.chosen)))))
     order = [int(k) for k in np.argsort(-gains) if np.isfinite(gains[k]) and gains[k] > PROMISING * needed]
     first_of: list[int] = []
     rest = model.gram.conditional(model.chosen)

@@ -107,7 +107,8 @@ class Settings:
     rival_loss : a rival of the same covariate within this part of the effect's own gain is not told apart, because
         forms are never exact
     noisy_rival_loss : the same for a rival of another covariate, whose noise weakens what it explains
-    systematic : relative systematic allowance of a coefficient (covariate noise, form), measured on synthetic worlds
+    systematic : relative systematic allowance of a coefficient (covariate noise), measured on synthetic worlds
+    form_error : relative error of an effect's form; weighs more the more of the effect hides in recalibration
     align : estimate delay and lag of the power meter
     """
 
@@ -120,5 +121,6 @@ class Settings:
     form_ratio: float = 0.85
     rival_loss: float = 0.03
     noisy_rival_loss: float = 0.12
-    systematic: float = 0.08
+    systematic: float = 0.07
+    form_error: float = 0.03
     align: bool = True

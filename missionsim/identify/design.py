@@ -45,6 +45,8 @@ class Column:
     """After a refit of the shape: grid columns and weights that stand for the column in other runs."""
     exact: str = ""
     """Name under which other runs may hold the column at the refitted shape itself; then `mix` is not needed."""
+    shape: tuple[tuple[str, float], ...] = ()
+    """The refitted shape parameters."""
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,8 @@ class Evidence:
     predictive : gain of the prediction of left-out runs [nats]; NaN with one run
     runs_better, runs_informative : left-out runs predicted better, of those that carry information
     passed : gate -> passed
+    shape_sd : further standard error of the share, from the uncertain shape of the effect
+    unit_shape_sd : the same of the coefficient in its own unit, relative to the coefficient
     """
 
     column: int
@@ -51,7 +53,8 @@ class Evidence:
     runs_better: int
     runs_informative: int
     passed: dict[str, bool]
-    refit_sd: float = 0.0
+    shape_sd: float = 0.0
+    unit_shape_sd: float = 0.0
 
     @property
     def accepted(self) -> bool:
@@ -108,26 +111,40 @@ def weigh(model: Model, column: int, rules: Rules, settings: Settings, spread: f
 
     `effects` counts the candidate effects, for the Bonferroni correction.
     """
-    from scipy.stats import norm
-
     others = [c for c in model.chosen if c != column]
     gain = float(single_gains(model.gram, rules, others)[column])
-    # a grid of time constants is tried at several places that look alike: the root of their number counts
-    level = settings.alpha / effects / np.sqrt(np.sum(rules.effect == rules.effect[column]))
-    needed = 0.5 * float(norm.isf(level / 2)) ** 2
+    tail = tails(rules, settings, effects, bool(others))[column]
     share, sd, p_robust, p_runs = _robust(model, column, others, settings)
     predictive, better, informative, backing = _left_out(model, column, others)
     several = len(model.design.runs) > 1
     passed = {
-        "likelihood": gain / spread > needed,
+        "likelihood": gain / spread > nats_needed(tail),
         "runs": (not several)
         or (predictive > 0 and (2 * better >= informative or backing > BACKING))
         or (predictive > -UNSURE_NATS and p_runs < REPEATED)
         or (predictive > 2 * UNSURE_NATS and better >= FEW_BETTER),
-        "robust": p_robust < level,
+        "robust": p_robust < 2.0 * tail,
         "practical": abs(share) > settings.min_share,
     }
     return Evidence(column, gain, spread, share, sd, p_robust, p_runs, predictive, better, informative, passed)
+
+
+def tails(rules: Rules, settings: Settings, effects: int, beside: bool) -> Array:
+    """Probability of a false alarm that each column is allowed, in one tail, shape (p,).
+
+    The level is shared by all effects (Bonferroni). Where physics gives the sign, only that tail can alarm; not so
+    `beside` an effect in the model, whose misfit goes either way. A grid of time constants is tried at several places
+    that look alike: the root of their number counts.
+    """
+    number = np.bincount(rules.effect)[rules.effect]
+    return np.asarray(settings.alpha / effects / np.sqrt(number) / np.where((rules.sign == 0) | beside, 2.0, 1.0))
+
+
+def nats_needed(tail: float) -> float:
+    """Rise of the log-likelihood that chance exceeds with probability `tail` on one side."""
+    from scipy.stats import norm
+
+    return 0.5 * float(norm.isf(tail)) ** 2
 
 
 def _robust(model: Model, column: int, others: Sequence[int], settings: Settings) -> tuple[float, float, float, float]:
@@ -204,7 +221,7 @@ def _left_out(model: Model, column: int, others: Sequence[int]) -> tuple[float, 
     return float(gains.sum()), int(np.sum(gains[informative] > 0)), int(informative.sum()), backing
 
 
-def smallest_detectable(model: Model, spread: float, settings: Settings, effects: int) -> Array:
+def smallest_detectable(model: Model, rules: Rules, spread: float, settings: Settings, effects: int) -> Array:
     """Smallest share of energy of each column that would be found in four of five cases, shape (p,)."""
     from scipy.stats import norm
 
@@ -216,8 +233,8 @@ def smallest_detectable(model: Model, spread: float, settings: Settings, effects
         info[outside] = conditional[outside]
         for k in model.chosen:
             info[k] = model.gram.conditional([c for c in model.chosen if c != k])[1 + k, 1 + k]
-    needed = float(norm.isf(settings.alpha / effects / 2)) + 0.84
+    needed = norm.isf(tails(rules, settings, effects, bool(model.chosen))) + 0.84
     out = np.full(len(info), np.inf)
     usable = info > 1e-8 * np.maximum(np.diag(model.gram.full)[1:], 1e-300)
-    out[usable] = np.maximum(needed * np.sqrt(spread / info[usable]), settings.min_share)
+    out[usable] = np.maximum(needed[usable] * np.sqrt(spread / info[usable]), settings.min_share)
     return out

@@ -89,8 +89,8 @@ def _report(
 ) -> Identification:  # fmt: skip
     rules = Rules.of(source.layout, candidates)
     if not given:
-        choice = without_shadows(choice, source, candidates, rules, settings)
-    choice, shapes = refit_shapes(choice, source, candidates, rules, settings)
+        choice = without_shadows(choice, candidates, rules, settings)
+    choice, shapes = refit_shapes(choice, candidates, rules, settings)
     source = choice.model.source
     structures, doubtful = _structures(choice, candidates, rules, settings)
     demoted: tuple[str, ...] = ()
@@ -206,14 +206,14 @@ def _effects(
             continue
         candidate = candidates[number]
         estimates: list[Estimate] = []
+        share_sd: list[float] = []
         for k in own:
             e = choice.evidence[k]
             column = model.design.layout.columns[k]
             unit = model.design.layout.mean_power_w / column.watts_per_unit
-            statistical = float(np.hypot(e.share_sd, e.refit_sd))
-            gain_error = model.noise.gain / np.sqrt(len(model.design.runs))
-            form = np.hypot(settings.systematic, RAMP_SYSTEMATIC * on_ramps[k])
-            sd = float(np.hypot(statistical, abs(e.share) * np.hypot(form, gain_error)))
+            form = abs(e.share) * _form_error(model, k, on_ramps[k], settings)
+            share_sd.append(float(np.linalg.norm([e.share_sd, e.shape_sd, form])))
+            sd = float(np.linalg.norm([e.share_sd, e.share * e.unit_shape_sd, form]))
             half = 1.96 * sd * unit
             level = candidate.levels[column.position] if candidate.levels else ""
             name = f"{candidate.coefficient}_{level}" if level else candidate.coefficient
@@ -228,7 +228,7 @@ def _effects(
                 candidate.effect,
                 tuple(estimates),
                 float(share),
-                float(np.sqrt(sum(e.share_sd**2 for e in evidence))),
+                float(np.linalg.norm(share_sd)),
                 min(e.p_value for e in evidence),
                 min((e.p_runs for e in evidence), default=float("nan")),
                 max(e.gain for e in evidence),
@@ -237,6 +237,20 @@ def _effects(
             )
         )
     return tuple(sorted(out, key=lambda f: -f.gain_nats))
+
+
+def _form_error(model: Model, column: int, on_ramps: float, settings: Settings) -> float:
+    """Relative systematic standard error of a coefficient: form of the effect, blurred ramps, gain of the meter.
+
+    The more of an effect hides in recalibration, the smaller the part its coefficient rests on, and the larger what
+    an error of the form does to it.
+    """
+    q = model.gram.q
+    whole = float(model.gram.per_run[:, 1 + q + column, 1 + q + column].sum())
+    left = max(float(model.gram.full[1 + column, 1 + column]), 1e-12 * whole)
+    hidden = settings.form_error * np.sqrt(whole / left) if left > 0 else 0.0
+    gain = model.noise.gain / np.sqrt(len(model.design.runs))
+    return float(np.linalg.norm([settings.systematic, hidden, RAMP_SYSTEMATIC * on_ramps, gain]))
 
 
 def _on_ramps(model: Model) -> dict[int, float]:
@@ -290,7 +304,7 @@ def _candidates(
 ) -> tuple[CandidateReport, ...]:
     model = choice.model
     count = max(1, len({int(e) for e in rules.effect}))
-    limits = smallest_detectable(model, choice.spread, settings, count)
+    limits = smallest_detectable(model, rules, choice.spread, settings, count)
     plain = np.maximum(np.diag(model.gram.per_run.sum(axis=0))[1 + model.gram.q :], 1e-300)
     absorbed = 1.0 - np.clip(np.diag(model.gram.full)[1:] / plain, 0.0, 1.0)
     out = []

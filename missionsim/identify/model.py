@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from missionsim.identify.align import Clock
+from missionsim.identify.data import Array
 from missionsim.identify.design import Design, Source
 from missionsim.identify.gram import Gram, eliminate_random, make_gram, project, random_effects, raw_blocks
 from missionsim.identify.noise import Noise, fit_noise, start_noise
@@ -49,12 +50,22 @@ class Model:
 
 def score(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> float:
     """Log-likelihood of the chosen columns at a clock, noise given; base parameters and run effects integrated out."""
+    gram, log_det = _reduced(source, clock, noise, chosen)
+    spread = sum((d / 0.2) ** 2 for d in clock.run_delay_s)
+    return gram.evidence(range(len(chosen))) - 0.5 * log_det - 0.5 * spread
+
+
+def shares(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> Array:
+    """Shares of energy of the chosen columns at a clock, noise given, shape (chosen,)."""
+    gram, _ = _reduced(source, clock, noise, chosen)
+    return gram.coefficients(range(len(chosen)))[0]
+
+
+def _reduced(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> tuple[Gram, float]:
     design = source.design(clock, chosen)
     blocks = raw_blocks(design, noise, design.residual[None, :], range(len(chosen)))
     reduced, log_det = eliminate_random(blocks, noise.random_sd())
-    gram = Gram(reduced, design.layout.prior_sd**-2.0)
-    spread = sum((d / 0.2) ** 2 for d in clock.run_delay_s)
-    return gram.evidence(range(len(chosen))) - 0.5 * float(log_det.sum()) - 0.5 * spread
+    return Gram(reduced, design.layout.prior_sd**-2.0), float(log_det.sum())
 
 
 def refine_clock(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int], rounds: int = 2) -> Clock:

@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from missionsim.identify.align import RunColumns
-from missionsim.identify.choose import Choice
 from missionsim.identify.data import Array, Candidate, RunData, Settings
-from missionsim.identify.design import HEAD_ROWS, Source
-from missionsim.identify.gates import weigh
-from missionsim.identify.model import Model, fit_model, score
+from missionsim.identify.design import HEAD_ROWS, Column, Source
+from missionsim.identify.gates import nats_needed, tails, weigh
+from missionsim.identify.model import Model, fit_model, score, shares
 from missionsim.identify.search import Rules
+
+if TYPE_CHECKING:
+    from missionsim.identify.choose import Choice
 
 EVALUATIONS = 24
 ALIKE = 0.3
+TAKEN_OVER = 0.5
+"""Part of an effect's gain that another effect's shape makes up for, from which on the two are one."""
 FORM_PART = 0.1
 """Beside an effect with a shape, one that looks somewhat like it counts from this part of its gain on: a line fitted to
 what bends with temperature leaves the bend over."""
 
 
 def refit_shapes(
-    choice: Choice, source: Source, candidates: Sequence[Candidate], rules: Rules, settings: Settings
+    choice: Choice, candidates: Sequence[Candidate], rules: Rules, settings: Settings
 ) -> tuple[Choice, dict[str, dict[str, float]]]:
     """Refit the shape of every chosen effect that has one; returns the new choice and the shapes with 95 % limits.
 
@@ -31,51 +36,64 @@ def refit_shapes(
     """
     shapes: dict[str, dict[str, float]] = {}
     for column in choice.model.chosen:
-        here = source.layout.columns[column]
+        here = choice.model.source.layout.columns[column]
         candidate = candidates[here.candidate]
-        if candidate.levels or not candidate.shape or not candidate.shape[here.position]:
-            continue
-        start = dict(candidate.shape[here.position])
-        if candidate.refit is None:
-            shapes[candidate.effect] = start
-            continue
-        choice, shapes[candidate.effect] = _refit(choice, column, candidate, start, candidates, rules, settings)
+        if _has_shape(candidate, here):
+            choice, shapes[candidate.effect] = _refit(choice, column, candidate, candidates, rules, settings)
+        elif candidate.shape and not candidate.levels and candidate.shape[here.position]:
+            shapes[candidate.effect] = dict(candidate.shape[here.position])
     return choice, shapes
 
 
-def without_shadows(
-    choice: Choice, source: Source, candidates: Sequence[Candidate], rules: Rules, settings: Settings
+def bend(
+    choice: Choice, candidates: Sequence[Candidate], rules: Rules, settings: Settings, columns: Iterable[int]
 ) -> Choice:
-    """Leave out what is only there because a shape in the model was not yet fitted.
+    """The choice with the shapes of the given columns at their best, without limits."""
+    for column in columns:
+        here = choice.model.source.layout.columns[column]
+        candidate = candidates[here.candidate]
+        if _has_shape(candidate, here):
+            choice, _ = _refit(choice, column, candidate, candidates, rules, settings, limited=False)
+    return choice
+
+
+def _has_shape(candidate: Candidate, column: Column) -> bool:
+    """Whether the column has shape parameters that can be evaluated away from the grid."""
+    return candidate.refit is not None and not candidate.levels and bool(candidate.shape[column.position])
+
+
+def without_shadows(
+    choice: Choice, candidates: Sequence[Candidate], rules: Rules, settings: Settings
+) -> Choice:
+    """Leave out what is only there because a shape in the model was not yet fitted, or was fitted beside it.
 
     Friction below a reference temperature, with that temperature 5 K off, leaves a constant rolling friction over.
     """
-    from scipy.stats import norm
-
     effects = max(1, len({int(e) for e in rules.effect}))
-    needed = 0.5 * float(norm.isf(settings.alpha / effects / 2)) ** 2 * choice.spread
+    columns = choice.model.source.layout.columns
 
     def shaped(column: int) -> bool:
-        here = source.layout.columns[column]
-        candidate = candidates[here.candidate]
-        return candidate.refit is not None and not candidate.levels and bool(candidate.shape[here.position])
+        return _has_shape(candidates[columns[column].candidate], columns[column])
 
     for column in sorted(choice.model.chosen, key=lambda k: choice.evidence[k].gain):
         model = choice.model
-        partners = [k for k in model.chosen if k != column and shaped(k)
-                    and abs(model.gram.correlation(column, k, model.chosen)) > ALIKE]  # fmt: skip
+        partners = [k for k in model.chosen if k != column and shaped(k)]
         if shaped(column) or not partners:
             continue
         rest = tuple(k for k in model.chosen if k != column)
-        with_it = score(source, model.clock, model.noise, model.chosen)
-        less = fit_model(source, rest, model, thorough=False)
+        with_it = score(model.source, model.clock, model.noise, model.chosen)
+        less = fit_model(model.source, rest, model, thorough=False)
         kept = {k: weigh(less, k, rules, settings, choice.spread, effects) for k in rest}
         for k, e in kept.items():
             e.passed.update({g: v for g, v in choice.evidence[k].passed.items() if g not in e.passed})
         smaller = replace(choice, model=less, evidence=kept)
-        bent, _ = refit_shapes(smaller, source, candidates, rules, settings)
+        bent = bend(smaller, candidates, rules, settings, partners)
+        needed = nats_needed(tails(rules, settings, effects, True)[column]) * choice.spread
         enough = max(needed, FORM_PART * max(choice.evidence[k].gain for k in partners))
-        if with_it - score(bent.model.source, model.clock, model.noise, rest) < enough:
+        straight, curved = (score(s, model.clock, model.noise, rest) for s in (model.source, bent.model.source))
+        alike = max(abs(model.gram.correlation(column, k, model.chosen)) for k in partners)
+        taken = max(0.0, curved - straight) / max(with_it - straight, 1e-9)
+        if with_it - curved < enough and (alike > ALIKE or taken > TAKEN_OVER):
             shadow = choice.evidence[column]
             shadow.passed["beyond form"] = False
             choice = replace(smaller, refused={**choice.refused, column: shadow})
@@ -86,14 +104,16 @@ def _refit(
     choice: Choice,
     column: int,
     candidate: Candidate,
-    start: Mapping[str, float],
     candidates: Sequence[Candidate],
     rules: Rules,
     settings: Settings,
+    limited: bool = True,
 ) -> tuple[Choice, dict[str, float]]:
     from scipy.optimize import minimize
 
     model = choice.model
+    here = model.source.layout.columns[column]
+    start = dict(here.shape or candidate.shape[here.position])
     names = list(start)
     bounds = [
         candidate.shape_bounds.get(n, (min(s[n] for s in candidate.shape), max(s[n] for s in candidate.shape)))
@@ -123,7 +143,6 @@ def _refit(
         options={"maxfev": EVALUATIONS * len(names), "initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05},
     )  # fmt: skip
     best = outer(found.x)
-    limits = _limits(cost, found.x, float(found.fun), low, high, outer, names)
     source = with_shape(best)
     design = source.design(model.clock)
     refitted = Model(source, model.chosen, model.clock, design, model.noise)
@@ -131,6 +150,22 @@ def _refit(
     evidence = {c: weigh(refitted, c, rules, settings, choice.spread, effects) for c in model.chosen}
     for c, e in evidence.items():
         e.passed.update({k: v for k, v in choice.evidence[c].passed.items() if k not in e.passed})
+    limits: dict[str, float] = {}
+    if limited:
+        limits = _limits(cost, found.x, float(found.fun), 1.92 * choice.spread, (low, high), outer, names)
+
+        def size(shape: Mapping[str, float]) -> tuple[float, float]:
+            trial = with_shape(shape)
+            share = float(shares(trial, model.clock, model.noise, model.chosen)[model.chosen.index(column)])
+            return share, share / trial.layout.columns[column].watts_per_unit
+
+        ends = [[size(best | {n: limits.get(f"{n}.{end}", best[n])}) for end in ("low", "high")] for n in names]
+        spans = np.array([[abs(b - a) / 3.92 for a, b in zip(*pair, strict=True)] for pair in ends])
+        share_sd, unit_sd = np.sqrt((spans**2).sum(axis=0))
+        unit = abs(size(best)[1])
+        evidence[column] = replace(
+            evidence[column], shape_sd=float(share_sd), unit_shape_sd=float(unit_sd / unit) if unit > 0 else 0.0
+        )
     return replace(choice, model=refitted, evidence=evidence), best | limits
 
 
@@ -138,22 +173,22 @@ def _limits(
     cost: Callable[[Array], float],
     x: Array,
     least: float,
-    low: Array,
-    high: Array,
+    drop: float,
+    bounds: tuple[Array, Array],
     outer: Callable[[Array], dict[str, float]],
     names: Sequence[str],
 ) -> dict[str, float]:
-    """Profile-likelihood limits (1.92 nats, the other shape parameters held)."""
+    """Profile-likelihood limits: where the likelihood is `drop` nats below its best, the other parameters held."""
     out: dict[str, float] = {}
     for i, name in enumerate(names):
-        for end, label in ((low[i], "low"), (high[i], "high")):
+        for end, label in ((bounds[0][i], "low"), (bounds[1][i], "high")):
             inside, outside = x[i], end
             trial = x.copy()
             trial[i] = end
-            if cost(trial) - least > 1.92:
+            if cost(trial) - least > drop:
                 for _ in range(6):
                     trial[i] = 0.5 * (inside + outside)
-                    if cost(trial) - least > 1.92:
+                    if cost(trial) - least > drop:
                         outside = trial[i]
                     else:
                         inside = trial[i]
@@ -181,7 +216,7 @@ def _replaced(source: Source, column: int, candidate: Candidate, shape: Mapping[
         return source
     numbered = list(source.layout.columns)
     numbered[column] = replace(numbered[column], watts_per_unit=mean, mix=_mix(candidate, shape),
-                               exact=exact_name(candidate.effect))
+                               exact=exact_name(candidate.effect), shape=tuple(shape.items()))
     layout = replace(source.layout, columns=tuple(numbered))
     return Source(source.runs, columns, source.covariates, layout, source.clock, source.aligned, source.kept)
 

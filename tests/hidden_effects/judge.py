@@ -116,5 +116,8 @@ def judge(case: str, seed: int, answer: Mapping[str, Any], outcome: Outcome) -> 
     true = answer.get("share_true") or dict.fromkeys(hidden, answer["share_of_energy"])
     # a plan that is not kept costs another share of the energy than the strength that the case asks for
     inside = [s[1] <= true[e] <= s[2] for e, s in outcome.shares.items() if e in hidden and not behaviour(e)]
+    missing = [e for e in hidden if e not in named]
+    silent = naming and bool(missing) and not wrong
+    row["too_small"] = silent and all(outcome.limits.get(e, 0.0) > true[e] for e in missing)
     row["covered"], row["intervals"] = sum(inside), len(inside)
     return row

@@ -34,6 +34,8 @@ class Outcome:
     seconds: float = float("nan")
     shares: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     """Share of energy: value, low, high."""
+    limits: dict[str, float] = field(default_factory=dict)
+    """Share of energy from which on an effect would have been seen, as the method itself says."""
     experiments: int = 0
     names_outcome: bool = True
 

@@ -39,11 +39,7 @@ def outcome(report: dict[str, Any], seconds: float) -> Outcome:
             continue
         names.append(name)
         sets[name] = tuple(found["indistinguishable_from"])
-        main = next(iter(found["parameters"].values()))
-        value, share = main["value"], found["energy_share"]
-        if value:
-            ends = sorted((share * main["low"] / value, share * main["high"] / value))
-            shares[name] = (share, ends[0], ends[1])
+        shares[name] = (found["energy_share"], *found["energy_share_interval"])
     held = battery.get("heldout") or {}
     energy = (held.get("energy_error_pct") or {}).get("with_effects", float("nan"))
     rmse = (held.get("power_rmse_w") or {}).get("with_effects", float("nan"))
@@ -56,5 +52,7 @@ def outcome(report: dict[str, Any], seconds: float) -> Outcome:
         rmse_w=rmse,
         seconds=seconds,
         shares=shares,
+        limits={c["effect"]: c["smallest_detectable_share"] for c in battery["candidates"]
+                if c["smallest_detectable_share"] is not None},
         experiments=len(battery.get("next_experiment", [])),
     )

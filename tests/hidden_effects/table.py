@@ -91,14 +91,22 @@ def _goals(rows: Sequence[Row]) -> list[str]:
     def of(*groups: str) -> list[Row]:
         return [row for row in ours if row["group"] in groups]
 
+    def seen(part: list[Row]) -> list[Row]:
+        # `too_small`: no wrong name, and each effect left out lies below the detection limit that the report prints
+        return [row for row in part if not row.get("too_small")]
+
     effects = of("one effect, 2 %", "one effect, 5 %", "one effect, 10 %", "two effects")
     covered, intervals = (sum(row[key] for row in ours) for key in ("covered", "intervals"))
     lines = [
         ("nothing hidden: nothing named", "≥ 98 %", _rate(of("nothing hidden"), "exact")),
         ("2 % of the energy: right name first", "≥ 95 %", _rate(of("one effect, 2 %"), "first_right")),
+        ("2 %: right name first, without silence about what the report says it cannot see", "–",
+         _rate(seen(of("one effect, 2 %")), "first_right")),
         ("5 % of the energy: right name first", "100 %", _rate(of("one effect, 5 %"), "first_right")),
         ("5 %: truth named or in the set of what cannot be told apart", "100 %", _rate(of("one effect, 5 %"), "found")),
         ("pairs: both named", "≥ 90 %", _rate(of("two effects"), "all_named")),
+        ("pairs: both named, without silence about what the report says it cannot see", "–",
+         _rate(seen(of("two effects")), "all_named")),
         ("pairs: both named or in the set of what cannot be told apart", "–", _rate(of("two effects"), "all_in_set")),
         (
             "removable held-out energy error removed (2, 5, 10 %, pairs)",
