@@ -102,7 +102,8 @@ def add_effect(
     if shows_text(json, quiet):
         terminal = console()
         told = ", ".join(
-            f"{p.name} = {p.value:.4g} (95 % {p.low:.4g} to {p.high:.4g})" for p in made.effect.parameters
+            f"{p.name} = {p.value:.4g}{'' if p.unit in ('', '1') else ' ' + p.unit} (95 % {p.low:.4g} to {p.high:.4g})"
+            for p in made.effect.parameters
         )
         terminal.print(f"{effect} on battery {chosen}: {100 * made.effect.energy_share:.1f} % of the energy; {told}; "
                        f"p = {made.effect.p_value:.1g}", markup=False)

@@ -124,10 +124,13 @@ def _print(fits: list[ModelFit], remarks: list[str], out: Path) -> None:
         ]
         terminal.print(simple_table(f"Battery {fit.battery}", ["parameter", ("value", "right"),
                                                              ("95 % interval", "right"), "unit"], rows))  # fmt: skip
+        clock = "clocks as logged"
+        if fit.delay_s or fit.lag_s:
+            clock = f"meter {fit.delay_s:+.2f} s behind the motion, lag {fit.lag_s:.2f} s"
+        count = f"{len(fit.runs)} run{'s' * (len(fit.runs) != 1)}"
         terminal.print(
-            f"{len(fit.runs)} runs, {fit.seconds / 60:.0f} min; explains {100 * fit.explained:.1f} % of the variance "
-            f"of the power; error {fit.rmse_w:.3g} W (RMS); meter {fit.delay_s:+.2f} s behind the motion, lag "
-            f"{fit.lag_s:.2f} s", markup=False)  # fmt: skip
+            f"{count}, {fit.seconds / 60:.0f} min; explains {100 * fit.explained:.1f} % of the variance "
+            f"of the power; error {fit.rmse_w:.3g} W (RMS); {clock}", markup=False)  # fmt: skip
     for remark in remarks:
         terminal.print(f"note: {remark}", markup=False)
     terminal.print(f"written: {out}", markup=False)

@@ -37,9 +37,12 @@ def _finding(one: FoundEffect, found: Identification, features: Features, tested
 
 def judged(found: Identification) -> tuple[Judged, ...]:
     """Every candidate with its reason and its detection limit."""
+    rival_of = {rival: one.effect for one in found.effects for rival in one.indistinguishable_from}
     return tuple(
-        Judged(c.effect, c.accepted, c.reason,
-               c.smallest_detectable_share if math.isfinite(c.smallest_detectable_share) else None)
+        Judged(c.effect, c.accepted,
+               f"these data cannot tell it from {rival_of[c.effect]}" if c.effect in rival_of else c.reason,
+               c.smallest_detectable_share if math.isfinite(c.smallest_detectable_share) else None,
+               c.effect in rival_of or c.effect in found.demoted)
         for c in found.candidates
     )  # fmt: skip
 

@@ -288,6 +288,7 @@ def diagnose_battery(
         _shifted(seen), execution, found.mean_power_w, tuple(run.run for run in features.runs),
         float(sum(np.sum(run.dt_s) for run in features.runs)), tuple(dict.fromkeys(remarks)), _confounding(found),
         _where(subject, split, battery), _series(found, clock), found.choice.model.clock,
+        found.choice.model.source.aligned,
     )  # fmt: skip
 
 

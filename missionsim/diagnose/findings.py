@@ -99,12 +99,16 @@ class Finding:
 
 @dataclass(frozen=True)
 class Judged:
-    """A candidate and why it was taken or not."""
+    """A candidate and why it was taken or not.
+
+    ``open``: not taken, but part of what was found or remains may be its work, so that nothing is excluded.
+    """
 
     effect: str
     accepted: bool
     reason: str
     smallest_detectable_share: float | None
+    open: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields."""
@@ -253,6 +257,8 @@ class BatteryDiagnosis:
     series: tuple[RunSeries, ...] = field(default=(), repr=False, compare=False)
     clock: Clock | None = field(default=None, repr=False, compare=False)
     """Clock of meter and motion that was found, for comparing other models at the same one."""
+    aligned: bool = True
+    """Whether the clocks were looked at; else they are as logged."""
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields, and ours beside them."""

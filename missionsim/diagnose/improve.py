@@ -171,8 +171,7 @@ def _why(last: BatteryDiagnosis, declined: Sequence[str]) -> str:
         drive = f" Drive next: {last.next_experiments[0].do}." if last.next_experiments else ""
         return f"these data cannot tell {names}, so neither is added.{drive}"
     if last.verdict == "unexplained_structure":
-        on = ", ".join(last.unexplained.depends_on)
-        return f"something remains that the library does not contain; it varies with {on}."
+        return f"something remains that the library does not contain: {last.unexplained.shape}."
     if declined:
         return f"declined: {', '.join(declined)}."
     if last.unexplained.depends_on:

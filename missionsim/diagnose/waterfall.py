@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from missionsim.diagnose.findings import BatteryDiagnosis
     from missionsim.diagnose.improve import Improved
 
-SEEN = 0.1
-"""A rise by less than this part of the noise floor is not worth a line."""
+SEEN = 0.5
+"""A rise by less than this part of the noise floor is not worth a note."""
 
 
 def noise_floor(diagnosis: BatteryDiagnosis) -> tuple[float, float]:
@@ -104,10 +104,13 @@ def heldout_note(battery: BatteryDiagnosis) -> str:
 def measured_note(done: Improved) -> str:
     """How the errors of the steps were measured, and what `missionsim compare` says of the same runs."""
     first = done.first
-    clock = f"the clock that was found (meter {first.delay_s:+.2f} s, lag {first.lag_s:.2f} s)"
-    told = f"Measured as in diagnose: means over about a second at {clock}, gaps left out."
+    clock = f"at the clock that was found (meter {first.delay_s:+.2f} s, lag {first.lag_s:.2f} s)"
+    if not first.aligned:
+        clock = "clocks as logged"
+    told = f"Measured as in diagnose: means over about a second, {clock}, gaps left out."
     if done.compared is None:
         return told
     one = done.compared
-    return (f"{told} missionsim compare takes clocks and rows as logged; of the file written it says "
+    rows = "clocks and rows" if first.aligned else "rows"
+    return (f"{told} missionsim compare takes {rows} as logged; of the file written it says "
             f"{one.energy_error_pct:.2f} % and {one.power_rmse_w:.3g} W on these runs.")

@@ -50,6 +50,8 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
                       f"{_watts(where.bias_w)} W against the meter"))
     edge = ("; at the edge of what is searched: check the clocks" if battery.clock_at_edge else "")
     clock = f"meter {battery.delay_s:+.2f} s behind the motion, lag {battery.lag_s:.2f} s (applied{edge})"
+    if not battery.aligned:
+        clock = "taken as logged, as asked"
     lines.append(("CLOCK", clock))
     lines.append(("NOISE", _noise(battery)))
     for effect in battery.effects:
@@ -62,6 +64,8 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
             lines.append(("UNSURE", unsure_line(effect)))
     for experiment in battery.next_experiments:
         lines.append(("NEXT", next_line(experiment)))
+    if not battery.next_experiments and any(e.indistinguishable_from for e in battery.effects):
+        lines.append(("NEXT", "no manoeuvre that we know, driven for three minutes, tells these apart"))
     lines.append(("NOT SEEN", _not_seen(battery)))
     lines.append(("REMAINS", _remains(battery)))
     shifts = [s for s in battery.recalibration if abs(s.shift_in_prior_sd) >= 1.0]
@@ -70,7 +74,7 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         lines.append(("BASE", f"recalibrated, no discovery: {told}"))
     for heldout in (battery.heldout, battery.shifted):
         if heldout is not None:
-            lines.append(("HELD-OUT", heldout_line(heldout)))
+            lines.append(("HELD-OUT", heldout_line(heldout, bool(battery.effects))))
     if battery.heldout is None:
         count = len(battery.runs)
         lines.append(("HELD-OUT", f"nothing held out ({count} run{'s' * (count != 1)}): how the model does on runs "
@@ -111,17 +115,22 @@ def unsure_line(effect: Finding) -> str:
 
 def next_line(experiment: Experiment) -> str:
     """A proposed manoeuvre."""
+    minutes = f"{experiment.minutes:.0f} min"
+    long = "" if minutes in experiment.do else f" ({minutes})"
     if not math.isfinite(experiment.separation_after):
-        return f"{experiment.do} ({experiment.minutes:.0f} min)"
-    return (f"{experiment.do} ({experiment.minutes:.0f} min): to tell {' from '.join(experiment.separates)}, predicted "
+        return experiment.do + long
+    return (f"{experiment.do}{long}: to tell {' from '.join(experiment.separates)}, predicted "
             f"separation {experiment.separation_now:.1f} -> {experiment.separation_after:.0f} nats, resolves with "
             f"probability {experiment.expected_power:.2f}")
 
 
-def heldout_line(heldout: HeldOut) -> str:
-    """Errors on held-out runs."""
+def heldout_line(heldout: HeldOut, found: bool = True) -> str:
+    """Errors on held-out runs; with `found`, those with the effects as well."""
     e, p = heldout.energy_error_pct, heldout.power_rmse_w
     kind = "other conditions" if heldout.shifted else "same kind"
+    if not found:
+        return (f"{heldout.how} ({kind}): energy error {e['nominal']:.2f} -> {e['recalibrated']:.2f} % (recalibrated); "
+                f"power RMSE {p['nominal']:.3g} -> {p['recalibrated']:.3g} W")
     return (f"{heldout.how} ({kind}): energy error {e['nominal']:.2f} -> {e['recalibrated']:.2f} (recalibrated) -> "
             f"{e['with_effects']:.2f} % (with the effects); power RMSE {p['nominal']:.3g} -> "
             f"{p['recalibrated']:.3g} -> {p['with_effects']:.3g} W")
@@ -139,7 +148,7 @@ def _noise(battery: BatteryDiagnosis) -> str:
     n = battery.noise
     told = f"{_watts(n['sd_w']).lstrip('+')} W ({100 * n['sd_w'] / battery.mean_power_w:.1f} % of the mean power)"
     if n["fast_share"] + n["slow_share"] > 0.5:
-        told += f", lasting {n['fast_s']:.2g} to {n['slow_s']:.2g} s"
+        told += f", lasting {n['fast_s']:.0f} to {n['slow_s']:.0f} s"
     return (f"{told}; runs differ by ±{_watts(n['offset_w']).lstrip('+')} W and ±{100 * n['gain']:.1f} % (meter), "
             f"±{100 * n['motion_gain']:.1f} % of the power (drive)")
 
@@ -147,7 +156,8 @@ def _noise(battery: BatteryDiagnosis) -> str:
 def _not_seen(battery: BatteryDiagnosis) -> str:
     limits = [
         (c.smallest_detectable_share, c.effect) for c in battery.candidates
-        if not c.accepted and c.smallest_detectable_share is not None and math.isfinite(c.smallest_detectable_share)
+        if not (c.accepted or c.open or c.smallest_detectable_share is None)
+        and math.isfinite(c.smallest_detectable_share)
     ]
     blind = [name for share, name in limits if share >= BLIND_SHARE]
     limits = sorted((share, name) for share, name in limits if share < BLIND_SHARE)

@@ -62,8 +62,8 @@ def _where(one: BatteryComparison, console: Any) -> None:
     if not rows:
         return
     table = _table(f"Where it fails, battery {one.battery}")
-    table.add_column("quantity", max_width=26)
-    table.add_column("value", max_width=24)
+    table.add_column("quantity", max_width=26, overflow="fold")
+    table.add_column("value", max_width=24, overflow="fold")
     for heading in ("explains %", "bias W", "time s", "sq. error %", "gap Wh"):
         table.add_column(heading, justify="right")
     for where in rows:
@@ -85,7 +85,7 @@ def _behaviour(one: BatteryComparison, console: Any) -> None:
         f"+ behaviour {_signed(gap['behaviour'])} Wh", markup=False,
     )
     table = _table("Behaviour against the plan")
-    table.add_column("scheme", max_width=26)
+    table.add_column("scheme", max_width=26, overflow="fold")
     for heading in ("way ×", "speed ×", "dwell s", *(f"{name} Wh" for name in ("way", "speed", "stand", "rest"))):
         table.add_column(heading, justify="right")
     for scheme in one.mission.schemes:
@@ -102,7 +102,7 @@ def _runs(one: BatteryComparison, console: Any) -> None:
     shown = sorted(one.runs, key=lambda run: -abs(run.energy_error_pct))[:RUN_ROWS]
     more = f", the {RUN_ROWS} worst of {len(one.runs)}" if len(one.runs) > RUN_ROWS else ""
     table = _table(f"Runs, battery {one.battery}{more}")
-    table.add_column("run", max_width=40)
+    table.add_column("run", max_width=40, overflow="fold")
     for heading in ("time s", "measured Wh", "model Wh", "error %", "RMSE W"):
         table.add_column(heading, justify="right")
     for run in [run for run in one.runs if run in shown]:

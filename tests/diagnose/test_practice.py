@@ -33,6 +33,9 @@ def test_confounded_names_both_and_proposes_to_vary_one(shared: Path, case: str)
     assert "payload" in told
     assert "surface_rolling_resistance" in told
     assert "cannot tell" in told
+    excluded = dict(words.report(found))["NOT SEEN"]
+    assert "payload" not in excluded
+    assert "surface_rolling_resistance" not in excluded
     experiment = found.next_experiments[0]
     varied = {name for name in ("payload_kg", "surface") if len({part.get(name) for part in experiment.manoeuvre}) > 1}
     assert len(varied) == 1
@@ -46,6 +49,7 @@ def test_a_form_that_the_library_does_not_have_is_not_named(shared: Path) -> Non
     assert found.verdict == "unexplained_structure"
     assert "turning_scrub" not in {effect.effect for effect in found.effects}
     assert "yaw_rate_rad_s" in found.unexplained.depends_on
+    assert "turning_scrub" not in dict(words.report(found))["NOT SEEN"]  # it acts, only not in the library's form
     assert any("turn" in e.do or "circles" in e.do for e in found.next_experiments)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -54,6 +55,26 @@ def test_found() -> None:
     assert "energy error 4.60 -> 2.70 (recalibrated) -> 1.20 % (with the effects)" in told
     assert "BASE recalibrated, no discovery: c3 +4.2 % (+1.4 sd)" in told
     assert "radio_range (needs access_point_distance_m)" in told
+
+
+def test_nothing_is_excluded_of_what_may_be_the_cause() -> None:
+    rival = Judged("surface_rolling_resistance", False, "these data cannot tell it from payload", 0.004, open=True)
+    unsure = replace(BATTERY, effects=(PAYLOAD,), candidates=(*BATTERY.candidates, rival))
+    lines = words.report(unsure)
+    assert "surface_rolling_resistance" not in dict(lines)["NOT SEEN"]
+    assert ("NEXT", "no manoeuvre that we know, driven for three minutes, tells these apart") in lines
+
+
+def test_without_effects_there_is_no_error_with_them() -> None:
+    line = dict(words.report(replace(BATTERY, effects=())))["HELD-OUT"]
+    assert line == ("the last 2 runs of 8 (same kind): energy error 4.60 -> 2.70 % (recalibrated); "
+                    "power RMSE 4.6 -> 2.7 W")
+
+
+def test_a_duration_is_told_once() -> None:
+    still = Experiment(("time_s",), "stand still, 3 min", math.nan, math.nan, math.nan, 3.0)
+    assert words.next_line(still) == "stand still, 3 min"
+    assert words.next_line(replace(still, do="turn, 1 min each")) == "turn, 1 min each (3 min)"
 
 
 def test_a_set_of_two_is_never_called_the_cause() -> None:
