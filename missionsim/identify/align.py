@@ -215,41 +215,43 @@ class _Alignment:
     curves: Array
     measured_w: Array
     keep: float
-    later: NDArray[np.intp]
-    """Bins with one before them in the same stretch."""
+    known: Array
+    """1 where a bin has one before it in the same stretch, 0 elsewhere, but for the first bin of all."""
     firsts: NDArray[np.intp]
-    """Place in `later` at which each run begins."""
+    """First bin of each run."""
 
     @classmethod
     def of(cls, runs: Sequence[RunColumns], step_s: float) -> _Alignment:
         """Everything that does not depend on the clock."""
-        later, firsts, total, count = [], [], 0, 0
-        for run in runs:
-            inside = np.delete(np.arange(len(run.bins.measured_w)), run.bins.starts)
-            later.append(inside + total)
-            firsts.append(count)
-            count += len(inside)
-            total += len(run.bins.measured_w)
+        firsts = np.concatenate([[0], np.cumsum([len(run.bins.measured_w) for run in runs])])
         measured = np.concatenate([run.bins.measured_w for run in runs])
+        known = np.ones(len(measured))
+        for run, first in zip(runs, firsts[:-1], strict=True):
+            known[first + run.bins.starts] = 0.0
         curves = integral_curves([run.values for run in runs])
-        places = np.concatenate(later), np.asarray(firsts, dtype=np.intp)
-        return cls(intervals_of(runs), curves, measured, 0.85**step_s, *places)
+        return cls(intervals_of(runs), curves, measured, 0.85**step_s, known[1:], firsts[:-1])
 
     def score(self, delay_s: float, lag_s: float) -> float:
         """Log-likelihood of differenced rows, every column in."""
         weights = self.intervals.weights(np.full(len(self.firsts), delay_s), lag_s)
-        means = self.intervals.means(self.curves, weights)
-        rows = np.column_stack([self.measured_w - means[:, 0], means])
-        white = rows[self.later] - self.keep * rows[self.later - 1]
-        counts = np.diff(self.firsts, append=len(white))
-        least = CONSTANT * np.sum(white * white, axis=0)
-        own = np.add.reduceat(white, self.firsts, axis=0) / counts[:, None]
-        white -= np.repeat(own, counts, axis=0)
-        white[:, np.sum(white * white, axis=0) < least] = 0.0
+        rows = self.intervals.means(self.curves, weights)
+        white = np.empty((len(rows) - 1, rows.shape[1] + 1))
+        np.subtract(rows[1:], self.keep * rows[:-1], out=white[:, 1:])
+        residual = self.measured_w - rows[:, 0]
+        white[:, 0] = residual[1:] - self.keep * residual[:-1]
+        white *= self.known[:, None]
+        least = CONSTANT * np.einsum("ij,ij->j", white, white)
+        begins = np.maximum(self.firsts - 1, 0)
+        counts = np.add.reduceat(self.known, begins)
+        own = np.add.reduceat(white, begins, axis=0) / counts[:, None]
+        white -= np.repeat(own, np.diff(begins, append=len(white)), axis=0) * self.known[:, None]
         full = white.T @ white
+        constant = np.diag(full) < least
+        full[constant] = 0.0
+        full[:, constant] = 0.0
         size = np.sqrt(np.maximum(np.diag(full), 1e-300))
         normal = full / size[:, None] / size[None, :]
         inner = normal[1:, 1:] + 1e-6 * np.eye(len(normal) - 1)
         rss = normal[0, 0] - normal[0, 1:] @ np.linalg.solve(inner, normal[0, 1:])
-        freedom = len(white) - len(counts)
+        freedom = self.known.sum() - len(counts)
         return float(-0.5 * freedom * np.log(max(rss, 1e-12) * full[0, 0]))

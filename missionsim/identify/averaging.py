@@ -189,11 +189,10 @@ class Intervals:
 
     def _covered(self, left: NDArray[np.int32], s: Array, weight: Array) -> Array:
         mean = (left + s) @ weight
-        return np.asarray(mean[self.low_at + 1] - mean[self.low_at])
+        return np.asarray(np.diff(mean).take(self.low_at))
 
     def _means(self, whole: Array, covered: Array) -> Array:
-        difference = whole[self.low_at + 1]
-        difference -= whole[self.low_at]
+        difference = (whole[1:] - whole[:-1]).take(self.low_at, axis=0)
         # at the ends of the log a delayed column is known for a part of the interval only; a constant stays one
         difference /= np.maximum(covered, self.least)[:, None]
         return difference

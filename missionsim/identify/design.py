@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.align import Clock, EvenGrid, RunColumns, find_clock, intervals_of, make_bins
+from missionsim.identify.align import Bins, Clock, EvenGrid, RunColumns, find_clock, intervals_of, make_bins
 from missionsim.identify.averaging import Intervals, Weights, integral_curves
 from missionsim.identify.data import DEFAULT_PRIOR_SD, Array, Candidate, RunData, Settings
 
@@ -99,6 +99,33 @@ class Design:
         return out
 
 
+@dataclass(frozen=True)
+class Frame:
+    """What a design holds for any clock: measured power, times, and where runs and stretches lie."""
+
+    y: Array
+    duration_s: Array
+    time_s: Array
+    runs: tuple[slice, ...]
+    stretches: tuple[slice, ...]
+
+    @classmethod
+    def of(cls, bins: Sequence[Bins]) -> Frame:
+        """Intervals of all runs one after the other."""
+        runs: list[slice] = []
+        stretches: list[slice] = []
+        total = 0
+        for b in bins:
+            count = len(b.measured_w)
+            runs.append(slice(total, total + count))
+            ends = [*(total + b.starts[1:]), total + count]
+            stretches += [slice(int(total + first), int(end)) for first, end in zip(b.starts, ends, strict=True)]
+            total += count
+        low, high = np.concatenate([b.low_s for b in bins]), np.concatenate([b.high_s for b in bins])
+        y = np.concatenate([b.measured_w for b in bins])
+        return cls(y, high - low, 0.5 * (high + low), tuple(runs), tuple(stretches))
+
+
 @dataclass
 class Source:
     """Runs at the raw rate, kept so that the design can be rebuilt for another clock or other columns."""
@@ -112,6 +139,7 @@ class Source:
     kept: tuple[int, ...] = ()
     """Numbers of the given runs that were long enough."""
     _even: list[EvenGrid] | None = None
+    _frame: Frame | None = None
     _grid: Intervals | None = None
     _kept_base: Array | None = None
     _kept_curves: dict[tuple[int, ...], Array] = field(default_factory=dict)
@@ -122,33 +150,27 @@ class Source:
         q = len(self.layout.parameters)
         chosen = list(range(len(self.layout.columns))) if only is None else list(only)
         grid = self._intervals()
-        here = grid.means(self._curves((*range(HEAD_ROWS + q), *(HEAD_ROWS + q + k for k in chosen))),
-                          self._weights(clock)).T  # fmt: skip
+        curves = self._curves((*range(HEAD_ROWS + q), *(HEAD_ROWS + q + k for k in chosen)))
+        here = np.ascontiguousarray(grid.means(curves, self._weights(clock)).T)
         run_delay = clock.delay_s + np.asarray(clock.run_delay_s)
         later, earlier = (grid.means_of_one(self._base_curve(), run_delay + shift, clock.lag_s)
                           for shift in (DERIVATIVE_STEP_S, -DERIVATIVE_STEP_S))  # fmt: skip
-        base, motion, switching, spread = np.ascontiguousarray(here[:HEAD_ROWS])
+        base, motion, switching, spread = here[:HEAD_ROWS]
         slope = (later - earlier) / (2 * DERIVATIVE_STEP_S)
         bend = (later - 2 * base + earlier) / DERIVATIVE_STEP_S**2
         scale = np.array([self.layout.mean_power_w / self.layout.columns[k].watts_per_unit for k in chosen])
-        bins = [run.bins for run in self.columns]
-        low, high = (np.concatenate([getattr(b, name) for b in bins]) for name in ("low_s", "high_s"))
-        runs: list[slice] = []
-        stretches: list[slice] = []
-        total = 0
-        for b in bins:
-            count = len(b.measured_w)
-            runs.append(slice(total, total + count))
-            ends = [*(total + b.starts[1:]), total + count]
-            stretches += [slice(int(total + first), int(end)) for first, end in zip(b.starts, ends, strict=True)]
-            total += count
+        frame = self._rows()
         return Design(
-            self.layout, np.concatenate([b.measured_w for b in bins]), base, high - low, 0.5 * (high + low),
+            self.layout, frame.y, base, frame.duration_s, frame.time_s,
             np.vstack([here[HEAD_ROWS : HEAD_ROWS + q], slope, bend, spread, switching]),
-            np.ascontiguousarray(here[HEAD_ROWS + q :]) * scale[:, None],
-            np.vstack([np.ones(total), base, motion, slope, bend]),
-            tuple(runs), tuple(stretches), tuple(r.run for r in self.runs),
+            here[HEAD_ROWS + q :] * scale[:, None], np.vstack([np.ones_like(base), base, motion, slope, bend]),
+            frame.runs, frame.stretches, tuple(r.run for r in self.runs),
         )  # fmt: skip
+
+    def _rows(self) -> Frame:
+        if self._frame is None:
+            self._frame = Frame.of([run.bins for run in self.columns])
+        return self._frame
 
     def averaged(self, raw: Sequence[Array], clock: Clock) -> Array:
         """Any raw columns, one array (k, rows) a run, averaged to the analysis rate with a clock, shape (k, n)."""
