@@ -150,7 +150,7 @@ def directions() -> Rows:
 
 
 def fidelity() -> Rows:
-    """Rover: error of each fidelity level (computing times are in the picture, they depend on the machine)."""
+    """Rover: error of each fidelity level (times depend on the machine: `FidelityModel.measure`)."""
     from missionsim.fidelity import LEVELS, FidelityModel
 
     model = FidelityModel(rover2025.predictor(), (0.5, 9.0))

@@ -9,6 +9,7 @@ from missionsim.spec.checker import Checker, Where
 from missionsim.spec.environment import EnvironmentSpec
 from missionsim.spec.mission import MissionSpec
 from missionsim.spec.robot import RobotSpec
+from missionsim.spec.segments import flat_segments
 from missionsim.spec.tree import Document, dotted
 
 
@@ -129,13 +130,9 @@ class RouteCheck:
 
     def _lost_before(self, segment: Any) -> bool:
         """Whether a movement off the map comes before this segment in the file."""
-
-        def flat(items: Sequence[Any]) -> list[Any]:
-            return [leaf for item in items for leaf in (flat(item.segments) if item.kind == "repeat" else [item])]
-
         return any(
             item.kind in ("arc", "move") or (item.kind == "drive" and item.distance is not None)
-            for item in flat(self.mission.segments)
+            for item in flat_segments(self.mission.segments)
         )
 
     def reachable(self, start: str) -> set[str]:

@@ -231,6 +231,15 @@ def test_results_are_fresh(root: Path, items: dict[str, list[Item]]) -> None:
     assert {path.name for path in folder.iterdir()} == set(made) | pictures
 
 
+def test_pictures_are_the_same_from_run_to_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from missionsim.published.pictures import PICTURES, draw
+
+    # the one that could show times
+    monkeypatch.setitem(PICTURES, "rover2025", [item for item in PICTURES["rover2025"] if item[0] == "fidelity"])
+    (once,), (again,) = (draw("rover2025", tmp_path / name) for name in "ab")
+    assert once.read_bytes() == again.read_bytes()
+
+
 def test_command_writes_json_tables_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert run_command(["reproduce", "rover_tx2", "--out", str(out), "--json", str(tmp_path / "r.json")]) == 0
