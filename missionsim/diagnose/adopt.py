@@ -196,7 +196,7 @@ def _supported(seen: Examined, fitted: Identification, effect: str) -> tuple[boo
     told = f"{effect} is not supported by these logs: {searched.reason}"
     if not right_sign:
         told += "; its coefficient comes out with the wrong sign"
-    if np.isfinite(limit):
+    if np.isfinite(limit) and effect not in seen.found.demoted:
         told += f"; less than {100 * limit:.1f} % of the energy would not be seen"
     return False, told
 

@@ -13,6 +13,7 @@ import numpy as np
 from missionsim.diagnose.adapter import effects_of, judged, noise_of, recalibrated
 from missionsim.diagnose.execution import ExecutionEffect, execution_effects, seen_once, told_of
 from missionsim.diagnose.experiments import Bench, propose, to_learn
+from missionsim.diagnose.factor import LEVEL_SHARE, level_told, without_factor
 from missionsim.diagnose.features import Features, at_size, make_features
 from missionsim.diagnose.findings import (
     BatteryDiagnosis,
@@ -193,11 +194,15 @@ def diagnose(
 
 @dataclass(frozen=True)
 class Examined:
-    """Features of fitted and held-out runs, and what the identification found in the fitted ones."""
+    """Features of fitted and held-out runs, and what the identification found in the fitted ones.
+
+    ``factor`` says that one factor on the whole model took the place of the effects.
+    """
 
     features: Features
     heldout: Features | None
     found: Identification
+    factor: bool = False
 
 
 def examine(subject: Subject, split: Split, battery: str, settings: Settings) -> Examined:
@@ -226,7 +231,8 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings) ->
             found = identify(features.runs, features.candidates, features.prior_sd, settings)
     except ValueError as error:
         raise InputError.single(f"battery '{battery}': {error}") from error
-    return Examined(features, tested, found)
+    plain = without_factor(found)
+    return Examined(features, tested, plain, plain is not found)
 
 
 def _limited(found: Identification, features: Features) -> dict[str, float]:
@@ -271,7 +277,7 @@ def diagnose_battery(
     verdict = found.verdict
     if verdict == "nothing_missing" and execution:
         verdict = "effects_found"
-    level = level_difference(found, features.runs)
+    level = "" if seen.factor else level_difference(found, features.runs)
     if level and verdict == "nothing_missing":
         # the meter's offset of each run would take it up in silence
         verdict = "unexplained_structure"
@@ -283,17 +289,13 @@ def diagnose_battery(
     return BatteryDiagnosis(
         battery, verdict, effects, (*judged(found), *told_of(driven)), recalibrated(found, features), own.delay_s,
         own.lag_s, own.at_edge, noise_of(found), untestable,
-        Unexplained(left.share_of_residual, tuple(left.depends_on), "; ".join(t for t in (left.shape, level) if t)),
+        Unexplained(left.share_of_residual, tuple(left.depends_on), "; ".join(t for t in (level, left.shape) if t)),
         _next(subject, seen, effects, settings), None if tested is None else tested.summary,
         _shifted(seen), execution, found.mean_power_w, tuple(run.run for run in features.runs),
         float(sum(np.sum(run.dt_s) for run in features.runs)), tuple(dict.fromkeys(remarks)), _confounding(found),
         _where(subject, split, battery), _series(found, clock), found.choice.model.clock,
         found.choice.model.source.aligned,
     )  # fmt: skip
-
-
-LEVEL_SHARE = 0.10
-"""A difference of the energies in all runs, beyond recalibration and effects, that no good meter makes."""
 
 
 def level_difference(found: Identification, runs: Sequence[RunData]) -> str:
@@ -305,9 +307,7 @@ def level_difference(found: Identification, runs: Sequence[RunData]) -> str:
     errors = np.array([run.energy_error[2] for run in heldout(found, runs).runs])
     if not (np.all(errors > LEVEL_SHARE) or np.all(errors < -LEVEL_SHARE)):
         return ""
-    factor = 1.0 / (1.0 + float(np.median(errors)))
-    return (f"the meter reads {factor:.3g} times what the model gives in every run, whatever the robot does: check the "
-            "units of the log and the robot file, or look for a load that is always on")
+    return level_told(1.0 / (1.0 + float(np.median(errors))))
 
 
 def _renamed(log: Any, taken: set[str]) -> Any:

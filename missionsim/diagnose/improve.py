@@ -169,7 +169,8 @@ def _why(last: BatteryDiagnosis, declined: Sequence[str]) -> str:
     if unsure:
         names = " or ".join((unsure[0].effect, *unsure[0].indistinguishable_from))
         drive = f" Drive next: {last.next_experiments[0].do}." if last.next_experiments else ""
-        return f"these data cannot tell {names}, so neither is added.{drive}"
+        none = "neither" if len(unsure[0].indistinguishable_from) == 1 else "none of them"
+        return f"these data cannot tell {names}, so {none} is added.{drive}"
     if last.verdict == "unexplained_structure":
         return f"something remains that the library does not contain: {last.unexplained.shape}."
     if declined:

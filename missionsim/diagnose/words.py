@@ -29,8 +29,10 @@ def headline(battery: BatteryDiagnosis) -> str:
                     "tell which.")  # fmt: skip
     if driven:
         said.append("The robot drove otherwise than planned: " + "; ".join(_execution(f) for f in driven) + ".")
-    if battery.verdict == "unexplained_structure":
-        on = ", ".join(battery.unexplained.depends_on) or "nothing that is logged"
+    if battery.verdict == "unexplained_structure" and not battery.unexplained.depends_on:
+        said.append(f"Battery {name}: {battery.unexplained.shape}.")
+    elif battery.verdict == "unexplained_structure":
+        on = ", ".join(battery.unexplained.depends_on)
         also = "also " if battery.effects else ""
         said.append(f"Battery {name}: something is {also}missing that the library does not contain; it varies with "
                     f"{on} ({battery.unexplained.shape}).")
@@ -149,6 +151,8 @@ def _noise(battery: BatteryDiagnosis) -> str:
     told = f"{_watts(n['sd_w']).lstrip('+')} W ({100 * n['sd_w'] / battery.mean_power_w:.1f} % of the mean power)"
     if n["fast_share"] + n["slow_share"] > 0.5:
         told += f", lasting {n['fast_s']:.0f} to {n['slow_s']:.0f} s"
+    if len(battery.runs) < 2:
+        return told
     return (f"{told}; runs differ by ±{_watts(n['offset_w']).lstrip('+')} W and ±{100 * n['gain']:.1f} % (meter), "
             f"±{100 * n['motion_gain']:.1f} % of the power (drive)")
 

@@ -20,6 +20,7 @@ from missionsim.fit.provenance import data_tag
 from missionsim.fit.refit import refit_robot
 from missionsim.identify.data import Settings
 from missionsim.logs import LogTable, read_logs
+from missionsim.spec.edit import robot_text
 from missionsim.spec.loading import robot_from_text
 from tests.hidden_effects.study import ALL_CASES
 from tests.hidden_effects.world import make
@@ -116,6 +117,20 @@ def test_the_file_with_one_of_two_missing_effects_fits_as_it_is(tmp_path: Path) 
         error[name] = compare_files(str(path), [tmp_path / "logs"]).batteries[BATTERY]
     assert abs(error["after"].energy_error_pct) < 2.0
     assert error["after"].power_rmse_w < 0.9 * error["before"].power_rmse_w
+
+
+def test_two_effects_are_fitted_together_whatever_their_order() -> None:
+    logs = [with_payload(drive(seed, seconds=240.0, scrub_w_s_rad=6.0), 2.0 * (seed % 2)) for seed in range(4)]
+    text, split = robot_text("pioneer3dx"), Split(tuple(logs), (), "")
+    robot = robot_from_text(text)
+    seen = examine(Subject.of(robot), split, BATTERY, Settings())
+    together = {e.effect: e.parameters[0].value for e in seen.found.effects}
+    assert set(together) == {"turning_scrub", "payload"}
+    made = adopt(text, robot, split, "payload", BATTERY, Settings(), beside=("turning_scrub",))
+    for name, expected in base_values(seen.features, seen.found).items():
+        assert made.base[name] == pytest.approx(expected), name
+    effects = {e.effect: e.parameters["k"].value for e in robot_from_text(made.text).effects}
+    assert effects == pytest.approx(together, rel=1e-6)
 
 
 def test_improve_lowers_the_error_of_a_calibrated_robot() -> None:

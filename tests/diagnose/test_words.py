@@ -49,7 +49,9 @@ def test_found() -> None:
     told = text(BATTERY)
     assert "WHERE slope 2 to 4 °: 40 % of the squared error" in told
     assert "CLOCK meter +0.30 s behind the motion, lag 0.30 s (applied)" in told
-    assert "NOISE 0.40 W (3.1 % of the mean power), lasting 4 to 40 s; runs differ by ±0.18 W and ±1.0 %" in told
+    assert "NOISE 0.40 W (3.1 % of the mean power), lasting 4 to 40 s\n" in told  # of one run nothing is known beyond
+    several = text(replace(BATTERY, runs=("run_00", "run_01")))
+    assert "lasting 4 to 40 s; runs differ by ±0.18 W and ±1.0 % (meter), ±0.8 % of the power (drive)\n" in several
     assert "grade: 3.3 % of energy (95 % 3.0 to 3.6); k = 0.98 (95 % 0.95 to 1.01)" in told
     assert "aerodynamic_drag < 1.1 % of energy; these data say nothing of conversion_loss" in told
     assert "energy error 4.60 -> 2.70 (recalibrated) -> 1.20 % (with the effects)" in told

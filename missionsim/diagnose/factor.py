@@ -1,0 +1,65 @@
+"""One factor on everything: wrong units, another robot's file, a meter of another kind; no missing effect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from missionsim.identify.gram import project
+from missionsim.identify.result import Identification
+
+LEVEL_SHARE = 0.10
+"""A difference of the energies in all runs, beyond recalibration and effects, that no good meter makes."""
+AS_MUCH = 0.9
+"""A single factor that explains this part of what the effects explain is the simpler answer."""
+
+
+def level_told(factor: float) -> str:
+    """In words, that meter and model differ by a factor."""
+    return (f"the meter reads {factor:.3g} times what the model gives in every run, whatever the robot does: check the "
+            "units of the log and the robot file, or look for a load that is always on")
+
+
+def common_factor(found: Identification) -> tuple[float, float]:
+    """The factor on the whole model that fits best, and the part of the effects' gain that it alone makes.
+
+    Both are judged with the noise of the model that has the effects, base parameters and differences between runs
+    integrated out, so that a factor within the priors counts for nothing.
+    """
+    model = found.choice.model
+    design = model.design
+    seen = project(design, model.noise, np.vstack([design.residual, design.base]), ())
+    left, base = np.hstack([seen.rows, seen.pseudo])
+    size = float(base @ base)
+    if not model.chosen or size <= 0.0:
+        return 1.0, 0.0
+    product = float(left @ base)
+    gain = model.gram.gain(model.chosen)
+    return 1.0 + product / size, 0.5 * product**2 / size / gain if gain > 0.0 else 0.0
+
+
+def without_factor(found: Identification) -> Identification:
+    """The same findings; effects that only make up for one factor on the whole model are not named.
+
+    Friction, a standing load and what components draw, each with its own size, imitate a meter that reads 1.5 times too
+    much. A factor says the same with one number.
+    """
+    if not found.effects:
+        return found
+    factor, part = common_factor(found)
+    if abs(factor - 1.0) < LEVEL_SHARE or part < AS_MUCH:
+        return found
+    names = {e.effect for e in found.effects} | set(found.demoted)
+    effects = " and ".join(e.effect for e in found.effects)
+    told = (f"the meter reads {factor:.3g} times what the model gives, whatever the robot does, which explains as much "
+            f"as {effects} would: check the units of the log, the meter and the robot file")
+    candidates = tuple(
+        replace(c, accepted=False, reason=f"a factor of {factor:.3g} on the whole model explains as much")
+        if c.effect in names else c
+        for c in found.candidates
+    )
+    left = found.unexplained
+    shape = "; ".join(text for text in (told, left.shape) if text)
+    return replace(found, verdict="unexplained_structure", effects=(), candidates=candidates,
+                   demoted=tuple(sorted(names)), unexplained=replace(left, depends_on=(), shape=shape))  # fmt: skip
