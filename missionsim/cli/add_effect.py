@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from missionsim.cli.common import check_search, console, emit_json, shows_text, tell_logs
 from missionsim.cli.diagnose import HoldoutOption, RobotOption
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
 
 if TYPE_CHECKING:
     from missionsim.logs import LogTable
@@ -25,7 +25,7 @@ def add_effect(
     out: Annotated[Path, Parameter(name="--out")],
     battery: Annotated[str | None, Parameter(name="--battery")] = None,
     holdout: HoldoutOption = None,
-    alpha: Annotated[float, Parameter(name="--alpha")] = 0.01,
+    alpha: Annotated[float, Parameter(name="--alpha")] = FALSE_ALARM_RATE,
     force: Annotated[bool, Parameter(name="--force", negative="")] = False,
     keep_base: Annotated[bool, Parameter(name="--keep-base", negative="")] = False,
     no_align: Annotated[bool, Parameter(name="--no-align", negative="")] = False,
@@ -51,7 +51,7 @@ def add_effect(
     holdout
         Runs that are not fitted; see diagnose.
     alpha
-        Family-wise rate of false alarms.
+        Family-wise rate of false alarms; 0.01 names more small effects, and more wrong ones.
     force
         Write it even if the logs do not support it.
     keep_base

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from missionsim.cli.common import check_search, console, emit_json, shows_text
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
 
 if TYPE_CHECKING:
     from missionsim.diagnose.findings import Diagnosis
@@ -25,7 +25,7 @@ def diagnose(
     mission: MissionOption = None,
     holdout: HoldoutOption = None,
     battery: Annotated[str | None, Parameter(name="--battery")] = None,
-    alpha: Annotated[float, Parameter(name="--alpha")] = 0.01,
+    alpha: Annotated[float, Parameter(name="--alpha")] = FALSE_ALARM_RATE,
     no_align: Annotated[bool, Parameter(name="--no-align", negative="")] = False,
     report: ReportOption = None,
     json: JsonOption = None,
@@ -48,7 +48,7 @@ def diagnose(
     battery
         Only this battery.
     alpha
-        Family-wise rate of false alarms.
+        Family-wise rate of false alarms; 0.01 names more small effects, and more wrong ones.
     no_align
         Take the clocks of meter and motion as they are, for logs that were aligned already.
     report

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from missionsim.cli.common import check_search, console, emit_json, shows_text, simple_table, tell_logs
 from missionsim.cli.diagnose import HoldoutOption, ReportOption, RobotOption
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
 
 if TYPE_CHECKING:
     from missionsim.diagnose.findings import BatteryDiagnosis, Finding
@@ -23,7 +23,7 @@ def improve(
     out: Annotated[Path, Parameter(name="--out")],
     battery: Annotated[str | None, Parameter(name="--battery")] = None,
     holdout: HoldoutOption = None,
-    alpha: Annotated[float, Parameter(name="--alpha")] = 0.01,
+    alpha: Annotated[float, Parameter(name="--alpha")] = FALSE_ALARM_RATE,
     yes: Annotated[bool, Parameter(name="--yes", negative="")] = False,
     no_align: Annotated[bool, Parameter(name="--no-align", negative="")] = False,
     report: ReportOption = None,
@@ -47,7 +47,7 @@ def improve(
     holdout
         Runs that are not fitted but tested on; see diagnose. By default the last quarter of four or more runs.
     alpha
-        Family-wise rate of false alarms.
+        Family-wise rate of false alarms; 0.01 names more small effects, and more wrong ones.
     yes
         Add every effect that was identified, without asking.
     no_align

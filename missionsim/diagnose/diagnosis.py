@@ -34,7 +34,7 @@ from missionsim.effects.base import Effect
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.identify.align import Clock
-from missionsim.identify.data import RunData, Settings
+from missionsim.identify.data import ALPHA, RunData, Settings
 from missionsim.identify.heldout import heldout
 from missionsim.identify.identify import identify
 from missionsim.identify.result import Identification
@@ -108,7 +108,7 @@ class Subject:
 
 def diagnose_files(
     robot: str | Path, logs: Sequence[str | Path], *, holdout: str | Sequence[str | Path] | None = None,
-    mission: str | Path | None = None, battery: str | None = None, alpha: float = 0.01, align: bool = True,
+    mission: str | Path | None = None, battery: str | None = None, alpha: float = ALPHA, align: bool = True,
 ) -> Diagnosis:
     """Diagnose from files.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from missionsim.identify.data import Candidate, Settings
 from missionsim.identify.design import Layout, Source
-from missionsim.identify.gates import Evidence, nats_needed, overdispersion, tails, weigh
+from missionsim.identify.gates import SEVERAL_RUNS, Evidence, nats_needed, overdispersion, tails, weigh
 from missionsim.identify.gram import make_gram
 from missionsim.identify.model import Model, fit_model, log_likelihood
 from missionsim.identify.search import Rules, best_set, single_gains
@@ -33,6 +33,8 @@ FORM_LOSS = 0.2
 FAINT = 0.015
 CLEAR_NATS = 10.0
 """Beside a loud effect its misfit passes for others of up to this part of its gain, but not for clear ones."""
+ONCE_NATS = 30.0
+"""What changes a single time in one or two runs must be this clear: slow noise takes such steps too."""
 CLOSE = 0.6
 """The second best is fitted too when it reaches this part of the best."""
 
@@ -129,6 +131,8 @@ def _next_step(
             # noise refitted on both sides: an effect must not live on a noise model of its own
             weighed[c].passed["likelihood"] &= rise > LEAST_RISE
             weighed[c].passed["plain error"] = plain_error(fitted) < PLAIN_RISE * plain_error(model)
+            if len(fitted.design.runs) < SEVERAL_RUNS:
+                weighed[c].passed["changes"] = weighed[c].gain > ONCE_NATS or changes(fitted, c, candidates) > 1
             weighed[c].passed["beyond form"] = _beyond_form(fitted, c, weighed[c].gain, found, candidates)
         if all(e.accepted for e in weighed.values()):
             options.append((rise, Choice(fitted, found.empty, spread, weighed, refused)))
@@ -141,6 +145,15 @@ def _next_step(
     best = max(options, key=lambda o: o[0])[1]
     best.refused.update(refused)
     return best
+
+
+def changes(model: Model, column: int, candidates: Sequence[Candidate]) -> int:
+    """How often the covariate of a column changes within the runs; one change comes with all else that changes then."""
+    name = candidates[model.design.layout.columns[column].candidate].covariate
+    values = [np.asarray(run.covariates[name]) for run in model.source.runs if name in run.covariates]
+    if not values:
+        return 2
+    return sum(int(np.count_nonzero(np.diff(v[np.isfinite(v)]))) for v in values)
 
 
 def _beyond_form(

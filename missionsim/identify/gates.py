@@ -21,6 +21,8 @@ UNSURE_NATS = 2.0
 """The prediction of left-out runs is itself uncertain by this much; runs that agree with each other then decide."""
 FEW_BETTER = 3
 """Runs that a clear gain of prediction must come from: an effect of the weather shows in the cold runs alone."""
+SEVERAL_RUNS = 3
+"""From here on runs test each other."""
 LOUD = 0.3
 """A block with this part of the information leaves too few degrees of freedom for a test with it."""
 
@@ -166,7 +168,7 @@ def _robust(model: Model, column: int, others: Sequence[int], settings: Settings
     block_sd, block_p = _clustered(x, e, blocks, share, info, known)
     block_p = min(block_p, 2.0 * _beside_the_loudest(x, p.rows[0], blocks))
     run_p = float("nan")
-    if len(design.runs) >= 3:
+    if len(design.runs) >= SEVERAL_RUNS:
         _, run_p = _clustered(x, e, design.run_index(), share, info, known)
     return share, max(block_sd, float(np.sqrt(1.0 / info))), block_p, run_p
 

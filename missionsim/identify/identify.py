@@ -293,6 +293,7 @@ GATE_WORDS = {
     "robust": "not significant with errors that allow for correlated noise",
     "practical": "significant but negligible",
     "repeated in the runs": "seen as differences between runs that do not repeat well enough",
+    "changes": "what it depends on changes only once in these runs, and much else may have changed then",
     "plain error": "helps only with gains of single runs that make up for it",
     "beyond form": "corrects the form of a similar effect in the model, no more",
     "beyond recalibration": "within what recalibration of the base model allows",
