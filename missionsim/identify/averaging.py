@@ -147,16 +147,21 @@ class Intervals:
         from scipy.sparse import csr_array
 
         left, s, weight = self._places(delay_s, lag_s)
-        data = np.empty((*s.shape, 4))
-        data[..., 0] = power = weight
+        covered = self._covered(left, s, weight)
+        data = np.empty((s.shape[1], len(weight), 4))
+        data[:, :, 0] = weight
+        power = weight[:, None] * s
         for i in range(1, 4):
-            power = power * s
-            data[..., i] = power
+            data[:, :, i] = power.T
+            power *= s
         count, total = len(self.edges_s), self.rows
-        at = left[..., None] + np.arange(0, 4 * total, total, dtype=np.int32)
+        at = np.empty(data.shape, dtype=np.int32)
+        for i in range(4):
+            at[:, :, i] = left.T
+            left += total
         ends = np.arange(count + 1, dtype=np.int32) * np.int32(4 * len(weight))
         matrix = csr_array((data.ravel(), at.ravel(), ends), shape=(count, 4 * total))
-        return Weights(matrix, self._covered(left, s, weight))
+        return Weights(matrix, covered)
 
     def means(self, curves: Array, weights: Weights) -> Array:
         """Mean of columns over every interval, shape (intervals, k), from their `integral_curves`."""
@@ -170,25 +175,24 @@ class Intervals:
         for i in (2, 1, 0):
             whole *= s
             whole += curve[i].take(left)
-        return self._means((whole @ weight)[:, None], self._covered(left, s, weight))[:, 0]
+        return self._means((weight @ whole)[:, None], self._covered(left, s, weight))[:, 0]
 
     def _places(self, delay_s: Array, lag_s: float) -> tuple[NDArray[np.int32], Array, Array]:
-        """Stacked row and place in it at every edge and node of the lag, shapes (edges, nodes); weights (nodes,)."""
+        """Stacked row and place in it at every node of the lag and edge, shapes (nodes, edges); weights (nodes,)."""
         nodes = np.array(LAG_NODES if lag_s > 0 else ((0.0, 1.0),))
         edge = self.at_edges
-        late = ((self.edges_s - delay_s[self.run] - edge.start_s) / edge.step_s)[:, None]
-        position = late - (lag_s / edge.step_s)[:, None] * nodes[:, 0]
-        size = edge.rows[:, None]
+        late = (self.edges_s - delay_s[self.run] - edge.start_s) / edge.step_s
+        position = late - nodes[:, :1] * (lag_s / edge.step_s)
         np.maximum(position, 0.0, out=position)
-        np.minimum(position, size, out=position)
+        np.minimum(position, edge.rows, out=position)
         left = position.astype(np.int32)
-        np.minimum(left, size - 1, out=left)
+        np.minimum(left, edge.rows - 1, out=left)
         position -= left
-        left += edge.first[:, None]
+        left += edge.first
         return left, position, nodes[:, 1]
 
     def _covered(self, left: NDArray[np.int32], s: Array, weight: Array) -> Array:
-        mean = (left + s) @ weight
+        mean = weight @ (left + s)
         return np.asarray(np.diff(mean).take(self.low_at))
 
     def _means(self, whole: Array, covered: Array) -> Array:
