@@ -38,13 +38,25 @@ def _finding(one: FoundEffect, found: Identification, features: Features, tested
 def judged(found: Identification) -> tuple[Judged, ...]:
     """Every candidate with its reason and its detection limit."""
     rival_of = {rival: one.effect for one in found.effects for rival in one.indistinguishable_from}
+    doubtful = _doubtful(found)
     return tuple(
         Judged(c.effect, c.accepted,
                f"these data cannot tell it from {rival_of[c.effect]}" if c.effect in rival_of else c.reason,
                c.smallest_detectable_share if math.isfinite(c.smallest_detectable_share) else None,
-               c.effect in rival_of or c.effect in found.demoted)
+               c.effect in rival_of or c.effect in found.demoted, doubtful.get(c.effect))
         for c in found.candidates
     )  # fmt: skip
+
+
+def _doubtful(found: Identification) -> dict[str, float]:
+    """Energy shares of the effects that the identification has in its model but does not name."""
+    model = found.choice.model
+    shares: dict[str, float] = {}
+    for k in model.chosen:
+        effect = found.library[model.design.layout.columns[k].candidate].effect
+        if effect in found.demoted:
+            shares[effect] = shares.get(effect, 0.0) + found.choice.evidence[k].share
+    return shares
 
 
 def recalibrated(found: Identification, features: Features) -> tuple[Recalibrated, ...]:
@@ -59,6 +71,16 @@ def recalibrated(found: Identification, features: Features) -> tuple[Recalibrate
     return tuple(sorted(rows, key=lambda row: -abs(row.shift_in_prior_sd)))
 
 
+def confounding(found: Identification) -> dict[str, dict[str, float]]:
+    """How alike each effect found is to others, as correlations."""
+    names = [effect.effect for effect in found.effects]
+    rows: dict[str, dict[str, float]] = {}
+    for pair in found.pairs:
+        if pair.a in names and math.isfinite(pair.r):
+            rows.setdefault(pair.a, {})[pair.b] = pair.r
+    return rows
+
+
 def noise_of(found: Identification) -> dict[str, float]:
     """Noise and differences between runs."""
     noise, shape = found.noise, found.choice.model.noise
@@ -70,4 +92,4 @@ def noise_of(found: Identification) -> dict[str, float]:
     }
 
 
-__all__ = ["effects_of", "judged", "noise_of", "recalibrated"]
+__all__ = ["confounding", "effects_of", "judged", "noise_of", "recalibrated"]

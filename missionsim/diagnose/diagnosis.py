@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.diagnose.adapter import effects_of, judged, noise_of, recalibrated
+from missionsim.diagnose.adapter import confounding, effects_of, judged, noise_of, recalibrated
 from missionsim.diagnose.execution import ExecutionEffect, execution_effects, seen_once, told_of
 from missionsim.diagnose.experiments import Bench, propose, to_learn
-from missionsim.diagnose.factor import LEVEL_SHARE, level_told, without_factor
+from missionsim.diagnose.factor import level_difference, without_factor
 from missionsim.diagnose.features import Features, at_size, make_features
 from missionsim.diagnose.findings import (
     BatteryDiagnosis,
@@ -34,8 +33,7 @@ from missionsim.effects.base import Effect
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.identify.align import Clock
-from missionsim.identify.data import ALPHA, RunData, Settings
-from missionsim.identify.heldout import heldout
+from missionsim.identify.data import ALPHA, Settings
 from missionsim.identify.identify import identify
 from missionsim.identify.result import Identification
 from missionsim.identify.shape import at_shapes
@@ -285,29 +283,29 @@ def diagnose_battery(
     if timeline is not None:
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
     own, left = found.clock, found.unexplained
-    remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks, *seen_once(driven)]
+    remarks = [*describe([*split.train, *split.heldout]), *_counted_off(subject, split, battery), *features.remarks,
+               *found.remarks, *seen_once(driven)]
     return BatteryDiagnosis(
         battery, verdict, effects, (*judged(found), *told_of(driven)), recalibrated(found, features), own.delay_s,
         own.lag_s, own.at_edge, noise_of(found), untestable,
         Unexplained(left.share_of_residual, tuple(left.depends_on), "; ".join(t for t in (level, left.shape) if t)),
         _next(subject, seen, effects, settings), None if tested is None else tested.summary,
         _shifted(seen), execution, found.mean_power_w, tuple(run.run for run in features.runs),
-        float(sum(np.sum(run.dt_s) for run in features.runs)), tuple(dict.fromkeys(remarks)), _confounding(found),
+        float(sum(np.sum(run.dt_s) for run in features.runs)), tuple(dict.fromkeys(remarks)), confounding(found),
         _where(subject, split, battery), _series(found, clock), found.choice.model.clock,
         found.choice.model.source.aligned,
     )  # fmt: skip
 
 
-def level_difference(found: Identification, runs: Sequence[RunData]) -> str:
-    """In words, that model and meter differ by much in all runs, whatever the robot does; empty where they do not.
-
-    An unknown offset and gain of the meter in each run are part of the noise model. They are for per cents: wrong
-    units, another robot's file or a large constant load must not hide in them.
-    """
-    errors = np.array([run.energy_error[2] for run in heldout(found, runs).runs])
-    if not (np.all(errors > LEVEL_SHARE) or np.all(errors < -LEVEL_SHARE)):
-        return ""
-    return level_told(1.0 / (1.0 + float(np.median(errors))))
+def _counted_off(subject: Subject, split: Split, battery: str) -> list[str]:
+    """In words, components of the base that no log has a column of."""
+    logged = {name for log in (*split.train, *split.heldout) for name in log.columns}
+    used = {term.effect.covariate for term in subject.model.of(battery) if term.base}
+    lacking = sorted(name[3:] for name in used if name.startswith("on_") and name not in logged)
+    if not lacking:
+        return []
+    return [f"no column {', '.join(f'on_{name}' for name in lacking)}: {', '.join(lacking)} count"
+            f"{'s' * (len(lacking) == 1)} as switched off"]
 
 
 def _renamed(log: Any, taken: set[str]) -> Any:
@@ -374,15 +372,6 @@ def _shifted(seen: Examined) -> HeldOut | None:
     how = f"the {count} run{'s' * (count > 1)} with most {covariate} left out and predicted"
     names = [effect.effect for effect in found.effects]
     return on_left_out(found.choice, [features.runs[i].run for i in held], features.candidates, how, names)
-
-
-def _confounding(found: Identification) -> dict[str, dict[str, float]]:
-    names = [effect.effect for effect in found.effects]
-    rows: dict[str, dict[str, float]] = {}
-    for pair in found.pairs:
-        if pair.a in names and math.isfinite(pair.r):
-            rows.setdefault(pair.a, {})[pair.b] = pair.r
-    return rows
 
 
 def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:

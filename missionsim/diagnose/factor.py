@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from missionsim.identify.data import RunData
 from missionsim.identify.gram import project
+from missionsim.identify.heldout import heldout
 from missionsim.identify.result import Identification
 
 LEVEL_SHARE = 0.10
@@ -63,3 +66,15 @@ def without_factor(found: Identification) -> Identification:
     shape = "; ".join(text for text in (told, left.shape) if text)
     return replace(found, verdict="unexplained_structure", effects=(), candidates=candidates,
                    demoted=tuple(sorted(names)), unexplained=replace(left, depends_on=(), shape=shape))  # fmt: skip
+
+
+def level_difference(found: Identification, runs: Sequence[RunData]) -> str:
+    """In words, that model and meter differ by much in all runs, whatever the robot does; empty where they do not.
+
+    An unknown offset and gain of the meter in each run are part of the noise model. They are for per cents: wrong
+    units, another robot's file or a large constant load must not hide in them.
+    """
+    errors = np.array([run.energy_error[2] for run in heldout(found, runs).runs])
+    if not (np.all(errors > LEVEL_SHARE) or np.all(errors < -LEVEL_SHARE)):
+        return ""
+    return level_told(1.0 / (1.0 + float(np.median(errors))))

@@ -102,6 +102,7 @@ class Judged:
     """A candidate and why it was taken or not.
 
     ``open``: not taken, but part of what was found or remains may be its work, so that nothing is excluded.
+    ``doubtful_share``: energy share of one that helps but is not named, because of its form or what else remains.
     """
 
     effect: str
@@ -109,6 +110,7 @@ class Judged:
     reason: str
     smallest_detectable_share: float | None
     open: bool = False
+    doubtful_share: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields."""

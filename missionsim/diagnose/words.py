@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 
 from missionsim.diagnose.execution import TOLD
-from missionsim.diagnose.findings import BatteryDiagnosis, Experiment, Finding, HeldOut
+from missionsim.diagnose.findings import BatteryDiagnosis, Experiment, Finding, HeldOut, Judged
 from missionsim.diagnose.waterfall import heldout_note
 
 MOST_NOT_SEEN = 8
+RECALIBRATION_SD = 4.0
+"""Prior standard deviations up to which a shift of a base parameter is recalibration (`Settings`)."""
 BLIND_SHARE = 0.5
 """Detection limits from here on mean that the data say nothing of an effect."""
 
@@ -41,6 +43,8 @@ def headline(battery: BatteryDiagnosis) -> str:
     if not said:
         least = _smallest_limits(battery)
         said.append(f"Battery {name}: no evidence of anything missing above the detection limits{least}.")
+    if battery.clock_at_edge:
+        said.append("The clocks of meter and motion lie further apart than what is searched: check them first.")
     return " ".join(said)
 
 
@@ -64,16 +68,14 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
     for effect in battery.effects:
         if effect.indistinguishable_from:
             lines.append(("UNSURE", unsure_line(effect)))
+    lines += [("DOUBTFUL", doubtful_line(c)) for c in battery.candidates if c.doubtful_share is not None]
     for experiment in battery.next_experiments:
         lines.append(("NEXT", next_line(experiment)))
     if not battery.next_experiments and any(e.indistinguishable_from for e in battery.effects):
         lines.append(("NEXT", "no manoeuvre that we know, driven for three minutes, tells these apart"))
     lines.append(("NOT SEEN", _not_seen(battery)))
     lines.append(("REMAINS", _remains(battery)))
-    shifts = [s for s in battery.recalibration if abs(s.shift_in_prior_sd) >= 1.0]
-    if shifts:
-        told = ", ".join(f"{s.parameter} {s.shift_pct:+.1f} % ({s.shift_in_prior_sd:+.1f} sd)" for s in shifts[:6])
-        lines.append(("BASE", f"recalibrated, no discovery: {told}"))
+    lines += [("BASE", line) for line in _base(battery)]
     for heldout in (battery.heldout, battery.shifted):
         if heldout is not None:
             lines.append(("HELD-OUT", heldout_line(heldout, bool(battery.effects))))
@@ -99,6 +101,25 @@ def found_line(effect: Finding) -> str:
     runs = f", p over runs {effect.p_runs:.1g}" if math.isfinite(effect.p_runs) else ""
     return (f"{effect.effect}: {100 * effect.energy_share:.1f} % of energy{interval}; {numbers}; {effect.level}, "
             f"p = {effect.p_value:.1g}{runs}")
+
+
+def doubtful_line(candidate: Judged) -> str:
+    """An effect that helps, but whose name is not vouched for."""
+    share = 0.0 if candidate.doubtful_share is None else candidate.doubtful_share
+    return f"{candidate.effect}: {100 * share:.1f} % of energy; not named: {candidate.reason}"
+
+
+def _base(battery: BatteryDiagnosis) -> list[str]:
+    """Shifts of base parameters: those within what is known of them, and those beyond."""
+    shifts = [s for s in battery.recalibration if abs(s.shift_in_prior_sd) >= 1.0][:6]
+    lines = []
+    for beyond, said in ((False, "recalibrated, no discovery"),
+                         (True, "further off than its sd allows, and no effect takes its place; check file and logs")):
+        told = [f"{s.parameter} {s.shift_pct:+.1f} % ({s.shift_in_prior_sd:+.1f} sd)" for s in shifts
+                if (abs(s.shift_in_prior_sd) > RECALIBRATION_SD) == beyond]  # fmt: skip
+        if told:
+            lines.append(f"{said}: {', '.join(told)}")
+    return lines
 
 
 def unsure_line(effect: Finding) -> str:

@@ -73,6 +73,27 @@ def test_without_effects_there_is_no_error_with_them() -> None:
                     "power RMSE 4.6 -> 2.7 W")
 
 
+def test_a_base_that_is_far_off_is_no_mere_recalibration() -> None:
+    far = replace(BATTERY.recalibration[0], parameter="kinect.power", shift_pct=-21.0, shift_in_prior_sd=-7.0)
+    lines = [line for heading, line in words.report(replace(BATTERY, recalibration=(far, *BATTERY.recalibration)))
+             if heading == "BASE"]  # fmt: skip
+    assert lines[0] == "recalibrated, no discovery: c3 +4.2 % (+1.4 sd)"
+    assert lines[1].startswith("further off than its sd allows")
+    assert lines[1].endswith("kinect.power -21.0 % (-7.0 sd)")
+
+
+def test_what_helps_but_is_not_named_is_told() -> None:
+    doubtful = Judged("standby_load", False, "helps, but its form is not right", 0.04, True, 0.152)
+    lines = words.report(replace(BATTERY, candidates=(doubtful,)))
+    assert ("DOUBTFUL", "standby_load: 15.2 % of energy; not named: helps, but its form is not right") in lines
+    assert "standby_load" not in dict(lines)["NOT SEEN"]
+
+
+def test_clocks_at_the_edge_are_part_of_the_headline() -> None:
+    quiet = replace(BATTERY, verdict="nothing_missing", effects=(), clock_at_edge=True)
+    assert words.headline(quiet).endswith("further apart than what is searched: check them first.")
+
+
 def test_a_duration_is_told_once() -> None:
     still = Experiment(("time_s",), "stand still, 3 min", math.nan, math.nan, math.nan, 3.0)
     assert words.next_line(still) == "stand still, 3 min"
