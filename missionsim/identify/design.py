@@ -138,6 +138,10 @@ class Source:
     aligned: bool = False
     kept: tuple[int, ...] = ()
     """Numbers of the given runs that were long enough."""
+    _root: Source | None = None
+    """The source that this one varies, and the integral curves of the columns that differ."""
+    _varied: dict[int, Array] = field(default_factory=dict)
+    _kept_design: tuple[tuple[Clock, tuple[int, ...]], Design] | None = None
     _even: list[EvenGrid] | None = None
     _frame: Frame | None = None
     _grid: Intervals | None = None
@@ -145,10 +149,35 @@ class Source:
     _kept_curves: dict[tuple[int, ...], Array] = field(default_factory=dict)
     _kept_weights: tuple[Clock, Weights] | None = None
 
+    def with_column(self, column: int, layout: Layout, rows: Sequence[Array]) -> Source:
+        """The same runs with one column, an array (rows,) for each run, evaluated anew; the rest is shared."""
+        root = self._root or self
+        curve = integral_curves([
+            grid.on(np.asarray(values, dtype=float)[None, :])
+            for grid, values in zip(root._grids(), rows, strict=True)
+        ])  # fmt: skip
+        return Source(self.runs, self.columns, self.covariates, layout, self.clock, self.aligned, self.kept,
+                      _root=root, _varied={**self._varied, column: curve})  # fmt: skip
+
     def design(self, clock: Clock, only: Sequence[int] | None = None) -> Design:
         """Build the regression for a clock, with all candidate columns or some only."""
+        chosen = tuple(range(len(self.layout.columns))) if only is None else tuple(only)
+        root = self._root or self
+        found = root._kept_design[1] if root._kept_design and root._kept_design[0] == (clock, chosen) else None
+        if found is None:
+            found = root._built(clock, chosen)
+            root._kept_design = ((clock, chosen), found)
+        if root is self:
+            return found
+        phi = found.phi.copy()
+        for place, k in enumerate(chosen):
+            if k in self._varied:
+                means = root._intervals().means(self._varied[k], root._weights(clock))[:, 0]
+                phi[place] = means * (self.layout.mean_power_w / self.layout.columns[k].watts_per_unit)
+        return replace(found, layout=self.layout, phi=phi)
+
+    def _built(self, clock: Clock, chosen: Sequence[int]) -> Design:
         q = len(self.layout.parameters)
-        chosen = list(range(len(self.layout.columns))) if only is None else list(only)
         grid = self._intervals()
         curves = self._curves((*range(HEAD_ROWS + q), *(HEAD_ROWS + q + k for k in chosen)))
         here = np.ascontiguousarray(grid.means(curves, self._weights(clock)).T)
@@ -174,11 +203,15 @@ class Source:
 
     def averaged(self, raw: Sequence[Array], clock: Clock) -> Array:
         """Any raw columns, one array (k, rows) a run, averaged to the analysis rate with a clock, shape (k, n)."""
+        root = self._root or self
+        finite = [np.nan_to_num(np.asarray(rows, dtype=float)) for rows in raw]
+        even = [grid.on(rows) for grid, rows in zip(root._grids(), finite, strict=True)]
+        return np.ascontiguousarray(root._intervals().means(integral_curves(even), root._weights(clock)).T)
+
+    def _grids(self) -> list[EvenGrid]:
         if self._even is None:
             self._even = [EvenGrid.of(run) for run in self.runs]
-        finite = [np.nan_to_num(np.asarray(rows, dtype=float)) for rows in raw]
-        even = [grid.on(rows) for grid, rows in zip(self._even, finite, strict=True)]
-        return np.ascontiguousarray(self._intervals().means(integral_curves(even), self._weights(clock)).T)
+        return self._even
 
     def _intervals(self) -> Intervals:
         if self._grid is None:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from missionsim.identify.align import RunColumns
 from missionsim.identify.data import Array, Candidate, RunData, Settings
-from missionsim.identify.design import HEAD_ROWS, Column, Source
+from missionsim.identify.design import Column, Source
 from missionsim.identify.gates import nats_needed, tails, weigh
 from missionsim.identify.model import Model, fit_model, score, shares
 from missionsim.identify.search import Rules
@@ -200,17 +199,9 @@ def _limits(
 def _replaced(source: Source, column: int, candidate: Candidate, shape: Mapping[str, float]) -> Source:
     """The same runs with one column evaluated at another shape."""
     assert candidate.refit is not None
-    raw = candidate.refit(shape)
-    position = HEAD_ROWS + len(source.layout.parameters) + column
-    columns: list[RunColumns] = []
-    energy, seconds = 0.0, 0.0
-    for run, old, values in zip(source.runs, source.columns, _matching(source, raw), strict=True):
-        one = RunColumns.of(run, old.bins, [np.asarray(values, dtype=float)])
-        changed = old.values.copy()
-        changed[position] = one.values[0]
-        columns.append(RunColumns(old.bins, old.start_s, old.step_s, changed))
-        energy += float(np.sum(np.abs(values) * run.dt_s))
-        seconds += float(np.sum(run.dt_s))
+    rows = _matching(source, candidate.refit(shape))
+    energy = sum(float(np.sum(np.abs(values) * run.dt_s)) for run, values in zip(source.runs, rows, strict=True))
+    seconds = sum(float(np.sum(run.dt_s)) for run in source.runs)
     mean = energy / seconds
     if not mean > 0:
         return source
@@ -218,7 +209,7 @@ def _replaced(source: Source, column: int, candidate: Candidate, shape: Mapping[
     numbered[column] = replace(numbered[column], watts_per_unit=mean, mix=_mix(candidate, shape),
                                exact=exact_name(candidate.effect), shape=tuple(shape.items()))
     layout = replace(source.layout, columns=tuple(numbered))
-    return Source(source.runs, columns, source.covariates, layout, source.clock, source.aligned, source.kept)
+    return source.with_column(column, layout, rows)
 
 
 def exact_name(effect: str) -> str:

@@ -98,6 +98,38 @@ def test_kept_curves_change_nothing() -> None:
         assert np.array_equal(getattr(fresh.design(clocks[0]), name), getattr(again, name))
 
 
+def test_a_varied_column_is_like_a_source_made_with_it() -> None:
+    """Alone and on top of another varied column, for two clocks; everything else stays."""
+    runs = make_runs(1, count=3)
+    source = make_source(runs, library(), {}, Settings(align=False))
+    names = [c.name for c in source.layout.columns]
+    first, second = 1, 3
+    clocks = [replace(source.clock, delay_s=d, lag_s=t, run_delay_s=(0.1, 0.0, -0.1)) for d, t in ((0, 0), (0.2, 0.3))]
+    before = [source.design(c) for c in clocks]
+    changed = {k: [np.sqrt(np.abs(run.columns[names[k]])) for run in runs] for k in (first, second)}
+    columns = list(source.layout.columns)
+    varied, expected = source, runs
+    for k, rows in changed.items():
+        columns[k] = replace(columns[k], watts_per_unit=0.7 + k)
+        varied = varied.with_column(k, replace(source.layout, columns=tuple(columns)), rows)
+        expected = [replace(run, columns=dict(run.columns) | {names[k]: own})
+                    for run, own in zip(expected, rows, strict=True)]  # fmt: skip
+    made = make_source(expected, library(), {}, Settings(align=False), like=varied)
+    for clock, old in zip(clocks, before, strict=True):
+        for only in (None, [second, 0, first]):
+            mine, other = varied.design(clock, only), made.design(clock, only)
+            assert mine.layout is varied.layout
+            for name in ("y", "base", "gradient", "random"):
+                assert np.array_equal(getattr(mine, name), getattr(other, name))
+            untouched = [p for p, k in enumerate(only or range(len(names))) if k not in changed]
+            assert mine.phi[untouched] == pytest.approx(other.phi[untouched], rel=1e-12)
+        assert np.array_equal(source.design(clock).phi, old.phi)
+    whole = [varied.design(clocks[1]).phi[k] for k in changed]
+    raw = [varied.averaged([own[None, :] for own in changed[k]], clocks[1])[0] for k in changed]
+    for k, mine, own in zip(changed, whole, raw, strict=True):
+        assert mine == pytest.approx(own * source.layout.mean_power_w / (0.7 + k), rel=1e-12)
+
+
 SHAPE = (1.0, 5.0, 80.0, 0.5, 0.3)
 
 
