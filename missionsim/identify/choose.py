@@ -35,6 +35,7 @@ CLEAR_NATS = 10.0
 """Beside a loud effect its misfit passes for others of up to this part of its gain, but not for clear ones."""
 ONCE_NATS = 30.0
 """What changes a single time in one or two runs must be this clear: slow noise takes such steps too."""
+CLOSE_NATS = 8.0
 CLOSE = 0.6
 """The second best is fitted too when it reaches this part of the best."""
 
@@ -142,9 +143,23 @@ def _next_step(
     found.refused.update(refused)
     if not options:
         return None
-    best = max(options, key=lambda o: o[0])[1]
+    best = _best(options)
     best.refused.update(refused)
     return best
+
+
+def _best(options: Sequence[tuple[float, Choice]]) -> Choice:
+    """The option with the highest likelihood; those that come close are compared with the noise of each in turn.
+
+    Noise that is fitted separately differs by a few nats by chance, more than v2 and v3 often differ.
+    """
+    top = max(rise for rise, _ in options)
+    close = [choice for rise, choice in options if rise > top - CLOSE_NATS]
+
+    def common(choice: Choice) -> float:
+        return sum(other.model.gram.gain(choice.model.chosen) for other in close)
+
+    return max(close, key=common)
 
 
 def changes(model: Model, column: int, candidates: Sequence[Candidate]) -> int:
