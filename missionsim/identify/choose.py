@@ -11,7 +11,7 @@ from missionsim.identify.data import Candidate, Settings
 from missionsim.identify.design import Layout, Source
 from missionsim.identify.gates import SEVERAL_RUNS, Evidence, nats_needed, overdispersion, tails, weigh
 from missionsim.identify.gram import make_gram
-from missionsim.identify.model import Model, fit_model, log_likelihood
+from missionsim.identify.model import Model, blunted, fit_model, log_likelihood
 from missionsim.identify.search import Rules, best_set, single_gains
 from missionsim.identify.shape import bend
 
@@ -36,6 +36,9 @@ CLEAR_NATS = 10.0
 ONCE_NATS = 30.0
 """What changes a single time in one or two runs must be this clear: slow noise takes such steps too."""
 CLOSE_NATS = 8.0
+STEEPER = 0.05
+"""What the steeper of two curves may lack of the gain, because slow rows blunt it more (between the most, `BLUNTED`,
+and nothing)."""
 CLOSE = 0.6
 """The second best is fitted too when it reaches this part of the best."""
 
@@ -143,23 +146,32 @@ def _next_step(
     found.refused.update(refused)
     if not options:
         return None
-    best = _best(options)
+    best = _best(options, found.model.chosen, candidates)
     best.refused.update(refused)
     return best
 
 
-def _best(options: Sequence[tuple[float, Choice]]) -> Choice:
+def _best(options: Sequence[tuple[float, Choice]], before: Sequence[int], candidates: Sequence[Candidate]) -> Choice:
     """The option with the highest likelihood; those that come close are compared with the noise of each in turn.
 
     Noise that is fitted separately differs by a few nats by chance, more than v2 and v3 often differ.
     """
     top = max(rise for rise, _ in options)
     close = [choice for rise, choice in options if rise > top - CLOSE_NATS]
-
-    def common(choice: Choice) -> float:
-        return sum(other.model.gram.gain(choice.model.chosen) for other in close)
-
-    return max(close, key=common)
+    best = close[0]
+    for other in close[1:]:
+        lead = sum(m.gram.gain(other.model.chosen) - m.gram.gain(best.model.chosen) for m in (best.model, other.model))
+        sets = [set(c.model.chosen) for c in (other, best)]
+        new = [sets[0] - sets[1], sets[1] - sets[0]]
+        if len(new[0]) == len(new[1]) == 1:
+            a, b = (next(iter(n)) for n in new)
+            about = [candidates[best.model.design.layout.columns[k].candidate].covariate for k in (a, b)]
+            if about[0] == about[1]:
+                size = sum(m.gram.gain(best.model.chosen) - m.gram.gain(before) for m in (best.model, other.model))
+                lead += STEEPER * size * (int(blunted(best.model, a, b)) - int(blunted(best.model, b, a)))
+        if lead > 0:
+            best = other
+    return best
 
 
 def changes(model: Model, column: int, candidates: Sequence[Candidate]) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 
 from missionsim.identify.data import Candidate, Settings
 from missionsim.identify.gram import Gram
-from missionsim.identify.model import Model
+from missionsim.identify.model import BLUNTED, Model, blunted
 from missionsim.identify.remainder import ramps, steady
 from missionsim.identify.result import Pair
 from missionsim.identify.search import Rules, all_sets, set_gains, single_gains
@@ -79,11 +79,12 @@ def _close_ones(
     base = gram.gain(rest)
     gain = gram.gain(model.chosen) - base
     found: dict[int, float] = {}
+    column_of: dict[int, int] = {}
     singles = single_gains(gram, rules, rest)
     for k, value in enumerate(singles):
         other = int(rules.effect[k])
-        if other != effect and np.isfinite(value) and value > 0:
-            found[other] = max(found.get(other, -np.inf), float(value))
+        if other != effect and np.isfinite(value) and value > found.get(other, 0.0):
+            found[other], column_of[other] = float(value), k
     if len(own) == 1 and len(rest) <= 1:
         for other, value in _pairs_without(gram, rules, rest, effect, settings).items():
             found[other] = max(found.get(other, -np.inf), value - base - EXTRA_EFFECT_NATS * spread)
@@ -93,6 +94,8 @@ def _close_ones(
         loss = (settings.rival_loss if same else settings.noisy_rival_loss) * gain
         if candidates[other].covariate == "slope_rad" and not same:
             loss *= NOISY_SLOPE
+        if same and other in column_of and blunted(model, column_of[other], own[0]):
+            loss += BLUNTED * gain
         if gain - value < max(ODDS_NATS * spread, loss):
             close[other] = gain - value
     return close

@@ -10,12 +10,14 @@ import numpy as np
 
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Array
-from missionsim.identify.design import Design, Source
+from missionsim.identify.design import SLOW_ROWS_S, Design, Source
 from missionsim.identify.gram import Gram, eliminate_random, make_gram, project, random_effects, raw_blocks
 from missionsim.identify.noise import Noise, fit_noise, start_noise
 from missionsim.identify.whitening import start_factor
 
 LARGEST_RUN_DELAY_S = 0.6
+BLUNTED = 0.08
+"""Most of a steep curve's gain that the noise of slow rows takes from it beyond what a flatter one loses (measured)."""
 UNUSUAL_GAIN = 0.03
 USUAL_GAIN = 0.015
 """Where the fit begins once single runs differ by more than meters and drives do."""
@@ -46,6 +48,18 @@ class Model:
     def innovations(self) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
         """Whitened residual, shape (n,)."""
         return np.asarray(project(self.design, self.noise, self.design.residual[None, :], self.chosen).rows[0])
+
+
+def blunted(model: Model, column: int, other: int) -> bool:
+    """Whether the noise of the log takes more from `column` than from `other`, a flatter curve over the same quantity.
+
+    Slow rows do not average the noise of their speed; it pulls v3 down more than v2 (errors in variables).
+    """
+    if min(run.step_s for run in model.source.columns) < SLOW_ROWS_S:
+        return False
+    rows = np.abs(model.design.phi[[column, other]])
+    steep = np.mean(rows**2, axis=1) / np.maximum(np.mean(rows, axis=1), 1e-300) ** 2
+    return bool(steep[0] > steep[1])
 
 
 def score(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> float:
