@@ -9,7 +9,7 @@ import numpy as np
 
 from missionsim.identify.data import Candidate, Settings
 from missionsim.identify.design import Layout, Source
-from missionsim.identify.gates import SEVERAL_RUNS, Evidence, nats_needed, overdispersion, tails, weigh
+from missionsim.identify.gates import BESIDE, SEVERAL_RUNS, Evidence, nats_needed, overdispersion, tails, weigh
 from missionsim.identify.gram import make_gram
 from missionsim.identify.model import Model, blunted, fit_model, log_likelihood
 from missionsim.identify.search import Rules, best_set, single_gains
@@ -131,9 +131,13 @@ def _next_step(
         if hidden is not None and trial[-1] == hidden and hidden not in first_of:
             weighed[hidden].passed["repeated in the runs"] = weighed[hidden].p_runs < REPEATED
         rise = log_likelihood(fitted) - before
+        more = fitted.gram.gain(trial) - fitted.gram.gain(model.chosen)
         for c in set(trial) - set(model.chosen):
             # noise refitted on both sides: an effect must not live on a noise model of its own
             weighed[c].passed["likelihood"] &= rise > LEAST_RISE
+            if model.chosen:
+                limit = spread * nats_needed(BESIDE * float(tails(rules, settings, effects, True)[c]))
+                weighed[c].passed["likelihood"] &= min(more, weighed[c].gain) > limit
             weighed[c].passed["plain error"] = plain_error(fitted) < PLAIN_RISE * plain_error(model)
             if len(fitted.design.runs) < SEVERAL_RUNS:
                 weighed[c].passed["changes"] = weighed[c].gain > ONCE_NATS or changes(fitted, c, candidates) > 1
@@ -146,12 +150,20 @@ def _next_step(
     found.refused.update(refused)
     if not options:
         return None
-    best = _best(options, found.model.chosen, candidates)
+    best = _best(options, found.model.chosen, candidates, rules)
     best.refused.update(refused)
     return best
 
 
-def _best(options: Sequence[tuple[float, Choice]], before: Sequence[int], candidates: Sequence[Candidate]) -> Choice:
+def _shapes(choice: Choice, rules: Rules) -> float:
+    """Nats that a set owes to the grids its columns were picked from: each grid is one effect, not several."""
+    grids = [np.sum(rules.effect == rules.effect[k]) for k in choice.model.chosen if not rules.joint[k]]
+    return float(np.sum(np.log(grids)))
+
+
+def _best(
+    options: Sequence[tuple[float, Choice]], before: Sequence[int], candidates: Sequence[Candidate], rules: Rules
+) -> Choice:
     """The option with the highest likelihood; those that come close are compared with the noise of each in turn.
 
     Noise that is fitted separately differs by a few nats by chance, more than v2 and v3 often differ.
@@ -160,7 +172,8 @@ def _best(options: Sequence[tuple[float, Choice]], before: Sequence[int], candid
     close = [choice for rise, choice in options if rise > top - CLOSE_NATS]
     best = close[0]
     for other in close[1:]:
-        lead = sum(m.gram.gain(other.model.chosen) - m.gram.gain(best.model.chosen) for m in (best.model, other.model))
+        lead = 2.0 * (_shapes(best, rules) - _shapes(other, rules))
+        lead += sum(m.gram.gain(other.model.chosen) - m.gram.gain(best.model.chosen) for m in (best.model, other.model))
         sets = [set(c.model.chosen) for c in (other, best)]
         new = [sets[0] - sets[1], sets[1] - sets[0]]
         if len(new[0]) == len(new[1]) == 1:
