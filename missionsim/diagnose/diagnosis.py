@@ -26,6 +26,7 @@ from missionsim.diagnose.findings import (
     Where,
 )
 from missionsim.diagnose.heldout import Tested, on_heldout, on_left_out, prediction
+from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
 from missionsim.diagnose.priors import priors_of
 from missionsim.diagnose.split import Split, choose_split
@@ -192,10 +193,8 @@ def diagnose(
 
 @dataclass(frozen=True)
 class Examined:
-    """Features of fitted and held-out runs, and what the identification found in the fitted ones.
-
-    ``factor`` says that one factor on the whole model took the place of the effects.
-    """
+    """Features of fitted and held-out runs, what the identification found in the fitted ones, and whether one factor on
+    the whole model took the place of the effects."""
 
     features: Features
     heldout: Features | None
@@ -229,7 +228,7 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings) ->
             found = identify(features.runs, features.candidates, features.prior_sd, settings)
     except ValueError as error:
         raise InputError.single(f"battery '{battery}': {error}") from error
-    plain = without_factor(found)
+    plain = without_factor(found, features.runs, features.prior_sd)
     return Examined(features, tested, plain, plain is not found)
 
 
@@ -275,20 +274,24 @@ def diagnose_battery(
     verdict = found.verdict
     if verdict == "nothing_missing" and execution:
         verdict = "effects_found"
-    level = "" if seen.factor else level_difference(found, features.runs)
+    level = "" if seen.factor else level_difference(found, features.runs, features.prior_sd)
     if level and verdict == "nothing_missing":
-        # the meter's offset of each run would take it up in silence
-        verdict = "unexplained_structure"
+        verdict = "unexplained_structure"  # the meter's offset of each run would take it up in silence
+    own, left = found.clock, found.unexplained
+    depends_on, shapes = tuple(left.depends_on), [level, left.shape]
+    over = None if seen.factor or level else leftover(found, features.covariates)
+    if over is not None and not set(over.depends_on) & set(depends_on):
+        depends_on, shapes = (*depends_on, *over.depends_on), [*shapes, over.told]
+        verdict = "unexplained_structure" if verdict == "nothing_missing" else verdict
     untestable = dict(features.untestable)
     if timeline is not None:
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
-    own, left = found.clock, found.unexplained
     remarks = [*describe([*split.train, *split.heldout]), *_counted_off(subject, split, battery), *features.remarks,
                *found.remarks, *seen_once(driven)]
     return BatteryDiagnosis(
         battery, verdict, effects, (*judged(found), *told_of(driven)), recalibrated(found, features), own.delay_s,
         own.lag_s, own.at_edge, noise_of(found), untestable,
-        Unexplained(left.share_of_residual, tuple(left.depends_on), "; ".join(t for t in (level, left.shape) if t)),
+        Unexplained(left.share_of_residual, depends_on, "; ".join(text for text in shapes if text)),
         _next(subject, seen, effects, settings), None if tested is None else tested.summary,
         _shifted(seen), execution, found.mean_power_w, tuple(run.run for run in features.runs),
         float(sum(np.sum(run.dt_s) for run in features.runs)), tuple(dict.fromkeys(remarks)), confounding(found),

@@ -262,6 +262,13 @@ class BatteryDiagnosis:
     aligned: bool = True
     """Whether the clocks were looked at; else they are as logged."""
 
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Everything worth a note: why an energy error rose with the effects, and the remarks."""
+        from missionsim.diagnose.waterfall import heldout_note
+
+        return tuple(text for text in (heldout_note(self), *self.remarks) if text)
+
     def to_json(self) -> dict[str, Any]:
         """The contract's fields, and ours beside them."""
         return {
@@ -278,7 +285,7 @@ class BatteryDiagnosis:
             "heldout_shifted": None if self.shifted is None else self.shifted.to_json(),
             "confounding": {name: dict(row) for name, row in self.confounding.items()},
             "mean_power_w": self.mean_power_w,
-            "runs": list(self.runs), "seconds": self.seconds, "remarks": list(self.remarks),
+            "runs": list(self.runs), "seconds": self.seconds, "remarks": list(self.told),
         }
 
 

@@ -6,7 +6,7 @@ import math
 
 from missionsim.diagnose.execution import TOLD
 from missionsim.diagnose.findings import BatteryDiagnosis, Experiment, Finding, HeldOut, Judged
-from missionsim.diagnose.waterfall import heldout_note
+from missionsim.diagnose.numbers import watts
 
 MOST_NOT_SEEN = 8
 RECALIBRATION_SD = 4.0
@@ -53,7 +53,7 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
     lines: list[tuple[str, str]] = []
     for where in battery.where:
         lines.append(("WHERE", f"{where.by} {where.value}: {100 * where.share:.0f} % of the squared error, model "
-                      f"{_watts(where.bias_w)} W against the meter"))
+                      f"{watts(where.bias_w)} W against the meter"))
     edge = ("; at the edge of what is searched: check the clocks" if battery.clock_at_edge else "")
     clock = f"meter {battery.delay_s:+.2f} s behind the motion, lag {battery.lag_s:.2f} s (applied{edge})"
     if not battery.aligned:
@@ -83,7 +83,7 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         count = len(battery.runs)
         lines.append(("HELD-OUT", f"nothing held out ({count} run{'s' * (count != 1)}): how the model does on runs "
                       "that were not used is not shown"))
-    lines += [("NOTE", remark) for remark in (heldout_note(battery), *battery.remarks) if remark]
+    lines += [("NOTE", remark) for remark in battery.told]
     if battery.untestable:
         lines.append(("UNTESTABLE", _untestable(battery)))
     return lines
@@ -169,12 +169,12 @@ def _execution(effect: Finding) -> str:
 
 def _noise(battery: BatteryDiagnosis) -> str:
     n = battery.noise
-    told = f"{_watts(n['sd_w']).lstrip('+')} W ({100 * n['sd_w'] / battery.mean_power_w:.1f} % of the mean power)"
+    told = f"{watts(n['sd_w']).lstrip('+')} W ({100 * n['sd_w'] / battery.mean_power_w:.1f} % of the mean power)"
     if n["fast_share"] + n["slow_share"] > 0.5:
         told += f", lasting {n['fast_s']:.0f} to {n['slow_s']:.0f} s"
     if len(battery.runs) < 2:
         return told
-    return (f"{told}; runs differ by ±{_watts(n['offset_w']).lstrip('+')} W and ±{100 * n['gain']:.1f} % (meter), "
+    return (f"{told}; runs differ by ±{watts(n['offset_w']).lstrip('+')} W and ±{100 * n['gain']:.1f} % (meter), "
             f"±{100 * n['motion_gain']:.1f} % of the power (drive)")
 
 
@@ -215,12 +215,6 @@ def _untestable(battery: BatteryDiagnosis) -> str:
 
 def _share(effect: Finding) -> str:
     return f"{100 * effect.energy_share:.1f} % of the energy"
-
-
-def _watts(power_w: float) -> str:
-    """Two significant digits, never as a power of ten."""
-    digits = 1 - math.floor(math.log10(abs(power_w))) if power_w and math.isfinite(power_w) else 0
-    return f"{round(power_w, digits):+.{max(digits, 0)}f}".replace("-", "−")
 
 
 def _unit(unit: str) -> str:

@@ -170,8 +170,8 @@ def _details(battery: BatteryDiagnosis) -> list[Block]:
         blocks.append(_alike(battery))
     if battery.heldout is not None:
         blocks.append(_heldout_table(battery))
-    if battery.remarks:
-        blocks.append(Bullets(list(battery.remarks)))
+    if battery.told:
+        blocks.append(Bullets(list(battery.told)))
     return blocks
 
 

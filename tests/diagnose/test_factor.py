@@ -8,7 +8,7 @@ import pytest
 
 from missionsim.diagnose import Subject, diagnose, words
 from missionsim.diagnose.diagnosis import examine
-from missionsim.diagnose.factor import common_factor
+from missionsim.diagnose.factor import common_factor, level_difference, may_differ, plain_ratio, without_factor
 from missionsim.diagnose.split import Split
 from missionsim.identify.data import Settings
 from missionsim.logs import LogTable
@@ -45,3 +45,27 @@ def test_an_effect_is_no_factor(scrub_w_s_rad: float) -> None:
     assert [e.effect for e in seen.found.effects] == ["turning_scrub"]
     assert not seen.factor
     assert common_factor(seen.found)[1] < 0.3
+
+
+def test_no_factor_is_told_of_a_file_that_gives_the_measured_energy_or_follows_the_meter() -> None:
+    logs = tuple(drive(seed, seconds=240.0, scrub_w_s_rad=6.0) for seed in range(4))
+    features = examine(Subject.of(load_robot(ROBOT)), Split(logs, (), ""), "robot", Settings()).features
+    known = dict(features.prior_sd)
+    ratio = plain_ratio(features.runs)
+    assert 1.05 < ratio < 1.5
+    assert may_differ(features.runs, known)
+    assert not may_differ(features.runs, {**known, "c3": 1.0})  # fitted to these very logs: it follows the meter
+    for off in (0.96, 1.04, 1.10):
+        at_level = [replace(run, base_w=run.base_w * ratio * off) for run in features.runs]
+        assert may_differ(at_level, known) == (off == 1.10)
+
+
+def test_a_level_is_told_only_where_the_plain_energies_differ() -> None:
+    logs = tuple(scaled(drive(seed, seconds=240.0), 3.0) for seed in range(2))
+    seen = examine(Subject.of(load_robot(ROBOT)), Split(logs, (), ""), "robot", Settings())
+    bare = replace(seen.found, choice=replace(seen.found.choice, model=seen.found.choice.empty))
+    runs, known = seen.features.runs, seen.features.prior_sd
+    assert "times what the model gives in every run" in level_difference(bare, runs, known)
+    free = dict.fromkeys(known, 1.0)
+    assert level_difference(bare, runs, free) == ""
+    assert without_factor(seen.found, runs, free) is seen.found

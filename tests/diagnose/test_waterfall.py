@@ -94,6 +94,8 @@ def test_a_diagnosis_tells_why_the_energy_error_rises_too() -> None:
     note = heldout_note(rising)
     assert note.startswith("With the effect the energy error rises from 0.20 to 2.30 % while the power error falls")
     assert ("NOTE", note) in words.report(rising)
+    assert note in rising.to_json()["remarks"]
+    assert note in unescape(diagnosis_page(Diagnosis("r", {"robot": rising})))
     assert heldout_note(BATTERY) == ""
     assert heldout_note(replace(rising, effects=())) == ""
 

@@ -1,0 +1,134 @@
+"""A systematic error in one kind of motion, which tests of curves away from ramps and averages over runs pass over."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.compare.accumulate import MOTIONS, kinds_of_motion
+from missionsim.diagnose.heldout import prediction
+from missionsim.diagnose.numbers import watts
+from missionsim.identify.result import Identification
+
+Array = NDArray[np.float64]
+MOST_OF_SQUARE = 0.5
+SMALL_TIME = 0.25
+FEWEST_RUNS = 3
+LEAST_SECONDS = 5.0
+"""Time in a kind of motion below which a run says nothing of it [s]."""
+CLEAR_T = 5.0
+"""Mean over runs in its own standard errors; with three runs p = 0.04, beside everything else that is asked."""
+CLEAR_OF_NOISE = 2.0
+"""Mean error in standard deviations of a single row's noise; the mean of many rows strays far less."""
+RAMPS = (MOTIONS.index("speeding up"), MOTIONS.index("slowing down"))
+VARIES: Mapping[str, str] = {
+    "driving straight": "speed_m_s", "turning on the spot": "yaw_rate_rad_s", "driving a curve": "yaw_rate_rad_s",
+    "speeding up": "accel_m_s2", "slowing down": "accel_m_s2",
+}
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """A kind of motion that holds most of the squared error in a small part of the time.
+
+    Attributes
+    ----------
+    motion : str
+        One of `missionsim.compare.accumulate.MOTIONS`.
+    bias_w : float
+        Mean of model minus measured power there [W].
+    square_share, time_share : float
+        Its parts of the squared error and of the time.
+    """
+
+    motion: str
+    bias_w: float
+    square_share: float
+    time_share: float
+
+    @property
+    def depends_on(self) -> tuple[str, ...]:
+        """The covariate that tells this kind of motion from others."""
+        return (VARIES[self.motion],) if self.motion in VARIES else ()
+
+    @property
+    def told(self) -> str:
+        """In words."""
+        way = "high" if self.bias_w > 0.0 else "low"
+        return (f"a systematic error while {self.motion}, model {watts(abs(self.bias_w)).lstrip('+')} W too {way}: "
+                f"{100 * self.square_share:.0f} % of the squared error in {100 * self.time_share:.0f} % of the time; "
+                "no effect of the library describes it")
+
+
+def leftover(found: Identification, covariates: Sequence[Mapping[str, Any]]) -> Leftover | None:
+    """What recalibration and the effects found leave over in one kind of motion; None where nothing stands out.
+
+    Parameters
+    ----------
+    found : Identification
+    covariates : sequence of mapping
+        Covariates of each fitted run at its raw rate, as in `missionsim.diagnose.features.Features`.
+    """
+    model = found.choice.model
+    source, design = model.source, model.design
+    known = [covariates[i] for i in source.kept]
+    if not all({"speed_m_s", "accel_m_s2"} <= cov.keys() for cov in known):
+        return None
+    kinds = [_kinds(cov) for cov in known]
+    if any(len(kind) != len(run.time_s) for kind, run in zip(kinds, source.runs, strict=True)):
+        return None
+    names = {effect.effect for effect in found.effects}
+    chosen = [k for k in model.chosen if found.library[design.layout.columns[k].candidate].effect in names]
+    error_w = prediction(model, chosen, design) - design.y
+    count = len(MOTIONS)
+    part = source.averaged([(kind[None, :] == np.arange(count)[:, None]).astype(float) for kind in kinds], model.clock)
+    rows = part > 0.5  # rows that lie in this kind of motion for the most part
+    return standing_out(error_w, design.duration_s, design.run_index(), rows, found.noise.sd_share * found.mean_power_w)
+
+
+def _kinds(cov: Mapping[str, Any]) -> NDArray[np.int64]:
+    """Index into `MOTIONS` of each row, shape (n,); ramps count as such in curves as well."""
+    kinds = kinds_of_motion(cov)
+    ahead = kinds_of_motion({name: column for name, column in cov.items() if name != "yaw_rate_rad_s"})
+    return np.where(np.isin(ahead, RAMPS), ahead, kinds)
+
+
+def standing_out(
+    error_w: Array, seconds: Array, run: NDArray[np.intp], rows: NDArray[np.bool_], noise_w: float
+) -> Leftover | None:
+    """The kind of motion with most of the squared error in a small part of the time, if its mean is clear of noise.
+
+    Parameters
+    ----------
+    error_w, seconds : array of shape (n,)
+        Model minus measured power [W]; time that a row stands for [s].
+    run : array of shape (n,)
+        Number of the run.
+    rows : array of shape (kinds, n)
+        Whether a row lies in each of `MOTIONS`.
+    noise_w : float
+        Standard deviation of the noise of a row [W].
+    """
+    square = error_w**2 * seconds
+    if square.sum() <= 0.0:
+        return None
+    shares = (rows @ square) / square.sum()
+    kind = int(np.argmax(shares))
+    here = rows[kind]
+    time_share = float(seconds[here].sum() / seconds.sum())
+    if shares[kind] < MOST_OF_SQUARE or time_share > SMALL_TIME:
+        return None
+    each = [here & (run == j) for j in np.unique(run)]
+    means = np.array([np.average(error_w[m], weights=seconds[m]) for m in each if seconds[m].sum() >= LEAST_SECONDS])
+    if len(means) < FEWEST_RUNS or abs(float(np.sum(np.sign(means)))) < len(means):
+        return None
+    mean = float(means.mean())
+    if abs(mean) < CLEAR_OF_NOISE * noise_w or abs(mean) < CLEAR_T * float(means.std(ddof=1)) / math.sqrt(len(means)):
+        return None
+    bias_w = float(np.average(error_w[here], weights=seconds[here]))
+    return Leftover(MOTIONS[kind], bias_w, float(shares[kind]), time_share)
