@@ -57,6 +57,7 @@ def import_(
     spec = load_map(map_)
     logs = import_source(source, spec)
     targets = _targets(logs, out)
+    _spare_sources(logs, targets)
     for log, target in zip(logs, targets, strict=True):
         write_log(log, target, provenance(log, spec))
     emit_json(
@@ -94,6 +95,19 @@ def _targets(logs: list[LogTable], out: Path) -> list[Path]:
         names[log.run] = names.get(log.run, 0) + 1
         targets.append(out / (f"{log.run}.parquet" if names[log.run] == 1 else f"{log.run}_{names[log.run]}.parquet"))
     return targets
+
+
+def _spare_sources(logs: list[LogTable], targets: list[Path]) -> None:
+    """Refuse to write over what was read: a folder of Parquet files that is read into itself."""
+    from missionsim.errors import Fault, InputError
+
+    sources = {Path(log.source).resolve() for log in logs if log.source}
+    if faults := [
+        Fault("", 0, 0, "--out would overwrite a file that is imported", "", str(target), "another folder")
+        for target in targets
+        if target.resolve() in sources
+    ]:
+        raise InputError(faults)
 
 
 def _summary(log: LogTable, target: Path) -> dict[str, Any]:

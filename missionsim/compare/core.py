@@ -122,18 +122,19 @@ def compare_files(
     from missionsim.spec.power import build_power_model
 
     named = isinstance(robot, (str, os.PathLike))
+    logs = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)
     loading: list[Callable[[], Any]] = [lambda: load_robot(robot) if named else robot, lambda: find_logs(logs)]
     if mission is not None:
         loading.append(lambda: load_mission(mission, robot=robot))
-    spec, files, loaded = _all_or_faults(loading)
+    spec, _, loaded = _all_or_faults(loading)
     model = build_power_model(spec)
     if loaded is None:
-        return compare(model, files, robot=spec, by=by, on_run=on_run)
+        return compare(model, logs, robot=spec, by=by, on_run=on_run)
     from missionsim.engine.simulate import simulate
 
     result = simulate(loaded)
     found = compare(
-        model, files, robot=spec, plan=result.timeline, segments=tuple(info.name for info in result.segments),
+        model, logs, robot=spec, plan=result.timeline, segments=tuple(info.name for info in result.segments),
         mission=loaded.name, by=by, on_run=on_run,
     )
     if result.feasible:
@@ -159,18 +160,23 @@ def _runs(
     logs: Iterable[LogTable | PathLike] | PathLike, robot: Any
 ) -> Iterator[tuple[str, str, Iterator[LogTable]]]:
     """Name, source and blocks of each run; small files are read, and their faults told, all at once."""
-    from missionsim.logs import find_logs, iter_blocks, read_logs
+    from missionsim.logs import iter_blocks, read_logs
+    from missionsim.logs.read import distinct_logs, same_content
 
     given: list[Any] = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)
     paths = [item for item in given if not isinstance(item, LogTable)]
     tables = [item for item in given if isinstance(item, LogTable)]
-    files = find_logs(paths) if paths or not given else []
+    files = distinct_logs(paths) if paths or not given else {}
     large = [path for path in files if path.stat().st_size >= LARGE_FILE_BYTES]
-    small = [path for path in files if path not in large]
+    small = [file for path, twins in files.items() if path not in large for file in (path, *twins)]
     for table in [*tables, *(read_logs(small, robot=robot) if small else [])]:
         yield table.run, table.source, iter([table])
     for path in large:
-        yield path.stem, str(path), _ahead(iter_blocks(path, rows=BLOCK_ROWS, robot=robot))
+        blocks = _ahead(iter_blocks(path, rows=BLOCK_ROWS, robot=robot))
+        if twins := files[path]:
+            remark = same_content(twins)
+            blocks = (replace(block, remarks=(*block.remarks, remark)) for block in blocks)
+        yield path.stem, str(path), blocks
 
 
 def _ahead(blocks: Iterator[LogTable]) -> Iterator[LogTable]:

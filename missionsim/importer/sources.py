@@ -14,6 +14,7 @@ from missionsim.logs.raw import RawTable
 from missionsim.spec.log_map import MapSpec
 
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
+_NO_TABLES = {".ulg": "ULog", ".bag": "ROS 1 bag", ".mcap": "MCAP file", ".db3": "ROS 2 bag"}
 TABLE_SUFFIXES = (".csv", ".parquet", ".txt", ".tsv", ".dat")
 
 
@@ -32,7 +33,7 @@ def kind_of_source(path: Path) -> str:
     Raises
     ------
     missionsim.errors.InputError
-        Nothing there, or a folder without anything readable.
+        Nothing there, a folder without anything readable, or a file named as a bag or ULog that is none.
     """
     if path.is_dir():
         if (path / "metadata.yaml").exists():
@@ -58,6 +59,12 @@ def kind_of_source(path: Path) -> str:
         return "ulog"
     if head.startswith((b"#ROSBAG", b"\x89MCAP", b"SQLite format 3")):
         return "bag"
+    if kind := _NO_TABLES.get(path.suffix.lower()):
+        raise InputError(
+            Fault(str(path), 0, 0, f"this is no {kind}, whatever its name says: it does not begin as one (damaged or "
+                  "compressed?)", "", "an empty file" if not head else "",
+                  f"a whole {kind}; a table needs another suffix")
+        )
     return "table"
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.files import sha256
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs import suspect
@@ -58,7 +59,8 @@ def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> LogTable:
 def read_logs(paths: Iterable[PathLike] | PathLike, *, robot: RobotSpec | None = None) -> list[LogTable]:
     """Read several logs; a folder stands for every ``.csv`` and ``.parquet`` in it, by name.
 
-    Runs of the same name (from two folders) get the folder's name in front.
+    Runs of the same name (from two folders) get the folder's name in front. Files of the same content are one run, and
+    a remark of it names them.
 
     Raises
     ------
@@ -67,9 +69,10 @@ def read_logs(paths: Iterable[PathLike] | PathLike, *, robot: RobotSpec | None =
     """
     logs: list[LogTable] = []
     faults: list[Fault] = []
-    for path in find_logs(paths):
+    for path, twins in distinct_logs(paths).items():
         try:
-            logs.append(read_log(path, robot=robot))
+            log = read_log(path, robot=robot)
+            logs.append(replace(log, remarks=(*log.remarks, same_content(twins))) if twins else log)
         except InputError as error:
             faults.extend(error.faults)
     if faults:
@@ -82,13 +85,43 @@ def read_logs(paths: Iterable[PathLike] | PathLike, *, robot: RobotSpec | None =
 
 
 def find_logs(paths: Iterable[PathLike] | PathLike) -> list[Path]:
-    """The files that a list of files and folders stands for, each once.
+    """The files that a list of files and folders stands for, each once, also where its content has several names.
 
     Raises
     ------
     missionsim.errors.InputError
         A path that does not exist, or a folder without logs.
     """
+    return list(distinct_logs(paths))
+
+
+def distinct_logs(paths: Iterable[PathLike] | PathLike) -> dict[Path, list[Path]]:
+    """As `find_logs`: the first file of each content, with the further files that have the same."""
+    files = _files(paths)
+    sizes: dict[int, list[Path]] = {}
+    for path in files:
+        sizes.setdefault(path.stat().st_size if path.is_file() else -1, []).append(path)
+    # only files of one size can be the same, so most are never hashed
+    alike = [p for size, same in sizes.items() if size > 0 and len(same) > 1 for p in same]
+    content = {p: sha256(p) for p in alike if os.access(p, os.R_OK)}
+    first: dict[str, Path] = {}
+    found: dict[Path, list[Path]] = {}
+    for path in files:
+        kept = first.setdefault(content.get(path, str(path)), path)
+        found.setdefault(kept, [])
+        if kept is not path:
+            found[kept].append(path)
+    return found
+
+
+def same_content(twins: Sequence[Path]) -> Remark:
+    """The remark of a log of which there were copies."""
+    names = ", ".join(map(str, twins[:5])) + (f" and {len(twins) - 5} more" if len(twins) > 5 else "")
+    # the names stand in what was done, which is told for each log on its own
+    return Remark("duplicate", "", "the log was given under several names", f"one measurement, left out: {names}")
+
+
+def _files(paths: Iterable[PathLike] | PathLike) -> list[Path]:
     given = [paths] if isinstance(paths, (str, os.PathLike)) else list(paths)
     files: dict[Path, None] = {}
     faults = []

@@ -24,6 +24,9 @@ _LEFT = "left as it is; a map converts it"
 _REST_BAND = 5.0
 """Rows within so many times the limits of standing still are at rest if they hop over the limits again and again."""
 
+_SLOW_STEP_S = 60.0
+"""A mobile robot's log has a row every few seconds at least; beyond this the times may be milliseconds."""
+
 _LARGE: dict[str, tuple[float, str]] = {
     "speed_m_s": (15.0, "faster than a mobile robot drives: km/h or mm/s"),
     "lateral_speed_m_s": (15.0, "faster than a mobile robot drives: km/h or mm/s"),
@@ -90,7 +93,8 @@ def check_names(rows: Rows, known_batteries: tuple[str, ...] = (), known_compone
 
 
 def check_magnitudes(rows: Rows, max_speed_m_s: float | None = None) -> None:
-    """Tell columns whose magnitude suggests another unit."""
+    """Tell columns whose magnitude suggests another unit, and times whose steps do."""
+    _check_steps(rows)
     for name, data in rows.columns.items():
         if isinstance(data, Labels) or any(r.kind == "range" and r.column == name for r in rows.remarks):
             continue
@@ -110,6 +114,21 @@ def check_magnitudes(rows: Rows, max_speed_m_s: float | None = None) -> None:
             rows.remark(
                 "unit", name, f"the values reach only {large:.4g} V; perhaps kilovolts or a wrong column", _LEFT
             )
+
+
+def _check_steps(rows: Rows) -> None:
+    """Tell steps beyond a minute in a log that has many rows at an even pace."""
+    step = np.diff(rows.time[:_SAMPLE])
+    if len(step) < 20:
+        return
+    usual = float(np.median(step))
+    if usual > _SLOW_STEP_S and float(np.quantile(step, 0.9)) < 3 * usual:
+        rows.remark(
+            "unit",
+            "time_s",
+            f"steps of {usual:.4g} s, {rows.time[-1] / 3600.0:.4g} h in all; perhaps milliseconds",
+            "left as it is; a map converts it: time_s: time_s / 1000",
+        )
 
 
 def check_agreement(rows: Rows, batteries: Mapping[str, str]) -> None:

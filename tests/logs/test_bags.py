@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from missionsim.cli.app import run_command
 from missionsim.errors import InputError
 from missionsim.importer import transform
 from missionsim.importer.mapping import import_source
@@ -141,6 +142,24 @@ def test_broken_files_are_told(tmp_path: Path, kind: str) -> None:
         except InputError as error:
             told += bool(str(error))
     assert told > 0
+
+
+@pytest.mark.parametrize("content", [b"", b"\x00\x01garbage, not a log" * 9, b"time_s,power_robot_w\n0,1\n1,2\n"])
+@pytest.mark.parametrize(
+    ("suffix", "kind"), [("ulg", "ULog"), ("mcap", "MCAP"), ("bag", "ROS 1 bag"), ("db3", "ROS 2")]
+)
+def test_a_file_that_is_not_what_its_suffix_says(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str, kind: str, content: bytes
+) -> None:
+    path = tmp_path / f"drive.{suffix}"
+    path.write_bytes(content)
+    (tmp_path / "m.yaml").write_text(ULOG_MAP)
+    for more in ([], ["--map", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "log.parquet")]):
+        assert run_command(["import", str(path), *more]) == 2
+        err = capsys.readouterr().err
+        assert f"drive.{suffix}: error: this is no {kind}" in err
+        assert "CSV" not in err
+        assert "Parquet" not in err
 
 
 ULOG_MAP = """\

@@ -38,6 +38,26 @@ def test_a_coarse_meter_and_a_plateau_are_no_slow_topic(tmp_path: Path) -> None:
     assert [r.kind for r in read(tmp_path, columns).remarks] == []
 
 
+@pytest.mark.parametrize(("step_s", "told"), [(1000.0, True), (100.0, True), (60.0, False), (5.0, False)])
+def test_milliseconds_in_place_of_seconds(tmp_path: Path, step_s: float, told: bool) -> None:
+    columns = motion()
+    columns["time_s"] = columns["time_s"] * (step_s / 0.5)
+    found = [r for r in read(tmp_path, columns).remarks if (r.kind, r.column) == ("unit", "time_s")]
+    assert bool(found) == told
+    if told:
+        assert found[0].severity == "warning"
+        assert f"steps of {step_s:g} s" in found[0].message
+        assert "milliseconds" in found[0].message
+
+
+def test_few_or_uneven_rows_are_not_taken_for_milliseconds(tmp_path: Path) -> None:
+    few = {name: data[:15] for name, data in motion(step_s=100.0).items()}
+    assert not [r for r in read(tmp_path, few).remarks if r.column == "time_s"]
+    uneven = motion()
+    uneven["time_s"] = np.cumsum(np.where(np.arange(400) % 3 == 0, 1000.0, 61.0))
+    assert not [r for r in read(tmp_path, uneven).remarks if (r.kind, r.column) == ("unit", "time_s")]
+
+
 def test_time_backwards_is_sorted_and_told(tmp_path: Path) -> None:
     columns = motion()
     order = np.arange(400)

@@ -248,10 +248,10 @@ def test_parquet_types(tmp_path: Path) -> None:
 
 
 def test_folders(tmp_path: Path, faults_of) -> None:
-    for folder in ("a", "b"):
+    for folder, tens in (("a", 0), ("b", 100)):
         (tmp_path / folder).mkdir()
         for run in (2, 1, 10):
-            (tmp_path / folder / f"run_{run:02d}.csv").write_text(GOOD)
+            (tmp_path / folder / f"run_{run:02d}.csv").write_text(GOOD + f"3.5,{tens + run},0.1,tile\n")
     (tmp_path / "a" / "notes.txt").write_text("no log")
     assert [log.run for log in read_logs(tmp_path / "a")] == ["run_01", "run_02", "run_10"]
     both = read_logs([tmp_path / "a", tmp_path / "b"])
@@ -263,6 +263,23 @@ def test_folders(tmp_path: Path, faults_of) -> None:
     (tmp_path / "a" / "run_03.csv").write_text("time_s\n1\n")
     (tmp_path / "a" / "run_04.csv").write_text("")
     assert len(faults_of(read_logs, tmp_path / "a").faults) == 3 - 1
+
+
+def test_copies_of_a_log_are_one_measurement(tmp_path: Path) -> None:
+    for name, text in {"a": GOOD, "b": GOOD, "c": GOOD.replace("12", "13"), "d": GOOD}.items():
+        (tmp_path / f"{name}.csv").write_text(text)
+    (tmp_path / "z.csv").symlink_to(tmp_path / "c.csv")
+    first, third = read_logs(tmp_path)
+    assert (first.run, third.run) == ("a", "c")
+    lines = describe([first, third])
+    assert len(lines) == 2
+    assert lines[0].startswith("warning: a: the log was given under several names")
+    assert str(tmp_path / "b.csv") in lines[0]
+    assert str(tmp_path / "d.csv") in lines[0]
+    assert str(tmp_path / "z.csv") in lines[1]
+    given = read_logs([tmp_path / "c.csv", tmp_path / "c.csv"])
+    assert len(given) == 1
+    assert given[0].remarks == (), "the same path twice needs no warning"
 
 
 def test_last_line_cut_short(tmp_path: Path, faults_of) -> None:
