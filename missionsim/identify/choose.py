@@ -9,7 +9,16 @@ import numpy as np
 
 from missionsim.identify.data import Candidate, Settings
 from missionsim.identify.design import Layout, Source
-from missionsim.identify.gates import BESIDE, SEVERAL_RUNS, Evidence, nats_needed, overdispersion, tails, weigh
+from missionsim.identify.gates import (
+    BESIDE,
+    SEVERAL_RUNS,
+    Evidence,
+    nats_needed,
+    overdispersion,
+    rests_on_one_run,
+    tails,
+    weigh,
+)
 from missionsim.identify.gram import make_gram
 from missionsim.identify.model import Model, blunted, fit_model, log_likelihood
 from missionsim.identify.search import Rules, best_set, single_gains
@@ -136,9 +145,13 @@ def _next_step(
             # noise refitted on both sides: an effect must not live on a noise model of its own
             weighed[c].passed["likelihood"] &= rise > LEAST_RISE
             if model.chosen:
-                limit = spread * nats_needed(BESIDE * float(tails(rules, settings, effects, True)[c]))
+                # shifts of the base have their own limit, of four prior sd
+                part = 1.0 if candidates[int(rules.effect[c])].prior else BESIDE
+                limit = spread * nats_needed(part * float(tails(rules, settings, effects, True)[c]))
                 weighed[c].passed["likelihood"] &= min(more, weighed[c].gain) > limit
             weighed[c].passed["plain error"] = plain_error(fitted) < PLAIN_RISE * plain_error(model)
+            if len(fitted.design.runs) > 1 and constant_in_runs(fitted, c, candidates):
+                weighed[c].passed["several runs"] = not rests_on_one_run(fitted, c, spread)
             if len(fitted.design.runs) < SEVERAL_RUNS:
                 weighed[c].passed["changes"] = weighed[c].gain > ONCE_NATS or changes(fitted, c, candidates) > 1
             weighed[c].passed["beyond form"] = _beyond_form(fitted, c, weighed[c].gain, found, candidates)
@@ -185,6 +198,17 @@ def _best(
         if lead > 0:
             best = other
     return best
+
+
+def constant_in_runs(model: Model, column: int, candidates: Sequence[Candidate]) -> bool:
+    """Whether what an effect depends on hardly changes within the runs, so that each run is a single observation."""
+    name = candidates[model.design.layout.columns[column].candidate].covariate
+    values = [np.asarray(run.covariates[name]) for run in model.source.runs if name in run.covariates]
+    if not values:
+        return False
+    within = sum(float(np.nansum((v - np.nanmean(v)) ** 2)) for v in values)
+    every = np.concatenate(values)
+    return within < 0.1 * float(np.nansum((every - np.nanmean(every)) ** 2))
 
 
 def changes(model: Model, column: int, candidates: Sequence[Candidate]) -> int:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from missionsim.identify.data import Array, Settings
-from missionsim.identify.gram import project
+from missionsim.identify.gram import Gram, project
 from missionsim.identify.model import Model
 from missionsim.identify.search import Rules, single_gains
 
@@ -26,6 +26,9 @@ BESIDE = 0.03
 second effects of 4 % of the energy gained 13 nats and more, most wrong ones 7 to 12."""
 SEVERAL_RUNS = 3
 """From here on runs test each other."""
+ONE_RUN_NATS = 3.0
+ONE_RUN_PART = 0.05
+"""What must be left of an effect's gain without the run that shows it best."""
 LOUD = 0.3
 """A block with this part of the information leaves too few degrees of freedom for a test with it."""
 
@@ -224,6 +227,25 @@ def _left_out(model: Model, column: int, others: Sequence[int]) -> tuple[float, 
     informative = information > INFORMATIVE * max(float(information.sum()), 1e-300)
     backing = float(information[gains > 0].sum() / max(float(information.sum()), 1e-300))
     return float(gains.sum()), int(np.sum(gains[informative] > 0)), int(informative.sum()), backing
+
+
+def between_runs(model: Model, column: int) -> bool:
+    """Whether a column hardly changes within runs, so that only differences between runs speak for it."""
+    design = model.design
+    values = design.phi[column]
+    within = sum(float(np.sum((values[rows] - values[rows].mean()) ** 2)) for rows in design.runs)
+    return within < 0.1 * float(np.sum((values - values.mean()) ** 2))
+
+
+def rests_on_one_run(model: Model, column: int, spread: float) -> bool:
+    """Whether hardly anything speaks for a column once the run that says most for it is left out."""
+    gram = model.gram
+    others = [k for k in model.chosen if k != column]
+    count = gram.per_run.shape[0]
+    kept = [Gram(np.delete(gram.per_run, j, axis=0), gram.prior_precision) for j in range(count)]
+    least = min(part.gain(model.chosen) - part.gain(others) for part in kept)
+    whole = gram.gain(model.chosen) - gram.gain(others)
+    return bool(least < max(ONE_RUN_NATS * spread, ONE_RUN_PART * whole))
 
 
 def smallest_detectable(model: Model, rules: Rules, spread: float, settings: Settings, effects: int) -> Array:

@@ -10,8 +10,9 @@ from missionsim.identify.choose import Choice, choose, forced
 from missionsim.identify.credible import pairs, rivals
 from missionsim.identify.data import Candidate, RunData, Settings
 from missionsim.identify.design import Source, make_source
-from missionsim.identify.gates import Evidence, smallest_detectable
-from missionsim.identify.model import Model
+from missionsim.identify.gates import Evidence, between_runs, smallest_detectable
+from missionsim.identify.model import UNUSUAL_GAIN, Model
+from missionsim.identify.noise import LARGEST_GAIN
 from missionsim.identify.remainder import dependences, periodic, ramps, stands_without, wander, wrong_form
 from missionsim.identify.result import (
     BaseShift,
@@ -170,7 +171,7 @@ def _structures(
             k
             for k in model.chosen
             if candidates[int(rules.effect[k])].effect.partition(":")[0] in STEADY_LOADS
-            or (choice.evidence[k].gain < FAINT_NATS and not _between_runs(model, k))
+            or (choice.evidence[k].gain < FAINT_NATS and not between_runs(model, k))
             or abs(choice.evidence[k].share) < faint
         }
     for column in set(model.chosen) - doubtful:
@@ -178,15 +179,21 @@ def _structures(
         others = [s for s in found + rest if s not in loose and s.covariate != own]
         if any(not stands_without(model, column, s, spread) for s in others):
             doubtful.add(column)
-    return found + rest, doubtful
+    apart = _runs_apart(model)
+    return found + rest + ([apart] if apart is not None else []), doubtful
 
 
-def _between_runs(model: Model, column: int) -> bool:
-    """Whether a column hardly changes within runs, so that only differences between runs speak for it."""
-    design = model.design
-    values = design.phi[column]
-    within = sum(float(np.sum((values[rows] - values[rows].mean()) ** 2)) for rows in design.runs)
-    return within < 0.1 * float(np.sum((values - values.mean()) ** 2))
+def _runs_apart(model: Model) -> Structure | None:
+    """Runs that differ in what the same motion costs, by several times what meters and drives usually do."""
+    size = max(model.noise.gain, model.noise.motion_gain)
+    if len(model.design.runs) < FEW_RUNS or size < UNUSUAL_GAIN:
+        return None
+    at_least = "at least " if size > 0.99 * LARGEST_GAIN else ""
+    words = (
+        f"the runs differ by {at_least}{100 * size:.2g} % in what the same motion costs, several times what meters and "
+        "drives usually do: something that changes from run to run is missing"
+    )
+    return Structure("run", 0.0, 0.0, size, words)
 
 
 def _effects(
@@ -293,6 +300,7 @@ GATE_WORDS = {
     "robust": "not significant with errors that allow for correlated noise",
     "practical": "significant but negligible",
     "repeated in the runs": "seen as differences between runs that do not repeat well enough",
+    "several runs": "rests on one run, which may differ from the others in something else",
     "changes": "what it depends on changes only once in these runs, and much else may have changed then",
     "plain error": "helps only with gains of single runs that make up for it",
     "beyond form": "corrects the form of a similar effect in the model, no more",

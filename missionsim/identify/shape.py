@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from missionsim.identify.choose import Choice
 
 EVALUATIONS = 24
+SHAPE_SD = 0.15
+"""Width of the weak prior on a shape parameter, relative to its bounds (assumed)."""
 ALIKE = 0.3
 TAKEN_OVER = 0.5
 """Part of an effect's gain that another effect's shape makes up for, from which on the two are one."""
@@ -130,10 +132,14 @@ def _refit(
     def with_shape(shape: Mapping[str, float]) -> Source:
         return _replaced(model.source, column, candidate, shape)
 
-    def cost(x: Array) -> float:
-        return -score(with_shape(outer(x)), model.clock, model.noise, model.chosen)
-
     low, high = inner([b[0] for b in bounds]), inner([b[1] for b in bounds])
+    usual = np.mean([inner([s[n] for n in names]) for s in candidate.shape], axis=0)
+
+    def cost(x: Array) -> float:
+        # where a free base leaves a shape open (a reference temperature beyond all that was met), it stays usual
+        unusual = 0.5 * float(np.sum(((x - usual) / (SHAPE_SD * (high - low))) ** 2))
+        return unusual - score(with_shape(outer(x)), model.clock, model.noise, model.chosen)
+
     x0 = np.clip(inner([start[n] for n in names]), low, high)
     step = 0.25 * (high - low)
     simplex = np.vstack([x0] + [np.clip(x0 + np.where(x0 + s > high, -s, s), low, high) for s in np.diag(step)])

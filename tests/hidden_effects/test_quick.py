@@ -42,6 +42,11 @@ def test_five_percent_of_the_energy_is_found_and_the_heldout_error_falls(effect)
     assert result["nominal_rmse_w"] ** 2 - result["rmse_w"] ** 2 > 0.8 * removable
 
 
+@pytest.mark.parametrize(("case", "seed"), [("temperature_friction-10pct", 44), ("temperature_friction-5pct", 42)])
+def test_oil_that_thickens_exponentially_brings_no_second_name(case, seed):
+    assert row(case, seed)["named"] == "temperature_friction"
+
+
 def test_two_effects_are_both_named():
     result = row("two-turning_scrub-surface_rolling_resistance")
     assert result["all_named"], result

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from missionsim.identify.data import Settings
+from missionsim.cli.options import FALSE_ALARM_RATE
+from missionsim.identify.data import Candidate, Settings
 from missionsim.identify.experiment import separation_after
 from missionsim.identify.heldout import heldout
 from missionsim.identify.identify import fit_effects, identify
@@ -145,3 +146,34 @@ def test_result_does_not_depend_on_the_order_of_the_runs():
     one, two = (identify(r, library(), {}) for r in (runs, runs[::-1]))
     assert _names(one) == _names(two) == ["grade"]
     assert one.effects[0].energy_share == pytest.approx(two.effects[0].energy_share, rel=2e-2)
+
+
+def _with_temperature(cold_runs, extra_n):
+    """Six runs at temperatures of their own; a friction that no column shows is added in some of them."""
+    runs = []
+    for j, run in enumerate(make_runs(21, count=6)):
+        temperature = np.full(len(run.time_s), 5.0 if j in cold_runs else 22.0)
+        column = run.columns["rolling_friction"] * np.maximum(25.0 - temperature, 0.0)
+        hidden = extra_n * run.columns["rolling_friction"] * (j in cold_runs)
+        runs.append(replace(run, columns=run.columns | {"temperature": column}, measured_w=run.measured_w + hidden,
+                            covariates=run.covariates | {"temp_ambient_c": temperature}))  # fmt: skip
+    return runs, [*library(), Candidate("temperature_friction", ("temperature",), covariate="temp_ambient_c")]
+
+
+def test_what_rests_on_one_run_is_not_named_but_told():
+    runs, candidates = _with_temperature({2}, 3.0)
+    found = identify(runs, candidates, {})
+    assert found.verdict == "unexplained_structure"
+    assert not found.effects
+    assert "run" in found.unexplained.depends_on
+    reason = next(c.reason for c in found.candidates if c.effect == "temperature_friction")
+    assert "rests on one run" in reason
+
+
+def test_what_three_runs_show_is_named():
+    runs, candidates = _with_temperature({1, 2, 4}, 3.0)
+    assert "temperature_friction" in _names(identify(runs, candidates, {}))
+
+
+def test_the_command_line_has_the_level_of_the_method():
+    assert Settings().alpha == FALSE_ALARM_RATE
