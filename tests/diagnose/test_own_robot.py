@@ -100,7 +100,7 @@ def test_calibrating_again_tells_what_counts_twice(tmp_path: Path) -> None:
 
 
 def test_the_file_with_one_of_two_missing_effects_fits_as_it_is(tmp_path: Path) -> None:
-    logs = [with_payload(drive(seed, seconds=300.0, scrub_w_s_rad=4.0), 2.0 if seed else 0.0) for seed in range(5)]
+    logs = [with_payload(drive(seed, seconds=300.0, scrub_w_s_rad=5.0), 2.0 if seed > 1 else 0.0) for seed in range(5)]
     made = calibrate_new(NewRobot("own", BASE, mass="20 kg"), logs)
     split = Split(tuple(logs), (), "")
     robot = robot_from_text(made.text)
