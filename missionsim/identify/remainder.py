@@ -244,8 +244,22 @@ def periodic(model: Model, chosen_rows: Array) -> Structure | None:
     )
     if p_value > PERIODIC or ratio[top] < LINE_RATIO:
         return None
-    period = length * step / (top + 1)
-    return Structure("time_s", p_value, float(ratio[top]), 0.0, f"periodic load, period {period:.0f} s")
+    period, sd = _refined(parts, (top + 1) / length)
+    words = f"periodic load, period {period * step:.0f} ± {max(1.0, sd * step):.0f} s"
+    return Structure("time_s", p_value, float(ratio[top]), 0.0, words)
+
+
+def _refined(parts: Sequence[Array], frequency: float) -> tuple[float, float]:
+    """Period of a line between the frequencies of the periodogram and about its standard error, both in rows."""
+    longest = max(len(p) for p in parts)
+    tried = np.linspace(max(frequency - 1.0 / longest, 0.3 * frequency), frequency + 1.0 / longest, 81)
+    power = np.zeros(len(tried))
+    for p in parts:
+        wave = np.exp(-2j * np.pi * tried[:, None] * np.arange(len(p)))
+        line = np.abs(wave @ ((p - p.mean()) * np.hanning(len(p)))) ** 2
+        power += line / max(float(np.mean(p**2)) * len(p), 1e-300)
+    period = 1.0 / float(tried[int(np.argmax(power))])
+    return period, 0.5 * period**2 / (longest * np.sqrt(len(parts)))
 
 
 def wander(model: Model) -> Structure | None:

@@ -88,7 +88,7 @@ def test_periodic_load_is_structure_not_an_effect():
     assert not found.effects
     assert "period" in found.unexplained.shape
     period = float(found.unexplained.shape.split("period")[-1].split()[0])
-    assert 50 < period < 70
+    assert 58 < period < 62
 
 
 def test_dead_zone_is_not_called_scrub():
