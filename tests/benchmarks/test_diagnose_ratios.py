@@ -3,8 +3,8 @@
 The five seconds are for everything: reading the files, features, clocks, noise, search, intervals, held-out errors.
 The ratio is for what both do: features of all runs in, effects out; one thread each, rounds of both in turns, CPU
 seconds. Measured eight times, best of four each, on a shared two-core machine: 0.77 to 0.95 of the ensemble's time for
-one effect; 0.7 to 0.8 where nothing is hidden. A pair takes about twice the ensemble's time, one effect in 8 runs 1.6 times:
-each effect that is tried costs a fit of clock and noise, which the ensemble does not make.
+one effect; 0.7 to 0.8 where nothing is hidden. A pair takes about twice the ensemble's time, one effect in 8 runs 1.6
+times: each effect that is tried costs a fit of clock and noise, which the ensemble does not make.
 """
 
 from __future__ import annotations
