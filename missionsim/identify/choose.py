@@ -7,12 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from missionsim.identify.data import Candidate, Settings
+from missionsim.identify.data import Array, Candidate, Settings
 from missionsim.identify.design import Layout, Source
 from missionsim.identify.gates import (
     BESIDE,
     SEVERAL_RUNS,
     Evidence,
+    differs_between,
     nats_needed,
     overdispersion,
     rests_on_one_run,
@@ -45,6 +46,7 @@ CLEAR_NATS = 10.0
 ONCE_NATS = 30.0
 """What changes a single time in one or two runs must be this clear: slow noise takes such steps too."""
 CLOSE_NATS = 8.0
+"""Options that lie no further behind the best are compared with common noise."""
 STEEPER = 0.05
 """What the steeper of two curves may lack of the gain, because slow rows blunt it more (between the most, `BLUNTED`,
 and nothing)."""
@@ -191,8 +193,7 @@ def _best(
         new = [sets[0] - sets[1], sets[1] - sets[0]]
         if len(new[0]) == len(new[1]) == 1:
             a, b = (next(iter(n)) for n in new)
-            about = [candidates[best.model.design.layout.columns[k].candidate].covariate for k in (a, b)]
-            if about[0] == about[1]:
+            if _about(best.model, a, candidates) == _about(best.model, b, candidates):
                 size = sum(m.gram.gain(best.model.chosen) - m.gram.gain(before) for m in (best.model, other.model))
                 lead += STEEPER * size * (int(blunted(best.model, a, b)) - int(blunted(best.model, b, a)))
         if lead > 0:
@@ -200,21 +201,26 @@ def _best(
     return best
 
 
+def _about(model: Model, column: int, candidates: Sequence[Candidate]) -> str:
+    """Name of the covariate that a column's effect depends on."""
+    return candidates[model.design.layout.columns[column].candidate].covariate
+
+
+def _covariate(model: Model, column: int, candidates: Sequence[Candidate]) -> list[Array]:
+    """Values of that covariate in each run that has it."""
+    name = _about(model, column, candidates)
+    return [np.asarray(run.covariates[name]) for run in model.source.runs if name in run.covariates]
+
+
 def constant_in_runs(model: Model, column: int, candidates: Sequence[Candidate]) -> bool:
     """Whether what an effect depends on hardly changes within the runs, so that each run is a single observation."""
-    name = candidates[model.design.layout.columns[column].candidate].covariate
-    values = [np.asarray(run.covariates[name]) for run in model.source.runs if name in run.covariates]
-    if not values:
-        return False
-    within = sum(float(np.nansum((v - np.nanmean(v)) ** 2)) for v in values)
-    every = np.concatenate(values)
-    return within < 0.1 * float(np.nansum((every - np.nanmean(every)) ** 2))
+    values = _covariate(model, column, candidates)
+    return bool(values) and differs_between(values)
 
 
 def changes(model: Model, column: int, candidates: Sequence[Candidate]) -> int:
     """How often the covariate of a column changes within the runs; one change comes with all else that changes then."""
-    name = candidates[model.design.layout.columns[column].candidate].covariate
-    values = [np.asarray(run.covariates[name]) for run in model.source.runs if name in run.covariates]
+    values = _covariate(model, column, candidates)
     if not values:
         return 2
     return sum(int(np.count_nonzero(np.diff(v[np.isfinite(v)]))) for v in values)
@@ -232,8 +238,8 @@ def _beyond_form(
         return False
     for other in set(found.model.chosen) & set(fitted.chosen):
         r = fitted.gram.correlation(column, other, fitted.chosen)
-        about = [candidates[fitted.design.layout.columns[k].candidate].covariate for k in (column, other)]
-        alike = ALIKE_IN_KIND if about[0] == about[1] else ALIKE
+        same = _about(fitted, column, candidates) == _about(fitted, other, candidates)
+        alike = ALIKE_IN_KIND if same else ALIKE
         if abs(r) > alike and gain < FORM_LOSS * found.evidence[other].gain:
             return False
     return True

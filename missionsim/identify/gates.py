@@ -231,10 +231,14 @@ def _left_out(model: Model, column: int, others: Sequence[int]) -> tuple[float, 
 
 def between_runs(model: Model, column: int) -> bool:
     """Whether a column hardly changes within runs, so that only differences between runs speak for it."""
-    design = model.design
-    values = design.phi[column]
-    within = sum(float(np.sum((values[rows] - values[rows].mean()) ** 2)) for rows in design.runs)
-    return within < 0.1 * float(np.sum((values - values.mean()) ** 2))
+    return differs_between([model.design.phi[column, rows] for rows in model.design.runs])
+
+
+def differs_between(parts: Sequence[Array]) -> bool:
+    """Whether values, one array for each run, differ between the runs and hardly within them; NaN is left out."""
+    within = sum(float(np.nansum((v - np.nanmean(v)) ** 2)) for v in parts)
+    every = np.concatenate(parts)
+    return within < 0.1 * float(np.nansum((every - np.nanmean(every)) ** 2))
 
 
 def rests_on_one_run(model: Model, column: int, spread: float) -> bool:

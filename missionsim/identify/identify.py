@@ -10,7 +10,7 @@ from missionsim.identify.choose import Choice, choose, forced
 from missionsim.identify.credible import pairs, rivals
 from missionsim.identify.data import Candidate, RunData, Settings
 from missionsim.identify.design import Source, make_source
-from missionsim.identify.gates import Evidence, between_runs, smallest_detectable
+from missionsim.identify.gates import SEVERAL_RUNS, Evidence, between_runs, smallest_detectable
 from missionsim.identify.model import UNUSUAL_GAIN, Model
 from missionsim.identify.noise import LARGEST_GAIN
 from missionsim.identify.remainder import dependences, periodic, ramps, stands_without, wander, wrong_form
@@ -28,7 +28,6 @@ from missionsim.identify.result import (
 from missionsim.identify.search import Rules
 from missionsim.identify.shape import refit_shapes, without_shadows
 
-FEW_RUNS = 3
 RAMP_SYSTEMATIC = 0.3
 """Further relative allowance of a coefficient that rests on ramps, which the meter's lag and the averaging blur."""
 STEADY_LOADS = ("standby_load", "component_power", "component_warmup", "conversion_loss")
@@ -186,7 +185,7 @@ def _structures(
 def _runs_apart(model: Model) -> Structure | None:
     """Runs that differ in what the same motion costs, by several times what meters and drives usually do."""
     size = max(model.noise.gain, model.noise.motion_gain)
-    if len(model.design.runs) < FEW_RUNS or size < UNUSUAL_GAIN:
+    if len(model.design.runs) < SEVERAL_RUNS or size < UNUSUAL_GAIN:
         return None
     at_least = "at least " if size > 0.99 * LARGEST_GAIN else ""
     words = (
@@ -367,7 +366,7 @@ def _remarks(choice: Choice, given_runs: int) -> tuple[str, ...]:
             "one run only: whether a finding repeats cannot be shown, and what is constant during the run (payload, "
             "temperature, floor) cannot be told from a shift of the base model"
         )
-    elif used < FEW_RUNS:
+    elif used < SEVERAL_RUNS:
         out.append("two runs only: no p-value across runs; differences between runs rest on two values")
     if model.clock.at_edge:
         out.append("the delay or lag of the power meter lies at the edge of what was searched; check the clocks")
