@@ -15,16 +15,16 @@ if TYPE_CHECKING:
     from missionsim.errors import InputError as InputError
     from missionsim.results.tables import tables as tables
     from missionsim.results.write import write_results as write_results
-    from missionsim.spec.loading import load_environment as load_environment
-    from missionsim.spec.loading import load_mission as load_mission
-    from missionsim.spec.loading import load_robot as load_robot
+    from missionsim.inputs.loading import load_environment as load_environment
+    from missionsim.inputs.loading import load_mission as load_mission
+    from missionsim.inputs.loading import load_robot as load_robot
 
 __version__ = "0.1.0"
 
 _PUBLIC = {
-    "load_mission": "missionsim.spec.loading",
-    "load_robot": "missionsim.spec.loading",
-    "load_environment": "missionsim.spec.loading",
+    "load_mission": "missionsim.inputs.loading",
+    "load_robot": "missionsim.inputs.loading",
+    "load_environment": "missionsim.inputs.loading",
     "simulate": "missionsim.engine.simulate",
     "RunResult": "missionsim.engine.outcome",
     "tables": "missionsim.results.tables",

@@ -22,7 +22,7 @@ from missionsim.physics import processor
 from missionsim.physics.arrays import f64
 
 if TYPE_CHECKING:
-    from missionsim.spec.robot import RobotSpec
+    from missionsim.inputs.robot import RobotSpec
 
 Array = NDArray[np.float64]
 TX2_STEP_HZ = 153.6e6
@@ -71,8 +71,8 @@ class PowerPredictor:
     values: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
-        from missionsim.spec import load_robot
-        from missionsim.spec.power import build_power_model
+        from missionsim.inputs import load_robot
+        from missionsim.inputs.power import build_power_model
 
         spec: RobotSpec = load_robot(self.robot) if isinstance(self.robot, str) else self.robot
         self.spec = spec

@@ -101,7 +101,7 @@ def _back_over_the_way(mission: Any, result: Any, battery: str, distance: Array)
     from dataclasses import replace
 
     from missionsim.effects.integrate import integrate
-    from missionsim.spec.power import build_power_model
+    from missionsim.inputs.power import build_power_model
 
     line = result.timeline
     columns = {**line.columns, "slope_rad": -np.asarray(line.columns["slope_rad"])}

@@ -15,7 +15,7 @@ from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
 
 if TYPE_CHECKING:
     from missionsim.logs import LogTable
-    from missionsim.spec.robot import RobotSpec
+    from missionsim.inputs.robot import RobotSpec
 
 
 def add_effect(
@@ -68,8 +68,8 @@ def add_effect(
     from missionsim.files import write_text
     from missionsim.identify.data import Settings
     from missionsim.logs import read_logs
-    from missionsim.spec.edit import for_folder, robot_text
-    from missionsim.spec.loading import load_robot
+    from missionsim.inputs.edit import for_folder, robot_text
+    from missionsim.inputs.loading import load_robot
 
     check_search(logs, alpha)
     spec = load_robot(robot)

@@ -52,7 +52,7 @@ def import_(
         raise InputError.single("--out is missing", allowed="--out LOG.parquet, or a folder for several runs")
     from missionsim.importer.mapping import import_source, provenance
     from missionsim.logs.write import write_log
-    from missionsim.spec.loading import load_map
+    from missionsim.inputs.loading import load_map
 
     spec = load_map(map_)
     logs = import_source(source, spec)

@@ -65,8 +65,8 @@ def improve(
     from missionsim.files import write_text
     from missionsim.identify.data import Settings
     from missionsim.logs import read_logs
-    from missionsim.spec.edit import for_folder, robot_text
-    from missionsim.spec.loading import load_robot
+    from missionsim.inputs.edit import for_folder, robot_text
+    from missionsim.inputs.loading import load_robot
 
     check_search(logs, alpha)
     if not yes and not sys.stdin.isatty():

@@ -82,7 +82,7 @@ def montecarlo(
     quiet
         Print no tables.
     """
-    from missionsim.spec.overrides import split_assignment
+    from missionsim.inputs.overrides import split_assignment
     from missionsim.uncertainty.batch import Task, prepare
     from missionsim.uncertainty.single import unread_values
 

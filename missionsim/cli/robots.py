@@ -18,7 +18,7 @@ def robots(*, json: JsonOption = None, quiet: QuietOption = False) -> int:
     quiet
         Print no table.
     """
-    from missionsim.spec import load_robot, shipped_robots
+    from missionsim.inputs import load_robot, shipped_robots
 
     described: list[dict[str, Any]] = []
     for name, path in shipped_robots().items():

@@ -26,8 +26,8 @@ def run_mission(
     """Simulate, write and print; the parameters are those of `missionsim.cli.run.run`."""
     from missionsim.engine.simulate import simulate, with_provenance
     from missionsim.results.write import provenance, write_results
-    from missionsim.spec.loading import load_mission
-    from missionsim.spec.overrides import split_assignment
+    from missionsim.inputs.loading import load_mission
+    from missionsim.inputs.overrides import split_assignment
 
     spec = load_mission(mission, [split_assignment(text) for text in set_ or ()], robot)
     tell_warnings(spec.warnings, quiet)

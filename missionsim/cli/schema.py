@@ -27,8 +27,8 @@ def schema(*kind: str, out: Path | None = None, json: JsonOption = None, quiet: 
     """
     from missionsim.errors import InputError
     from missionsim.files import write_text
-    from missionsim.spec.schemas import schema as make
-    from missionsim.spec.schemas import schema_kinds, schema_text
+    from missionsim.inputs.schemas import schema as make
+    from missionsim.inputs.schemas import schema_kinds, schema_text
 
     kinds = kind or schema_kinds()
     made = {name: make(name) for name in kinds}

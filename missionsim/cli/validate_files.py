@@ -16,7 +16,7 @@ _LOGS = (".csv", ".parquet", ".tsv")
 def validate_files(files: Sequence[Path], json: str | None = None, quiet: bool = False) -> int:
     """Check and print; the parameters are those of `missionsim.cli.validate.validate`."""
     from missionsim.errors import Fault, InputError
-    from missionsim.spec.loading import check_files
+    from missionsim.inputs.loading import check_files
 
     if not files:
         raise InputError.single("nothing to check", allowed="files or folders: missionsim validate FILE...")

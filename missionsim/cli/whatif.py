@@ -62,7 +62,7 @@ def whatif(
         Print no table.
     """
     from missionsim.results.whatif import BASELINE, Alternative, from_study, run_alternatives, varied
-    from missionsim.spec.overrides import split_assignment
+    from missionsim.inputs.overrides import split_assignment
 
     if (vary is None) == (study is None):
         raise InputError(Fault("", 0, 0, "whatif needs either --vary or --study", got="both" if vary else "neither",

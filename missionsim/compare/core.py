@@ -118,8 +118,8 @@ def compare_files(
         See `compare`.
     """
     from missionsim.logs import find_logs
-    from missionsim.spec import load_mission, load_robot
-    from missionsim.spec.power import build_power_model
+    from missionsim.inputs import load_mission, load_robot
+    from missionsim.inputs.power import build_power_model
 
     named = isinstance(robot, (str, os.PathLike))
     logs = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)

@@ -21,7 +21,7 @@ from missionsim.identify.result import FoundEffect, Identification
 
 if TYPE_CHECKING:
     from missionsim.effects.model import ModelParameter
-    from missionsim.spec.robot import RobotSpec
+    from missionsim.inputs.robot import RobotSpec
 
 METER_ALLOWANCE = 0.01
 """Relative standard deviation added to fitted base values: meters differ by about this much between runs (assumed)."""
@@ -91,7 +91,7 @@ def adopt(
     missionsim.errors.InputError
         Unknown effect, one that the file already holds, or one that these logs cannot test.
     """
-    from missionsim.spec import edit
+    from missionsim.inputs import edit
 
     subject = Subject.of(robot)
     _refuse(subject, robot, effect, battery)
@@ -216,7 +216,7 @@ def _base(features: Features, fitted: Identification) -> dict[str, tuple[float, 
 
 def _based(text: str, features: Features, base: Mapping[str, tuple[float, float]]) -> str:
     """The text with recalibrated base values."""
-    from missionsim.spec import edit
+    from missionsim.inputs import edit
 
     updates = {
         features.parameters[name].path: _of_file(features.parameters[name], value, sd)
@@ -231,8 +231,8 @@ def _with(
     base: Mapping[str, tuple[float, float]], significant: bool = True, rivals: Sequence[str] = (),
 ) -> str:
     """The text with one effect more."""
-    from missionsim.spec import edit
-    from missionsim.spec.loading import robot_from_text
+    from missionsim.inputs import edit
+    from missionsim.inputs.loading import robot_from_text
 
     candidate = next(c for c in features.candidates if c.effect == found.effect)
     if candidate.prior is not None and any(p.value < 0.0 for p in found.parameters[:1]):

@@ -43,7 +43,7 @@ from missionsim.logs import describe
 
 if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
-    from missionsim.spec.robot import RobotSpec
+    from missionsim.inputs.robot import RobotSpec
 
 MOST_PASSES = 3
 SAME_SIZE = 0.05
@@ -84,7 +84,7 @@ class Subject:
         cls, robot: RobotSpec, model: PowerModel | None = None, priors: Mapping[str, float] | None = None
     ) -> Subject:
         """The subject of a robot file."""
-        from missionsim.spec.power import build_effect, build_power_model
+        from missionsim.inputs.power import build_effect, build_power_model
 
         own: dict[str, list[Effect]] = {}
         for spec in robot.effects:
@@ -134,14 +134,14 @@ def diagnose_files(
         For faults in any of the files, or where no battery can be diagnosed.
     """
     from missionsim.logs import read_logs
-    from missionsim.spec.loading import load_robot
+    from missionsim.inputs.loading import load_robot
 
     spec = load_robot(robot)
     timeline = None
     segments: tuple[str, ...] = ()
     if mission is not None:
         from missionsim.engine.simulate import simulate
-        from missionsim.spec.loading import load_mission
+        from missionsim.inputs.loading import load_mission
 
         run = simulate(load_mission(mission, robot=spec))
         timeline, segments = run.timeline, tuple(segment.name for segment in run.segments)

@@ -87,7 +87,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     ask : callable
         ``(finding, diagnosis) -> bool``: whether to add it.
     """
-    from missionsim.spec.loading import robot_from_text
+    from missionsim.inputs.loading import robot_from_text
 
     robot = robot_from_text(text)
     start = Subject.of(robot)
@@ -152,7 +152,7 @@ def _step(name: str, diagnosis: BatteryDiagnosis, kind: str) -> Step:
 def _compared(robot: Any, split: Split, battery: str) -> Step | None:
     """The error of a robot file as `missionsim compare` measures it."""
     from missionsim.compare import compare
-    from missionsim.spec.power import build_power_model
+    from missionsim.inputs.power import build_power_model
 
     logs = [log for log in (split.heldout or split.train) if battery in log.power_w]
     found = compare(build_power_model(robot), logs, robot=robot).batteries.get(battery)

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from missionsim.engine.batteries import Battery, ConstantEnergy, EquivalentCircuit
-from missionsim.spec.robot import BatterySpec
-from missionsim.spec.robot import EquivalentCircuit as CircuitSpec
-from missionsim.spec.values import Parameter
+from missionsim.inputs.robot import BatterySpec
+from missionsim.inputs.robot import EquivalentCircuit as CircuitSpec
+from missionsim.inputs.values import Parameter
 
 
 def build_battery(name: str, spec: BatterySpec, number: Callable[[Parameter], float], initial: float) -> Battery:

@@ -25,10 +25,10 @@ from missionsim.plan.build import make_plan
 from missionsim.plan.homing import Homing, last_driven
 from missionsim.plan.legs import Leg, Plan
 from missionsim.plan.routes import Routes
-from missionsim.spec.mission import MissionSpec
-from missionsim.spec.power import build_power_model
-from missionsim.spec.robot import BatterySpec
-from missionsim.spec.values import Parameter
+from missionsim.inputs.mission import MissionSpec
+from missionsim.inputs.power import build_power_model
+from missionsim.inputs.robot import BatterySpec
+from missionsim.inputs.values import Parameter
 
 if TYPE_CHECKING:
     from numpy.random import Generator

@@ -116,8 +116,8 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Any]) -> Calibration:
 
 def _load(text: str) -> PowerModel:
     """The model of a robot file that we write; its faults are told at the options that they come from."""
-    from missionsim.spec.loading import robot_from_text
-    from missionsim.spec.power import build_power_model
+    from missionsim.inputs.loading import robot_from_text
+    from missionsim.inputs.power import build_power_model
 
     try:
         return build_power_model(robot_from_text(text))

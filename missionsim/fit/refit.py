@@ -40,9 +40,9 @@ def refit_robot(robot: str | Path, logs: Sequence[Any], battery: str | None = No
     missionsim.errors.InputError
         Where no battery can be fitted.
     """
-    from missionsim.spec import edit
-    from missionsim.spec.loading import load_robot
-    from missionsim.spec.power import build_power_model
+    from missionsim.inputs import edit
+    from missionsim.inputs.loading import load_robot
+    from missionsim.inputs.power import build_power_model
 
     spec = load_robot(robot)
     model = build_power_model(spec)

@@ -19,7 +19,7 @@ from missionsim.importer.timeline import Signal, merge_signals
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
 from missionsim.logs.remarks import Remark
-from missionsim.spec.log_map import MapSpec
+from missionsim.inputs.log_map import MapSpec
 
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[\d+\])*)\Z")
 _MOST_ELEMENTS = 16

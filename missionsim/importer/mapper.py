@@ -17,7 +17,7 @@ from missionsim.importer import transform
 from missionsim.importer.mapunits import to_glossary
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable
-from missionsim.spec.log_map import ColumnMap, MapSpec
+from missionsim.inputs.log_map import ColumnMap, MapSpec
 
 Floats = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from missionsim.logs.raw import ColumnData, RawTable
 from missionsim.logs.read import PathLike, make_log
 from missionsim.logs.remarks import Remark
 from missionsim.logs.table import LogTable
-from missionsim.spec.log_map import MapSpec
+from missionsim.inputs.log_map import MapSpec
 
 
 def import_source(source: PathLike, spec: MapSpec) -> list[LogTable]:
@@ -29,7 +29,7 @@ def import_source(source: PathLike, spec: MapSpec) -> list[LogTable]:
     source : path-like
         A table, bag or ULog, or a folder of them.
     spec : MapSpec
-        From `missionsim.spec.loading.load_map`.
+        From `missionsim.inputs.loading.load_map`.
 
     Returns
     -------

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.glossary import column_of
-from missionsim.spec.units import DIMENSIONS, UnitError, any_unit, unit_factor
+from missionsim.inputs.units import DIMENSIONS, UnitError, any_unit, unit_factor
 
 Floats = NDArray[np.float64]
 

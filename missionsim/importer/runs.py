@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
 from missionsim.logs.remarks import Remark
-from missionsim.spec.log_map import MapSpec, RunsMap
+from missionsim.inputs.log_map import MapSpec, RunsMap
 
 
 @dataclass

@@ -13,7 +13,7 @@ from missionsim.importer.sources import Field, missing_field
 from missionsim.importer.timeline import Signal, merge_signals
 from missionsim.logs.raw import RawTable
 from missionsim.logs.remarks import Remark
-from missionsim.spec.log_map import MapSpec
+from missionsim.inputs.log_map import MapSpec
 
 _FIELD = re.compile(r"(?P<topic>[A-Za-z0-9_]+)(?:\[(?P<instance>\d+)\])?\.(?P<field>[A-Za-z0-9_.\[\]]+)\Z")
 

@@ -19,7 +19,7 @@ from missionsim.logs.read import PathLike, is_parquet, make_log
 from missionsim.logs.table import LogTable
 
 if TYPE_CHECKING:
-    from missionsim.spec import RobotSpec
+    from missionsim.inputs import RobotSpec
 
 
 def iter_blocks(

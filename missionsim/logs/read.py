@@ -26,7 +26,7 @@ from missionsim.logs.remarks import Remark, merge
 from missionsim.logs.table import LogTable, row_durations
 
 if TYPE_CHECKING:
-    from missionsim.spec import RobotSpec
+    from missionsim.inputs import RobotSpec
 
 PathLike = str | os.PathLike[str]
 LOG_SUFFIXES = (".csv", ".parquet")

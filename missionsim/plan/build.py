@@ -14,8 +14,8 @@ from missionsim.plan.legs import Activity, Leg, Limits, Plan, Recharge, SegmentI
 from missionsim.plan.pace import Pace, pace_of
 from missionsim.plan.routes import Routes, Way, along
 from missionsim.plan.steps import group, slow_components
-from missionsim.spec.mission import AnchorSpec, MissionSpec
-from missionsim.spec.values import Parameter
+from missionsim.inputs.mission import AnchorSpec, MissionSpec
+from missionsim.inputs.values import Parameter
 
 if TYPE_CHECKING:
     import numpy as np

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from missionsim.errors import Fault, InputError, MissionsimError
 from missionsim.plan.legs import Leg
-from missionsim.spec.parameter import Parameter
+from missionsim.inputs.parameter import Parameter
 
 if TYPE_CHECKING:
     import numpy as np

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from missionsim.plan.legs import Leg, Limits, Settings, Step
 from missionsim.plan.routes import Routes, Way, along
 from missionsim.plan.steps import group
-from missionsim.spec.mission import MissionSpec
+from missionsim.inputs.mission import MissionSpec
 
 
 class Homing:

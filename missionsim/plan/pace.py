@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from missionsim.spec.mission import MissionSpec
-    from missionsim.spec.parameter import Parameter
+    from missionsim.inputs.mission import MissionSpec
+    from missionsim.inputs.parameter import Parameter
 
 
 class Pace(NamedTuple):

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 from missionsim.errors import InputError, did_you_mean
 from missionsim.plan.legs import Settings
-from missionsim.spec.environment import EnvironmentSpec
-from missionsim.spec.values import Parameter
+from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.inputs.values import Parameter
 
 RADIO_PIECE_M = 2.0
 """Edges are cut to this length where the distance to an access point changes along them."""

@@ -13,8 +13,8 @@ from missionsim.physics import motion
 from missionsim.published import patrol
 from missionsim.published.figures import Figure, Ours, load_figures, load_table
 from missionsim.published.locate import mission, run
-from missionsim.spec import load_robot
-from missionsim.spec.power import build_power_model
+from missionsim.inputs import load_robot
+from missionsim.inputs.power import build_power_model
 
 PAPER = "jaiem2021"
 SCHEMES = {

@@ -10,7 +10,7 @@ from missionsim.errors import InputError
 
 if TYPE_CHECKING:
     from missionsim.engine.outcome import RunResult
-    from missionsim.spec.mission import MissionSpec
+    from missionsim.inputs.mission import MissionSpec
 
 Overrides = tuple[tuple[str, str], ...]
 
@@ -32,7 +32,7 @@ def missions_folder() -> Path:
 @functools.lru_cache(maxsize=256)
 def mission(name: str, overrides: Overrides = ()) -> MissionSpec:
     """A shipped mission by ``robot/name``, with values set as on the command line."""
-    from missionsim.spec import load_mission
+    from missionsim.inputs import load_mission
 
     return load_mission(missions_folder() / f"{name}.yaml", overrides=overrides)
 

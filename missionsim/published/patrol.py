@@ -198,7 +198,7 @@ def uncertain_statistics(causes: Causes, draws: int, seed: int) -> dict[str, dic
 
     Every draw is the patrol of the plan with other stretches and speeds; powers come from the robot's power model.
     """
-    from missionsim.spec.power import build_power_model
+    from missionsim.inputs.power import build_power_model
 
     rng = np.random.default_rng(seed)
     stretch, ratio = behaviour_draws(causes, draws, rng)

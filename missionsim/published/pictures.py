@@ -55,8 +55,8 @@ def _pair(figure: Figure) -> tuple[Axes, Axes]:
 
 
 def _velocity(figure: Figure) -> None:
-    from missionsim.spec import load_robot
-    from missionsim.spec.power import build_power_model
+    from missionsim.inputs import load_robot
+    from missionsim.inputs.power import build_power_model
 
     robot = load_robot("pioneer3dx")
     model = build_power_model(robot)
@@ -79,7 +79,7 @@ def _velocity(figure: Figure) -> None:
 
 def _sonar(figure: Figure) -> None:
     from missionsim.physics import electrical
-    from missionsim.spec import load_robot
+    from missionsim.inputs import load_robot
 
     law = load_robot("pioneer3dx").components["sonar"].loads[0].law
     assert law is not None

@@ -12,7 +12,7 @@ from missionsim.control import PowerPredictor
 from missionsim.physics import traction
 from missionsim.published.figures import Figure, Ours, load_figures
 from missionsim.published.locate import mission
-from missionsim.spec import load_robot
+from missionsim.inputs import load_robot
 
 PAPER = "rover2025"
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from typing import Any
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
 from missionsim.errors import Fault, InputError
-from missionsim.spec.loading import load_mission, load_study
-from missionsim.spec.mission import MissionSpec
+from missionsim.inputs.loading import load_mission, load_study
+from missionsim.inputs.mission import MissionSpec
 
 SCHEMA = "missionsim.whatif/1"
 BASELINE = "baseline"

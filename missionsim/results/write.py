@@ -16,7 +16,7 @@ from missionsim.files import atomic_write, write_text
 from missionsim.results.tables import Table, tables
 
 if TYPE_CHECKING:
-    from missionsim.spec.mission import MissionSpec
+    from missionsim.inputs.mission import MissionSpec
 
 Format = Literal["csv", "parquet"]
 

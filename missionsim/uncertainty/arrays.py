@@ -22,7 +22,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.engine.simulate import RESERVE_TOLERANCE, split_values
 from missionsim.plan.kinematics import phases
 from missionsim.plan.legs import Leg, Plan
-from missionsim.spec.mission import MissionSpec
+from missionsim.inputs.mission import MissionSpec
 from missionsim.uncertainty.draws import Draws, Sampler
 from missionsim.uncertainty.entries import (
     SETTINGS,

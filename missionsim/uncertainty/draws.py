@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import InputError, did_you_mean
-from missionsim.spec.distributions import Distribution
-from missionsim.spec.mission import MissionSpec
-from missionsim.spec.uncertain_values import uncertain_values
+from missionsim.inputs.distributions import Distribution
+from missionsim.inputs.mission import MissionSpec
+from missionsim.inputs.uncertain_values import uncertain_values
 from missionsim.uncertainty.streams import LARGEST_NORMAL, Streams
 
 Draws = dict[str, NDArray[np.float64]]

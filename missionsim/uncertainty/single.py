@@ -14,7 +14,7 @@ from missionsim.engine.simulate import RunSetup, simulate, split_values
 from missionsim.errors import MissionsimError
 from missionsim.plan.build import make_plan
 from missionsim.plan.legs import Plan
-from missionsim.spec.mission import MissionSpec
+from missionsim.inputs.mission import MissionSpec
 from missionsim.uncertainty.draws import Draws, Sampler
 from missionsim.uncertainty.streams import run_generator
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.plan.legs import Plan
-from missionsim.spec.mission import MissionSpec
+from missionsim.inputs.mission import MissionSpec
 
 Array = NDArray[np.float64]
 _ROUNDING = 1e-12

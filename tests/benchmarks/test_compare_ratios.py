@@ -28,7 +28,7 @@ print(json.dumps({"wall_s": time.perf_counter() - start, "cpu_s": time.process_t
 OURS = """
 import json, resource, sys, threading, time
 from missionsim.compare import compare_files
-import psutil, pyarrow.parquet, missionsim.logs, missionsim.spec.power
+import psutil, pyarrow.parquet, missionsim.logs, missionsim.inputs.power
 process, own = psutil.Process(), []
 def watch():
     while True:

@@ -23,7 +23,7 @@ from missionsim.diagnose.split import choose_split
 from missionsim.identify.data import Settings
 from missionsim.identify.identify import identify
 from missionsim.logs import read_logs
-from missionsim.spec.loading import load_robot
+from missionsim.inputs.loading import load_robot
 from tests.hidden_effects import features, peers
 from tests.hidden_effects.world import Case, make, write
 

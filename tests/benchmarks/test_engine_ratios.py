@@ -10,7 +10,7 @@ import pytest
 import simpy
 
 from missionsim.engine.simulate import simulate
-from missionsim.spec.loading import load_mission
+from missionsim.inputs.loading import load_mission
 from tests.benchmarks import patrol
 
 pytestmark = pytest.mark.benchmark_ratio

@@ -256,7 +256,7 @@ def test_an_infeasible_plan_is_said(root: Path) -> None:
 
 def _log_of_mission(mission: Path, out: Path, step_s: float = 0.1) -> None:
     from missionsim.engine.simulate import simulate
-    from missionsim.spec import load_mission
+    from missionsim.inputs import load_mission
 
     result = simulate(load_mission(mission))
     line = result.timeline

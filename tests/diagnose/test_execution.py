@@ -12,7 +12,7 @@ from missionsim.effects.timeline import Timeline
 from missionsim.engine.simulate import simulate
 from missionsim.labels import Labels
 from missionsim.logs import LogTable
-from missionsim.spec.loading import load_mission
+from missionsim.inputs.loading import load_mission
 
 MISSION = """kind: mission
 name: there_and_back

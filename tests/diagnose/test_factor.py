@@ -12,7 +12,7 @@ from missionsim.diagnose.factor import common_factor, level_difference, may_diff
 from missionsim.diagnose.split import Split
 from missionsim.identify.data import Settings
 from missionsim.logs import LogTable
-from missionsim.spec.loading import load_robot
+from missionsim.inputs.loading import load_robot
 
 from .logs import drive
 

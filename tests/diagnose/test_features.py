@@ -11,8 +11,8 @@ from missionsim.diagnose.features import Features, make_features
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.logs import LogTable
-from missionsim.spec.loading import load_robot
-from missionsim.spec.power import build_power_model
+from missionsim.inputs.loading import load_robot
+from missionsim.inputs.power import build_power_model
 
 from .logs import drive
 

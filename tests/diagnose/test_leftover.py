@@ -12,7 +12,7 @@ from missionsim.diagnose import Diagnosis, Subject, diagnose, words
 from missionsim.diagnose.leftover import Leftover, standing_out
 from missionsim.logs import LogTable
 from missionsim.report.diagnosis_page import diagnosis_page
-from missionsim.spec.loading import load_robot
+from missionsim.inputs.loading import load_robot
 
 from .logs import drive
 

@@ -19,7 +19,7 @@ from missionsim.identify.data import Settings
 from missionsim.logs import read_logs
 from missionsim.report.diagnosis_page import diagnosis_page
 from missionsim.report.improve_page import improve_page
-from missionsim.spec.loading import shipped_robots
+from missionsim.inputs.loading import shipped_robots
 from tests.diagnose.test_words import BATTERY, HELD
 
 RAMPS = Path(__file__).parents[2] / "docs" / "examples" / "ramp_runs"

@@ -7,8 +7,8 @@ import pytest
 
 from missionsim.effects.library import get_effect
 from missionsim.physics.motion import relieved_powers
-from missionsim.spec.loading import robot_from_text, shipped_robots
-from missionsim.spec.power import build_power_model
+from missionsim.inputs.loading import robot_from_text, shipped_robots
+from missionsim.inputs.power import build_power_model
 
 MASS_KG, DRIVE_W = 30.0, 6.0
 SLOPES = np.array([0.1, 0.02, -0.02, -0.1])

@@ -10,8 +10,8 @@ from typing import Any
 
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
-from missionsim.spec.loading import load_mission
-from missionsim.spec.mission import MissionSpec
+from missionsim.inputs.loading import load_mission
+from missionsim.inputs.mission import MissionSpec
 
 ROBOT: dict[str, Any] = {
     "kind": "robot",

@@ -8,7 +8,7 @@ import pytest
 
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
-from missionsim.spec.loading import load_mission
+from missionsim.inputs.loading import load_mission
 from tests.engine import closed_form as hand
 
 EXACT = 1e-9

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from missionsim.engine.simulate import simulate
-from missionsim.spec.loading import load_mission
+from missionsim.inputs.loading import load_mission
 
 EXACT = 1e-9
 G = 9.80665

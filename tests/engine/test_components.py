@@ -10,7 +10,7 @@ import pytest
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError
-from missionsim.spec.loading import load_mission
+from missionsim.inputs.loading import load_mission
 from tests.engine.making import load, robot, run
 
 

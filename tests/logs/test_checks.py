@@ -386,7 +386,7 @@ def test_refreshes_period() -> None:
 
 
 def test_the_robot_sharpens_the_checks(tmp_path: Path) -> None:
-    from missionsim.spec import load_robot
+    from missionsim.inputs import load_robot
 
     robot = load_robot("pioneer3dx")
     columns = motion()

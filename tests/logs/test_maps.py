@@ -15,7 +15,7 @@ from missionsim.importer.mapping import import_source
 from missionsim.importer.mapunits import to_glossary
 from missionsim.labels import Labels
 from missionsim.logs import LogTable, read_log
-from missionsim.spec.loading import check_files, load_map
+from missionsim.inputs.loading import check_files, load_map
 from tests.logs.conftest import motion, write_csv
 
 N = 600

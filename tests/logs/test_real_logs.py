@@ -9,7 +9,7 @@ import pytest
 
 from missionsim.importer.mapping import import_source
 from missionsim.logs import LogTable, iter_blocks, read_log, read_logs
-from missionsim.spec.loading import load_map
+from missionsim.inputs.loading import load_map
 
 
 @pytest.fixture(scope="module")

@@ -27,8 +27,8 @@ from missionsim.published.figures import (
 )
 from missionsim.published.locate import mission, run
 from missionsim.published.reproduce import files, reproduce_paper, side_tables
-from missionsim.spec import load_robot
-from missionsim.spec.power import build_power_model
+from missionsim.inputs import load_robot
+from missionsim.inputs.power import build_power_model
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from missionsim.engine.simulate import simulate
 from missionsim.files import sha256
 from missionsim.results import tables, write_results
 from missionsim.results.tables import largest_consumers
-from missionsim.spec.loading import load_mission
+from missionsim.inputs.loading import load_mission
 
 CONTRACT = {
     "energy_wh", "mean_power_w", "charge_left_wh", "charge_left_fraction", "reserve_wh", "empty_at_s",

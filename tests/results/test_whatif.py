@@ -14,7 +14,7 @@ from missionsim.cli.whatif import split_values
 from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError
 from missionsim.results.whatif import Alternative, run_alternatives, varied
-from missionsim.spec.loading import load_mission
+from missionsim.inputs.loading import load_mission
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError
 from missionsim.expected import ExpectedRun
 from missionsim.online import Forecast, OnlinePredictor
-from missionsim.spec import load_mission
+from missionsim.inputs import load_mission
 
 
 def record(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from missionsim.engine.simulate import simulate
-from missionsim.spec import load_mission
+from missionsim.inputs import load_mission
 
 ROBOTS = {"khepera3": 0.1, "mecanum4": 0.8, "rover_tx2": 3.0}
 """Robot → a speed that it can drive, m/s."""

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from missionsim.spec.distributions import Distribution
+from missionsim.inputs.distributions import Distribution
 from missionsim.uncertainty.draws import Sampler, UncertainValue
 from missionsim.uncertainty.streams import CHUNK, Streams, run_generator
 

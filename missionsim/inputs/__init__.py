@@ -1,0 +1,33 @@
+"""YAML in, checked: robots, environments, missions and studies as frozen models.
+
+`load_robot`, `load_environment`, `load_mission` and `load_study` read files, `check_files` tells all their faults.
+"""
+
+from missionsim.inputs.distributions import Distribution
+from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.inputs.loading import (
+    check_files,
+    load_environment,
+    load_mission,
+    load_robot,
+    load_study,
+    shipped_robots,
+)
+from missionsim.inputs.mission import MissionSpec, StudySpec
+from missionsim.inputs.robot import RobotSpec
+from missionsim.inputs.values import Parameter
+
+__all__ = [
+    "Distribution",
+    "EnvironmentSpec",
+    "MissionSpec",
+    "Parameter",
+    "RobotSpec",
+    "StudySpec",
+    "check_files",
+    "load_environment",
+    "load_mission",
+    "load_robot",
+    "load_study",
+    "shipped_robots",
+]

@@ -1,0 +1,128 @@
+"""Batteries of a robot file."""
+
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from missionsim.inputs import units
+from missionsim.inputs.base import Model
+from missionsim.inputs.names import wrong
+from missionsim.inputs.values import (
+    Efficiency,
+    Fraction,
+    Issue,
+    Parameter,
+    Period,
+    Peukert,
+    Power,
+    QuantityOf,
+    Resistance,
+    Voltage,
+)
+
+
+class _CapacityOf(QuantityOf):
+    """Energy, or charge when the text is in Ah (converted with the nominal voltage by `BatterySpec`)."""
+
+    def _allowed(self) -> str:
+        return f"{super()._allowed()}, or a charge such as 20 Ah (with nominal_voltage)"
+
+    def _number(self, raw: Any, at: tuple[str | int, ...] = (), unit: str = "") -> tuple[float, str]:
+        if isinstance(raw, str) and (parts := units.split(raw)) and parts[1]:
+            try:
+                value = units.parse_quantity(raw, "charge")
+            except units.UnitError:
+                pass
+            else:
+                if value <= 0:
+                    raise Issue("impossible value", f"'{raw}'", "more than 0", at=at)
+                return value, "C"
+        return super()._number(raw, at, unit)
+
+
+Capacity = Annotated[Parameter, _CapacityOf("energy", 0.0, 1e12, strict_low=True)]
+
+
+class ConstantEnergy(Model):
+    """The papers' battery: a store of energy, times an ageing factor."""
+
+    kind: Literal["constant_energy"] = "constant_energy"
+    ageing: Efficiency = Parameter(1.0)
+
+
+class EquivalentCircuit(Model):
+    """Open-circuit voltage over the state of charge, internal resistance, Peukert's law, ageing, cut-off."""
+
+    kind: Literal["equivalent_circuit"]
+    open_circuit_voltage: Annotated[tuple[tuple[Fraction, Voltage], ...], Field(min_length=2, max_length=1000)]
+    resistance: Resistance
+    peukert: Peukert = Parameter(1.0)
+    rated_time: Period = Parameter(20 * 3600.0, unit="s")
+    ageing: Efficiency = Parameter(1.0)
+    cut_off: Voltage | None = None
+
+    @model_validator(mode="after")
+    def _increasing(self) -> "EquivalentCircuit":
+        charges = [point[0].value for point in self.open_circuit_voltage]
+        voltages = [point[1].value for point in self.open_circuit_voltage]
+        if any(later <= earlier for earlier, later in pairwise(charges)):
+            raise wrong("states of charge must increase", charges, "0 … 1 in order", "open_circuit_voltage")
+        if charges[0] != 0.0 or charges[-1] != 1.0:
+            raise wrong("the curve must run from 0 to 1", charges, "first 0, last 1", "open_circuit_voltage")
+        if any(later < earlier for earlier, later in pairwise(voltages)):
+            raise wrong("voltages must not fall with charge", voltages, "rising voltages", "open_circuit_voltage")
+        if self.cut_off is not None and self.cut_off.value >= voltages[-1]:
+            raise wrong(
+                "cut-off above the full battery's voltage", self.cut_off.value, f"below {voltages[-1]:g} V", "cut_off"
+            )
+        return self
+
+
+def _named_kind(raw: Any) -> Any:
+    return {"kind": raw} if isinstance(raw, str) else raw
+
+
+BatteryModel = Annotated[
+    Annotated[ConstantEnergy | EquivalentCircuit, Field(discriminator="kind")],
+    BeforeValidator(_named_kind, json_schema_input_type=str | ConstantEnergy | EquivalentCircuit),
+]
+
+
+class BatterySpec(Model):
+    """One battery. `capacity` is in J, or in C where the file gives Ah: use `capacity_j`."""
+
+    capacity: Capacity
+    nominal_voltage: Voltage | None = None
+    reserve: Fraction = Parameter(0.0, status="assumed")
+    initial_charge: Fraction = Parameter(1.0, status="assumed")
+    model: BatteryModel = ConstantEnergy.model_construct()
+    max_charge_power: Power | None = None
+    charge_efficiency: Efficiency = Parameter(1.0, status="assumed")
+
+    @model_validator(mode="after")
+    def _voltage_known(self) -> "BatterySpec":
+        needs_voltage = self.capacity.unit == "C" or isinstance(self.model, EquivalentCircuit)
+        if needs_voltage and self.nominal_voltage is None and self.capacity.unit == "C":
+            raise wrong(
+                "a capacity in Ah needs nominal_voltage", "no nominal_voltage", "nominal_voltage: 14.8 V", "capacity"
+            )
+        return self
+
+    @property
+    def capacity_j(self) -> float:
+        """Capacity when new, J."""
+        factor = self.nominal_voltage.value if self.capacity.unit == "C" and self.nominal_voltage else 1.0
+        return self.capacity.value * factor
+
+    @property
+    def capacity_wh(self) -> float:
+        """Capacity when new, Wh."""
+        return self.capacity_j / 3600.0
+
+    @property
+    def capacity_c(self) -> float | None:
+        """Capacity when new as charge, C (A s); None where the nominal voltage is unknown."""
+        if self.capacity.unit == "C":
+            return self.capacity.value
+        return self.capacity.value / self.nominal_voltage.value if self.nominal_voltage else None

@@ -1,0 +1,294 @@
+"""Checks across the parts of a robot file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from missionsim.effects.base import ParameterSpec
+from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.inputs.checker import Checker, Where
+from missionsim.inputs.robot import ComponentSpec, EffectSpec, LawSpec, RobotSpec, SchemeSpec
+from missionsim.inputs.tree import Document
+from missionsim.inputs.units import same_dimension
+from missionsim.inputs.values import Parameter
+
+
+def check_robot(robot: RobotSpec, document: Document) -> list[Fault]:
+    """Batteries, links, relays, requirements, sensors of schemes, formulas, motion model and effects."""
+    check = Checker(document)
+    batteries = check.raw_keys("batteries") or list(robot.batteries)
+    components = check.raw_keys("components")
+    for name, battery in robot.batteries.items():
+        if battery.initial_charge.value <= battery.reserve.value and battery.reserve.value > 0:
+            check.add(
+                ("batteries", name, "initial_charge"),
+                "starts at or below its reserve",
+                got=f"{battery.initial_charge.value:g}",
+                allowed=f"more than {battery.reserve.value:g}",
+                warning=True,
+            )
+    for name, link in robot.links.items():
+        check.known(("links", name, "battery"), link.battery, batteries, "battery")
+    for name, board in robot.switchboards.items():
+        check.known(("switchboards", name, "battery"), board.battery, batteries, "battery")
+    for name, component in robot.components.items():
+        _component(check, robot, name, component, batteries, components)
+    _circles(check, robot)
+    _relays(check, robot)
+    if robot.processor is not None:
+        check.known(("processor", "battery"), robot.processor.battery, batteries, "battery")
+    for name, scheme in robot.schemes.items():
+        _scheme(check, robot, name, scheme, components)
+    if robot.idle_scheme is not None:
+        check.known(("idle_scheme",), robot.idle_scheme, check.raw_keys("schemes"), "control scheme")
+    _motion(check, robot, batteries)
+    _effects(check, robot, batteries, components)
+    return check.faults
+
+
+def _component(
+    check: Checker, robot: RobotSpec, name: str, component: ComponentSpec, batteries: list[str], components: list[str]
+) -> None:
+    where: tuple[str | int, ...] = ("components", name)
+    for index, load in enumerate(component.loads):
+        at = (*where, "loads", index)
+        check.known((*at, "battery"), load.battery, batteries, "battery")
+        if load.through is not None and check.known((*at, "through"), load.through, check.raw_keys("links"), "link"):
+            link = robot.links.get(load.through)
+            if link is not None and link.battery != load.battery and link.battery in batteries:
+                check.add(
+                    (*at, "battery"),
+                    f"link '{load.through}' is fed by another battery",
+                    got=load.battery,
+                    allowed=link.battery,
+                )
+        if load.law is not None:
+            _law(check, (*at, "law"), load.law)
+    if component.relay is not None:
+        check.known((*where, "relay"), component.relay, check.raw_keys("switchboards"), "switchboard")
+    for index, other in enumerate(component.requires):
+        check.known((*where, "requires", index), other, components, "component")
+
+
+def _law(check: Checker, where: Where, law: LawSpec) -> None:
+    if law.power is not None:
+        own = [*law.parameters, *(["rate"] if law.rate is not None else [])]
+        check.formula((*where, "power"), law.power, own)
+        return
+    from missionsim.effects.law_models import LAW_MODELS
+
+    if law.model is not None and check.known((*where, "model"), law.model, LAW_MODELS, "law"):
+        _parameters(check, where, law.parameters, LAW_MODELS[law.model].parameters, f"law '{law.model}'")
+
+
+def _circles(check: Checker, robot: RobotSpec) -> None:
+    """Requirements that lead back to their component."""
+    state: dict[str, int] = {}
+    for start in robot.components:
+        stack: list[tuple[str, int]] = [(start, 0)]
+        trail = [start]
+        if state.get(start):
+            continue
+        state[start] = 1
+        while stack:
+            name, index = stack.pop()
+            needs = robot.components[name].requires if name in robot.components else ()
+            if index < len(needs):
+                stack.append((name, index + 1))
+                other = needs[index]
+                if state.get(other) == 1 and other in trail:
+                    circle = [*trail[trail.index(other) :], other]
+                    check.add(
+                        ("components", name, "requires", index),
+                        "components require each other in a circle",
+                        got=" → ".join(circle),
+                        allowed="requirements without a circle",
+                    )
+                elif not state.get(other) and other in robot.components:
+                    state[other] = 1
+                    trail.append(other)
+                    stack.append((other, 0))
+            else:
+                state[name] = 2
+                trail.pop()
+
+
+def _relays(check: Checker, robot: RobotSpec) -> None:
+    for name, board in robot.switchboards.items():
+        fed = [key for key, component in robot.components.items() if component.relay == name]
+        count = sum(robot.components[key].units for key in fed)
+        if count > len(board.power) - 1:
+            check.add(
+                ("switchboards", name, "power"),
+                f"switchboard has power for {len(board.power) - 1} relays only",
+                got=f"{count} units: {', '.join(fed)}",
+                allowed=f"{count + 1} powers, for 0 to {count} relays",
+            )
+
+
+def _scheme(check: Checker, robot: RobotSpec, name: str, scheme: SchemeSpec, components: list[str]) -> None:
+    where: tuple[str | int, ...] = ("schemes", name)
+
+    def sensors(at: Where, given: Mapping[str, int], what: str) -> None:
+        for sensor, count in given.items():
+            message = f"the scheme requires '{sensor}', which the robot does not have" if what == "required" else ""
+            if not check.known((*at, sensor), sensor, components, "component", key=True, message=message):
+                continue
+            spec = robot.components.get(sensor)
+            if spec is not None and count > spec.units:
+                check.add(
+                    (*at, sensor),
+                    f"more units of '{sensor}' than the robot has",
+                    got=str(count),
+                    allowed=f"0 to {spec.units}",
+                )
+
+    for at, rules in [
+        ((*where, "sensors"), scheme.sensors),
+        *(((*where, "navigation", key), rules) for key, rules in scheme.navigation.items()),
+    ]:
+        sensors((*at, "required"), rules.required, "required")
+        sensors((*at, "optional"), rules.optional, "optional")
+    sensors((*where, "default_sensors"), scheme.default_sensors, "default")
+    if scheme.default_navigation is not None:
+        check.known((*where, "default_navigation"), scheme.default_navigation, scheme.navigation, "navigation")
+    if scheme.processor and robot.processor is None and "processor" not in check.raw_keys():
+        check.add(
+            (*where, "processor"),
+            "the robot has no processor that this table could be for",
+            allowed="processor: {battery: …} in the robot",
+            key=True,
+        )
+    if scheme.motion and scheme.image_analysis:
+        check.add(
+            (*where, "image_analysis"),
+            "image analysis is done standing",
+            got="motion: true",
+            allowed="motion: false",
+            key=True,
+        )
+    seen: dict[tuple[str | None, tuple[tuple[str, int], ...]], int] = {}
+    for index, row in enumerate(scheme.processor):
+        at = (*where, "processor", index)
+        sensors((*at, "sensors"), row.sensors, "row")
+        if row.navigation is not None:
+            check.known((*at, "navigation"), row.navigation, scheme.navigation, "navigation of this scheme")
+        label = (row.navigation, tuple(sorted((key, count) for key, count in row.sensors.items() if count)))
+        if label in seen:
+            check.add(at, f"same configuration as row {seen[label]}", allowed="one power per configuration")
+        seen.setdefault(label, index)
+
+
+def _motion(check: Checker, robot: RobotSpec, batteries: list[str]) -> None:
+    motion = robot.motion
+    if motion is None:
+        return
+    check.known(("motion", "battery"), motion.battery, batteries, "battery")
+    if motion.model == "none":
+        return
+    if motion.model == "expression":
+        texts: dict[tuple[str | int, ...], str] = {("motion", "power"): str(motion.power)}
+        if motion.standing is not None:
+            texts["motion", "standing"] = str(motion.standing)
+        check.formulas(texts, motion.parameters)
+        return
+    from missionsim.effects.motion_models import get_motion_model, motion_model_ids
+
+    # the built-in ones first: listing all would load every model's module
+    if motion.model != "polynomial":
+        names = (*motion_model_ids(), "expression", "none")
+        if not check.known(("motion", "model"), motion.model, names, "motion model"):
+            return
+    model = get_motion_model(motion.model)
+    _parameters(check, ("motion",), motion.parameters, model.parameters, f"motion model '{motion.model}'")
+
+
+def _parameters(
+    check: Checker, where: Where, given: Mapping[str, Parameter], specs: tuple[ParameterSpec, ...], what: str
+) -> None:
+    """Known names, all that are needed, values inside the bounds that physics sets."""
+    known = {spec.name: spec for spec in specs}
+    for name, parameter in given.items():
+        at = (*where, "parameters", name)
+        if not check.known(at, name, known, "parameter", key=True, message=f"{what} has no parameter '{name}'"):
+            continue
+        spec = known[name]
+        # a plain number ("1") is in the parameter's own unit
+        if parameter.unit not in ("", "1", spec.unit) and not same_dimension(parameter.unit, spec.unit):
+            check.add(
+                at,
+                f"wrong unit of {name}",
+                got=f"a number in {parameter.unit}",
+                allowed="a plain number" if spec.unit == "1" else f"a number in {spec.unit}",
+            )
+            continue
+        low, high = spec.low, spec.high
+        if not low <= parameter.value <= high:
+            check.add(
+                at,
+                f"impossible value of {name}",
+                got=f"{parameter.value:g} {spec.unit}",
+                allowed=f"{low:g} to {high:g}" if high < float("inf") else f"at least {low:g}",
+            )
+    present = check.raw_keys(*where, "parameters")
+    for name, spec in known.items():
+        if name not in given and name not in present and spec.default != spec.default:
+            check.add(
+                (*where, "parameters"),
+                f"parameter '{name}' of {what} is missing",
+                key=True,
+                allowed=f"{name}: {spec.meaning}, {spec.unit}",
+            )
+
+
+def _effects(check: Checker, robot: RobotSpec, batteries: list[str], components: list[str]) -> None:
+    seen: dict[str, int] = {}
+    for index, effect in enumerate(robot.effects):
+        where: tuple[str | int, ...] = ("effects", index)
+        check.known((*where, "battery"), effect.battery, batteries, "battery")
+        label = f"{effect.battery}/{effect.name or effect.effect}"
+        if label in seen:
+            check.add(
+                where,
+                f"effect '{effect.name or effect.effect}' given twice on this battery; the first is item {seen[label]}",
+                allowed="a 'name' of its own for each",
+            )
+        seen.setdefault(label, index)
+        if effect.effect in ("grade", "acceleration") and robot.body.mass is None and not effect.candidate:
+            check.add(
+                (*where, "effect"),
+                f"'{effect.effect}' needs the robot's mass, which counts as 1 kg here",
+                got="no body.mass",
+                allowed="body: {mass: …}, unless k was fitted without it",
+                warning=True,
+            )
+        if effect.power is not None:
+            check.formula((*where, "power"), effect.power, effect.parameters)
+        else:
+            _library_effect(check, where, effect, components)
+
+
+def _library_effect(check: Checker, where: Where, effect: EffectSpec, components: list[str]) -> None:
+    from missionsim.effects.library import effect_ids, get_effect
+
+    identifier = str(effect.effect)
+    family, colon, of = identifier.partition(":")
+    try:
+        surfaces = tuple(name[2:] for name in effect.parameters if name.startswith("k_"))
+        found = get_effect(identifier, surfaces)
+    except InputError:
+        ids = effect_ids()
+        families = [item.partition(":")[0] for item in ids]
+        check.add(
+            (*where, "effect"),
+            f"no effect '{identifier}' in the library",
+            got=f"'{identifier}'",
+            allowed=", ".join(ids),
+            hint=did_you_mean(family, families),
+        )
+        return
+    if colon and family.startswith("component_"):
+        check.known((*where, "effect"), of, components, "component")
+    if effect.candidate:
+        return
+    _parameters(check, where, effect.parameters, found.parameters, f"effect '{identifier}'")

@@ -1,0 +1,129 @@
+"""What the checks share: a list of faults and the question whether a name is known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.inputs.salvage import related, under
+from missionsim.inputs.tree import Document, as_written
+
+Where = Sequence[str | int]
+_SHOWN = 24
+
+ALIASES = ("v", "a", "w", "u", "theta", "m")
+"""Short names in formulas: speed, acceleration, yaw rate, sideways speed, slope, mass."""
+DERIVED = ("moving_time_s", "moving", "starts", "mass_kg", "drive_w", "load_w")
+"""Covariates that a run or a log adds to the glossary's columns."""
+
+
+class Checker:
+    """Collects faults of one document."""
+
+    def __init__(self, document: Document) -> None:
+        self.document = document
+        self.faults: list[Fault] = []
+
+    def add(
+        self,
+        where: Where,
+        message: str,
+        *,
+        got: str = "",
+        allowed: str = "",
+        hint: str = "",
+        key: bool = False,
+        warning: bool = False,
+    ) -> None:
+        """One fault at a path of the file, unless that place was told to be faulty already."""
+        if self.faulty(where):
+            return
+        severity = "warning" if warning else "error"
+        self.faults.append(
+            self.document.fault(where, message, got=got, allowed=allowed, hint=hint, key=key, severity=severity)
+        )
+
+    def faulty(self, where: Where) -> bool:
+        """Whether a fault was told at this path or above it."""
+        faulty = getattr(self.document, "faulty", ())
+        return bool(faulty) and under(self.document.original(where), faulty)
+
+    def touched(self, *where: str | int) -> bool:
+        """Whether a fault was told at, above or below this path."""
+        faulty = getattr(self.document, "faulty", ())
+        return bool(faulty) and related(self.document.original(where), faulty)
+
+    def known(
+        self, where: Where, name: str, names: Iterable[str], what: str, *, key: bool = False, message: str = ""
+    ) -> bool:
+        """Whether `name` is one of `names`; a fault with did-you-mean where it is not."""
+        options = list(names)
+        if name in options:
+            return True
+        shown = ", ".join(options[:_SHOWN]) + (f" and {len(options) - _SHOWN} more" if len(options) > _SHOWN else "")
+        self.add(
+            where,
+            message or f"no {what} '{name}'",
+            got=as_written(name),
+            allowed=shown or f"there is no {what} here",
+            hint=did_you_mean(name, options),
+            key=key,
+        )
+        return False
+
+    def raw_keys(self, *where: str | int) -> list[str]:
+        """Keys of a mapping as the file has them, also those whose values are at fault."""
+        data = self.document.data
+        for item in where:
+            if isinstance(data, dict) and item in data:
+                data = data[item]
+            else:
+                return []
+        return [str(key) for key in data] if isinstance(data, dict) else []
+
+    def formula(self, where: Where, text: str, own: Iterable[str]) -> None:
+        """A formula that can be read, names what there is and uses all its parameters."""
+        self.formulas({tuple(where): text}, own)
+
+    def formulas(self, texts: Mapping[tuple[str | int, ...], str], own: Iterable[str]) -> None:
+        """Formulas, by their paths, with parameters in common; see `formula`."""
+        parameters = list(own)
+        used: set[str] = set()
+        for where, text in texts.items():
+            names = self._names(where, text, parameters)
+            if names is None:
+                return
+            used |= names
+        where, text = next(iter(texts.items()))
+        for name in parameters:
+            if name not in used:
+                self.add(where, f"parameter '{name}' does not occur in the formula", got=text[:80], warning=True)
+
+    def _names(self, where: Where, text: str, parameters: list[str]) -> frozenset[str] | None:
+        """Names that a formula reads, None where it cannot be read.
+
+        Names of further log columns are allowed; one that is nearly a known name gets a warning.
+        """
+        from missionsim.expressions import compile_expression
+        from missionsim.glossary import COLUMNS, column_of
+
+        try:
+            expression = compile_expression(text, **self.document.place(where)._asdict())
+        except InputError as problem:
+            self.faults.extend(problem.faults)
+            return None
+        known = [*parameters, *ALIASES, *DERIVED, *(column.name for column in COLUMNS)]
+        for name in sorted(expression.names):
+            if name in known or column_of(name) is not None or name.startswith(("on_time_", "starting_")):
+                continue
+            hint = did_you_mean(name, known, 0.8)
+            if hint:
+                self.add(
+                    where,
+                    f"formula names '{name}', which is no column of the glossary",
+                    got=text[:80],
+                    allowed="a parameter, a glossary column, or a further column of your logs",
+                    hint=hint,
+                    warning=True,
+                )
+        return expression.names

@@ -1,0 +1,247 @@
+"""Change a robot file and keep its comments, order and quotes (ruamel.yaml round trip)."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from missionsim.errors import InputError
+from missionsim.inputs import units
+from missionsim.inputs.loading import find_robot, robot_from_text
+from missionsim.inputs.overrides import resolve
+from missionsim.inputs.parameter import Parameter
+from missionsim.inputs.schemas import SCHEMA_FOLDER
+
+if TYPE_CHECKING:
+    from missionsim.inputs.robot import RobotSpec
+
+_SCHEMA_LINE = re.compile(r"^(# yaml-language-server: \$schema=)(\S+)[ \t]*$", re.MULTILINE)
+_NUMBERS = ("value", "sd", "low", "high")
+_DIGITS = 7
+"""Significant digits of fitted numbers in files; their uncertainty is far larger."""
+
+
+def robot_text(name_or_path: str | os.PathLike[str]) -> str:
+    """Text of a shipped robot's file, or of the file at a path.
+
+    Raises
+    ------
+    InputError
+        No such robot.
+    """
+    path = find_robot(str(name_or_path), None)
+    if path is None:
+        raise InputError.single(
+            f"no robot '{name_or_path}'", got=str(name_or_path), allowed="a shipped robot or a file"
+        )
+    return path.read_text(encoding="utf-8")
+
+
+def add_effect(text: str, effect: Mapping[str, Any]) -> str:
+    """The robot's text with one more entry under ``effects:``.
+
+    Parameters
+    ----------
+    text : str
+        Robot file.
+    effect : mapping
+        As in the file: ``{"effect": "grade", "battery": "robot", "parameters": {"k": {"value": 1.1, "sd": 0.02}},
+        "origin": {...}}``; numbers in SI.
+
+    Returns
+    -------
+    str
+        Checked text of the new file.
+
+    Raises
+    ------
+    InputError
+        The result would not be a valid robot (unknown effect, battery, parameter…).
+    """
+    yaml, data = _open(text)
+    entry = _plain(effect)
+    if data.get("effects"):
+        data["effects"].append(entry)
+    else:
+        data["effects"] = _sequence([entry])
+    return _close(yaml, data)
+
+
+def remove_effect(text: str, index: int) -> str:
+    """The robot's text without one entry of ``effects:``."""
+    yaml, data = _open(text)
+    del data["effects"][index]
+    if not data["effects"]:
+        del data["effects"]
+    return _close(yaml, data)
+
+
+def set_values(text: str, updates: Mapping[str, float | Mapping[str, Any]]) -> str:
+    """The robot's text with other numbers.
+
+    Parameters
+    ----------
+    text : str
+        Robot file.
+    updates : mapping
+        Path such as ``motion.parameters.c3`` (`Parameter.path`) to a number in SI, or to a mapping with ``value`` and
+        perhaps ``sd`` (SI), ``status``, ``source``, ``note``. A new ``value`` takes out the old status, source and
+        note, since they spoke of the old value, and the old spread where no new one is given.
+
+    Returns
+    -------
+    str
+        Checked text of the new file.
+
+    Raises
+    ------
+    InputError
+        A path that leads nowhere, or a value that is not possible.
+    """
+    known = numbers(robot_from_text(text))
+    yaml, data = _open(text)
+    for path, update in updates.items():
+        found = resolve(data, path)
+        if not isinstance(found, tuple):
+            raise InputError(found)
+        parent = data
+        for key in found[:-1]:
+            parent = parent[key]
+        last: Any = found[-1]
+        old = parent.get(last) if isinstance(parent, dict) else parent[last]
+        new = dict(update) if isinstance(update, Mapping) else {"value": update}
+        parent[last] = _updated(old, new, known.get(".".join(map(str, found))))
+    return _close(yaml, data)
+
+
+def rename(text: str, *, name: str | None = None, title: str | None = None) -> str:
+    """The robot's text under another name or title."""
+    yaml, data = _open(text)
+    for key, value in (("name", name), ("title", title)):
+        if value is not None:
+            data[key] = value
+    return _close(yaml, data)
+
+
+def for_folder(text: str, folder: str | os.PathLike[str], kind: str = "robot") -> str:
+    """The text with its editor line leading from `folder` to the installed schema."""
+    target = SCHEMA_FOLDER / f"{kind}.schema.json"
+    try:
+        relative = os.path.relpath(target, Path(folder).resolve())
+    except ValueError:  # another drive
+        relative = target.as_uri()
+    reference = Path(relative).as_posix() if "://" not in relative else relative
+    return _SCHEMA_LINE.sub(lambda match: match.group(1) + reference, text, count=1)
+
+
+def numbers(robot: RobotSpec) -> dict[str, Parameter]:
+    """Every number of a robot file by its path."""
+    from missionsim.inputs.uncertain_values import parameters
+
+    return dict(parameters(robot))
+
+
+def _open(text: str) -> tuple[Any, Any]:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    yaml = YAML(typ="rt")
+    yaml.preserve_quotes = True
+    yaml.width = 4096
+    offset = _list_offset(text)
+    yaml.indent(mapping=2, sequence=offset + 2, offset=offset)
+    robot_from_text(text)
+    try:
+        return yaml, yaml.load(text)
+    except YAMLError as problem:
+        raise InputError.single(f"not YAML: {str(problem).splitlines()[0]}") from None
+
+
+def _close(yaml: Any, data: Any) -> str:
+    buffer = io.StringIO()
+    yaml.dump(data, buffer)
+    text = buffer.getvalue()
+    robot_from_text(text)
+    return text
+
+
+def _list_offset(text: str) -> int:
+    """How far the file indents the dashes of a list below its key: 0 or 2."""
+    match = re.search(r"^( *)[\w-]+:[ \t]*(?:#[^\n]*)?\n(?:[ \t]*(?:#[^\n]*)?\n)*( *)- ", text, re.MULTILINE)
+    return 0 if match is not None and len(match.group(2)) <= len(match.group(1)) else 2
+
+
+def _updated(old: Any, new: Mapping[str, Any], parameter: Parameter | None) -> Any:
+    """What stands at a number's place after an update."""
+    spread = {"sd", "low", "high", "distribution"}
+    if isinstance(old, dict):
+        result = old
+        if "value" in new:
+            outdated = {"status", "source", "note"} | (set() if spread & set(new) else spread)
+            for key in outdated & set(result) - set(new):
+                del result[key]
+        former = old.get("value")
+        for key, value in new.items():
+            result[key] = _written(value, former, parameter) if key in _NUMBERS else value
+        return result
+    told = {key: _written(value, old, parameter) if key in _NUMBERS else value for key, value in new.items()}
+    return told["value"] if set(told) == {"value"} else _mapping(told, flow=True)
+
+
+def _written(value: Any, old: Any, parameter: Parameter | None) -> Any:
+    """A SI number as the file writes numbers of this field: in the unit that stood there, plain where none did."""
+    if not isinstance(value, (int, float)):
+        return value
+    rounded = float(f"{value:.{_DIGITS}g}")
+    if isinstance(old, str) and (parts := units.split(old)) and (factor := units.si_factor(parts[1])) is not None:
+        return f"{value / factor:.{_DIGITS}g} {parts[1]}"
+    unit = parameter.unit if parameter is not None else ""
+    if unit == "J":
+        return f"{rounded:.{_DIGITS}g} J"
+    return rounded
+
+
+def _plain(value: Any, depth: int = 0) -> Any:
+    """Plain Python data as ruamel nodes, small inner mappings in one line."""
+    if isinstance(value, Mapping):
+        return _mapping({str(key): _plain(item, depth + 1) for key, item in value.items()}, flow=depth >= 2)
+    if isinstance(value, (list, tuple)):
+        return _sequence([_plain(item, depth + 1) for item in value], flow=True)
+    if isinstance(value, bool) or value is None or isinstance(value, (int, str)):
+        return value
+    if isinstance(value, float) or hasattr(value, "__float__"):
+        return float(f"{float(value):.{_DIGITS}g}")
+    return str(value)
+
+
+def _mapping(items: Mapping[str, Any], flow: bool = False) -> Any:
+    from ruamel.yaml.comments import CommentedMap
+
+    result = CommentedMap(items)
+    if flow:
+        result.fa.set_flow_style()
+    return result
+
+
+def _sequence(items: Sequence[Any], flow: bool = False) -> Any:
+    from ruamel.yaml.comments import CommentedSeq
+
+    result = CommentedSeq(items)
+    if flow:
+        result.fa.set_flow_style()
+    return result
+
+
+def set_source(text: str, key: str, told: str) -> str:
+    """The robot's text with one entry of ``sources:`` added or replaced."""
+    yaml, data = _open(text)
+    if data.get("sources"):
+        data["sources"][key] = told
+    else:
+        position = next((i for i, name in enumerate(data) if name not in ("kind", "name", "title")), len(data))
+        data.insert(position, "sources", _mapping({key: told}))
+    return _close(yaml, data)

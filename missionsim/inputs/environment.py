@@ -1,0 +1,125 @@
+"""The environment file: places, ways between them, chargers, ambient."""
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from missionsim.inputs.base import FileModel, Identifier, Model, Name, Text
+from missionsim.inputs.names import wrong
+from missionsim.inputs.values import (
+    Angle,
+    Condition,
+    Coordinate,
+    Distance,
+    Efficiency,
+    Length,
+    Parameter,
+    Power,
+    Slope,
+    Speed,
+    Temperature,
+)
+
+
+class ChargerSpec(Model):
+    """Charger at a place: power delivered to each battery that charges, and how many robots at once."""
+
+    power: Power
+    batteries: tuple[Identifier, ...] = ()
+    slots: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 1
+    efficiency: Efficiency = Parameter(1.0)
+
+
+class PlaceSpec(Model):
+    """A named place; coordinates may be left out where every edge has a length."""
+
+    x: Coordinate | None = None
+    y: Coordinate | None = None
+    heading: Angle | None = None
+    charger: ChargerSpec | None = None
+    title: Text = ""
+
+    @model_validator(mode="after")
+    def _both(self) -> "PlaceSpec":
+        if (self.x is None) != (self.y is None):
+            raise wrong("a place has both coordinates or none", "x" if self.x else "y", "x: 0 m, y: 0 m")
+        return self
+
+    @property
+    def position(self) -> tuple[float, float] | None:
+        """Coordinates, m."""
+        return None if self.x is None or self.y is None else (self.x.value, self.y.value)
+
+
+class EdgeSpec(Model):
+    """A way between two places; slope uphill positive from `from` to `to`."""
+
+    name: Name | None = None
+    from_: Name = Field(alias="from")
+    to: Name
+    length: Distance | None = None
+    slope: Slope = Parameter(0.0, unit="rad")
+    surface: Name | None = None
+    both_ways: bool = True
+    max_speed: Speed | None = None
+    temperature: Temperature | None = None
+    access_point_distance: Length | None = None
+    conditions: dict[Identifier, Condition] = Field(default_factory=dict)
+
+
+class AmbientSpec(Model):
+    """What holds everywhere unless an edge or a segment says otherwise."""
+
+    temperature: Temperature | None = None
+    surface: Name | None = None
+    access_point_distance: Length | None = None
+    conditions: dict[Identifier, Condition] = Field(default_factory=dict)
+
+
+class AccessPointSpec(Model):
+    """Radio access point."""
+
+    x: Coordinate
+    y: Coordinate
+
+
+class EnvironmentSpec(FileModel):
+    """An environment file."""
+
+    kind: Literal["environment"]
+    name: Name
+    title: Text = ""
+    notes: Text = ""
+    sources: dict[Identifier, Text] = Field(default_factory=dict)
+    places: Annotated[dict[Name, PlaceSpec], Field(min_length=1, max_length=20_000)]
+    edges: Annotated[tuple[EdgeSpec, ...], Field(max_length=50_000)] = ()
+    ambient: AmbientSpec = AmbientSpec.model_construct()
+    access_points: dict[Name, AccessPointSpec] = Field(default_factory=dict)
+
+    def length_m(self, edge: EdgeSpec) -> float | None:
+        """Length of an edge, m: as given, else the straight distance; None where neither is known."""
+        if edge.length is not None:
+            return edge.length.value
+        return self.straight_m(edge.from_, edge.to)
+
+    def straight_m(self, first: str, second: str) -> float | None:
+        """Straight distance between two places, m."""
+        ends = [self.places[name].position if name in self.places else None for name in (first, second)]
+        if ends[0] is None or ends[1] is None:
+            return None
+        return math.hypot(ends[1][0] - ends[0][0], ends[1][1] - ends[0][1])
+
+    def graph(self) -> Any:
+        """Directed networkx multigraph: nodes with `spec`, edges with `spec`, `length_m`, `slope_rad`, `reverse`."""
+        import networkx
+
+        graph = networkx.MultiDiGraph()
+        for name, place in self.places.items():
+            graph.add_node(name, spec=place)
+        for index, edge in enumerate(self.edges):
+            common = {"spec": edge, "index": index, "length_m": self.length_m(edge)}
+            graph.add_edge(edge.from_, edge.to, slope_rad=edge.slope.value, reverse=False, **common)
+            if edge.both_ways:
+                graph.add_edge(edge.to, edge.from_, slope_rad=-edge.slope.value, reverse=True, **common)
+        return graph

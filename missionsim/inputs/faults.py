@@ -1,0 +1,248 @@
+"""pydantic's errors to `Fault`s with file, line and column."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from missionsim.errors import Fault, did_you_mean
+from missionsim.inputs.tree import Document, as_written
+
+_LIMITS = {
+    "greater_than": ("more than", "gt"),
+    "greater_than_equal": ("at least", "ge"),
+    "less_than": ("less than", "lt"),
+    "less_than_equal": ("at most", "le"),
+}
+_KINDS = {
+    "string_type": "text",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "int_parsing": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "dict_type": "a mapping",
+    "model_type": "a mapping",
+    "model_attributes_type": "a mapping",
+    "mapping_type": "a mapping",
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "finite_number": "a finite number",
+}
+
+
+def to_faults(
+    problem: ValidationError, document: Document, model: type[BaseModel], shape: Any
+) -> list[tuple[tuple[str | int, ...], Fault]]:
+    """All errors of one validation, each with its path in the file.
+
+    Parameters
+    ----------
+    problem : pydantic.ValidationError
+    document : Document
+        Where the data came from.
+    model : type
+        The file's model, for the keys that are allowed.
+    shape : object
+        The data that was validated.
+
+    Returns
+    -------
+    list of (path, Fault)
+    """
+    result: list[tuple[tuple[str | int, ...], Fault]] = []
+    for error in problem.errors(include_url=False):
+        path = file_path(error["loc"], shape)
+        kind = error["type"]
+        context: dict[str, Any] = error.get("ctx", {})
+        raw = error.get("input")
+        if kind == "quantity":
+            for entry in context["entries"]:
+                at = (*path, *entry["at"])
+                unknown = entry["message"].startswith(("unknown key", "unknown kind"))
+                fault = document.fault(
+                    at, entry["message"], got=entry["got"], allowed=entry["allowed"], hint=entry["hint"], key=unknown
+                )
+                result.append((at, fault))
+            continue
+        if kind == "extra_forbidden":
+            key = str(path[-1])
+            known = _allowed_keys(model, error["loc"][:-1])
+            fault = document.fault(
+                path, f"unknown key '{key}'", got=key, allowed=", ".join(known), hint=_close_key(key, known), key=True
+            )
+        elif kind == "missing" and path[:1] == ("components",) and error["loc"][-1] == "loads":
+            fault = _unfed(document, path[:2], path[1], raw)
+        elif kind == "missing":
+            fault = document.fault(
+                path[:-1] if _absent(shape, path) else path,
+                f"'{error['loc'][-1]}' is missing",
+                got=as_written(raw),
+                allowed=f"{error['loc'][-1]}: …",
+            )
+        elif kind in _LIMITS:
+            word, key = _LIMITS[kind]
+            fault = document.fault(path, "impossible value", got=as_written(raw), allowed=f"{word} {context[key]:g}")
+        elif kind in ("literal_error", "enum"):
+            options = [item.strip("'") for item in str(context["expected"]).replace(" or ", ", ").split(", ")]
+            hint = did_you_mean(raw, options) if isinstance(raw, str) else ""
+            fault = document.fault(
+                path, "not one of the allowed words", got=as_written(raw), allowed=", ".join(options), hint=hint
+            )
+        elif kind in ("union_tag_invalid", "union_tag_not_found"):
+            options = (
+                [item.strip("'") for item in str(context.get("expected_tags", "")).split(", ")]
+                if context.get("expected_tags")
+                else []
+            )
+            tag = context.get("tag", "")
+            fault = document.fault(
+                (*path, "kind"),
+                "unknown kind" if tag else "'kind' is missing",
+                got=as_written(tag or raw),
+                allowed=", ".join(options) or "kind: …",
+                hint=did_you_mean(str(tag), options),
+            )
+        elif kind in _KINDS:
+            fault = document.fault(path, f"must be {_KINDS[kind]}", got=as_written(raw), allowed=_KINDS[kind])
+        elif kind == "string_pattern_mismatch":
+            allowed = (
+                "lower-case letters, digits and _, beginning with a letter"
+                if "a-z0-9" in context["pattern"]
+                else context["pattern"]
+            )
+            fault = document.fault(
+                path, "not a name that can be used here", got=as_written(raw), allowed=allowed, key=True
+            )
+        elif kind in ("too_short", "too_long"):
+            few = kind == "too_short"
+            number = context["min_length"] if few else context["max_length"]
+            if follows_from_entries(error):
+                continue
+            if few and path[:1] == ("components",) and path[-1] == "loads":
+                result.append((path, _unfed(document, path, path[1], raw)))
+                continue
+            fault = document.fault(
+                path,
+                "too few entries" if few else "too many entries",
+                got=as_written(raw),
+                allowed=f"at {'least' if few else 'most'} {number}",
+            )
+        elif kind in ("string_too_short", "string_too_long"):
+            number = context.get("min_length", context.get("max_length"))
+            fault = document.fault(
+                path,
+                "text too short" if "short" in kind else "text too long",
+                got=as_written(raw),
+                allowed=f"{number} characters",
+            )
+        else:
+            fault = document.fault(path, error["msg"][:1].lower() + error["msg"][1:], got=as_written(raw))
+        result.append((path, fault))
+    return result
+
+
+def follows_from_entries(error: Any) -> bool:
+    """Whether a list is called too short only because entries are at fault (those are told)."""
+    raw = error.get("input")
+    return bool(
+        error["type"] == "too_short" and isinstance(raw, (list, tuple, dict)) and len(raw) >= error["ctx"]["min_length"]
+    )
+
+
+def _unfed(document: Document, where: Sequence[str | int], component: str | int, raw: Any) -> Fault:
+    return document.fault(
+        where,
+        f"component '{component}' is fed by no battery",
+        got=as_written(raw),
+        allowed="loads: [{battery: …, power: …}]",
+    )
+
+
+def file_path(loc: Sequence[str | int], data: Any) -> tuple[str | int, ...]:
+    """pydantic's location without its union tags and key marks: the path of the value in the file."""
+    path: list[str | int] = []
+    for index, item in enumerate(loc):
+        if item == "[key]":
+            continue
+        if isinstance(data, dict):
+            if item in data:
+                path.append(item)
+                data = data[item]
+            elif index == len(loc) - 1:
+                path.append(item)
+        elif isinstance(data, (list, tuple)) and isinstance(item, int) and item < len(data):
+            path.append(item)
+            data = data[item]
+    return tuple(path)
+
+
+def _absent(data: Any, path: Sequence[str | int]) -> bool:
+    for item in path:
+        try:
+            data = data[item]
+        except (KeyError, IndexError, TypeError):
+            return True
+    return False
+
+
+def _close_key(key: str, known: Iterable[str]) -> str:
+    words = list(known)
+    spelled = key.replace("-", "_").replace(" ", "_").lower()
+    return spelled if spelled in words else did_you_mean(key, words)
+
+
+def _allowed_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
+    """Keys of the model that lies at `loc` below `model`."""
+    current: list[Any] = [model]
+    for item in loc:
+        current = [found for kind in current for found in _below(kind, item)]
+    keys: dict[str, None] = {}
+    for kind in current:
+        for candidate in _models(kind):
+            keys |= dict.fromkeys(
+                field.alias or name
+                for name, field in candidate.model_fields.items()
+                if name != "kind" or candidate is model
+            )
+    return list(keys)
+
+
+def _below(kind: Any, item: str | int) -> list[Any]:
+    from typing import get_args, get_origin, get_type_hints
+
+    result: list[Any] = []
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        for name, field in kind.model_fields.items():
+            if item in (name, field.alias):
+                # the hint, for a repeat block names its segments in advance
+                result.append(get_type_hints(kind)[name])
+        if (
+            not result
+            and kind.model_fields.get("kind") is not None
+            and item in get_args(kind.model_fields["kind"].annotation)
+        ):
+            result.append(kind)  # a union tag
+        return result
+    origin = get_origin(kind)
+    arguments = get_args(kind)
+    if origin is dict:
+        return [arguments[1]]
+    if origin in (tuple, list) and isinstance(item, int):
+        return [argument for argument in arguments if argument is not ...]
+    if arguments:
+        for argument in arguments:
+            result += _below(argument, item)
+    return result
+
+
+def _models(kind: Any) -> list[type[BaseModel]]:
+    from typing import get_args
+
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        return [kind]
+    return [model for argument in get_args(kind) for model in _models(argument)]

@@ -1,0 +1,394 @@
+"""Files to checked, frozen models; all faults of all files at once."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
+
+from pydantic import ValidationError
+
+from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.inputs import overrides as override_rules
+from missionsim.inputs.base import FileModel, Model
+from missionsim.inputs.check_environment import check_environment
+from missionsim.inputs.check_mission import check_mission
+from missionsim.inputs.check_robot import check_robot
+from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.inputs.faults import to_faults
+from missionsim.inputs.mission import MissionSpec, StudySpec
+from missionsim.inputs.robot import RobotSpec
+from missionsim.inputs.salvage import related, repaired, view_of
+from missionsim.inputs.tree import Document, as_written, parse_document, read_document
+from missionsim.inputs.unread import unread
+from missionsim.inputs.values import Parameter
+
+if TYPE_CHECKING:
+    from missionsim.inputs.log_map import MapSpec
+
+KINDS = ("robot", "environment", "mission", "study", "map")
+Override = tuple[str, Any]
+Loaded = TypeVar("Loaded", bound=FileModel)
+_ROUNDS = 30
+ROBOT_FOLDER = Path(__file__).resolve().parent.parent / "robots"
+
+
+def shipped_robots() -> dict[str, Path]:
+    """Names of the robots that come with missionsim, and their files."""
+    return {path.stem: path for path in sorted(ROBOT_FOLDER.glob("*.yaml"))}
+
+
+def load_robot(name_or_path: str | os.PathLike[str], overrides: Sequence[Override] = ()) -> RobotSpec:
+    """Load a shipped robot by name, or a robot file.
+
+    Parameters
+    ----------
+    name_or_path : str or path-like
+        ``pioneer3dx`` or a path.
+    overrides : sequence of (path, value)
+        Values to set first, such as ``("batteries.robot.capacity", "100 Wh")``.
+
+    Raises
+    ------
+    InputError
+        All faults of the file.
+    """
+    faults: list[Fault] = []
+    path = find_robot(str(name_or_path), None)
+    if path is None:
+        raise InputError(_unknown_robot(str(name_or_path), None, ()))
+    robot = _load(path, RobotSpec, faults, overrides)
+    return _finish(robot, faults)
+
+
+def robot_from_text(text: str, name: str = "robot") -> RobotSpec:
+    """A robot from the text of its file; `name` is what messages call it."""
+    faults: list[Fault] = []
+    return _finish(_load(Path(name), RobotSpec, faults, document=parse_document(text, name=name)), faults)
+
+
+def load_environment(path: str | os.PathLike[str], overrides: Sequence[Override] = ()) -> EnvironmentSpec:
+    """Load an environment file; see `load_robot`."""
+    faults: list[Fault] = []
+    return _finish(_load(Path(path), EnvironmentSpec, faults, overrides), faults)
+
+
+def load_mission(
+    path: str | os.PathLike[str],
+    overrides: Sequence[Override] = (),
+    robot: str | os.PathLike[str] | RobotSpec | None = None,
+) -> MissionSpec:
+    """Load a mission with its robot and environment.
+
+    Parameters
+    ----------
+    path : path-like
+        Mission file.
+    overrides : sequence of (path, value)
+        What to set first; ``robot.…`` and ``environment.…`` lead into those files.
+    robot : str, path-like or RobotSpec, optional
+        Robot in place of the mission's own.
+
+    Raises
+    ------
+    InputError
+        All faults of all files.
+    """
+    faults: list[Fault] = []
+    return _finish(_load_mission(Path(path), faults, overrides, robot), faults)
+
+
+def load_study(path: str | os.PathLike[str]) -> StudySpec:
+    """Load a study file; its `mission` stays a path relative to it (`mission_path`)."""
+    faults: list[Fault] = []
+    return _finish(_load(Path(path), StudySpec, faults), faults)
+
+
+def load_map(path: str | os.PathLike[str]) -> MapSpec:
+    """Load a map for ``missionsim import``; faults in its formulas are told too."""
+    from missionsim.inputs.log_map import MapSpec
+
+    faults: list[Fault] = []
+    return _finish(_load(Path(path), MapSpec, faults), faults)
+
+
+def model_of(kind: str) -> type[FileModel]:
+    """Model of a kind of file, one of `KINDS`."""
+    if kind == "map":
+        # only `import` and `validate` of maps need it; every run would pay for it
+        from missionsim.inputs.log_map import MapSpec
+
+        return MapSpec
+    models: dict[str, type[FileModel]] = {
+        "robot": RobotSpec,
+        "environment": EnvironmentSpec,
+        "mission": MissionSpec,
+        "study": StudySpec,
+    }
+    return models[kind]
+
+
+def check_files(paths: Iterable[str | os.PathLike[str]]) -> list[Fault]:
+    """All faults and warnings of all YAML files, sorted, each once (a shared robot is told once)."""
+    faults: list[Fault] = []
+    for path in paths:
+        document = _read(Path(path), faults)
+        if document is None:
+            continue
+        kind = document.data.get("kind") if isinstance(document.data, dict) else None
+        if kind == "mission":
+            _load_mission(Path(path), faults, document=document)
+        elif kind == "study":
+            study = _load(Path(path), StudySpec, faults, document=document)
+            if study is not None and study.whole:
+                target = Path(path).parent / study.mission
+                if _is_file(target):
+                    _check_study(study, target, faults)
+                else:
+                    faults.append(document.fault(("mission",), "no such mission file", got=as_written(study.mission)))
+        elif isinstance(kind, str) and kind in KINDS:
+            _load(Path(path), model_of(kind), faults, document=document)
+        else:
+            faults.append(_kind_fault(document, KINDS))
+    return sorted(set(faults))
+
+
+def find_robot(reference: str, folder: Path | None) -> Path | None:
+    """File of a robot named by a shipped name or a path (relative to `folder`), or None."""
+    shipped = ROBOT_FOLDER / f"{reference}.yaml"
+    if reference.replace("_", "").isalnum() and shipped.is_file():
+        return shipped
+    candidate = Path(reference) if folder is None else folder / reference
+    try:
+        return candidate if candidate.is_file() else None
+    except (OSError, ValueError):
+        return None
+
+
+def _finish(model: Loaded | None, faults: list[Fault]) -> Loaded:
+    errors = [fault for fault in faults if fault.severity == "error"]
+    if errors or model is None:
+        raise InputError(sorted(set(errors)))
+    model._warnings = tuple(sorted(set(faults)))
+    return model
+
+
+def _read(path: Path, faults: list[Fault]) -> Document | None:
+    try:
+        return read_document(path)
+    except InputError as problem:
+        faults.extend(problem.faults)
+        return None
+
+
+def _kind_fault(document: Document, kinds: Sequence[str]) -> Fault:
+    data = document.data
+    if not isinstance(data, dict):
+        return document.fault(
+            (), "the file must hold a mapping", got=as_written(data), allowed="kind: " + " | ".join(kinds)
+        )
+    if "kind" not in data:
+        return document.fault((), "'kind' is missing", allowed="kind: " + " | ".join(kinds))
+    kind = data["kind"]
+    hint = did_you_mean(kind, kinds) if isinstance(kind, str) else ""
+    return document.fault(
+        ("kind",), "not the kind of file that is needed here", got=as_written(kind), allowed=", ".join(kinds), hint=hint
+    )
+
+
+def _load(
+    path: Path,
+    model: type[Loaded],
+    faults: list[Fault],
+    overrides: Sequence[Override] = (),
+    document: Document | None = None,
+    prefix: str = "",
+) -> Loaded | None:
+    """Read, set overrides, validate, run the checks; None where the file is too broken to say more."""
+    document = document or _read(path, faults)
+    if document is None:
+        return None
+    document.prefix = prefix
+    faults.extend(override_rules.apply(document, overrides))
+    kind = get_args(model.model_fields["kind"].annotation)[0]
+    if not isinstance(document.data, dict) or document.data.get("kind") != kind:
+        faults.append(_kind_fault(document, (kind,)))
+        return None
+    result = validate_document(document, model, faults)
+    if result is None:
+        return None
+    found: list[Fault] = []
+    if isinstance(result, RobotSpec):
+        found = check_robot(result, result.document)
+    elif isinstance(result, EnvironmentSpec):
+        found = check_environment(result, result.document)
+    else:
+        found = list(result.faults(result.document))
+    result._sound = not any(fault.severity == "error" for fault in found)
+    faults.extend(found)
+    return result
+
+
+def validate_document(document: Document, model: type[Loaded], faults: list[Fault]) -> Loaded | None:
+    """Validate; after faults, try again without the faulty parts, so that the other checks can still speak.
+
+    Returns
+    -------
+    FileModel or None
+        Perhaps without its faulty parts, or with stand-ins for them (`FileModel.whole` is False then); None where
+        nothing could be made of the file.
+    """
+    context = {"folder": Path(document.file).parent}
+    shape = document.data
+    faulty: set[tuple[str | int, ...]] = set()
+    tried: dict[tuple[str | int, ...], int] = {}
+    for _ in range(_ROUNDS):
+        view = view_of(document, shape, faulty) if faulty else document
+        try:
+            result = model.model_validate(shape, context=context)
+        except ValidationError as problem:
+            located = to_faults(problem, view, model, shape)
+            faults.extend(fault for path, fault in located if not related(view.original(path), faulty))
+            shape = repaired(view_of(document, shape, faulty), problem, tried)
+            faulty |= {view.original(path) for path, _ in located}
+            if shape is None:
+                return None
+        else:
+            seal(result, view)
+            result._whole = not faulty
+            return result
+    return None
+
+
+def seal(model: FileModel, document: Document) -> None:
+    """Give each object and number of a fresh model its path and line in the file."""
+    model._file = document.file
+    model._sha256 = document.sha256
+    model._document = document
+    _seal(model, document, ())
+
+
+def _seal(value: Any, document: Document, path: tuple[str | int, ...]) -> None:
+    if isinstance(value, Model):
+        body = path
+        kind = getattr(value, "kind", None)
+        if len(path) >= 2 and isinstance(path[-1], int) and kind is not None:
+            here = document.node(path)
+            if isinstance(here.children, dict) and "kind" not in here.children and kind in here.children:
+                body = (*path, kind)
+        value._line = document.position(body)[0]
+        value._where = body
+        fields = type(value).model_fields
+        for name in value.model_fields_set:
+            item = getattr(value, name)
+            if isinstance(item, (Parameter, Model, dict, tuple)):
+                _seal(item, document, (*body, fields[name].alias or name))
+    elif isinstance(value, Parameter):
+        object.__setattr__(value, "path", ".".join(map(str, path)))
+        object.__setattr__(value, "line", document.position(path)[0])
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            if isinstance(item, (Parameter, Model, dict, tuple)):
+                _seal(item, document, (*path, key))
+    elif isinstance(value, tuple):
+        for index, item in enumerate(value):
+            if isinstance(item, (Parameter, Model, dict, tuple)):
+                _seal(item, document, (*path, index))
+
+
+def _unknown_robot(reference: str, document: Document | None, path: tuple[str | int, ...]) -> Fault:
+    names = list(shipped_robots())
+    hint = did_you_mean(reference, names)
+    allowed = ", ".join(names) + ", or the path of a robot file"
+    if document is None:
+        return Fault("", 0, 0, f"no robot '{reference}'", got=reference, allowed=allowed, hint=hint)
+    return document.fault(path, f"no robot '{reference}'", got=as_written(reference), allowed=allowed, hint=hint)
+
+
+def _load_mission(
+    path: Path,
+    faults: list[Fault],
+    overrides: Sequence[Override] = (),
+    robot: str | os.PathLike[str] | RobotSpec | None = None,
+    document: Document | None = None,
+) -> MissionSpec | None:
+    document = document or _read(path, faults)
+    if document is None:
+        return None
+    by_file = override_rules.route(overrides, document.data)
+    mission = _load(path, MissionSpec, faults, by_file[""], document=document)
+    data = document.data if isinstance(document.data, dict) else {}
+    if isinstance(robot, RobotSpec):
+        robot_spec: RobotSpec | None = robot
+        if by_file["robot"]:
+            robot_spec = _load(robot.path, RobotSpec, faults, by_file["robot"], prefix="robot.")
+    else:
+        robot_spec = None
+        reference = str(robot) if robot is not None else data.get("robot")
+        if isinstance(reference, str) and (reference or robot is not None):
+            found = find_robot(reference, None if robot is not None else path.parent) if reference else None
+            if found is None:
+                faults.append(_unknown_robot(reference, None if robot is not None else document, ("robot",)))
+            else:
+                robot_spec = _load(found, RobotSpec, faults, by_file["robot"], prefix="robot.")
+    environment = None
+    reference = data.get("environment")
+    if isinstance(reference, str) and reference:
+        target = path.parent / reference
+        if _is_file(target):
+            environment = _load(target, EnvironmentSpec, faults, by_file["environment"], prefix="environment.")
+        else:
+            faults.append(
+                document.fault(
+                    ("environment",),
+                    "no such environment file",
+                    got=as_written(reference),
+                    allowed="a path relative to this file",
+                )
+            )
+    if mission is None:
+        return None
+    mission._robot = robot_spec
+    mission._environment = environment
+    mission._overrides = tuple((key, value if isinstance(value, str) else repr(value)) for key, value in overrides)
+    faults.extend(check_mission(mission, mission.document))
+    faults.extend(unread(mission))
+    return mission
+
+
+def _check_study(study: StudySpec, target: Path, faults: list[Fault]) -> None:
+    """Each alternative must lead to a valid mission."""
+    common = list(study.baseline.items())
+    first: list[Fault] = []
+    if _load_mission(target, first, common, study.robot) is None or any(fault.severity == "error" for fault in first):
+        faults.extend(first)
+        return
+    known = set(first)
+    cases: list[tuple[tuple[str | int, ...], list[Override], str | None]] = [
+        (("alternatives", name), list(item.set.items()), item.robot) for name, item in study.alternatives.items()
+    ]
+    cases += [
+        (("vary", key, index), [(key, value)], None)
+        for key, values in study.vary.items()
+        for index, value in enumerate(values)
+    ]
+    for where, extra, robot in cases:
+        found: list[Fault] = []
+        _load_mission(target, found, [*common, *extra], robot or study.robot)
+        for fault in found:
+            if fault not in known:
+                line, column = study.document.position(where)
+                faults.append(
+                    dataclasses.replace(fault, file=study.document.file, line=line, column=column)
+                    if not fault.file
+                    else fault
+                )
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,156 @@
+"""The mission file: robot, environment, segments, activities that overlap with them."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr
+
+from missionsim.inputs.activities import ActivitySpec, AnchorSpec, PolicySpec
+from missionsim.inputs.base import FileModel, Identifier, Model, Name, Text
+from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.inputs.robot import RobotSpec
+from missionsim.inputs.schemes import BehaviourSpec
+from missionsim.inputs.segments import (
+    ArcSegment,
+    DefaultSpec,
+    DockSegment,
+    DriveSegment,
+    InspectSegment,
+    MoveSegment,
+    RechargeSpec,
+    RepeatSegment,
+    Segment,
+    SegmentSpec,
+    Settings,
+    TurnSegment,
+    WaitSegment,
+)
+from missionsim.inputs.study import StudySpec
+from missionsim.inputs.values import Angle, Fraction
+
+__all__ = [
+    "ActivitySpec",
+    "AnchorSpec",
+    "ArcSegment",
+    "DefaultSpec",
+    "DockSegment",
+    "DriveSegment",
+    "InspectSegment",
+    "MissionSpec",
+    "MoveSegment",
+    "PolicySpec",
+    "RechargeSpec",
+    "RepeatSegment",
+    "SegmentSpec",
+    "Settings",
+    "StudySpec",
+    "TurnSegment",
+    "WaitSegment",
+]
+
+
+class MissionBehaviour(BehaviourSpec):
+    """Behaviour of the whole mission, and per control scheme."""
+
+    schemes: dict[Identifier, BehaviourSpec] = Field(default_factory=dict)
+
+
+class CorrelationSpec(Model):
+    """Correlation of two uncertain values, named by their paths: ``robot.…``, ``environment.…``, the mission's own."""
+
+    between: tuple[Text, Text]
+    rho: Annotated[float, Field(strict=False, gt=-1.0, lt=1.0)]
+
+
+class MissionSpec(FileModel):
+    """A mission file; `robot` and `environment` are the loaded ones."""
+
+    kind: Literal["mission"]
+    name: Name
+    title: Text = ""
+    notes: Text = ""
+    sources: dict[Identifier, Text] = Field(default_factory=dict)
+    robot_ref: Annotated[Text, Field(min_length=1)] = Field(alias="robot")
+    environment_ref: Annotated[Text, Field(min_length=1)] | None = Field(default=None, alias="environment")
+    start: Name | None = None
+    start_heading: Angle | None = None
+    initial_charge: dict[Identifier, Fraction] = Field(default_factory=dict)
+    defaults: DefaultSpec = DefaultSpec.model_construct()
+    policy: PolicySpec = PolicySpec.model_construct()
+    segments: Annotated[tuple[Segment, ...], Field(min_length=1)]
+    activities: tuple[ActivitySpec, ...] = ()
+    behaviour: MissionBehaviour = MissionBehaviour.model_construct()
+    correlations: tuple[CorrelationSpec, ...] = ()
+
+    _robot: Any = PrivateAttr(default=None)
+    _environment: Any = PrivateAttr(default=None)
+    _overrides: tuple[tuple[str, str], ...] = PrivateAttr(default=())
+
+    @property
+    def robot(self) -> RobotSpec:
+        """The robot, loaded."""
+        robot: RobotSpec = self._robot
+        return robot
+
+    @property
+    def environment(self) -> EnvironmentSpec | None:
+        """The environment, loaded, or None."""
+        environment: EnvironmentSpec | None = self._environment
+        return environment
+
+    @property
+    def overrides(self) -> tuple[tuple[str, str], ...]:
+        """What the command line set: (path, text)."""
+        return self._overrides
+
+    def setting(self, segment: Any, key: str) -> Any:
+        """A setting of a segment, else of `defaults`, else None (``speed``, ``scheme``, ``payload``…)."""
+        own = getattr(segment, key, None)
+        return own if own is not None else getattr(self.defaults, key, None)
+
+    def scheme_of(self, segment: Any) -> str | None:
+        """Control scheme of a segment: its own; for an inspection the robot's image-analysis scheme; the default's for
+        segments that move; else (waiting, docking) the robot's `idle_scheme`."""
+        own: str | None = segment.scheme
+        if own is not None:
+            return own
+        if segment.kind == "inspect":
+            default = self.defaults.scheme
+            if default is not None and default in self.robot.schemes and self.robot.schemes[default].image_analysis:
+                return default
+            return next((name for name, scheme in self.robot.schemes.items() if scheme.image_analysis), default)
+        if segment.kind in ("wait", "dock"):
+            return self.robot.idle_scheme
+        return self.defaults.scheme
+
+    def navigation_of(self, segment: Any) -> str | None:
+        """Navigation of a segment, where its scheme has one."""
+        scheme = self.scheme_of(segment)
+        if scheme is None or scheme not in self.robot.schemes:
+            return segment.navigation if segment.navigation is not None else None
+        spec = self.robot.schemes[scheme]
+        for name in (segment.navigation, self.defaults.navigation, spec.default_navigation):
+            if name is not None and name in spec.navigation:
+                return str(name)
+        return None
+
+    def sensors_of(self, segment: Any) -> dict[str, int]:
+        """Units on during a segment: those asked for (segment, else the defaults as far as the scheme allows them, else
+        the scheme's own defaults), and always those that the scheme requires."""
+        scheme = self.scheme_of(segment)
+        spec = self.robot.schemes.get(scheme) if scheme is not None else None
+        if spec is None:
+            if segment.sensors is not None:
+                chosen = segment.sensors
+            else:
+                chosen = {} if segment.kind in ("wait", "dock") else (self.defaults.sensors or {})
+            return {name: count for name, count in chosen.items() if count}
+        required, allowed = spec.sensor_rules(self.navigation_of(segment))
+        if segment.sensors is not None:
+            chosen = dict(segment.sensors)
+        elif self.defaults.sensors is not None and segment.kind not in ("wait", "dock"):
+            chosen = {name: min(count, allowed.get(name, 0)) for name, count in self.defaults.sensors.items()}
+        else:
+            chosen = dict(spec.default_sensors)
+        for name, count in required.items():
+            chosen[name] = max(count, chosen.get(name, 0))
+        return {name: count for name, count in chosen.items() if count}

@@ -1,0 +1,184 @@
+"""`--set path=value`: changes on the YAML tree before it is checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.inputs.tree import Document, parse_document
+
+ROOTS = ("robot", "environment")
+"""First parts of a path that lead into another file."""
+OF_ROBOT = ("body", "batteries", "motion", "components", "links", "switchboards", "processor", "schemes", "effects")
+"""First parts that only a robot's file has; ``robot.`` before them may be left out."""
+
+
+def split_assignment(text: str) -> tuple[str, str]:
+    """``"defaults.speed=0.5 m/s"`` to its path and value.
+
+    Raises
+    ------
+    InputError
+        No ``=`` or an empty path.
+    """
+    path, equals, value = text.partition("=")
+    if not equals or not path.strip():
+        raise InputError(
+            Fault("", 0, 0, "not an assignment", got=text, allowed="path=value, such as defaults.speed=0.5")
+        )
+    return path.strip(), value.strip()
+
+
+def route(overrides: Iterable[tuple[str, Any]], data: Any) -> dict[str, list[tuple[str, Any]]]:
+    """Overrides by file: ``""`` (the mission), ``robot``, ``environment``.
+
+    ``robot`` alone replaces the mission's robot; ``robot.x`` goes into the robot's file, and so does ``schemes.x``.
+    """
+    result: dict[str, list[tuple[str, Any]]] = {"": [], **{root: [] for root in ROOTS}}
+    for path, value in overrides:
+        first, _, rest = path.partition(".")
+        if first in ROOTS and rest:
+            result[first].append((rest, value))
+        elif first in OF_ROBOT:
+            result["robot"].append((path, value))
+        else:
+            result[""].append((path, value))
+    return result
+
+
+def apply(document: Document, overrides: Iterable[tuple[str, Any]]) -> list[Fault]:
+    """Set each path in the document's data.
+
+    Parameters
+    ----------
+    document : Document
+        Changed in place: its `data` is replaced by a changed copy, `overrides` remembers the paths.
+    overrides : iterable of (path, value)
+        Values are YAML text or plain data. List items are named by index or by their ``name``.
+
+    Returns
+    -------
+    list of Fault
+        Paths that do not exist, values that are not YAML.
+    """
+    faults: list[Fault] = []
+    for path, value in overrides:
+        shown = value if isinstance(value, str) else repr(value)
+        try:
+            data = parse_document(value or "null", name="").data if isinstance(value, str) else value
+        except InputError as problem:
+            reason = problem.faults[0].message
+            faults.append(
+                Fault(
+                    "",
+                    0,
+                    0,
+                    f"value is {reason}" if reason.startswith("not") else reason,
+                    document.prefix + path,
+                    shown,
+                )
+            )
+            continue
+        found = resolve(document.data, path)
+        if isinstance(found, Fault):
+            faults.append(replace(found, path=document.prefix + path))
+            continue
+        document.data = _changed(document.data, found, data)
+        document.overrides[found] = shown
+    return faults
+
+
+def resolve(data: Any, path: str) -> tuple[str | int, ...] | Fault:
+    """Keys and indices of a dotted path, or a fault that says how far it leads.
+
+    The last key may be new; everything before it must exist, except that a missing mapping is made when it is the only
+    one missing (``behaviour.path_stretch`` in a mission without ``behaviour``).
+    """
+    keys = [part.strip() for part in path.split(".")]
+    result: list[str | int] = []
+    here = data
+    index = 0
+    while index < len(keys):
+        key = keys[index]
+        rest = keys[index:]
+        if not key:
+            return Fault("", 0, 0, "empty part in a path", path, path, "parts between the dots")
+        if isinstance(here, dict):
+            whole = _longest_key(here, rest)
+            if whole:
+                joined = ".".join(rest[:whole])
+                result.append(joined)
+                here = here[joined]
+                index += whole
+                continue
+            if len(rest) <= 2:
+                result += rest
+                return tuple(result)
+            return _lost(path, key, list(here))
+        if isinstance(here, list):
+            position = _list_index(here, key)
+            if position is None:
+                return _lost(path, key, [*_names(here), *(str(number) for number in range(min(len(here), 20)))])
+            result.append(position)
+            here = here[position]
+            if index + 1 < len(keys) and isinstance(here, dict) and len(here) == 1 and keys[index + 1] not in here:
+                inner = next(iter(here))
+                if isinstance(here[inner], dict):
+                    result.append(inner)
+                    here = here[inner]
+            index += 1
+            continue
+        if here is None or (index == len(keys) - 1 and isinstance(here, (str, int, float))):
+            result += rest
+            return tuple(result)
+        return _lost(path, key, [])
+    return tuple(result)
+
+
+def _longest_key(here: dict[str, Any], rest: Sequence[str]) -> int:
+    """How many parts make a key of `here` (a place may be called ``A.1``)."""
+    return next((count for count in range(len(rest), 0, -1) if ".".join(rest[:count]) in here), 0)
+
+
+def _lost(path: str, key: str, known: Sequence[str]) -> Fault:
+    return Fault(
+        "", 0, 0, f"nothing called '{key}' on this path", path, key, ", ".join(known[:20]), did_you_mean(key, known)
+    )
+
+
+def _body(item: Any) -> Any:
+    if isinstance(item, dict) and "name" not in item and len(item) == 1:
+        return next(iter(item.values()))
+    return item
+
+
+def _names(items: Sequence[Any]) -> list[str]:
+    bodies = [_body(item) for item in items]
+    return [str(body["name"]) for body in bodies if isinstance(body, dict) and "name" in body]
+
+
+def _list_index(items: Sequence[Any], key: str) -> int | None:
+    for position, item in enumerate(items):
+        body = _body(item)
+        if isinstance(body, dict) and str(body.get("name", "")) == key:
+            return position
+    if key.lstrip("-").isdecimal() and len(key) < 8 and -len(items) <= int(key) < len(items):
+        return int(key) % len(items)
+    return None
+
+
+def _changed(data: Any, path: Sequence[str | int], value: Any) -> Any:
+    """A copy of `data` with `path` set; only what lies along the path is copied (aliases share the rest)."""
+    if not path:
+        return value
+    head, rest = path[0], path[1:]
+    if isinstance(data, list):
+        assert isinstance(head, int)
+        return [_changed(item, rest, value) if index == head else item for index, item in enumerate(data)]
+    if isinstance(data, dict):
+        return {**data, str(head): _changed(data.get(str(head)), rest, value)}
+    if data is not None and head not in ("value",) and isinstance(data, (str, int, float)):
+        return {"value": data, str(head): _changed(None, rest, value)}  # sd of a number that was plain
+    return {str(head): _changed(None, rest, value)}

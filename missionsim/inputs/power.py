@@ -1,0 +1,250 @@
+"""From a robot file to its power model: every load, table, law and effect becomes a term with named parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, cast
+
+from missionsim.effects import base_terms
+from missionsim.effects.base import Effect, ParameterSpec
+from missionsim.effects.law_models import LAW_MODELS
+from missionsim.effects.library import get_effect
+from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
+from missionsim.effects.motion_models import get_motion_model
+from missionsim.errors import InputError
+from missionsim.expressions import Expression, Place, compile_expression
+
+if TYPE_CHECKING:
+    from missionsim.inputs.robot import ComponentSpec, EffectSpec, LoadSpec, RobotSpec
+    from missionsim.inputs.values import Parameter
+
+
+def build_power_model(robot: RobotSpec) -> PowerModel:
+    """The power model of a robot.
+
+    Parameters
+    ----------
+    robot : RobotSpec
+        A checked robot file.
+
+    Returns
+    -------
+    PowerModel
+        Base terms (motion, components, switchboards, processor) and the robot's added effects.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        For a motion model or effect that is not known, or parameters that it lacks.
+    """
+    constants = {"regeneration": robot.body.regeneration.value}
+    if robot.body.mass is not None:
+        constants["body_mass_kg"] = robot.body.mass.value
+    terms: list[Term] = []
+    for part in (_motion(robot), _components(robot), _switchboards(robot), _processor(robot), _effects(robot)):
+        terms.extend(part)
+    return PowerModel(tuple(_unique(terms)), tuple(robot.batteries), constants)
+
+
+def model_parameter(parameter: Parameter, unit: str = "") -> ModelParameter:
+    """A number of a file as a parameter of the model."""
+    return ModelParameter(
+        parameter.value,
+        unit or parameter.unit,
+        parameter.sd,
+        -float("inf") if parameter.low is None else parameter.low,
+        float("inf") if parameter.high is None else parameter.high,
+        parameter.status,
+        parameter.source,
+        parameter.path,
+        parameter.distribution,
+    )
+
+
+def build_effect(spec: EffectSpec, robot: RobotSpec | None = None) -> Effect:
+    """The effect that one entry of a robot's ``effects:`` names or writes out; messages tell its place in `robot`."""
+    place = _place(robot, (*spec.where, "power" if spec.effect is None else "effect"))
+    if spec.effect is not None:
+        surfaces = tuple(name[2:] for name in spec.parameters if name.startswith("k_"))
+        effect = get_effect(spec.effect, surfaces)
+    else:
+        formula = _compiled(spec.power, place)
+        specs = tuple(
+            ParameterSpec(
+                name, p.unit, low=-float("inf") if p.low is None else p.low,
+                high=float("inf") if p.high is None else p.high, default=p.value,
+            )
+            for name, p in spec.parameters.items()
+        )
+        effect = base_terms.expression_term(spec.name or "", formula, specs, drive=_about_motion(formula.names))
+    return effect.renamed(component=spec.component or effect.component, place=place)
+
+
+def _about_motion(names: frozenset[str]) -> bool:
+    motion = {"v", "a", "w", "u", "speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_speed_m_s"}
+    return bool(names & motion)
+
+
+def _compiled(formula: Any, place: Place) -> Expression:
+    return compile_expression(str(getattr(formula, "source", formula)), **place._asdict())
+
+
+def _place(robot: RobotSpec | None, path: tuple[str | int, ...]) -> Place:
+    document = None if robot is None else robot.document
+    return Place() if document is None else cast(Place, document.place(path))
+
+
+def _converted(parameters: Mapping[str, Parameter], specs: tuple[ParameterSpec, ...]) -> dict[str, ModelParameter]:
+    units = {spec.name: spec.unit for spec in specs}
+    return {
+        name: model_parameter(p, units.get(name, "") if p.unit in ("", "1") else p.unit)
+        for name, p in parameters.items()
+    }
+
+
+def _complete(
+    what: str, given: dict[str, ModelParameter], specs: tuple[ParameterSpec, ...]
+) -> dict[str, ModelParameter]:
+    """Parameters with the defaults of those that are left out; a fault for those that have none."""
+    missing = [spec.name for spec in specs if spec.name not in given and spec.default != spec.default]
+    unknown = [name for name in given if name not in {spec.name for spec in specs}]
+    if missing or unknown:
+        raise InputError.single(
+            f"{what}: " + "; ".join([f"parameter '{n}' is missing" for n in missing]
+                                    + [f"parameter '{n}' is not known" for n in unknown]),
+            got=", ".join(given), allowed=", ".join(f"{spec.name} ({spec.unit})" for spec in specs),
+        )
+    defaults = {
+        spec.name: ModelParameter(spec.default, spec.unit, 0.0, spec.low, spec.high, "assumed", "default")
+        for spec in specs
+        if spec.name not in given
+    }
+    return {**given, **defaults}
+
+
+def _motion(robot: RobotSpec) -> Iterator[Term]:
+    motion = robot.motion
+    if motion is None or motion.model == "none":
+        return
+    if motion.model != "expression":
+        model = get_motion_model(motion.model)
+        yield from model.build(motion.battery, _converted(motion.parameters, model.parameters))
+        return
+    parameters = {name: model_parameter(p) for name, p in motion.parameters.items()}
+    place = _place(robot, ("motion", "power"))
+    formula = _compiled(motion.power, place)
+    standing = None if motion.standing is None else _compiled(motion.standing, _place(robot, ("motion", "standing")))
+    for effect in base_terms.motion_expression_terms(formula, standing, tuple(parameters)):
+        used = {spec.name: parameters[spec.name] for spec in effect.parameters}
+        yield Term(TermKey(motion.battery, effect.component, effect.id), effect.renamed(place=place), used,
+                   {name: name for name in used})
+
+
+def _components(robot: RobotSpec) -> Iterator[Term]:
+    for name, component in robot.components.items():
+        for load in component.loads:
+            link = _link(robot, load)
+            place = _place(robot, (*load.where, "law", "power"))
+            effect, parameters = _load(name, component, load, place)
+            names = {p: f"{name}.{p}" for p in parameters}
+            yield Term(TermKey(load.battery, name, name), effect, parameters, names, scale=1.0 / link[1], link=link)
+        startup = component.startup
+        if startup is not None and startup.power is not None:
+            load = component.loads[0]
+            link = _link(robot, load)
+            yield Term(
+                TermKey(load.battery, name, f"{name} start-up"), base_terms.startup_term(name),
+                {"power": model_parameter(startup.power)}, {"power": f"{name}.startup_power"}, scale=1.0 / link[1],
+                link=link,
+            )
+
+
+def _link(robot: RobotSpec, load: LoadSpec) -> tuple[str, float]:
+    """Path and value of the efficiency of the converter that a load hangs on."""
+    if not load.through:
+        return "", 1.0
+    efficiency = robot.links[load.through].efficiency
+    return efficiency.path, efficiency.value
+
+
+def _load(
+    name: str, component: ComponentSpec, load: LoadSpec, place: Place
+) -> tuple[Effect, dict[str, ModelParameter]]:
+    if load.power is not None:
+        effect = base_terms.always_on_term(name) if component.always_on else base_terms.component_term(name)
+        # an always-on component counts all its units
+        power = load.power.scaled(component.units, load.power.unit) if component.always_on else load.power
+        return effect, {"power": replace(model_parameter(power), times=component.units if component.always_on else 1.0)}
+    law = load.law
+    assert law is not None  # the file was checked: a load has either
+    if law.model is not None:
+        model = LAW_MODELS[law.model]
+        given = _complete(f"component '{name}'", _converted(law.parameters, model.parameters), model.parameters)
+        effect = base_terms.law_model_term(name, model.parameters, model.needs, model.power, component.always_on)
+        return effect.renamed(place=place), given
+    formula = _compiled(law.power, place)
+    given = {key: model_parameter(p) for key, p in law.parameters.items()}
+    if law.rate is not None:
+        given["rate"] = model_parameter(law.rate)
+    specs = tuple(ParameterSpec(key, p.unit, low=p.low, high=p.high) for key, p in given.items())
+    return base_terms.law_term(name, formula, specs, {}, component.always_on).renamed(place=place), given
+
+
+def _switchboards(robot: RobotSpec) -> Iterator[Term]:
+    for name, board in robot.switchboards.items():
+        relays = tuple(key for key, component in robot.components.items() if component.relay == name)
+        effect = base_terms.switchboard_term(name, len(board.power), relays)
+        parameters = {f"relays_{i}": model_parameter(p) for i, p in enumerate(board.power)}
+        yield Term(TermKey(board.battery, name, name), effect, parameters, {p: f"{name}.{p}" for p in parameters})
+
+
+def _processor(robot: RobotSpec) -> Iterator[Term]:
+    if robot.processor is None:
+        return
+    entries: list[tuple[str, str, Mapping[str, int], str]] = []
+    parameters: dict[str, ModelParameter] = {}
+    for scheme, spec in robot.schemes.items():
+        # among rows that are equally near, the larger power is the careful choice: it is met first
+        for row in sorted(spec.processor, key=lambda row: -row.power.value):
+            sensors = {key: count for key, count in row.sensors.items() if count}
+            label = "+".join(f"{count}{key}" for key, count in sorted(sensors.items())) or "none"
+            name = ".".join(("processor", scheme, row.navigation or "any", label))
+            entries.append((scheme, row.navigation or "", sensors, name))
+            parameters[name] = model_parameter(row.power)
+    columns = tuple(sorted({f"on_{key}" for entry in entries for key in entry[2]}))
+    idle = None
+    if robot.processor.idle is not None:
+        idle = "processor.idle"
+        parameters[idle] = model_parameter(robot.processor.idle)
+    if not parameters:
+        return
+    effect = base_terms.processor_term(tuple(entries), columns, idle, robot.processor.fallback == "refuse")
+    yield Term(TermKey(robot.processor.battery, "processor", "processor"), effect, parameters,
+               {name: name for name in parameters})
+
+
+def _effects(robot: RobotSpec) -> Iterator[Term]:
+    for spec in robot.effects:
+        if getattr(spec, "candidate", False):
+            continue
+        effect = build_effect(spec, robot)
+        if effect.execution:
+            continue
+        label = spec.name or effect.id
+        parameters = _complete(f"effect '{label}'", _converted(spec.parameters, effect.parameters), effect.parameters)
+        yield Term(TermKey(spec.battery, effect.component, label), effect, parameters,
+                   {name: f"{label}.{name}" for name in parameters}, base=False)
+
+
+def _unique(terms: list[Term]) -> Iterator[Term]:
+    """Terms with keys of their own: a second one of the same name on a battery gets a number."""
+    seen: dict[TermKey, int] = {}
+    for term in terms:
+        count = seen[term.key] = seen.get(term.key, 0) + 1
+        if count == 1:
+            yield term
+            continue
+        key = term.key._replace(name=f"{term.key.name} {count}")
+        names = {p: f"{term.name_of(p)} {count}" for p in term.parameters}
+        yield Term(key, term.effect, term.parameters, names, term.base, term.scale, term.link)

@@ -1,0 +1,237 @@
+"""Segments of a mission, and the settings that they share with `defaults`."""
+
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, GetJsonSchemaHandler, WrapValidator, model_validator
+from pydantic_core import PydanticCustomError, core_schema
+
+from missionsim.errors import did_you_mean
+from missionsim.inputs.base import Identifier, Model, Name
+from missionsim.inputs.names import Sensors, wrong
+from missionsim.inputs.schemes import BehaviourSpec
+from missionsim.inputs.tree import as_written
+from missionsim.inputs.values import (
+    Angle,
+    Chance,
+    Condition,
+    Distance,
+    Duration,
+    Fraction,
+    Frequency,
+    Length,
+    Mass,
+    Slope,
+    Speed,
+    Temperature,
+    YawRate,
+)
+
+Profile = Literal["trapezoidal", "constant_speed"]
+
+
+class Settings(Model):
+    """What a segment may set and `defaults` may set for all segments."""
+
+    speed: Speed | None = None
+    yaw_rate: YawRate | None = None
+    scheme: Identifier | None = None
+    navigation: Identifier | None = None
+    sensors: Sensors | None = None
+    payload: Mass | None = None
+    profile: Profile | None = None
+    surface: Name | None = None
+    temperature: Temperature | None = None
+    cpu_load: Fraction | None = None
+    cpu_frequency: Frequency | None = None
+    access_point_distance: Length | None = None
+    conditions: dict[Identifier, Condition] = Field(default_factory=dict)
+    behaviour: BehaviourSpec | None = None
+
+
+class DefaultSpec(Settings):
+    """Settings of all segments that do not say otherwise."""
+
+    turn_at_places: bool = False
+
+
+class SegmentSpec(Settings):
+    """Common part of the segments."""
+
+    name: Name | None = None
+
+
+class DriveSegment(SegmentSpec):
+    """Drive to a place (`to`, perhaps `via`), `along` a path of places, or a `distance` without an environment."""
+
+    kind: Literal["drive"]
+    to: Name | None = None
+    via: tuple[Name, ...] = ()
+    along: tuple[Name, ...] | None = Field(default=None, min_length=1)
+    distance: Distance | None = None
+    slope: Slope | None = None
+    heading: Angle | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> "DriveSegment":
+        given = [key for key in ("to", "along", "distance") if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise wrong("a drive needs one of to, along, distance", " and ".join(given) or "none of them", "to: V1")
+        for key in ("slope", "heading"):
+            if getattr(self, key) is not None and self.distance is None:
+                raise wrong(
+                    f"{key} belongs to a drive by distance", given[0], "the slope of the environment's edge", key
+                )
+        if self.via and self.to is None:
+            raise wrong("via belongs to a drive with to", given[0], "to: V1, via: [A]", "via")
+        return self
+
+
+class ArcSegment(SegmentSpec):
+    """Drive along a part of a circle; positive angles turn left."""
+
+    kind: Literal["arc"]
+    radius: Distance
+    angle: Angle
+    slope: Slope | None = None
+
+
+class TurnSegment(SegmentSpec):
+    """Turn on the spot; positive angles turn left."""
+
+    kind: Literal["turn"]
+    angle: Angle
+
+
+class MoveSegment(SegmentSpec):
+    """Move in a direction without turning (mecanum and omni drives); 0 is forward, 90 deg left."""
+
+    kind: Literal["move"]
+    distance: Distance
+    direction: Angle
+    slope: Slope | None = None
+
+
+class InspectSegment(SegmentSpec):
+    """Stand and analyse images.
+
+    With `repeat_probability` each run of a Monte Carlo does the inspection again with that probability, until it
+    succeeds; a single run does it once.
+    """
+
+    kind: Literal["inspect"]
+    duration: Duration
+    repeat_probability: Annotated[Chance, Field()] | None = None
+
+
+class WaitSegment(SegmentSpec):
+    """Stand still."""
+
+    kind: Literal["wait"]
+    duration: Duration
+
+
+class RechargeSpec(Model):
+    """Charge until a state of charge, or for a time; all batteries of the charger unless named."""
+
+    until: Fraction | None = None
+    duration: Duration | None = None
+    batteries: tuple[Identifier, ...] = ()
+
+    @model_validator(mode="after")
+    def _one(self) -> "RechargeSpec":
+        if (self.until is None) == (self.duration is None):
+            raise wrong("recharge until a charge or for a duration", "both" if self.until else "neither", "until: 95 %")
+        return self
+
+
+class DockSegment(SegmentSpec):
+    """Recharge at the charger of the place where the robot is."""
+
+    kind: Literal["dock"]
+    recharge: RechargeSpec
+
+
+class RepeatSegment(Model):
+    """A block of segments, several times."""
+
+    kind: Literal["repeat"]
+    name: Name | None = None
+    times: Annotated[int, Field(strict=True, ge=1, le=100_000)]
+    segments: Annotated[tuple["Segment", ...], Field(min_length=1)]
+
+
+SEGMENT_KINDS = ("drive", "arc", "turn", "move", "inspect", "wait", "dock", "repeat")
+
+
+def _unwrap(raw: Any, handler: Any) -> Any:
+    """``{drive: {...}}`` to ``{kind: drive, ...}``."""
+    if not isinstance(raw, dict):
+        if isinstance(raw, Model):
+            return raw
+        raise _segment_fault("a segment is a mapping with its kind", as_written(raw), "")
+    keys = list(raw)
+    if len(keys) != 1 or keys[0] not in SEGMENT_KINDS:
+        unknown = [key for key in keys if key not in SEGMENT_KINDS]
+        hint = did_you_mean(str(unknown[0]), SEGMENT_KINDS) if unknown else ""
+        if len(keys) == 1:
+            raise _segment_fault(f"unknown kind of segment '{keys[0]}'", str(keys[0]), hint, keys[0])
+        raise _segment_fault("a segment has one key, its kind", ", ".join(map(str, keys[:6])) or "no key", hint)
+    kind = keys[0]
+    body = raw[kind]
+    if not isinstance(body, dict):
+        raise _segment_fault(f"a {kind} segment is a mapping", as_written(body), "", kind)
+    if "kind" in body:
+        raise _segment_fault("unknown key 'kind'", "kind", "", kind, "kind")
+    return handler({"kind": kind, **body})
+
+
+def _segment_fault(message: str, got: str, hint: str, *at: str) -> PydanticCustomError:
+    entry = {"message": message, "got": got, "allowed": "one of " + ", ".join(SEGMENT_KINDS), "hint": hint, "at": at}
+    return PydanticCustomError("quantity", "{text}", {"text": message, "entries": [entry]})
+
+
+class _SegmentSchema:
+    """JSON Schema of the written form: one key, the kind."""
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        inner = handler(schema)
+        options = []
+        for kind, reference in inner["discriminator"]["mapping"].items():
+            options.append(
+                {
+                    "type": "object",
+                    "additionalProperties": False,
+                    "required": [kind],
+                    "properties": {kind: {"$ref": reference}},
+                }
+            )
+        return {"oneOf": options}
+
+
+Segment = Annotated[
+    Annotated[
+        DriveSegment
+        | ArcSegment
+        | TurnSegment
+        | MoveSegment
+        | InspectSegment
+        | WaitSegment
+        | DockSegment
+        | RepeatSegment,
+        Field(discriminator="kind"),
+    ],
+    WrapValidator(_unwrap),
+    _SegmentSchema(),
+]
+
+
+def flat_segments(segments: Sequence[Any]) -> Iterator[Any]:
+    """Segments that are no repeats, each once."""
+    for segment in segments:
+        if segment.kind == "repeat":
+            yield from flat_segments(segment.segments)
+        else:
+            yield segment
