@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from missionsim.engine.outcome import RunResult as RunResult
     from missionsim.engine.simulate import simulate as simulate
     from missionsim.errors import InputError as InputError
-    from missionsim.results.tables import tables as tables
-    from missionsim.results.write import write_results as write_results
     from missionsim.inputs.loading import load_environment as load_environment
     from missionsim.inputs.loading import load_mission as load_mission
     from missionsim.inputs.loading import load_robot as load_robot
+    from missionsim.results.tables import tables as tables
+    from missionsim.results.write import write_results as write_results
 
 __version__ = "0.1.0"
 

@@ -14,8 +14,8 @@ from missionsim.cli.diagnose import HoldoutOption, RobotOption
 from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
 
 if TYPE_CHECKING:
-    from missionsim.logs import LogTable
     from missionsim.inputs.robot import RobotSpec
+    from missionsim.logs import LogTable
 
 
 def add_effect(
@@ -67,9 +67,9 @@ def add_effect(
     from missionsim.diagnose.split import choose_split
     from missionsim.files import write_text
     from missionsim.identify.data import Settings
-    from missionsim.logs import read_logs
     from missionsim.inputs.edit import for_folder, robot_text
     from missionsim.inputs.loading import load_robot
+    from missionsim.logs import read_logs
 
     check_search(logs, alpha)
     spec = load_robot(robot)

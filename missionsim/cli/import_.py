@@ -51,8 +51,8 @@ def import_(
     if out is None:
         raise InputError.single("--out is missing", allowed="--out LOG.parquet, or a folder for several runs")
     from missionsim.importer.mapping import import_source, provenance
-    from missionsim.logs.write import write_log
     from missionsim.inputs.loading import load_map
+    from missionsim.logs.write import write_log
 
     spec = load_map(map_)
     logs = import_source(source, spec)

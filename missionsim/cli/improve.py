@@ -64,9 +64,9 @@ def improve(
     from missionsim.errors import InputError
     from missionsim.files import write_text
     from missionsim.identify.data import Settings
-    from missionsim.logs import read_logs
     from missionsim.inputs.edit import for_folder, robot_text
     from missionsim.inputs.loading import load_robot
+    from missionsim.logs import read_logs
 
     check_search(logs, alpha)
     if not yes and not sys.stdin.isatty():

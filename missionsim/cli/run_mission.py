@@ -25,9 +25,9 @@ def run_mission(
 ) -> int:
     """Simulate, write and print; the parameters are those of `missionsim.cli.run.run`."""
     from missionsim.engine.simulate import simulate, with_provenance
-    from missionsim.results.write import provenance, write_results
     from missionsim.inputs.loading import load_mission
     from missionsim.inputs.overrides import split_assignment
+    from missionsim.results.write import provenance, write_results
 
     spec = load_mission(mission, [split_assignment(text) for text in set_ or ()], robot)
     tell_warnings(spec.warnings, quiet)

@@ -61,8 +61,8 @@ def whatif(
     quiet
         Print no table.
     """
-    from missionsim.results.whatif import BASELINE, Alternative, from_study, run_alternatives, varied
     from missionsim.inputs.overrides import split_assignment
+    from missionsim.results.whatif import BASELINE, Alternative, from_study, run_alternatives, varied
 
     if (vary is None) == (study is None):
         raise InputError(Fault("", 0, 0, "whatif needs either --vary or --study", got="both" if vary else "neither",

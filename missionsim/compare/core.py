@@ -117,9 +117,9 @@ def compare_files(
     by, on_run
         See `compare`.
     """
-    from missionsim.logs import find_logs
     from missionsim.inputs import load_mission, load_robot
     from missionsim.inputs.power import build_power_model
+    from missionsim.logs import find_logs
 
     named = isinstance(robot, (str, os.PathLike))
     logs = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)

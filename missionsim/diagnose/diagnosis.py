@@ -133,8 +133,8 @@ def diagnose_files(
     missionsim.errors.InputError
         For faults in any of the files, or where no battery can be diagnosed.
     """
-    from missionsim.logs import read_logs
     from missionsim.inputs.loading import load_robot
+    from missionsim.logs import read_logs
 
     spec = load_robot(robot)
     timeline = None

@@ -21,14 +21,14 @@ from missionsim.engine.remarks import doubts, never_on
 from missionsim.engine.reserve import home_energies
 from missionsim.engine.world import World
 from missionsim.errors import Fault, InputError
-from missionsim.plan.build import make_plan
-from missionsim.plan.homing import Homing, last_driven
-from missionsim.plan.legs import Leg, Plan
-from missionsim.plan.routes import Routes
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
 from missionsim.inputs.robot import BatterySpec
 from missionsim.inputs.values import Parameter
+from missionsim.plan.build import make_plan
+from missionsim.plan.homing import Homing, last_driven
+from missionsim.plan.legs import Leg, Plan
+from missionsim.plan.routes import Routes
 
 if TYPE_CHECKING:
     from numpy.random import Generator

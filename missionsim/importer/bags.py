@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.importer.sources import Field, missing_field
 from missionsim.importer.timeline import Signal, merge_signals
+from missionsim.inputs.log_map import MapSpec
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
 from missionsim.logs.remarks import Remark
-from missionsim.inputs.log_map import MapSpec
 
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[\d+\])*)\Z")
 _MOST_ELEMENTS = 16

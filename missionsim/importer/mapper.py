@@ -15,9 +15,9 @@ from missionsim.expressions import Expression, compile_expression
 from missionsim.glossary import column_of
 from missionsim.importer import transform
 from missionsim.importer.mapunits import to_glossary
+from missionsim.inputs.log_map import ColumnMap, MapSpec
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable
-from missionsim.inputs.log_map import ColumnMap, MapSpec
 
 Floats = NDArray[np.float64]
 

@@ -14,11 +14,11 @@ from missionsim.importer import transform
 from missionsim.importer.mapper import Mapper
 from missionsim.importer.runs import Part, split_at_gaps, split_runs
 from missionsim.importer.sources import find_sources, read_source
+from missionsim.inputs.log_map import MapSpec
 from missionsim.logs.raw import ColumnData, RawTable
 from missionsim.logs.read import PathLike, make_log
 from missionsim.logs.remarks import Remark
 from missionsim.logs.table import LogTable
-from missionsim.inputs.log_map import MapSpec
 
 
 def import_source(source: PathLike, spec: MapSpec) -> list[LogTable]:

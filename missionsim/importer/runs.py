@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
 from missionsim.logs.remarks import Remark
-from missionsim.inputs.log_map import MapSpec, RunsMap
 
 
 @dataclass

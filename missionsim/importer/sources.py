@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.inputs.log_map import MapSpec
 from missionsim.logs.csvfile import read_csv
 from missionsim.logs.parquetfile import MAGIC, read_parquet
 from missionsim.logs.raw import RawTable
-from missionsim.inputs.log_map import MapSpec
 
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 _NO_TABLES = {".ulg": "ULog", ".bag": "ROS 1 bag", ".mcap": "MCAP file", ".db3": "ROS 2 bag"}

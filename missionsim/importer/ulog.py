@@ -11,9 +11,9 @@ import numpy as np
 from missionsim.errors import Fault, InputError
 from missionsim.importer.sources import Field, missing_field
 from missionsim.importer.timeline import Signal, merge_signals
+from missionsim.inputs.log_map import MapSpec
 from missionsim.logs.raw import RawTable
 from missionsim.logs.remarks import Remark
-from missionsim.inputs.log_map import MapSpec
 
 _FIELD = re.compile(r"(?P<topic>[A-Za-z0-9_]+)(?:\[(?P<instance>\d+)\])?\.(?P<field>[A-Za-z0-9_.\[\]]+)\Z")
 

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import Fault, InputError
 from missionsim.expressions import Place
+from missionsim.inputs.mission import AnchorSpec, MissionSpec
+from missionsim.inputs.values import Parameter
 from missionsim.plan.chance import failures, stopped_by_obstacles, told_at
 from missionsim.plan.legs import Activity, Leg, Limits, Plan, Recharge, SegmentInfo, Settings, Trigger
 from missionsim.plan.pace import Pace, pace_of
 from missionsim.plan.routes import Routes, Way, along
 from missionsim.plan.steps import group, slow_components
-from missionsim.inputs.mission import AnchorSpec, MissionSpec
-from missionsim.inputs.values import Parameter
 
 if TYPE_CHECKING:
     import numpy as np

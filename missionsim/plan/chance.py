@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from missionsim.errors import Fault, InputError, MissionsimError
-from missionsim.plan.legs import Leg
 from missionsim.inputs.parameter import Parameter
+from missionsim.plan.legs import Leg
 
 if TYPE_CHECKING:
     import numpy as np

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.legs import Leg, Limits, Settings, Step
 from missionsim.plan.routes import Routes, Way, along
 from missionsim.plan.steps import group
-from missionsim.inputs.mission import MissionSpec
 
 
 class Homing:

@@ -12,9 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from missionsim.errors import InputError, did_you_mean
-from missionsim.plan.legs import Settings
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.values import Parameter
+from missionsim.plan.legs import Settings
 
 RADIO_PIECE_M = 2.0
 """Edges are cut to this length where the distance to an access point changes along them."""

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.inputs import load_robot
+from missionsim.inputs.power import build_power_model
 from missionsim.physics import mecanum
 from missionsim.published import fits
 from missionsim.published.figures import Figure, Ours, load_figures
 from missionsim.published.locate import mission, run
-from missionsim.inputs import load_robot
-from missionsim.inputs.power import build_power_model
 
 PAPER = "hou2019"
 START = "mecanum4/start_straight"

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from missionsim.effects.model import PowerModel
+from missionsim.inputs import load_robot
+from missionsim.inputs.power import build_power_model
 from missionsim.physics import motion
 from missionsim.published import patrol
 from missionsim.published.figures import Figure, Ours, load_figures, load_table
 from missionsim.published.locate import mission, run
-from missionsim.inputs import load_robot
-from missionsim.inputs.power import build_power_model
 
 PAPER = "jaiem2021"
 SCHEMES = {

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from missionsim.inputs import load_robot
+from missionsim.inputs.power import build_power_model
 from missionsim.physics import khepera
 from missionsim.published.figures import Figure, Ours, load_figures
 from missionsim.published.locate import Overrides, mission, run
-from missionsim.inputs import load_robot
-from missionsim.inputs.power import build_power_model
 
 PAPER = "parasuraman2012"
 TASK_A = {"wifi": "khepera3/task_a_wifi", "bluetooth": "khepera3/task_a_bluetooth"}

@@ -78,8 +78,8 @@ def _velocity(figure: Figure) -> None:
 
 
 def _sonar(figure: Figure) -> None:
-    from missionsim.physics import electrical
     from missionsim.inputs import load_robot
+    from missionsim.physics import electrical
 
     law = load_robot("pioneer3dx").components["sonar"].loads[0].law
     assert law is not None

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.control import PowerPredictor
+from missionsim.inputs import load_robot
 from missionsim.physics import traction
 from missionsim.published.figures import Figure, Ours, load_figures
 from missionsim.published.locate import mission
-from missionsim.inputs import load_robot
 
 PAPER = "rover2025"
 Array = NDArray[np.float64]

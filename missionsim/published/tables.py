@@ -16,9 +16,9 @@ SEED, DRAWS = 20210426, 2000
 
 def optimal_velocities() -> Rows:
     """Speed of least robot energy per metre for each set of sensors (Jaiem 2021, Eq. 11)."""
-    from missionsim.physics import motion
     from missionsim.inputs import load_robot
     from missionsim.inputs.power import build_power_model
+    from missionsim.physics import motion
 
     robot = load_robot("pioneer3dx")
     model = build_power_model(robot)

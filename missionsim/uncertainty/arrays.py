@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from missionsim.effects.integrate import GAUSS_WEIGHTS, NODES, WEIGHTS
 from missionsim.effects.model import PowerModel
 from missionsim.engine.simulate import RESERVE_TOLERANCE, split_values
+from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.kinematics import phases
 from missionsim.plan.legs import Leg, Plan
-from missionsim.inputs.mission import MissionSpec
 from missionsim.uncertainty.draws import Draws, Sampler
 from missionsim.uncertainty.entries import (
     SETTINGS,

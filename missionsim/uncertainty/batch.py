@@ -18,10 +18,10 @@ from numpy import __version__ as numpy_version
 from missionsim import __version__
 from missionsim.errors import InputError
 from missionsim.files import sha256
-from missionsim.plan.build import make_plan
 from missionsim.inputs.loading import load_mission
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
+from missionsim.plan.build import make_plan
 from missionsim.uncertainty.answers import proportion_interval
 from missionsim.uncertainty.arrays import ArrayMission
 from missionsim.uncertainty.compile import compile_arrays

@@ -13,9 +13,9 @@ from missionsim.effects.model import PowerModel
 from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.simulate import RunSetup, simulate, split_values
 from missionsim.errors import MissionsimError
+from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.build import make_plan
 from missionsim.plan.legs import Plan
-from missionsim.inputs.mission import MissionSpec
 from missionsim.uncertainty.arrays import AGREEMENT, ArrayMission
 from missionsim.uncertainty.draws import Sampler
 from missionsim.uncertainty.entries import Entries, Interval, numbers_of_plan, running_sum

@@ -12,9 +12,9 @@ from missionsim.effects.model import PowerModel
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import RunSetup, simulate, split_values
 from missionsim.errors import MissionsimError
+from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.build import make_plan
 from missionsim.plan.legs import Plan
-from missionsim.inputs.mission import MissionSpec
 from missionsim.uncertainty.draws import Draws, Sampler
 from missionsim.uncertainty.streams import run_generator
 

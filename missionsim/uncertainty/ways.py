@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.plan.legs import Plan
 from missionsim.inputs.mission import MissionSpec
+from missionsim.plan.legs import Plan
 
 Array = NDArray[np.float64]
 _ROUNDING = 1e-12

@@ -22,8 +22,8 @@ from missionsim.diagnose.diagnosis import examine
 from missionsim.diagnose.split import choose_split
 from missionsim.identify.data import Settings
 from missionsim.identify.identify import identify
-from missionsim.logs import read_logs
 from missionsim.inputs.loading import load_robot
+from missionsim.logs import read_logs
 from tests.hidden_effects import features, peers
 from tests.hidden_effects.world import Case, make, write
 

@@ -10,9 +10,9 @@ import pytest
 from missionsim.diagnose.execution import ExecutionEffect, execution_effects, seen_once, told_of
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.simulate import simulate
+from missionsim.inputs.loading import load_mission
 from missionsim.labels import Labels
 from missionsim.logs import LogTable
-from missionsim.inputs.loading import load_mission
 
 MISSION = """kind: mission
 name: there_and_back

@@ -11,8 +11,8 @@ from missionsim.diagnose.diagnosis import examine
 from missionsim.diagnose.factor import common_factor, level_difference, may_differ, plain_ratio, without_factor
 from missionsim.diagnose.split import Split
 from missionsim.identify.data import Settings
-from missionsim.logs import LogTable
 from missionsim.inputs.loading import load_robot
+from missionsim.logs import LogTable
 
 from .logs import drive
 

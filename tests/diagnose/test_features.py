@@ -10,9 +10,9 @@ import pytest
 from missionsim.diagnose.features import Features, make_features
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
-from missionsim.logs import LogTable
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
+from missionsim.logs import LogTable
 
 from .logs import drive
 

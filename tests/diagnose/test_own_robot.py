@@ -19,9 +19,9 @@ from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.fit.provenance import data_tag
 from missionsim.fit.refit import refit_robot
 from missionsim.identify.data import Settings
-from missionsim.logs import LogTable, read_logs
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import robot_from_text
+from missionsim.logs import LogTable, read_logs
 from tests.hidden_effects.study import ALL_CASES
 from tests.hidden_effects.world import make
 from tests.hidden_effects.world import write as write_world

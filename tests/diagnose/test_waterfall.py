@@ -16,10 +16,10 @@ from missionsim.diagnose.improve import Improved, Step, _why, improve
 from missionsim.diagnose.split import choose_split
 from missionsim.diagnose.waterfall import energy_note, heldout_note, mean_variance, measured_note, noise_floor
 from missionsim.identify.data import Settings
+from missionsim.inputs.loading import shipped_robots
 from missionsim.logs import read_logs
 from missionsim.report.diagnosis_page import diagnosis_page
 from missionsim.report.improve_page import improve_page
-from missionsim.inputs.loading import shipped_robots
 from tests.diagnose.test_words import BATTERY, HELD
 
 RAMPS = Path(__file__).parents[2] / "docs" / "examples" / "ramp_runs"

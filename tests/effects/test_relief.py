@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from missionsim.effects.library import get_effect
-from missionsim.physics.motion import relieved_powers
 from missionsim.inputs.loading import robot_from_text, shipped_robots
 from missionsim.inputs.power import build_power_model
+from missionsim.physics.motion import relieved_powers
 
 MASS_KG, DRIVE_W = 30.0, 6.0
 SLOPES = np.array([0.1, 0.02, -0.02, -0.1])

@@ -12,10 +12,10 @@ from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.fit.parameters import fit_parameters
 from missionsim.fit.provenance import data_tag, fitted_to, log_hash
 from missionsim.fit.refit import refit_robot
-from missionsim.logs import LogTable
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import load_robot, robot_from_text
 from missionsim.inputs.power import build_power_model
+from missionsim.logs import LogTable
 from tests.diagnose.logs import drive
 
 LOGS = [drive(seed, seconds=300.0) for seed in range(4)]

@@ -14,10 +14,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from missionsim.errors import InputError
-from missionsim.plan.build import make_plan
 from missionsim.inputs import check_files, load_mission, load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.inputs.tree import parse_document
+from missionsim.plan.build import make_plan
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = sorted(

@@ -16,8 +16,8 @@ from missionsim.importer import transform
 from missionsim.importer.mapping import import_source
 from missionsim.importer.sources import list_fields
 from missionsim.importer.timeline import Signal, merge_signals
-from missionsim.logs import LogTable
 from missionsim.inputs.loading import load_map
+from missionsim.logs import LogTable
 from tests.logs.bag_writers import amps, battery_volts, speed, write_bag, write_ulog
 
 pytest.importorskip("rosbags", reason="the extra 'logs' is not installed")

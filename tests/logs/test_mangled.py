@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from missionsim.errors import Fault, InputError
 from missionsim.importer.mapping import import_source
-from missionsim.logs import check_log, iter_blocks, read_log
 from missionsim.inputs.loading import load_map
+from missionsim.logs import check_log, iter_blocks, read_log
 from tests.logs.conftest import motion, write_csv
 from tests.logs.test_maps import BASE, source
 

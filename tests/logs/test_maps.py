@@ -13,9 +13,9 @@ from missionsim.errors import InputError
 from missionsim.importer import transform
 from missionsim.importer.mapping import import_source
 from missionsim.importer.mapunits import to_glossary
+from missionsim.inputs.loading import check_files, load_map
 from missionsim.labels import Labels
 from missionsim.logs import LogTable, read_log
-from missionsim.inputs.loading import check_files, load_map
 from tests.logs.conftest import motion, write_csv
 
 N = 600

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from missionsim.importer.mapping import import_source
-from missionsim.logs import LogTable, iter_blocks, read_log, read_logs
 from missionsim.inputs.loading import load_map
+from missionsim.logs import LogTable, iter_blocks, read_log, read_logs
 
 
 @pytest.fixture(scope="module")

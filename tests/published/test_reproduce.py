@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 
 from missionsim.cli.app import run_command
+from missionsim.inputs import load_robot
+from missionsim.inputs.power import build_power_model
 from missionsim.physics import khepera
 from missionsim.published import fits, hou2019, jaiem2021, parasuraman2012, patrol, rover2025
 from missionsim.published.figures import (
@@ -27,8 +29,6 @@ from missionsim.published.figures import (
 )
 from missionsim.published.locate import mission, run
 from missionsim.published.reproduce import files, reproduce_paper, side_tables
-from missionsim.inputs import load_robot
-from missionsim.inputs.power import build_power_model
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ from missionsim.cli.app import run_command
 from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
 from missionsim.glossary import column_of
+from missionsim.inputs.loading import load_mission
 from missionsim.labels import Labels
 from missionsim.results.write import provenance
-from missionsim.inputs.loading import load_mission
 
 ROBOT = """kind: robot
 name: bot

@@ -10,10 +10,10 @@ from missionsim.diagnose.diagnosis import Subject, diagnose
 from missionsim.diagnose.improve import improve
 from missionsim.diagnose.split import choose_split
 from missionsim.identify.data import Settings
-from missionsim.report.diagnosis_page import diagnosis_page
-from missionsim.report.improve_page import improve_page
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import load_robot
+from missionsim.report.diagnosis_page import diagnosis_page
+from missionsim.report.improve_page import improve_page
 from tests.diagnose.logs import drive
 from tests.report.browser import run_in_page
 

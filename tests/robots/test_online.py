@@ -12,8 +12,8 @@ from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError
 from missionsim.expected import ExpectedRun
-from missionsim.online import Forecast, OnlinePredictor
 from missionsim.inputs import load_mission
+from missionsim.online import Forecast, OnlinePredictor
 
 
 def record(

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from missionsim.engine.simulate import simulate
-from missionsim.plan.build import make_plan
 from missionsim.inputs.loading import load_mission
 from missionsim.inputs.mission import MissionSpec
+from missionsim.plan.build import make_plan
 from missionsim.uncertainty.answers import rank_importance
 from missionsim.uncertainty.batch import Prepared, Task, prepare
 from missionsim.uncertainty.single import left_to_chance, simulate_block, simulate_run
