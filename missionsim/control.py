@@ -94,14 +94,26 @@ class PowerPredictor:
         return None
 
     def power(
-        self, speed_m_s: ArrayLike, freq_hz: ArrayLike | None = None, complexity: ArrayLike = 1.0,
-        slope_rad: ArrayLike = 0.0, payload_kg: ArrayLike = 0.0, accel_m_s2: ArrayLike = 0.0, **more: Any,
+        self,
+        speed_m_s: ArrayLike,
+        freq_hz: ArrayLike | None = None,
+        complexity: ArrayLike = 1.0,
+        slope_rad: ArrayLike = 0.0,
+        payload_kg: ArrayLike = 0.0,
+        accel_m_s2: ArrayLike = 0.0,
+        **more: Any,
     ) -> Array:
         """Power of the battery (W) for settings that broadcast; more covariates by their glossary names."""
         cov: dict[str, Any] = {
-            "speed_m_s": f64(speed_m_s), "accel_m_s2": f64(accel_m_s2), "slope_rad": f64(slope_rad),
-            "payload_kg": f64(payload_kg), "complexity": f64(complexity), "yaw_rate_rad_s": 0.0, "scheme": "",
-            **self._on, **more,
+            "speed_m_s": f64(speed_m_s),
+            "accel_m_s2": f64(accel_m_s2),
+            "slope_rad": f64(slope_rad),
+            "payload_kg": f64(payload_kg),
+            "complexity": f64(complexity),
+            "yaw_rate_rad_s": 0.0,
+            "scheme": "",
+            **self._on,
+            **more,
         }
         if freq_hz is not None:
             cov["cpu_freq_hz"] = f64(freq_hz)

@@ -59,15 +59,20 @@ def expected_run(mission: Any, battery: str) -> ExpectedRun:
 
     if battery not in mission.robot.batteries:
         raise InputError.single(
-            f"no battery '{battery}'", got=battery, allowed=", ".join(mission.robot.batteries),
+            f"no battery '{battery}'",
+            got=battery,
+            allowed=", ".join(mission.robot.batteries),
             hint=did_you_mean(battery, mission.robot.batteries),
         )
     capacity = mission.robot.batteries[battery].capacity
     # the whole plan is wanted, also of a mission that the real battery cannot finish
     result = simulate(mission, values={f"robot.{capacity.path}": capacity.value * 1e6})
     if any(segment.kind == "dock" for segment in result.segments):
-        raise InputError.single("on-line prediction covers missions without recharging", got=result.mission,
-                                allowed="a mission for each stretch from dock to dock, with its own initial_charge")
+        raise InputError.single(
+            "on-line prediction covers missions without recharging",
+            got=result.mission,
+            allowed="a mission for each stretch from dock to dock, with its own initial_charge",
+        )
     line = result.timeline
     energy = np.asarray(np.sum(list(result.energies[battery].values()), axis=0), dtype=float)
     time = np.asarray(line.duration_s, dtype=float)

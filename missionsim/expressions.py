@@ -109,15 +109,21 @@ class Expression:
             try:
                 result = self._run(values)
             except (TypeError, ValueError) as problem:
-                texts = [name for name in sorted(self.names) if hasattr(values.get(name), "equals")
-                         or isinstance(values.get(name), str)]
+                texts = [
+                    name
+                    for name in sorted(self.names)
+                    if hasattr(values.get(name), "equals") or isinstance(values.get(name), str)
+                ]
                 if not texts and not any(quote in self.source for quote in "'\""):
                     raise
                 told = f"{' and '.join(texts)}, which holds words" if texts else "words"
-                raise InputError(self.place.fault(
-                    f"the formula computes with {told}", got=self.source,
-                    allowed=f"words in comparisons only, such as k * ({(*texts, 'surface')[0]} == 'name')",
-                )) from problem
+                raise InputError(
+                    self.place.fault(
+                        f"the formula computes with {told}",
+                        got=self.source,
+                        allowed=f"words in comparisons only, such as k * ({(*texts, 'surface')[0]} == 'name')",
+                    )
+                ) from problem
         return result + 0.0 if isinstance(result, (bool, np.bool_)) else result
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -218,7 +224,9 @@ def _compile(node: ast.AST, allowed: frozenset[str] | None, found: set[str], fau
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
             return _call(node, name, args, [recurse(arg) for arg in args], fault)
     fault(
-        "this is not allowed in a formula", node, ast.unparse(node)[:60],
+        "this is not allowed in a formula",
+        node,
+        ast.unparse(node)[:60],
         "numbers, names, + - * / // % **, comparisons, and/or/not, 'a if c else b', " + ", ".join(sorted(FUNCTIONS)),
     )
     return lambda _: np.nan
@@ -232,7 +240,10 @@ def _name(
         return lambda _: constant
     if allowed is not None and name not in allowed:
         fault(
-            f"'{name}' is not known here", node, name, ", ".join(sorted(allowed)) or "no names",
+            f"'{name}' is not known here",
+            node,
+            name,
+            ", ".join(sorted(allowed)) or "no names",
             did_you_mean(name, allowed | FUNCTIONS.keys()),
         )
     found.add(name)

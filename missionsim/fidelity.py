@@ -137,8 +137,17 @@ class FidelityModel:
             seconds = min(self.build_time(level) for _ in range(repeats))
             mean, most = self.error_pct(level)
             found = self.optimum(level)
-            result.append(Measured(level, self.table(level)[2].size, seconds, mean, most, found,
-                                   100.0 * (found.energy_j_m / best.energy_j_m - 1.0)))
+            result.append(
+                Measured(
+                    level,
+                    self.table(level)[2].size,
+                    seconds,
+                    mean,
+                    most,
+                    found,
+                    100.0 * (found.energy_j_m / best.energy_j_m - 1.0),
+                )
+            )
         return result
 
     def build_time(self, level: Fidelity) -> float:
@@ -169,7 +178,11 @@ class AutoFidelity:
     """
 
     def __init__(
-        self, predictor: PowerPredictor, speeds_m_s: tuple[float, float], error_pct: float, budget_s: float,
+        self,
+        predictor: PowerPredictor,
+        speeds_m_s: tuple[float, float],
+        error_pct: float,
+        budget_s: float,
         levels: Sequence[Fidelity] = LEVELS,
     ) -> None:
         self.predictor, self.range_m_s, self.levels = predictor, speeds_m_s, tuple(levels)

@@ -53,8 +53,16 @@ COLUMNS: tuple[Column, ...] = (
 )
 
 _PATTERNS = tuple(
-    (re.compile("^" + re.escape(column.name).replace("<battery>", "(?P<of>[a-z0-9_]+?)").replace(
-        "<component>", "(?P<of>[a-z0-9_]+?)") + "$"), column)
+    (
+        re.compile(
+            "^"
+            + re.escape(column.name)
+            .replace("<battery>", "(?P<of>[a-z0-9_]+?)")
+            .replace("<component>", "(?P<of>[a-z0-9_]+?)")
+            + "$"
+        ),
+        column,
+    )
     for column in COLUMNS
 )
 

@@ -50,8 +50,14 @@ class RoverEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     metadata = {"render_modes": []}  # noqa: RUF012 - Gymnasium's own interface
 
     def __init__(
-        self, robot: str = "rover_tx2", length_m: float = 300.0, piece_m: float = 30.0, step_s: float = 1.0,
-        missed_cost: float = 2.0, time_cost: float = 2.0, slope_rad: float = 0.05,
+        self,
+        robot: str = "rover_tx2",
+        length_m: float = 300.0,
+        piece_m: float = 30.0,
+        step_s: float = 1.0,
+        missed_cost: float = 2.0,
+        time_cost: float = 2.0,
+        slope_rad: float = 0.05,
     ) -> None:
         self.predictor = PowerPredictor(robot)
         body = self.predictor.spec.body
@@ -115,9 +121,7 @@ class RoverEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         here, following = self._piece(0), self._piece(1)
         slopes = [(piece[1] / self.slope_rad if self.slope_rad > 0.0 else 0.0) for piece in (here, following)]
         left = max(1.0 - self._drawn / self.capacity_j, 0.0)
-        values = [
-            self._position / self.length_m, self._speed / self.top_m_s, left, here[0], following[0], *slopes
-        ]
+        values = [self._position / self.length_m, self._speed / self.top_m_s, left, here[0], following[0], *slopes]
         return np.clip(np.array(values, dtype=np.float32), self._low, self._high)
 
     def _info(self, energy_j: float, missed: float) -> dict[str, Any]:

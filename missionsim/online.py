@@ -90,8 +90,16 @@ class OnlinePredictor:
     """
 
     def __init__(
-        self, expected: ExpectedRun, available_j: float, reserve_j: float = 0.0, *, model_sd: float = 0.04,
-        meter_sd: float = 0.02, noise_sd: float = 0.04, correlation_s: float = 10.0, confidence: float = 2.0,
+        self,
+        expected: ExpectedRun,
+        available_j: float,
+        reserve_j: float = 0.0,
+        *,
+        model_sd: float = 0.04,
+        meter_sd: float = 0.02,
+        noise_sd: float = 0.04,
+        correlation_s: float = 10.0,
+        confidence: float = 2.0,
     ) -> None:
         self.expected = expected
         self.available_j, self.reserve_j = available_j, reserve_j
@@ -242,8 +250,21 @@ class OnlinePredictor:
         wait = None if can_finish else self._until_turning(index, share, behind, left, left_sd, factor, factor_sd)
         now = self._time or 0.0
         return Forecast(
-            now, behind / total if total > 0.0 else 1.0, self._drawn, left, left_sd, factor * rest, finish_sd,
-            factor * home_now, return_sd, factor, factor_sd, can_finish, wait == 0.0, wait, _normal_cdf(slack, need_sd),
+            now,
+            behind / total if total > 0.0 else 1.0,
+            self._drawn,
+            left,
+            left_sd,
+            factor * rest,
+            finish_sd,
+            factor * home_now,
+            return_sd,
+            factor,
+            factor_sd,
+            can_finish,
+            wait == 0.0,
+            wait,
+            _normal_cdf(slack, need_sd),
         )
 
     def _correction(self, behind_j: float) -> tuple[float, float]:

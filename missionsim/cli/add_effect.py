@@ -79,34 +79,58 @@ def add_effect(
     chosen = battery or motors_battery(spec, tables)
     try:
         settings = Settings(alpha=alpha, align=not no_align)
-        made = adopt(robot_text(robot), spec, split, effect, chosen, settings, force=force,
-                     recalibrate=not keep_base)
+        made = adopt(robot_text(robot), spec, split, effect, chosen, settings, force=force, recalibrate=not keep_base)
     except NotSignificant as error:
-        emit_json({"schema": "missionsim.add_effect/1", "effect": effect, "battery": chosen, "added": False,
-                   "reason": str(error)}, json)
+        emit_json(
+            {
+                "schema": "missionsim.add_effect/1",
+                "effect": effect,
+                "battery": chosen,
+                "added": False,
+                "reason": str(error),
+            },
+            json,
+        )
         print(f"{error}\n    nothing was written; --force writes it all the same", file=sys.stderr)
         return 1
     write_text(out, for_folder(made.text, out.parent))
-    parameters = {p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit}
-                  for p in made.effect.parameters}
-    emit_json({
-        "schema": "missionsim.add_effect/1", "effect": effect, "battery": chosen, "added": True,
-        "significant": made.significant, "reason": made.reason, "parameters": parameters,
-        "energy_share": made.effect.energy_share, "p_value": made.effect.p_value,
-        "indistinguishable_from": list(made.rivals), "robot_file": str(out),
-        "base": {name: {"value": value, "sd": sd} for name, (value, sd) in made.base.items()},
-    }, json)  # fmt: skip
+    parameters = {
+        p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit} for p in made.effect.parameters
+    }
+    emit_json(
+        {
+            "schema": "missionsim.add_effect/1",
+            "effect": effect,
+            "battery": chosen,
+            "added": True,
+            "significant": made.significant,
+            "reason": made.reason,
+            "parameters": parameters,
+            "energy_share": made.effect.energy_share,
+            "p_value": made.effect.p_value,
+            "indistinguishable_from": list(made.rivals),
+            "robot_file": str(out),
+            "base": {name: {"value": value, "sd": sd} for name, (value, sd) in made.base.items()},
+        },
+        json,
+    )
     if made.rivals:
-        print(f"warning: these logs cannot tell {effect} from {', '.join(made.rivals)}; missionsim diagnose says "
-              "what to drive to find out", file=sys.stderr)
+        print(
+            f"warning: these logs cannot tell {effect} from {', '.join(made.rivals)}; missionsim diagnose says "
+            "what to drive to find out",
+            file=sys.stderr,
+        )
     if shows_text(json, quiet):
         terminal = console()
         told = ", ".join(
             f"{p.name} = {p.value:.4g}{'' if p.unit in ('', '1') else ' ' + p.unit} (95 % {p.low:.4g} to {p.high:.4g})"
             for p in made.effect.parameters
         )
-        terminal.print(f"{effect} on battery {chosen}: {100 * made.effect.energy_share:.1f} % of the energy; {told}; "
-                       f"p = {made.effect.p_value:.1g}", markup=False)
+        terminal.print(
+            f"{effect} on battery {chosen}: {100 * made.effect.energy_share:.1f} % of the energy; {told}; "
+            f"p = {made.effect.p_value:.1g}",
+            markup=False,
+        )
         if not made.significant:
             terminal.print(f"forced: {made.reason}", markup=False)
         if made.base:

@@ -69,8 +69,12 @@ def run_command(arguments: Sequence[str]) -> int:
     """
     word = next(iter(arguments), "")
     if word and not word.startswith("-") and word not in COMMANDS:
-        print(Fault("", 0, 0, f"there is no command '{word}'", "", word, ", ".join(COMMANDS),
-                    did_you_mean(word, COMMANDS)), file=sys.stderr)
+        print(
+            Fault(
+                "", 0, 0, f"there is no command '{word}'", "", word, ", ".join(COMMANDS), did_you_mean(word, COMMANDS)
+            ),
+            file=sys.stderr,
+        )
         return EXIT_INPUT
     try:
         check_targets(arguments)

@@ -101,13 +101,23 @@ def _as_json(fits: list[ModelFit], remarks: list[str], out: Path) -> dict[str, A
         "batteries": {
             fit.battery: {
                 "parameters": {
-                    p.name: {"value": p.value, "sd": p.sd, "low": p.low, "high": p.high, "before": p.before,
-                             "unit": p.unit}
+                    p.name: {
+                        "value": p.value,
+                        "sd": p.sd,
+                        "low": p.low,
+                        "high": p.high,
+                        "before": p.before,
+                        "unit": p.unit,
+                    }
                     for p in fit.parameters.values()
                 },
-                "rmse_before_w": fit.rmse_before_w, "rmse_w": fit.rmse_w, "explained_variance": fit.explained,
-                "noise_w": fit.noise_w, "clock": {"delay_s": fit.delay_s, "lag_s": fit.lag_s},
-                "runs": list(fit.runs), "seconds": fit.seconds,
+                "rmse_before_w": fit.rmse_before_w,
+                "rmse_w": fit.rmse_w,
+                "explained_variance": fit.explained,
+                "noise_w": fit.noise_w,
+                "clock": {"delay_s": fit.delay_s, "lag_s": fit.lag_s},
+                "runs": list(fit.runs),
+                "seconds": fit.seconds,
             }
             for fit in fits
         },
@@ -120,17 +130,23 @@ def _print(fits: list[ModelFit], remarks: list[str], out: Path) -> None:
     for fit in fits:
         rows = [
             (p.name, f"{p.value:.4g}", f"{p.low:.4g} … {p.high:.4g}", p.unit if p.unit != "1" else "")
-            for p in fit.parameters.values() if p.seen
+            for p in fit.parameters.values()
+            if p.seen
         ]
-        terminal.print(simple_table(f"Battery {fit.battery}", ["parameter", ("value", "right"),
-                                                             ("95 % interval", "right"), "unit"], rows))  # fmt: skip
+        terminal.print(
+            simple_table(
+                f"Battery {fit.battery}", ["parameter", ("value", "right"), ("95 % interval", "right"), "unit"], rows
+            )
+        )
         clock = "clocks as logged"
         if fit.delay_s or fit.lag_s:
             clock = f"meter {fit.delay_s:+.2f} s behind the motion, lag {fit.lag_s:.2f} s"
         count = f"{len(fit.runs)} run{'s' * (len(fit.runs) != 1)}"
         terminal.print(
             f"{count}, {fit.seconds / 60:.0f} min; explains {100 * fit.explained:.1f} % of the variance "
-            f"of the power; error {fit.rmse_w:.3g} W (RMS); {clock}", markup=False)  # fmt: skip
+            f"of the power; error {fit.rmse_w:.3g} W (RMS); {clock}",
+            markup=False,
+        )
     for remark in remarks:
         terminal.print(f"note: {remark}", markup=False)
     terminal.print(f"written: {out}", markup=False)

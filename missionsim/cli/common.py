@@ -88,8 +88,15 @@ def progress(quiet: bool = False) -> Iterator[Progress]:
 
     terminal = console(stderr=True)
     with Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate(), TimeElapsedColumn(),
-        TimeRemainingColumn(), console=terminal, transient=True, disable=quiet or not terminal.is_terminal,
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        Rate(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=terminal,
+        transient=True,
+        disable=quiet or not terminal.is_terminal,
     ) as bar:
         yield bar
 

@@ -61,8 +61,9 @@ def diagnose(
     from missionsim.diagnose import diagnose_files
 
     check_search(logs, alpha)
-    result = diagnose_files(robot, list(logs), holdout=holdout, mission=mission, battery=battery, alpha=alpha,
-                            align=not no_align)
+    result = diagnose_files(
+        robot, list(logs), holdout=holdout, mission=mission, battery=battery, alpha=alpha, align=not no_align
+    )
     emit_json(result.to_json(), json)
     if report is not None:
         from missionsim.files import write_text

@@ -73,8 +73,10 @@ def list_effects(*, json: JsonOption = None, quiet: QuietOption = False) -> int:
     if shows_text(json, quiet):
         rows = [(d["id"], d["equation"], _needed(d) or "–") for d in described]
         console().print(simple_table("Library of effects", ["effect", "power it adds", "needs in the log"], rows))
-        console().print("Acceleration, starts and clocks (moving time, time switched on) follow from those columns.\n"
-                        "missionsim effects show ID tells parameters, units and source of one.")
+        console().print(
+            "Acceleration, starts and clocks (moving time, time switched on) follow from those columns.\n"
+            "missionsim effects show ID tells parameters, units and source of one."
+        )
     return 0
 
 

@@ -70,8 +70,10 @@ def improve(
 
     check_search(logs, alpha)
     if not yes and not sys.stdin.isatty():
-        raise InputError.single("improve asks before it adds an effect, and this is no terminal",
-                                allowed="--yes to add every effect that was identified")
+        raise InputError.single(
+            "improve asks before it adds an effect, and this is no terminal",
+            allowed="--yes to add every effect that was identified",
+        )
     spec = load_robot(robot)
     tables = read_logs(list(logs), robot=spec)
     tell_logs(tables, quiet)
@@ -118,23 +120,32 @@ def _ask(finding: Finding, diagnosis: BatteryDiagnosis) -> bool:
     terminal = console(stderr=True)
     terminal.print(words.found_line(finding), markup=False)
     if finding.heldout_rmse_before_w is not None and finding.heldout_rmse_after_w is not None:
-        terminal.print(f"power error on held-out runs {finding.heldout_rmse_before_w:.3g} -> "
-                       f"{finding.heldout_rmse_after_w:.3g} W", markup=False)
+        terminal.print(
+            f"power error on held-out runs {finding.heldout_rmse_before_w:.3g} -> {finding.heldout_rmse_after_w:.3g} W",
+            markup=False,
+        )
     return Confirm.ask(f"add {finding.effect} to battery {diagnosis.battery}?", default=True, console=terminal)
 
 
 def _as_json(done: list[Improved], skipped: dict[str, Any], out: Path, how: str) -> dict[str, Any]:
     return {
-        "schema": "missionsim.improvement/1", "robot_file": str(out), "holdout": how,
+        "schema": "missionsim.improvement/1",
+        "robot_file": str(out),
+        "holdout": how,
         "batteries": {
             one.battery: {
-                "added": list(one.added), "declined": list(one.declined), "stopped": one.stopped,
+                "added": list(one.added),
+                "declined": list(one.declined),
+                "stopped": one.stopped,
                 "on_heldout_runs": one.heldout,
-                "steps": [{"name": s.name, "energy_error_pct": s.energy_error_pct, "power_rmse_w": s.power_rmse_w}
-                          for s in one.steps],
-                "compare": one.compared and {"energy_error_pct": one.compared.energy_error_pct,
-                                             "power_rmse_w": one.compared.power_rmse_w},
-                "first": one.first.to_json(), "last": one.last.to_json(),
+                "steps": [
+                    {"name": s.name, "energy_error_pct": s.energy_error_pct, "power_rmse_w": s.power_rmse_w}
+                    for s in one.steps
+                ],
+                "compare": one.compared
+                and {"energy_error_pct": one.compared.energy_error_pct, "power_rmse_w": one.compared.power_rmse_w},
+                "first": one.first.to_json(),
+                "last": one.last.to_json(),
             }
             for one in done
         },
@@ -150,12 +161,21 @@ def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Pat
         which = "held-out runs" if one.heldout else "fitted runs (none held out)"
         most = max(step.power_rmse_w for step in one.steps) or 1.0
         rows = [
-            (step.name, f"{step.energy_error_pct:.2f}", f"{step.power_rmse_w:.3g}",
-             "█" * max(1, round(18 * step.power_rmse_w / most)))
+            (
+                step.name,
+                f"{step.energy_error_pct:.2f}",
+                f"{step.power_rmse_w:.3g}",
+                "█" * max(1, round(18 * step.power_rmse_w / most)),
+            )
             for step in one.steps
         ]
-        terminal.print(simple_table(f"Battery {one.battery}: error on {which}", [
-            "model", ("energy error, %", "right"), ("power RMSE, W", "right"), ""], rows))
+        terminal.print(
+            simple_table(
+                f"Battery {one.battery}: error on {which}",
+                ["model", ("energy error, %", "right"), ("power RMSE, W", "right"), ""],
+                rows,
+            )
+        )
         terminal.print(f"added: {', '.join(one.added) or 'nothing'}; {one.stopped}", markup=False)
         for note in (energy_note(one), measured_note(one)):
             if note:

@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-_OPTIONS = {
-    "run": {"--set", "--robot", "--out", "--format", "--json"},
-    "validate": {"--json"},
-}
+_OPTIONS = {"run": {"--set", "--robot", "--out", "--format", "--json"}, "validate": {"--json"}}
 """Options that take one value."""
 
 
@@ -58,8 +55,14 @@ def quick(arguments: Sequence[str]) -> int | None:
 
     out = Path(one["--out"]) if "--out" in one else None
     return run_mission(
-        Path(files[0]), given.get("--set"), one.get("--robot"), out,
-        "parquet" if format == "parquet" else "csv", None, one.get("--json"), quiet,
+        Path(files[0]),
+        given.get("--set"),
+        one.get("--robot"),
+        out,
+        "parquet" if format == "parquet" else "csv",
+        None,
+        one.get("--json"),
+        quiet,
     )
 
 

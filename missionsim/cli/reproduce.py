@@ -69,8 +69,14 @@ def _print(paper: str, items: list[Item]) -> None:
         title=TITLES[paper], title_justify="left", title_style="bold", pad_edge=False, box=None, padding=(0, 1, 0, 0)
     )
     for heading, justify, width in (
-        ("item", "left", 27), ("where", "left", 9), ("published", "right", 9), ("ours", "right", 8),
-        ("unit", "left", 6), ("differ.", "right", 8), ("status", "left", 24), ("note", "right", 4),
+        ("item", "left", 27),
+        ("where", "left", 9),
+        ("published", "right", 9),
+        ("ours", "right", 8),
+        ("unit", "left", 6),
+        ("differ.", "right", 8),
+        ("status", "left", 24),
+        ("note", "right", 4),
     ):
         table.add_column(heading, justify=justify, max_width=width)  # type: ignore[arg-type]
     colours = {"agrees": "green", "calibrated": "blue", "differs": "red", "paper contradicts itself": "yellow"}
@@ -79,8 +85,14 @@ def _print(paper: str, items: list[Item]) -> None:
         figure = item.figure
         colour = colours.get(item.status, "dim")
         table.add_row(
-            escape(figure.item), escape(figure.where), figure.printed, number(item.ours), escape(figure.unit),
-            "" if item.difference is None else f"{item.difference:+.2g}", f"[{colour}]{item.status}[/]", reference,
+            escape(figure.item),
+            escape(figure.where),
+            figure.printed,
+            number(item.ours),
+            escape(figure.unit),
+            "" if item.difference is None else f"{item.difference:+.2g}",
+            f"[{colour}]{item.status}[/]",
+            reference,
         )
     terminal = console()
     terminal.print(table)

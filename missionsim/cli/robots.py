@@ -23,25 +23,36 @@ def robots(*, json: JsonOption = None, quiet: QuietOption = False) -> int:
     described: list[dict[str, Any]] = []
     for name, path in shipped_robots().items():
         robot = load_robot(name)
-        described.append({
-            "name": robot.name, "title": robot.title, "path": str(path), "sha256": robot.sha256,
-            "drive": robot.body.drive, "max_speed_m_s": robot.body.max_speed.value,
-            "batteries": {key: {"capacity_wh": battery.capacity_wh} for key, battery in robot.batteries.items()},
-            "components": {key: {"units": item.units, "always_on": item.always_on}
-                           for key, item in robot.components.items()},
-            "schemes": {key: list(item.navigation) for key, item in robot.schemes.items()},
-            "motion_model": robot.motion.model if robot.motion is not None else None,
-            "sources": robot.sources,
-        })
+        described.append(
+            {
+                "name": robot.name,
+                "title": robot.title,
+                "path": str(path),
+                "sha256": robot.sha256,
+                "drive": robot.body.drive,
+                "max_speed_m_s": robot.body.max_speed.value,
+                "batteries": {key: {"capacity_wh": battery.capacity_wh} for key, battery in robot.batteries.items()},
+                "components": {
+                    key: {"units": item.units, "always_on": item.always_on} for key, item in robot.components.items()
+                },
+                "schemes": {key: list(item.navigation) for key, item in robot.schemes.items()},
+                "motion_model": robot.motion.model if robot.motion is not None else None,
+                "sources": robot.sources,
+            }
+        )
     emit_json({"schema": "missionsim.robots/1", "robots": described}, json)
     if shows_text(json, quiet):
         rows = []
         for item in described:
             batteries = "\n".join(f"{key} {value['capacity_wh']:.4g} Wh" for key, value in item["batteries"].items())
-            switched = [key + (f" ×{value['units']}" if value["units"] > 1 else "")
-                        for key, value in item["components"].items() if not value["always_on"]]
-            rows.append((item["name"], item["title"], batteries, ", ".join(switched) or "–",
-                         "\n".join(item["schemes"]) or "–"))
+            switched = [
+                key + (f" ×{value['units']}" if value["units"] > 1 else "")
+                for key, value in item["components"].items()
+                if not value["always_on"]
+            ]
+            rows.append(
+                (item["name"], item["title"], batteries, ", ".join(switched) or "–", "\n".join(item["schemes"]) or "–")
+            )
         columns = ["robot", "what it is", "batteries", "components that switch", "control schemes"]
         console().print(simple_table("Shipped robots", columns, rows))
     return 0

@@ -61,17 +61,36 @@ def show(result: RunResult) -> None:
     )
     rows = [
         (
-            name, f"{b.energy_wh:.3f}", f"{b.mean_power_w:.2f}", f"{b.capacity_wh:.1f}", f"{b.charge_left_wh:.2f}",
-            f"{100 * b.charge_left_fraction:.1f} %", f"{b.reserve_required_wh:.2f}",
-            "unknown" if b.home_wh is None else f"{b.home_wh:.2f}", f"{b.reserve_wh:.2f}",
+            name,
+            f"{b.energy_wh:.3f}",
+            f"{b.mean_power_w:.2f}",
+            f"{b.capacity_wh:.1f}",
+            f"{b.charge_left_wh:.2f}",
+            f"{100 * b.charge_left_fraction:.1f} %",
+            f"{b.reserve_required_wh:.2f}",
+            "unknown" if b.home_wh is None else f"{b.home_wh:.2f}",
+            f"{b.reserve_wh:.2f}",
         )
         for name, b in result.batteries.items()
     ]
     right = "right"
-    terminal.print(simple_table("Batteries", [
-        "battery", ("Wh used", right), ("mean W", right), ("full Wh", right), ("Wh left", right), ("left", right),
-        ("to keep Wh", right), ("home Wh", right), ("reserve Wh", right),
-    ], rows))
+    terminal.print(
+        simple_table(
+            "Batteries",
+            [
+                "battery",
+                ("Wh used", right),
+                ("mean W", right),
+                ("full Wh", right),
+                ("Wh left", right),
+                ("left", right),
+                ("to keep Wh", right),
+                ("home Wh", right),
+                ("reserve Wh", right),
+            ],
+            rows,
+        )
+    )
     for name, battery in result.batteries.items():
         if text := trouble(battery):
             terminal.print(f"  {name}: {text}")
@@ -81,18 +100,30 @@ def show(result: RunResult) -> None:
         terminal.print(f"  warning: {fault.message}", markup=False)
     if result.never_on:
         terminal.print(f"  never on in this mission, so costing nothing: {', '.join(result.never_on)}")
-    terminal.print(simple_table("Three largest consumers", ["component", "battery", ("Wh", right), ("share", right)], [
-        (component, battery, f"{energy:.3f}", f"{100 * share:.1f} %")
-        for battery, component, energy, share in largest_consumers(result)
-    ]))
+    terminal.print(
+        simple_table(
+            "Three largest consumers",
+            ["component", "battery", ("Wh", right), ("share", right)],
+            [
+                (component, battery, f"{energy:.3f}", f"{100 * share:.1f} %")
+                for battery, component, energy, share in largest_consumers(result)
+            ],
+        )
+    )
     schemes = {name: result.by_scheme_wh(name) for name in result.batteries}
     names = dict.fromkeys(scheme for energies in schemes.values() for scheme in energies)
     if len(names) > 1:
         told = {"none": "no scheme"}
-        terminal.print(simple_table("Energy by control scheme [Wh]", ["scheme", *((b, right) for b in schemes)], [
-            (told.get(name, name), *(f"{energies.get(name, 0.0):.4f}" for energies in schemes.values()))
-            for name in names
-        ]))
+        terminal.print(
+            simple_table(
+                "Energy by control scheme [Wh]",
+                ["scheme", *((b, right) for b in schemes)],
+                [
+                    (told.get(name, name), *(f"{energies.get(name, 0.0):.4f}" for energies in schemes.values()))
+                    for name in names
+                ],
+            )
+        )
     terminal.print(segment_rows(result))
 
 
@@ -120,9 +151,11 @@ def segment_rows(result: RunResult, most: int = 14) -> Any:
         title += f", the {most} largest of {len(rows)}"
     columns: list[str | tuple[str, str]] = ["segment", "kind", ("times", "right")]
     columns += [(name, "right") for name in result.batteries]
-    return simple_table(title, columns, [
-        (label, kind, times, *(f"{part:.4f}" for part in parts)) for _, label, kind, times, parts in shown
-    ])
+    return simple_table(
+        title,
+        columns,
+        [(label, kind, times, *(f"{part:.4f}" for part in parts)) for _, label, kind, times, parts in shown],
+    )
 
 
 def trouble(battery: Any) -> str:

@@ -90,11 +90,19 @@ def _clashes(command: str, targets: Sequence[tuple[str, str]], others: Sequence[
         if (first := written.setdefault(name, option)) != option:
             yield Fault("", 0, 0, f"{first} and {option} are the same path", "", f"'{value}'", "two different paths")
         elif path.is_file() and (read := _reads(others, path, name)) is not None:
-            yield Fault("", 0, 0, f"{option} would overwrite an input of this command{read}", "", f"'{value}'",
-                        "another path")
+            yield Fault(
+                "", 0, 0, f"{option} would overwrite an input of this command{read}", "", f"'{value}'", "another path"
+            )
         elif command == "compare" and option == "--out" and any(name == _identity(Path(o)) for o in others):
-            yield Fault("", 0, 0, "--out is a folder of logs; the tables in it would count as logs", "", f"'{value}'",
-                        "another folder")
+            yield Fault(
+                "",
+                0,
+                0,
+                "--out is a folder of logs; the tables in it would count as logs",
+                "",
+                f"'{value}'",
+                "another folder",
+            )
 
 
 def _reads(words: Sequence[str], target: Path, name: tuple[int, int] | str) -> str | None:

@@ -39,8 +39,15 @@ def validate_files(files: Sequence[Path], json: str | None = None, quiet: bool =
     faults = sorted(set(faults))
     errors = [fault for fault in faults if fault.severity == "error"]
     count = len(yaml_files) + len(logs)
-    emit_json({"schema": "missionsim.validation/1", "files": count, "valid": not errors,
-               "faults": [dataclasses.asdict(fault) for fault in faults]}, json)
+    emit_json(
+        {
+            "schema": "missionsim.validation/1",
+            "files": count,
+            "valid": not errors,
+            "faults": [dataclasses.asdict(fault) for fault in faults],
+        },
+        json,
+    )
     if json != "-":
         for fault in faults:
             print(fault, file=sys.stderr)

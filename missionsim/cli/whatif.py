@@ -65,15 +65,22 @@ def whatif(
     from missionsim.results.whatif import BASELINE, Alternative, from_study, run_alternatives, varied
 
     if (vary is None) == (study is None):
-        raise InputError(Fault("", 0, 0, "whatif needs either --vary or --study", got="both" if vary else "neither",
-                               allowed="--vary defaults.speed=0.3,0.5, or --study STUDY.yaml"))
+        raise InputError(
+            Fault(
+                "",
+                0,
+                0,
+                "whatif needs either --vary or --study",
+                got="both" if vary else "neither",
+                allowed="--vary defaults.speed=0.3,0.5, or --study STUDY.yaml",
+            )
+        )
     base = [split_assignment(text) for text in set_ or ()]
     if study is not None:
         path, alternatives = from_study(study)
         path = mission or path
         alternatives = [
-            Alternative(a.name, (*base, *a.set), robot if robot is not None else a.robot, a.title)
-            for a in alternatives
+            Alternative(a.name, (*base, *a.set), robot if robot is not None else a.robot, a.title) for a in alternatives
         ]
     else:
         if mission is None:
@@ -109,9 +116,7 @@ def whatif(
     return 0 if found.results[0].feasible else 1
 
 
-def _draw(
-    path: Path, alternatives: Sequence[Alternative], runs: int, seed: int, quiet: bool
-) -> dict[str, Any]:
+def _draw(path: Path, alternatives: Sequence[Alternative], runs: int, seed: int, quiet: bool) -> dict[str, Any]:
     from missionsim.uncertainty.batch import Task
     from missionsim.uncertainty.paired import compare_alternatives
 
@@ -126,16 +131,29 @@ def _draw(
 def show_differences(answer: dict[str, Any]) -> None:
     """Print which differences of the alternatives hold under the uncertainty."""
     rows = [
-        (row["name"], _percent(row), d["quantity"], f"{d['mean']:+.4g}",
-         f"{d['low']:+.3g} … {d['high']:+.3g}", "yes" if d["real"] else "cannot be told")
-        for row in answer["alternatives"] for d in row["differences"] if not _mirrored(d, row["differences"])
+        (
+            row["name"],
+            _percent(row),
+            d["quantity"],
+            f"{d['mean']:+.4g}",
+            f"{d['low']:+.3g} … {d['high']:+.3g}",
+            "yes" if d["real"] else "cannot be told",
+        )
+        for row in answer["alternatives"]
+        for d in row["differences"]
+        if not _mirrored(d, row["differences"])
     ]
     first = answer["alternatives"][0]
     terminal = console()
     succeeds = f"{first['name']}: succeeds in {_percent(first)}"
     terminal.print(f"{answer['runs']} runs each, same draws; {succeeds}")
-    terminal.print(simple_table("Differences to the baseline", [
-        "alternative", ("succeeds", "right"), "quantity", ("mean", "right"), "95 % interval", "real?"], rows))
+    terminal.print(
+        simple_table(
+            "Differences to the baseline",
+            ["alternative", ("succeeds", "right"), "quantity", ("mean", "right"), "95 % interval", "real?"],
+            rows,
+        )
+    )
 
 
 def _percent(row: Mapping[str, Any]) -> str:

@@ -6,6 +6,14 @@ from missionsim.compare.replay import ReplayBlock, plan_replay, replay_blocks
 from missionsim.compare.where import Dependence, Where
 
 __all__ = [
-    "BatteryComparison", "Comparison", "Dependence", "ReplayBlock", "RunComparison", "Where", "compare",
-    "compare_files", "plan_replay", "replay_blocks",
+    "BatteryComparison",
+    "Comparison",
+    "Dependence",
+    "ReplayBlock",
+    "RunComparison",
+    "Where",
+    "compare",
+    "compare_files",
+    "plan_replay",
+    "replay_blocks",
 ]

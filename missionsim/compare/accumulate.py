@@ -105,8 +105,7 @@ class Accumulator:
         return axis.names if isinstance(axis, LabelAxis) else ()
 
     def _add_run(
-        self, run: str, battery: str, block: ReplayBlock, gap_j: float, square: float,
-        segment: NDArray[np.int64] | None,
+        self, run: str, battery: str, block: ReplayBlock, gap_j: float, square: float, segment: NDArray[np.int64] | None
     ) -> None:
         sums = self.runs.setdefault(run, {}).setdefault(battery, RunSums())
         measured = _dot(block.measured_w[battery], block.dt_s)

@@ -225,7 +225,8 @@ class LabelAxis:
         names = sorted(self._codes, key=_natural)
         return [
             Bin(name + self._suffix, None, None, *(float(total[self._codes[name]]) for total in totals))
-            for name in names if totals[0][self._codes[name]] > 0.0
+            for name in names
+            if totals[0][self._codes[name]] > 0.0
         ]
 
     @property
@@ -245,9 +246,7 @@ def tidy(number: float) -> str:
     return f"{_rounded(number):.10g}".replace("-", "−")
 
 
-def _sums_of(
-    cells: NDArray[np.int64], weights: Mapping[str, NDArray[np.float64]]
-) -> dict[str, NDArray[np.float64]]:
+def _sums_of(cells: NDArray[np.int64], weights: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
     """Sum of each weight by cell, cells from 0 up to the highest one; rows with cell -1 are left out."""
     low, high = int(cells.min()), int(cells.max())
     if low == high:

@@ -88,24 +88,36 @@ class MissionGap:
         """The split in a sentence or two."""
         names = {"path_stretch": "the way", "speed_tracking": "the speed", "dwell": "standing", "other": "the rest"}
         parts = ", ".join(f"{names[part]} {self.part_wh(part):+.3g} Wh" for part in PARTS)
-        first = (f"What the robot did otherwise than planned takes {self.behaviour_wh:+.3g} Wh of battery "
-                 f"{self.battery} ({parts}).")
+        first = (
+            f"What the robot did otherwise than planned takes {self.behaviour_wh:+.3g} Wh of battery "
+            f"{self.battery} ({parts})."
+        )
         told = [
             f"{one.scheme or 'no scheme'}: {one.path_stretch:.2f} times the planned way at {one.speed_tracking:.2f} "
             f"times the planned speed, {one.dwell_s:+.0f} s at rest"
-            for one in self.schemes if one.path_stretch is not None and one.speed_tracking is not None
+            for one in self.schemes
+            if one.path_stretch is not None and one.speed_tracking is not None
         ]
         return [text.replace("-", "−") for text in [first, *(f"{line}." for line in told)]]
 
     def to_json(self) -> dict[str, Any]:
         """Numbers beside the contract's ``gap_wh``."""
         return {
-            "energy_simulated_wh": self.energy_simulated_wh, "runs": self.runs,
+            "energy_simulated_wh": self.energy_simulated_wh,
+            "runs": self.runs,
             "behaviour_wh": {part: self.part_wh(part) for part in PARTS},
             "by_scheme": [
-                {"scheme": one.scheme, "path_stretch": one.path_stretch, "speed_tracking": one.speed_tracking,
-                 "dwell_s": one.dwell_s, "planned_m": one.planned_m, "driven_m": one.driven_m,
-                 "planned_s": one.planned_s, "driven_s": one.driven_s, "wh": dict(one.wh[self.battery])}
+                {
+                    "scheme": one.scheme,
+                    "path_stretch": one.path_stretch,
+                    "speed_tracking": one.speed_tracking,
+                    "dwell_s": one.dwell_s,
+                    "planned_m": one.planned_m,
+                    "driven_m": one.driven_m,
+                    "planned_s": one.planned_s,
+                    "driven_s": one.driven_s,
+                    "wh": dict(one.wh[self.battery]),
+                }
                 for one in self.schemes
             ],
             "error_statistics": self.error_statistics.to_json(),
@@ -159,9 +171,13 @@ def _scheme_gap(name: str, stages: Stages, members: NDArray[np.bool_], done: Dri
         wh[battery] = {part: (at[i + 1] - at[i]) / 3600.0 for i, part in enumerate(PARTS)}
     planned_speed = ratio(planned.distance_m, planned.driving_s)
     return SchemeGap(
-        name, way / planned.distance_m if planned.distance_m > 0.0 else None,
+        name,
+        way / planned.distance_m if planned.distance_m > 0.0 else None,
         speed / planned_speed if planned_speed and speed else None,
-        done.standing_s - runs * planned.standing_s, runs * planned.distance_m, done.distance_m,
+        done.standing_s - runs * planned.standing_s,
+        runs * planned.distance_m,
+        done.distance_m,
         runs * (planned.driving_s + planned.turning_s + planned.standing_s),
-        done.driving_s + done.turning_s + done.standing_s, wh,
+        done.driving_s + done.turning_s + done.standing_s,
+        wh,
     )

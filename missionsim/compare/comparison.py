@@ -66,9 +66,13 @@ class RunComparison:
     def to_json(self) -> dict[str, Any]:
         """The contract's fields and ours beside them."""
         return {
-            "run": self.run, "energy_error_pct": self.energy_error_pct, "power_rmse_w": self.power_rmse_w,
-            "power_bias_w": self.power_bias_w, "seconds": self.seconds,
-            "energy_measured_wh": self.energy_measured_wh, "energy_model_wh": self.energy_model_wh,
+            "run": self.run,
+            "energy_error_pct": self.energy_error_pct,
+            "power_rmse_w": self.power_rmse_w,
+            "power_bias_w": self.power_bias_w,
+            "seconds": self.seconds,
+            "energy_measured_wh": self.energy_measured_wh,
+            "energy_model_wh": self.energy_model_wh,
             "error_statistics": self.error_statistics.to_json(),
         }
 
@@ -178,18 +182,23 @@ class BatteryComparison:
     def words(self) -> list[str]:
         """The verdict in sentences."""
         error = self.energy_error_pct
-        power = (f"its power is off by {self.power_rmse_w:.2f} W (root mean square), "
-                 f"{self.power_bias_w:+.2f} W on average.")
+        power = (
+            f"its power is off by {self.power_rmse_w:.2f} W (root mean square), {self.power_bias_w:+.2f} W on average."
+        )
         if math.isfinite(error) and self.energy_measured_wh > 0.0:
             way = "more" if error > 0.0 else "less"
             count = f"{len(self.runs)} runs" if len(self.runs) > 1 else "one run"
-            first = (f"Over {count} the model gives {abs(error):.1f} % {way} energy than was measured on battery "
-                     f"{self.battery}; {power}")
-            if (off := thousandfold(self.energy_measured_wh, self.energy_model_wh)):
+            first = (
+                f"Over {count} the model gives {abs(error):.1f} % {way} energy than was measured on battery "
+                f"{self.battery}; {power}"
+            )
+            if off := thousandfold(self.energy_measured_wh, self.energy_model_wh):
                 first += f" Measured is about {off} of modelled: is the meter's unit the watt?"
         elif math.isfinite(error):
-            first = (f"Battery {self.battery} was charged by {-self.energy_measured_wh:.3f} Wh in all, if the sign is "
-                     f"right: what it delivers is positive. Against the model {power}")
+            first = (
+                f"Battery {self.battery} was charged by {-self.energy_measured_wh:.3f} Wh in all, if the sign is "
+                f"right: what it delivers is positive. Against the model {power}"
+            )
         else:
             first = f"No energy was measured on battery {self.battery}."
         middle = [] if self.mission is None else self.mission.words
@@ -198,9 +207,12 @@ class BatteryComparison:
     def to_json(self) -> dict[str, Any]:
         """The contract's fields and ours beside them."""
         data: dict[str, Any] = {
-            "energy_measured_wh": self.energy_measured_wh, "energy_model_wh": self.energy_model_wh,
-            "energy_error_pct": self.energy_error_pct, "power_rmse_w": self.power_rmse_w,
-            "power_bias_w": self.power_bias_w, "gap_wh": self.gap_wh,
+            "energy_measured_wh": self.energy_measured_wh,
+            "energy_model_wh": self.energy_model_wh,
+            "energy_error_pct": self.energy_error_pct,
+            "power_rmse_w": self.power_rmse_w,
+            "power_bias_w": self.power_bias_w,
+            "gap_wh": self.gap_wh,
             "error_statistics": self.error_statistics.to_json(),
             "error_statistics_relative_to_predicted": self.error_statistics_predicted.to_json(),
             "per_run": [run.to_json() for run in self.runs],
@@ -208,7 +220,9 @@ class BatteryComparison:
             "depends_on": [
                 {"by": one.by, "explains": one.explained} for one in self.dependences if one.explained > 0.0
             ],
-            "model_by_component_wh": self.by_component_wh, "model_by_term_wh": self.by_term_wh, "words": self.words,
+            "model_by_component_wh": self.by_component_wh,
+            "model_by_term_wh": self.by_term_wh,
+            "words": self.words,
         }
         if self.mission is not None:
             data["mission"] = self.mission.to_json()
@@ -248,9 +262,13 @@ class Comparison:
     def to_json(self) -> dict[str, Any]:
         """The contract's ``missionsim.comparison/1``."""
         return {
-            "schema": SCHEMA, "robot": self.robot, "mission": self.mission or None, "runs": list(self.runs),
+            "schema": SCHEMA,
+            "robot": self.robot,
+            "mission": self.mission or None,
+            "runs": list(self.runs),
             "batteries": {name: one.to_json() for name, one in self.batteries.items()},
-            "notes": list(self.notes), "rows": self.rows,
+            "notes": list(self.notes),
+            "rows": self.rows,
             "logs": [
                 {"run": run, "file": source, "sha256": sha256(source) if source else None} for run, source in self.logs
             ],

@@ -96,14 +96,22 @@ def compare(
             on_run(run)
     batteries = [name for name in model.batteries if any(name in run for run in sums.runs.values())]
     return Comparison(
-        getattr(robot, "name", ""), tuple(run for run, _ in sources),
+        getattr(robot, "name", ""),
+        tuple(run for run, _ in sources),
         {name: _battery(name, sums, model, plan, segments, batteries) for name in batteries},
-        tuple(_told(note, runs, len(sources)) for note, runs in notes.values()), tuple(sources), sums.rows, mission,
+        tuple(_told(note, runs, len(sources)) for note, runs in notes.values()),
+        tuple(sources),
+        sums.rows,
+        mission,
     )
 
 
 def compare_files(
-    robot: Any, logs: Sequence[PathLike] | PathLike, *, mission: PathLike | None = None, by: Iterable[str] = (),
+    robot: Any,
+    logs: Sequence[PathLike] | PathLike,
+    *,
+    mission: PathLike | None = None,
+    by: Iterable[str] = (),
     on_run: Callable[[str], None] | None = None,
 ) -> Comparison:
     """Compare a robot (name, path or `RobotSpec`) with logs, and with a simulated mission if one is given.
@@ -134,8 +142,14 @@ def compare_files(
 
     result = simulate(loaded)
     found = compare(
-        model, logs, robot=spec, plan=result.timeline, segments=tuple(info.name for info in result.segments),
-        mission=loaded.name, by=by, on_run=on_run,
+        model,
+        logs,
+        robot=spec,
+        plan=result.timeline,
+        segments=tuple(info.name for info in result.segments),
+        mission=loaded.name,
+        by=by,
+        on_run=on_run,
     )
     if result.feasible:
         return found
@@ -156,9 +170,7 @@ def _all_or_faults(loading: Sequence[Callable[[], Any]]) -> list[Any]:
     return [*found, *([None] * (3 - len(found)))]
 
 
-def _runs(
-    logs: Iterable[LogTable | PathLike] | PathLike, robot: Any
-) -> Iterator[tuple[str, str, Iterator[LogTable]]]:
+def _runs(logs: Iterable[LogTable | PathLike] | PathLike, robot: Any) -> Iterator[tuple[str, str, Iterator[LogTable]]]:
     """Name, source and blocks of each run; small files are read, and their faults told, all at once."""
     from missionsim.logs import iter_blocks, read_logs
     from missionsim.logs.read import distinct_logs, same_content
@@ -203,7 +215,10 @@ def _check_by(by: Sequence[str], log: LogTable) -> None:
     for name in by:
         if name not in log.columns:
             raise InputError.single(
-                f"the log has no column '{name}'", file=log.source, got=name, allowed=", ".join(log.columns),
+                f"the log has no column '{name}'",
+                file=log.source,
+                got=name,
+                allowed=", ".join(log.columns),
                 hint=did_you_mean(name, log.columns),
             )
 
@@ -215,7 +230,11 @@ def _told(note: str, runs: list[str], all_runs: int) -> str:
 
 
 def _battery(
-    battery: str, sums: Accumulator, model: PowerModel, plan: Timeline | None, segments: Sequence[str],
+    battery: str,
+    sums: Accumulator,
+    model: PowerModel,
+    plan: Timeline | None,
+    segments: Sequence[str],
     batteries: Sequence[str],
 ) -> BatteryComparison:
     found = {run: of[battery] for run, of in sums.runs.items() if battery in of}
@@ -228,7 +247,10 @@ def _battery(
         tuple(_run(run, battery, found[run], error_curve(*own)) for run, own in zip(found, curves, strict=True)),
         error_statistics(curve),
         error_statistics(error_curve(measured, predicted, "predicted"), "predicted"),
-        grid, curve, tuple(dependences(sums, battery)), tuple(sums.places.cells(battery)),
+        grid,
+        curve,
+        tuple(dependences(sums, battery)),
+        tuple(sums.places.cells(battery)),
         None if plan is None else _mission(battery, sums, model, plan, segments, found, batteries),
     )
 
@@ -242,16 +264,29 @@ def _cumulative(
 
 def _run(run: str, battery: str, one: RunSums, curve: NDArray[np.float64]) -> RunComparison:
     return RunComparison(
-        run, battery, one.seconds, one.measured_j / 3600.0, one.model_j / 3600.0,
-        math.sqrt(max(one.square_w2s, 0.0) / one.seconds), (one.model_j - one.measured_j) / one.seconds,
-        error_statistics(curve), progress_grid(), curve, one.series,
+        run,
+        battery,
+        one.seconds,
+        one.measured_j / 3600.0,
+        one.model_j / 3600.0,
+        math.sqrt(max(one.square_w2s, 0.0) / one.seconds),
+        (one.model_j - one.measured_j) / one.seconds,
+        error_statistics(curve),
+        progress_grid(),
+        curve,
+        one.series,
         {key: joules / 3600.0 for key, joules in one.terms.items()},
     )
 
 
 def _mission(
-    battery: str, sums: Accumulator, model: PowerModel, plan: Timeline, segments: Sequence[str],
-    found: dict[str, RunSums], batteries: Sequence[str],
+    battery: str,
+    sums: Accumulator,
+    model: PowerModel,
+    plan: Timeline,
+    segments: Sequence[str],
+    found: dict[str, RunSums],
+    batteries: Sequence[str],
 ) -> MissionGap:
     driven = sums.driven or {}
     schemes = split_behaviour(model, plan, driven, len(found), batteries)
@@ -267,7 +302,11 @@ def _mission(
     replayed = sum(one.model_j for one in found.values())
     total = len(found) * float(simulated.sum())
     return MissionGap(
-        battery, len(found), total / 3600.0, (replayed - total) / 3600.0, schemes,
+        battery,
+        len(found),
+        total / 3600.0,
+        (replayed - total) / 3600.0,
+        schemes,
         error_statistics(error_curve(measured, predicted)),
         error_statistics(error_curve(measured, predicted, "predicted"), "predicted"),
     )

@@ -30,14 +30,24 @@ class Series:
     rows: int = 1
 
     def add(
-        self, time_s: NDArray[np.float64], seconds: NDArray[np.float64], measured_w: NDArray[np.float64],
-        model_w: NDArray[np.float64], segment: NDArray[np.int64] | None = None,
+        self,
+        time_s: NDArray[np.float64],
+        seconds: NDArray[np.float64],
+        measured_w: NDArray[np.float64],
+        model_w: NDArray[np.float64],
+        segment: NDArray[np.int64] | None = None,
     ) -> None:
         """Append the rows of a block, arrays of shape (n,); `segment` is a code, -1 where there is none."""
         error = model_w - measured_w
         block = {
-            "start_s": time_s, "seconds": seconds, "measured_j": measured_w * seconds, "model_j": model_w * seconds,
-            "measured_low_w": measured_w, "measured_high_w": measured_w, "error_low_w": error, "error_high_w": error,
+            "start_s": time_s,
+            "seconds": seconds,
+            "measured_j": measured_w * seconds,
+            "model_j": model_w * seconds,
+            "measured_low_w": measured_w,
+            "measured_high_w": measured_w,
+            "error_low_w": error,
+            "error_high_w": error,
             "segment": np.full(len(time_s), -1.0) if segment is None else segment.astype(float),
         }
         while len(time_s) / self.rows > MAX_BUCKETS:

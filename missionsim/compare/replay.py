@@ -124,8 +124,10 @@ def plan_replay(model: PowerModel, columns: Iterable[str], measured: Iterable[st
             assumed |= own_assumed
     if not batteries:
         raise InputError.single(
-            "nothing to compare: " + ("; ".join(reasons) or "no power was measured"), file=source,
-            got=", ".join(measured), allowed=", ".join(model.batteries),
+            "nothing to compare: " + ("; ".join(reasons) or "no power was measured"),
+            file=source,
+            got=", ".join(measured),
+            allowed=", ".join(model.batteries),
         )
     # a term whose only numbers are zero (acceleration in a model without it) costs time and says nothing
     kept = tuple(term for term in kept if any(p.value != 0.0 for p in term.parameters.values()) or not term.parameters)
@@ -246,9 +248,7 @@ def _acceleration(block: LogTable, before: LogTable | None, after: LogTable | No
     return acceleration(speed_m_s, time_s)[skipped : skipped + len(block.time_s)]
 
 
-def _with_neighbours(
-    blocks: Iterable[LogTable],
-) -> Iterator[tuple[LogTable, LogTable | None, LogTable | None]]:
+def _with_neighbours(blocks: Iterable[LogTable]) -> Iterator[tuple[LogTable, LogTable | None, LogTable | None]]:
     previous: LogTable | None = None
     current: LogTable | None = None
     for block in blocks:
@@ -269,4 +269,3 @@ def _follows(name: str, assumed: Mapping[str, float]) -> bool:
 
 def _listed(names: list[str]) -> str:
     return " and ".join(names)
-

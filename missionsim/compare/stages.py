@@ -60,8 +60,12 @@ class Stages:
         driving, standing = self._driving(), self._standing()
         duration = np.where(members, self.timeline.duration_s, 0.0)
         way = float(self._distance()[members].sum())
-        return Driven(way, float(duration[driving].sum()), float(duration[~driving & ~standing].sum()),
-                      float(duration[standing].sum()))
+        return Driven(
+            way,
+            float(duration[driving].sum()),
+            float(duration[~driving & ~standing].sum()),
+            float(duration[standing].sum()),
+        )
 
     def stretched(self, members: NDArray[np.bool_], way_m: float) -> Stages:
         """The same with the way `way_m`: the cruise gets longer or shorter, ramps stay."""
@@ -131,8 +135,10 @@ class Stages:
         """Covariates in the middle of each interval."""
         half = 0.5 * self.timeline.duration_s
         rates = self.timeline.rates
-        return {name: column + rates[name] * half if name in rates else column
-                for name, column in self.timeline.columns.items()}
+        return {
+            name: column + rates[name] * half if name in rates else column
+            for name, column in self.timeline.columns.items()
+        }
 
     def _speed(self) -> NDArray[np.float64]:
         middle = self._middle()

@@ -32,8 +32,12 @@ class ErrorStatistics:
 
     def to_json(self) -> dict[str, float]:
         """The four numbers."""
-        return {"peak_pct": self.peak_pct, "final_pct": self.final_pct, "mean_pct": self.mean_pct,
-                "std_pct": self.std_pct}
+        return {
+            "peak_pct": self.peak_pct,
+            "final_pct": self.final_pct,
+            "mean_pct": self.mean_pct,
+            "std_pct": self.std_pct,
+        }
 
 
 def progress_grid() -> NDArray[np.float64]:

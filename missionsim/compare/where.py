@@ -60,9 +60,17 @@ class Where:
     def to_json(self) -> dict[str, Any]:
         """The contract's fields and ours beside them."""
         return {
-            "by": self.by, "value": self.value, "share_of_gap": self.share_of_gap, "bias_w": self.bias_w,
-            "seconds": self.seconds, "low": self.low, "high": self.high, "unit": self.unit, "gap_wh": self.gap_wh,
-            "share_of_squared_error": self.share_of_squared_error, "explains": self.explains,
+            "by": self.by,
+            "value": self.value,
+            "share_of_gap": self.share_of_gap,
+            "bias_w": self.bias_w,
+            "seconds": self.seconds,
+            "low": self.low,
+            "high": self.high,
+            "unit": self.unit,
+            "gap_wh": self.gap_wh,
+            "share_of_squared_error": self.share_of_squared_error,
+            "explains": self.explains,
         }
 
     @property
@@ -113,8 +121,10 @@ def dependences(sums: Accumulator, battery: str) -> list[Dependence]:
 
 def ranked(found: Sequence[Dependence]) -> list[Where]:
     """All values of all covariates, those that explain most of the squared error first."""
-    return sorted((where for dependence in found for where in dependence.values),
-                  key=lambda where: (-where.explains, -where.share_of_squared_error, where.by, where.value))
+    return sorted(
+        (where for dependence in found for where in dependence.values),
+        key=lambda where: (-where.explains, -where.share_of_squared_error, where.by, where.value),
+    )
 
 
 def _dependence(by: str, title: str, unit: str, bins: list[Bin], fine: list[Bin]) -> Dependence:
@@ -133,10 +143,17 @@ def _dependence(by: str, title: str, unit: str, bins: list[Bin], fine: list[Bin]
     weight = sum(weights)
     values = tuple(
         Where(
-            by, title, unit, one.value, one.low, one.high,
+            by,
+            title,
+            unit,
+            one.value,
+            one.low,
+            one.high,
             share_of_gap=abs(one.gap_j) / sizes if sizes > 0.0 else 0.0,
             share_of_squared_error=one.square_w2s / square if square > 0.0 else 0.0,
-            gap_wh=one.gap_j / 3600.0, bias_w=one.bias_w, seconds=one.seconds,
+            gap_wh=one.gap_j / 3600.0,
+            bias_w=one.bias_w,
+            seconds=one.seconds,
             explains=adjusted * own / weight if weight > 0.0 else 0.0,
         )
         for one, own in zip(bins, weights, strict=True)

@@ -29,10 +29,21 @@ def _finding(one: FoundEffect, found: Identification, features: Features, tested
         after = tested.summary.power_rmse_w["with_effects"]
     absorbed = next((c.absorption for c in found.candidates if c.effect == one.effect), float("nan"))
     return Finding(
-        one.effect, {p.name: Estimate(p.value, p.low, p.high, p.unit) for p in one.parameters}, one.energy_share,
-        one.p_value, low, high, one.p_runs, one.confidence, before, after, one.indistinguishable_from,
-        {}, lead, absorbed,
-    )  # fmt: skip
+        one.effect,
+        {p.name: Estimate(p.value, p.low, p.high, p.unit) for p in one.parameters},
+        one.energy_share,
+        one.p_value,
+        low,
+        high,
+        one.p_runs,
+        one.confidence,
+        before,
+        after,
+        one.indistinguishable_from,
+        {},
+        lead,
+        absorbed,
+    )
 
 
 def judged(found: Identification) -> tuple[Judged, ...]:
@@ -40,12 +51,16 @@ def judged(found: Identification) -> tuple[Judged, ...]:
     rival_of = {rival: one.effect for one in found.effects for rival in one.indistinguishable_from}
     doubtful = _doubtful(found)
     return tuple(
-        Judged(c.effect, c.accepted,
-               f"these data cannot tell it from {rival_of[c.effect]}" if c.effect in rival_of else c.reason,
-               c.smallest_detectable_share if math.isfinite(c.smallest_detectable_share) else None,
-               c.effect in rival_of or c.effect in found.demoted, doubtful.get(c.effect))
+        Judged(
+            c.effect,
+            c.accepted,
+            f"these data cannot tell it from {rival_of[c.effect]}" if c.effect in rival_of else c.reason,
+            c.smallest_detectable_share if math.isfinite(c.smallest_detectable_share) else None,
+            c.effect in rival_of or c.effect in found.demoted,
+            doubtful.get(c.effect),
+        )
         for c in found.candidates
-    )  # fmt: skip
+    )
 
 
 def _doubtful(found: Identification) -> dict[str, float]:
@@ -64,10 +79,16 @@ def recalibrated(found: Identification, features: Features) -> tuple[Recalibrate
     rows = []
     for shift in found.recalibration:
         parameter = features.parameters[shift.parameter]
-        rows.append(Recalibrated(
-            shift.parameter, 100.0 * shift.shift, shift.shift_in_prior_sd, parameter.value * (1.0 + shift.shift),
-            abs(parameter.value) * shift.sd, parameter.unit,
-        ))  # fmt: skip
+        rows.append(
+            Recalibrated(
+                shift.parameter,
+                100.0 * shift.shift,
+                shift.shift_in_prior_sd,
+                parameter.value * (1.0 + shift.shift),
+                abs(parameter.value) * shift.sd,
+                parameter.unit,
+            )
+        )
     return tuple(sorted(rows, key=lambda row: -abs(row.shift_in_prior_sd)))
 
 
@@ -85,10 +106,16 @@ def noise_of(found: Identification) -> dict[str, float]:
     """Noise and differences between runs."""
     noise, shape = found.noise, found.choice.model.noise
     return {
-        "sd_w": noise.sd_share * found.mean_power_w, "sd_share": noise.sd_share, "fast_s": noise.fast_s,
+        "sd_w": noise.sd_share * found.mean_power_w,
+        "sd_share": noise.sd_share,
+        "fast_s": noise.fast_s,
         "slow_s": noise.slow_s,
-        "fast_share": shape.fast_share, "slow_share": shape.slow_share, "offset_w": noise.meter_offset_w,
-        "gain": noise.meter_gain, "motion_gain": noise.motion_gain, "overdispersion": noise.overdispersion,
+        "fast_share": shape.fast_share,
+        "slow_share": shape.slow_share,
+        "offset_w": noise.meter_offset_w,
+        "gain": noise.meter_gain,
+        "motion_gain": noise.motion_gain,
+        "overdispersion": noise.overdispersion,
     }
 
 

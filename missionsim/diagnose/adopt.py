@@ -59,8 +59,16 @@ class Adopted:
 
 
 def adopt(
-    text: str, robot: RobotSpec, split: Split, effect: str, battery: str, settings: Settings, *, force: bool = False,
-    recalibrate: bool = True, beside: Sequence[str] = (),
+    text: str,
+    robot: RobotSpec,
+    split: Split,
+    effect: str,
+    battery: str,
+    settings: Settings,
+    *,
+    force: bool = False,
+    recalibrate: bool = True,
+    beside: Sequence[str] = (),
 ) -> Adopted:
     """Fit an effect to logs and write it into the text of a robot file.
 
@@ -98,12 +106,19 @@ def adopt(
     seen = examine(subject, Split(split.train, (), split.how), battery, settings)
     features = seen.features
     if effect in features.untestable:
-        raise InputError.single(f"these logs cannot test '{effect}'", got=effect,
-                                allowed="logs with " + ", ".join(features.untestable[effect]))
+        raise InputError.single(
+            f"these logs cannot test '{effect}'",
+            got=effect,
+            allowed="logs with " + ", ".join(features.untestable[effect]),
+        )
     known = [candidate.effect for candidate in features.candidates]
     if effect not in known:
-        raise InputError.single(f"'{effect}' is not an effect that these logs can test", got=effect,
-                                allowed=", ".join(known), hint=did_you_mean(effect, known))
+        raise InputError.single(
+            f"'{effect}' is not an effect that these logs can test",
+            got=effect,
+            allowed=", ".join(known),
+            hint=did_you_mean(effect, known),
+        )
     found, fitted = _fit(seen, effect, settings)
     significant, reason = _supported(seen, fitted, effect)
     if not significant and not force:
@@ -123,24 +138,32 @@ def _refuse(subject: Subject, robot: RobotSpec, effect: str, battery: str) -> No
     from missionsim.effects.library import get_effect
 
     if battery not in robot.batteries:
-        raise InputError.single(f"the robot has no battery '{battery}'", got=battery,
-                                allowed=", ".join(robot.batteries))
+        raise InputError.single(
+            f"the robot has no battery '{battery}'", got=battery, allowed=", ".join(robot.batteries)
+        )
     family, colon, component = effect.partition(":")
     if colon and family.startswith("component_") and component not in robot.components:
         raise InputError.single(
-            f"the robot has no component '{component}'", got=effect,
+            f"the robot has no component '{component}'",
+            got=effect,
             allowed=", ".join(f"{family}:{name}" for name in robot.components) or "a component in the robot file first",
             hint=f"{family}:{near}" if (near := did_you_mean(component, robot.components)) else "",
         )
     own = {e.id for e in subject.own.get(battery, ())}
     for spec in robot.effects:
         if not spec.candidate and effect in (spec.effect, spec.name) and spec.battery == battery:
-            raise InputError.single(f"the robot file already has '{effect}' on battery '{battery}'", got=effect,
-                                    allowed="missionsim calibrate --robot refits it")
+            raise InputError.single(
+                f"the robot file already has '{effect}' on battery '{battery}'",
+                got=effect,
+                allowed="missionsim calibrate --robot refits it",
+            )
     if effect not in own and get_effect(effect, ("",)).execution:
         raise InputError.single(
             f"'{effect}' is how the robot drives, not what it draws: write it under 'behaviour' of the mission or of a "
-            "scheme", got=effect, allowed="effects that add power")
+            "scheme",
+            got=effect,
+            allowed="effects that add power",
+        )
 
 
 def _fit(seen: Examined, effect: str, settings: Settings) -> tuple[FoundEffect, Identification]:
@@ -174,8 +197,7 @@ def _alone(
     turned = any(a.value * b.value < 0.0 for a, b in zip(own.parameters[:1], found.parameters[:1], strict=False))
     if not beside and (turned or len(own.parameters) != len(found.parameters)):
         return found, fitted
-    size = replace(found, parameters=own.parameters, energy_share=own.energy_share,
-                   energy_share_sd=own.energy_share_sd)  # fmt: skip
+    size = replace(found, parameters=own.parameters, energy_share=own.energy_share, energy_share_sd=own.energy_share_sd)
     return size, again
 
 
@@ -187,8 +209,9 @@ def _supported(seen: Examined, fitted: Identification, effect: str) -> tuple[boo
     layout = fitted.choice.model.design.layout
     own = [k for k in fitted.choice.model.chosen if fitted.library[layout.columns[k].candidate].effect == effect]
     right_sign = all(
-        (fitted.library[layout.columns[k].candidate].sign or 1) * fitted.choice.evidence[k].share > 0 or
-        fitted.library[layout.columns[k].candidate].sign == 0 for k in own
+        (fitted.library[layout.columns[k].candidate].sign or 1) * fitted.choice.evidence[k].share > 0
+        or fitted.library[layout.columns[k].candidate].sign == 0
+        for k in own
     )
     if right_sign and any(fitted.choice.evidence[k].accepted for k in own) and rival_of:
         return True, ""
@@ -227,8 +250,15 @@ def _based(text: str, features: Features, base: Mapping[str, tuple[float, float]
 
 
 def _with(
-    text: str, robot: RobotSpec, features: Features, found: FoundEffect, split: Split, battery: str,
-    base: Mapping[str, tuple[float, float]], significant: bool = True, rivals: Sequence[str] = (),
+    text: str,
+    robot: RobotSpec,
+    features: Features,
+    found: FoundEffect,
+    split: Split,
+    battery: str,
+    base: Mapping[str, tuple[float, float]],
+    significant: bool = True,
+    rivals: Sequence[str] = (),
 ) -> str:
     """The text with one effect more."""
     from missionsim.inputs import edit
@@ -264,8 +294,13 @@ def _entry(
     robot: RobotSpec, found: FoundEffect, split: Split, battery: str, significant: bool, rivals: Sequence[str]
 ) -> dict[str, Any]:
     parameters = {
-        p.name: {"value": p.value, "sd": max((p.high - p.low) / 3.92, 1e-9), "unit": p.unit, "status": "fitted",
-                 "source": CALIBRATION}
+        p.name: {
+            "value": p.value,
+            "sd": max((p.high - p.low) / 3.92, 1e-9),
+            "unit": p.unit,
+            "status": "fitted",
+            "source": CALIBRATION,
+        }
         for p in found.parameters
     }
     origin: dict[str, Any] = {
@@ -282,6 +317,11 @@ def _entry(
         origin["forced"] = True
     own = next((e for e in robot.effects if e.candidate and e.name == found.effect and e.battery == battery), None)
     if own is not None:
-        return {"name": own.name, "battery": battery, "power": str(getattr(own.power, "source", own.power)),
-                "parameters": parameters, "origin": origin}
+        return {
+            "name": own.name,
+            "battery": battery,
+            "power": str(getattr(own.power, "source", own.power)),
+            "parameters": parameters,
+            "origin": origin,
+        }
     return {"effect": found.effect, "battery": battery, "parameters": parameters, "origin": origin}

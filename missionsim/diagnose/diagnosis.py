@@ -92,7 +92,8 @@ class Subject:
                 own.setdefault(spec.battery, []).append(build_effect(spec, robot))
         switchable = {
             battery: tuple(
-                name for name, component in robot.components.items()
+                name
+                for name, component in robot.components.items()
                 if not component.always_on and any(load.battery == battery for load in component.loads)
             )
             for battery in robot.batteries
@@ -101,13 +102,26 @@ class Subject:
         limits = {"max_speed": body.max_speed.value, "max_yaw_rate": body.max_yaw_rate.value}
         if body.max_acceleration is not None:
             limits["acceleration"] = body.max_acceleration.value
-        return cls(robot.name, model or build_power_model(robot), dict(robot.sources),
-                   {battery: tuple(effects) for battery, effects in own.items()}, switchable, limits, priors)
+        return cls(
+            robot.name,
+            model or build_power_model(robot),
+            dict(robot.sources),
+            {battery: tuple(effects) for battery, effects in own.items()},
+            switchable,
+            limits,
+            priors,
+        )
 
 
 def diagnose_files(
-    robot: str | Path, logs: Sequence[str | Path], *, holdout: str | Sequence[str | Path] | None = None,
-    mission: str | Path | None = None, battery: str | None = None, alpha: float = ALPHA, align: bool = True,
+    robot: str | Path,
+    logs: Sequence[str | Path],
+    *,
+    holdout: str | Sequence[str | Path] | None = None,
+    mission: str | Path | None = None,
+    battery: str | None = None,
+    alpha: float = ALPHA,
+    align: bool = True,
 ) -> Diagnosis:
     """Diagnose from files.
 
@@ -146,13 +160,25 @@ def diagnose_files(
         run = simulate(load_mission(mission, robot=spec))
         timeline, segments = run.timeline, tuple(segment.name for segment in run.segments)
     tables = read_logs(list(logs), robot=spec)
-    return diagnose(Subject.of(spec), tables, holdout=holdout, timeline=timeline, segments=segments, battery=battery,
-                    settings=Settings(alpha=alpha, align=align))
+    return diagnose(
+        Subject.of(spec),
+        tables,
+        holdout=holdout,
+        timeline=timeline,
+        segments=segments,
+        battery=battery,
+        settings=Settings(alpha=alpha, align=align),
+    )
 
 
 def diagnose(
-    subject: Subject, logs: Sequence[Any], *, holdout: str | Sequence[str | Path] | None = None,
-    timeline: Timeline | None = None, segments: Sequence[str] = (), battery: str | None = None,
+    subject: Subject,
+    logs: Sequence[Any],
+    *,
+    holdout: str | Sequence[str | Path] | None = None,
+    timeline: Timeline | None = None,
+    segments: Sequence[str] = (),
+    battery: str | None = None,
     settings: Settings | None = None,
 ) -> Diagnosis:
     """Diagnose every battery that the logs measure; see `diagnose_files`.
@@ -179,8 +205,9 @@ def diagnose(
     skipped: dict[str, InputError] = {}
     for name in wanted:
         if name not in subject.model.batteries:
-            skipped[name] = InputError.single(f"the robot has no battery '{name}'", got=name,
-                                              allowed=", ".join(subject.model.batteries))
+            skipped[name] = InputError.single(
+                f"the robot has no battery '{name}'", got=name, allowed=", ".join(subject.model.batteries)
+            )
             continue
         try:
             done[name] = diagnose_battery(subject, split, name, timeline, settings, segments)
@@ -206,15 +233,21 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings) ->
     """Features and identification of one battery, before anything is said about it."""
     train = [log for log in split.train if battery in log.power_w]
     held = [_renamed(log, {t.run for t in train}) for log in split.heldout if battery in log.power_w]
-    every = make_features(subject.model, [*train, *held], battery, subject.own.get(battery, ()),
-                          switchable=subject.switchable.get(battery, ()))  # fmt: skip
+    every = make_features(
+        subject.model,
+        [*train, *held],
+        battery,
+        subject.own.get(battery, ()),
+        switchable=subject.switchable.get(battery, ()),
+    )
     every = replace(every, prior_sd=priors_of(subject, every, split.train))
     features = every.select(range(len(train)))
     tested = every.select(range(len(train), len(train) + len(held))) if held else None
     if all(float(np.ptp(run.measured_w)) == 0.0 for run in features.runs):
         raise InputError.single(
             f"battery '{battery}': the measured power never changes in any run, so that nothing can be learned from it",
-            got=f"{features.runs[0].measured_w[0]:g} W in every row", allowed="a meter that is not frozen",
+            got=f"{features.runs[0].measured_w[0]:g} W in every row",
+            allowed="a meter that is not frozen",
         )
     try:
         found = identify(features.runs, features.candidates, features.prior_sd, settings)
@@ -248,8 +281,13 @@ def _limited(found: Identification, features: Features) -> dict[str, float]:
 
 
 def diagnose_battery(
-    subject: Subject, split: Split, battery: str, timeline: Timeline | None, settings: Settings,
-    segments: Sequence[str] = (), clock: Clock | None = None,
+    subject: Subject,
+    split: Split,
+    battery: str,
+    timeline: Timeline | None,
+    settings: Settings,
+    segments: Sequence[str] = (),
+    clock: Clock | None = None,
 ) -> BatteryDiagnosis:
     """The diagnosis of one battery.
 
@@ -266,8 +304,17 @@ def diagnose_battery(
     tested: Tested | None = None
     if seen.heldout is not None:
         held = at_shapes(seen.heldout.runs, seen.heldout.candidates, found.shapes)
-        tested = on_heldout(found.choice, held, features.candidates, features.prior_sd, settings,
-                            split.how, split.shifted, [e.effect for e in found.effects], clock)  # fmt: skip
+        tested = on_heldout(
+            found.choice,
+            held,
+            features.candidates,
+            features.prior_sd,
+            settings,
+            split.how,
+            split.shifted,
+            [e.effect for e in found.effects],
+            clock,
+        )
     effects = effects_of(found, features, tested)
     driven = _execution(split, battery, timeline, settings, segments)
     execution = tuple(_as_finding(one) for one in driven if one.found)
@@ -286,18 +333,39 @@ def diagnose_battery(
     untestable = dict(features.untestable)
     if timeline is not None:
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
-    remarks = [*describe([*split.train, *split.heldout]), *_counted_off(subject, split, battery), *features.remarks,
-               *found.remarks, *seen_once(driven)]
+    remarks = [
+        *describe([*split.train, *split.heldout]),
+        *_counted_off(subject, split, battery),
+        *features.remarks,
+        *found.remarks,
+        *seen_once(driven),
+    ]
     return BatteryDiagnosis(
-        battery, verdict, effects, (*judged(found), *told_of(driven)), recalibrated(found, features), own.delay_s,
-        own.lag_s, own.at_edge, noise_of(found), untestable,
+        battery,
+        verdict,
+        effects,
+        (*judged(found), *told_of(driven)),
+        recalibrated(found, features),
+        own.delay_s,
+        own.lag_s,
+        own.at_edge,
+        noise_of(found),
+        untestable,
         Unexplained(left.share_of_residual, depends_on, "; ".join(text for text in shapes if text)),
-        _next(subject, seen, effects, settings), None if tested is None else tested.summary,
-        _shifted(seen), execution, found.mean_power_w, tuple(run.run for run in features.runs),
-        float(sum(np.sum(run.dt_s) for run in features.runs)), tuple(dict.fromkeys(remarks)), confounding(found),
-        _where(subject, split, battery), _series(found, clock), found.choice.model.clock,
+        _next(subject, seen, effects, settings),
+        None if tested is None else tested.summary,
+        _shifted(seen),
+        execution,
+        found.mean_power_w,
+        tuple(run.run for run in features.runs),
+        float(sum(np.sum(run.dt_s) for run in features.runs)),
+        tuple(dict.fromkeys(remarks)),
+        confounding(found),
+        _where(subject, split, battery),
+        _series(found, clock),
+        found.choice.model.clock,
         found.choice.model.source.aligned,
-    )  # fmt: skip
+    )
 
 
 def _counted_off(subject: Subject, split: Split, battery: str) -> list[str]:
@@ -307,8 +375,10 @@ def _counted_off(subject: Subject, split: Split, battery: str) -> list[str]:
     lacking = sorted(name[3:] for name in used if name.startswith("on_") and name not in logged)
     if not lacking:
         return []
-    return [f"no column {', '.join(f'on_{name}' for name in lacking)}: {', '.join(lacking)} count"
-            f"{'s' * (len(lacking) == 1)} as switched off"]
+    return [
+        f"no column {', '.join(f'on_{name}' for name in lacking)}: {', '.join(lacking)} count"
+        f"{'s' * (len(lacking) == 1)} as switched off"
+    ]
 
 
 def _renamed(log: Any, taken: set[str]) -> Any:
@@ -328,14 +398,17 @@ def _execution(
 
 def _as_finding(one: ExecutionEffect) -> Finding:
     return Finding(
-        one.effect, {"k": Estimate(one.value, one.low, one.high, one.unit)}, one.energy_share, one.p_value,
-        scheme=one.scheme, level="identified", remark=one.reason,
-    )  # fmt: skip
+        one.effect,
+        {"k": Estimate(one.value, one.low, one.high, one.unit)},
+        one.energy_share,
+        one.p_value,
+        scheme=one.scheme,
+        level="identified",
+        remark=one.reason,
+    )
 
 
-def _next(
-    subject: Subject, seen: Examined, effects: Sequence[Finding], settings: Settings
-) -> tuple[Experiment, ...]:
+def _next(subject: Subject, seen: Examined, effects: Sequence[Finding], settings: Settings) -> tuple[Experiment, ...]:
     site = site_of(seen.features.covariates, subject.limits)
     bench = Bench(subject.model, seen.features, seen.found.choice, site, settings)
     proposed: list[Experiment] = []
@@ -345,8 +418,15 @@ def _next(
     if not proposed and seen.found.verdict == "unexplained_structure":
         on = tuple(seen.found.unexplained.depends_on)
         proposed += [
-            Experiment(on, f"{m.do}, to see the form of the dependence on {', '.join(on)}", float("nan"), float("nan"),
-                       float("nan"), m.duration_s / 60.0, tuple(part.to_json() for part in m.parts))
+            Experiment(
+                on,
+                f"{m.do}, to see the form of the dependence on {', '.join(on)}",
+                float("nan"),
+                float("nan"),
+                float("nan"),
+                m.duration_s / 60.0,
+                tuple(part.to_json() for part in m.parts),
+            )
             for m in to_learn(site, on)[:2]
         ]
     return tuple(proposed)

@@ -24,8 +24,11 @@ SHORTEST_DWELL_S = 2.0
 FEWEST_RUNS = 2
 WORTH_SAYING = 0.01
 """Part of the energy from which a difference in a single run is told."""
-TOLD = {"path_stretch": "times the planned way", "speed_tracking": "times the planned speed",
-        "dwell": "s at rest a run that nothing plans"}
+TOLD = {
+    "path_stretch": "times the planned way",
+    "speed_tracking": "times the planned speed",
+    "dwell": "s at rest a run that nothing plans",
+}
 
 
 @dataclass(frozen=True)
@@ -125,10 +128,14 @@ def execution_effects(
 def told_of(effects: Sequence[ExecutionEffect]) -> list[Judged]:
     """The execution effects as candidates that were looked at, all schemes of one together."""
     return [
-        Judged(name, any(one.found for one in own),
-               "; ".join(f"{one.scheme}: {one.reason}" if one.scheme else one.reason for one in own), None)
+        Judged(
+            name,
+            any(one.found for one in own),
+            "; ".join(f"{one.scheme}: {one.reason}" if one.scheme else one.reason for one in own),
+            None,
+        )
         for name, own in by_effect(effects).items()
-    ]  # fmt: skip
+    ]
 
 
 def seen_once(effects: Sequence[ExecutionEffect]) -> list[str]:
@@ -139,8 +146,9 @@ def seen_once(effects: Sequence[ExecutionEffect]) -> list[str]:
         if np.isfinite(one.p_value) or not away or abs(one.energy_share) < WORTH_SAYING:
             continue
         scheme = f" in {one.scheme}" if one.scheme else ""
-        told.append(f"{one.effect}{scheme}: {one.value:.3g} {TOLD[one.effect]} ({100 * one.energy_share:+.1f} % of the "
-                    "energy)")
+        told.append(
+            f"{one.effect}{scheme}: {one.value:.3g} {TOLD[one.effect]} ({100 * one.energy_share:+.1f} % of the energy)"
+        )
     if not told:
         return []
     return [f"driven otherwise than planned in this run: {'; '.join(told)}; one run cannot show whether it repeats"]
@@ -171,9 +179,7 @@ def _dwell(plan: Motion, runs: Sequence[Motion], measured_j: float, level: float
     return _seconds("", seconds, still_w * float(seconds.sum()) / measured_j, level)
 
 
-def _ratio(
-    effect: str, scheme: str, ratios: NDArray[np.float64], share: float, level: float
-) -> ExecutionEffect:
+def _ratio(effect: str, scheme: str, ratios: NDArray[np.float64], share: float, level: float) -> ExecutionEffect:
     logs_of = np.log(ratios)
     middle, low, high, p = _student(logs_of)
     value = float(np.exp(middle))
@@ -190,8 +196,9 @@ def _seconds(scheme: str, seconds: NDArray[np.float64], share: float, level: flo
     why = "" if away else f"less than {SHORTEST_DWELL_S:g} s a run"
     if middle < -SHORTEST_DWELL_S:
         why = "stood still for less time than planned"
-    return ExecutionEffect("dwell", scheme, middle, low, high, p, "s", share, found,
-                           _reason(found, p, level, len(seconds), why))
+    return ExecutionEffect(
+        "dwell", scheme, middle, low, high, p, "s", share, found, _reason(found, p, level, len(seconds), why)
+    )
 
 
 def _reason(found: bool, p: float, level: float, runs: int, why: str) -> str:
@@ -227,7 +234,8 @@ def _planned(timeline: Timeline, by_scheme: bool) -> dict[str, Motion]:
     names = _names(timeline.columns.get("scheme"), len(length)) if by_scheme else np.full(len(length), "", dtype=object)
     return {
         str(name): Motion(
-            float(np.sum((speed * length)[names == name])), float(np.sum(length[driving & (names == name)])),
+            float(np.sum((speed * length)[names == name])),
+            float(np.sum(length[driving & (names == name)])),
             float(np.sum(length[standing & (names == name)])),
             speed_m_s=_over_way(speed[names == name], length[names == name]),
         )
@@ -300,9 +308,12 @@ def _driven(log: Any, battery: str, by_scheme: bool, still: tuple[float, float])
     for name in dict.fromkeys(names.tolist()):
         own = names == name
         found[str(name)] = Motion(
-            float(np.sum((speed * seconds)[own & driving])), float(np.sum(seconds[own & driving])),
-            float(np.sum(seconds[own & standing])), _mean(power, seconds, own & driving),
-            _mean(power, seconds, own & standing), _over_way(speed[own & driving], seconds[own & driving]),
+            float(np.sum((speed * seconds)[own & driving])),
+            float(np.sum(seconds[own & driving])),
+            float(np.sum(seconds[own & standing])),
+            _mean(power, seconds, own & driving),
+            _mean(power, seconds, own & standing),
+            _over_way(speed[own & driving], seconds[own & driving]),
         )
     return found
 

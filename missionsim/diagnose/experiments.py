@@ -78,9 +78,15 @@ def imagined_run(power: PowerModel, features: Features, manoeuvre: Manoeuvre, si
     cov = {**cov, "load_w": base, "drive_w": sum((p for key, p in terms.items() if key in drive), start=rows)}
     watched = {"speed_m_s": cov["speed_m_s"]}
     return RunData(
-        manoeuvre.name, time_s, dt_s, np.asarray(base), np.asarray(base), gradient(power, cov, features.battery),
-        effect_columns(features.effects, features.candidates, cov), watched,
-    )  # fmt: skip
+        manoeuvre.name,
+        time_s,
+        dt_s,
+        np.asarray(base),
+        np.asarray(base),
+        gradient(power, cov, features.battery),
+        effect_columns(features.effects, features.candidates, cov),
+        watched,
+    )
 
 
 def propose(bench: Bench, names: Sequence[str]) -> list[Experiment]:
@@ -139,9 +145,7 @@ def worst_lead(bench: Bench, rules: Rules, gram: Gram, names: Sequence[str]) -> 
     """Smallest expected lead of one effect of a set over the best imitation by another [nats]."""
     every = {column for name in names for column in _columns(bench, name)}
     rest = [k for k in bench.model.chosen if k not in every]
-    leads = [
-        _lead(bench, rules, gram, rest, a, b) for a in names for b in names if a != b
-    ]
+    leads = [_lead(bench, rules, gram, rest, a, b) for a in names for b in names if a != b]
     return min(leads, default=0.0)
 
 
@@ -172,9 +176,15 @@ def _lead(bench: Bench, rules: Rules, gram: Gram, rest: Sequence[int], a: str, b
 
 def to_learn(site: Site, covariates: Sequence[str]) -> list[Manoeuvre]:
     """Manoeuvres that vary a covariate on which the rest depends, for a structure that no effect explains."""
-    wanted = {"yaw_rate_rad_s": ("spin", "straight and curved"), "speed_m_s": ("speed sweep",),
-              "accel_m_s2": ("stop and go",), "slope_rad": ("ramp",), "payload_kg": ("payload on and off",),
-              "temp_ambient_c": ("cold and warm",), "time_s": ("everything off",), "cpu_load": ("processor stress",)}
+    wanted = {
+        "yaw_rate_rad_s": ("spin", "straight and curved"),
+        "speed_m_s": ("speed sweep",),
+        "accel_m_s2": ("stop and go",),
+        "slope_rad": ("ramp",),
+        "payload_kg": ("payload on and off",),
+        "temp_ambient_c": ("cold and warm",),
+        "time_s": ("everything off",),
+        "cpu_load": ("processor stress",),
+    }
     names = [name for covariate in covariates for name in wanted.get(covariate, ())]
     return [m for m in library(site) if m.name in names]
-

@@ -23,8 +23,10 @@ AS_MUCH = 0.9
 
 def level_told(factor: float) -> str:
     """In words, that meter and model differ by a factor."""
-    return (f"the meter reads {factor:.3g} times what the model gives in every run, whatever the robot does: check the "
-            "units of the log and the robot file, or look for a load that is always on")
+    return (
+        f"the meter reads {factor:.3g} times what the model gives in every run, whatever the robot does: check the "
+        "units of the log and the robot file, or look for a load that is always on"
+    )
 
 
 def may_differ(runs: Sequence[RunData], prior_sd: Mapping[str, float]) -> bool:
@@ -66,9 +68,7 @@ def common_factor(found: Identification) -> tuple[float, float]:
     return 1.0 + product / size, 0.5 * product**2 / size / gain if gain > 0.0 else 0.0
 
 
-def without_factor(
-    found: Identification, runs: Sequence[RunData], prior_sd: Mapping[str, float]
-) -> Identification:
+def without_factor(found: Identification, runs: Sequence[RunData], prior_sd: Mapping[str, float]) -> Identification:
     """The same findings; effects that only make up for one factor on the whole model are not named.
 
     Friction, a standing load and what components draw, each with its own size, imitate a meter that reads 1.5 times too
@@ -81,17 +81,26 @@ def without_factor(
         return found
     names = {e.effect for e in found.effects} | set(found.demoted)
     effects = " and ".join(e.effect for e in found.effects)
-    told = (f"the meter reads {factor:.3g} times what the model gives, whatever the robot does, which explains as much "
-            f"as {effects} would: check the units of the log, the meter and the robot file")
+    told = (
+        f"the meter reads {factor:.3g} times what the model gives, whatever the robot does, which explains as much "
+        f"as {effects} would: check the units of the log, the meter and the robot file"
+    )
     candidates = tuple(
         replace(c, accepted=False, reason=f"a factor of {factor:.3g} on the whole model explains as much")
-        if c.effect in names else c
+        if c.effect in names
+        else c
         for c in found.candidates
     )
     left = found.unexplained
     shape = "; ".join(text for text in (told, left.shape) if text)
-    return replace(found, verdict="unexplained_structure", effects=(), candidates=candidates,
-                   demoted=tuple(sorted(names)), unexplained=replace(left, depends_on=(), shape=shape))  # fmt: skip
+    return replace(
+        found,
+        verdict="unexplained_structure",
+        effects=(),
+        candidates=candidates,
+        demoted=tuple(sorted(names)),
+        unexplained=replace(left, depends_on=(), shape=shape),
+    )
 
 
 def level_difference(found: Identification, runs: Sequence[RunData], prior_sd: Mapping[str, float]) -> str:

@@ -64,14 +64,21 @@ class Features:
         """The same features of some of the runs, by number."""
         candidates = tuple(_restricted(candidate, keep) for candidate in self.candidates)
         return replace(
-            self, runs=tuple(self.runs[i] for i in keep), covariates=tuple(self.covariates[i] for i in keep),
+            self,
+            runs=tuple(self.runs[i] for i in keep),
+            covariates=tuple(self.covariates[i] for i in keep),
             candidates=candidates,
-        )  # fmt: skip
+        )
 
 
 def make_features(
-    model: PowerModel, logs: Sequence[Any], battery: str, own: Sequence[Effect] = (), *,
-    switchable: Sequence[str] = (), skip: Sequence[str] = (),
+    model: PowerModel,
+    logs: Sequence[Any],
+    battery: str,
+    own: Sequence[Effect] = (),
+    *,
+    switchable: Sequence[str] = (),
+    skip: Sequence[str] = (),
 ) -> Features:
     """Evaluate base model, its gradient and every effect of the library that the logs allow.
 
@@ -109,10 +116,16 @@ def make_features(
         candidates.append(_with_twin(candidate, columns, ready.gradients))
     data = ready.data(columns)
     return Features(
-        battery, data, tuple(candidates), {name: p.prior_sd for name, p in ready.parameters.items()},
-        ready.parameters, effects, untestable, tuple(dict.fromkeys(ready.remarks)),
+        battery,
+        data,
+        tuple(candidates),
+        {name: p.prior_sd for name, p in ready.parameters.items()},
+        ready.parameters,
+        effects,
+        untestable,
+        tuple(dict.fromkeys(ready.remarks)),
         tuple(run.cov for run in ready.runs),
-    )  # fmt: skip
+    )
 
 
 def effect_columns(
@@ -162,7 +175,11 @@ def _components(names: set[str], switchable: Sequence[str]) -> dict[str, bool]:
 
 
 def _testable(
-    names: set[str], surfaces: tuple[str, ...], components: Mapping[str, bool], own: Sequence[Effect], skip: set[str],
+    names: set[str],
+    surfaces: tuple[str, ...],
+    components: Mapping[str, bool],
+    own: Sequence[Effect],
+    skip: set[str],
     remarks: list[str],
 ) -> tuple[dict[str, Effect], dict[str, tuple[str, ...]]]:
     untestable: dict[str, tuple[str, ...]] = {}
@@ -217,9 +234,18 @@ def _add_columns(effect: Effect, runs: Sequence[Run], columns: list[dict[str, Ar
             return [_column(effect, cov, values, "") for cov in covariates]
 
     return Candidate(
-        effect.id, names, effect.sign, effect.coefficient.unit, "k" if levels else effect.coefficient.name, shape, None,
-        refit, effect.covariate, levels, {spec.name: (spec.low, spec.high) for spec in effect.shape},
-    )  # fmt: skip
+        effect.id,
+        names,
+        effect.sign,
+        effect.coefficient.unit,
+        "k" if levels else effect.coefficient.name,
+        shape,
+        None,
+        refit,
+        effect.covariate,
+        levels,
+        {spec.name: (spec.low, spec.high) for spec in effect.shape},
+    )
 
 
 def _grid(effect: Effect) -> list[dict[str, float]]:
@@ -238,9 +264,7 @@ def _default_grid(low: float, high: float, default: float) -> tuple[float, ...]:
     return (default if np.isfinite(default) else 1.0,)
 
 
-def _column(
-    effect: Effect, cov: Mapping[str, Any], shape: Mapping[str, float], level: str, size: float = 1.0
-) -> Array:
+def _column(effect: Effect, cov: Mapping[str, Any], shape: Mapping[str, float], level: str, size: float = 1.0) -> Array:
     rows = len(cov["time_s"])
     if level:
         values: dict[str, float] = {spec.name: float(spec.name == f"k_{level}") for spec in effect.parameters}

@@ -85,10 +85,15 @@ class Finding:
             "parameters": {name: estimate.to_json() for name, estimate in self.parameters.items()},
             "energy_share": self.energy_share,
             "energy_share_interval": [self.share_low, self.share_high],
-            "p_value": self.p_value, "p_value_runs": self.p_runs, "level": self.level,
-            "heldout_rmse_before_w": self.heldout_rmse_before_w, "heldout_rmse_after_w": self.heldout_rmse_after_w,
+            "p_value": self.p_value,
+            "p_value_runs": self.p_runs,
+            "level": self.level,
+            "heldout_rmse_before_w": self.heldout_rmse_before_w,
+            "heldout_rmse_after_w": self.heldout_rmse_after_w,
             "indistinguishable_from": list(self.indistinguishable_from),
-            "weights": dict(self.weights), "separation_nats": self.separation_nats, "absorbed_share": self.absorbed,
+            "weights": dict(self.weights),
+            "separation_nats": self.separation_nats,
+            "absorbed_share": self.absorbed,
         }
         if self.scheme:
             data["scheme"] = self.scheme
@@ -114,8 +119,12 @@ class Judged:
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields."""
-        return {"effect": self.effect, "accepted": self.accepted, "reason": self.reason,
-                "smallest_detectable_share": self.smallest_detectable_share}
+        return {
+            "effect": self.effect,
+            "accepted": self.accepted,
+            "reason": self.reason,
+            "smallest_detectable_share": self.smallest_detectable_share,
+        }
 
 
 @dataclass(frozen=True)
@@ -131,8 +140,14 @@ class Recalibrated:
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields, and the new value with its standard deviation."""
-        return {"parameter": self.parameter, "shift_pct": self.shift_pct, "shift_in_prior_sd": self.shift_in_prior_sd,
-                "value": self.value, "sd": self.sd, "unit": self.unit}
+        return {
+            "parameter": self.parameter,
+            "shift_pct": self.shift_pct,
+            "shift_in_prior_sd": self.shift_in_prior_sd,
+            "value": self.value,
+            "sd": self.sd,
+            "unit": self.unit,
+        }
 
 
 @dataclass(frozen=True)
@@ -163,9 +178,15 @@ class Experiment:
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields, and ours beside them."""
-        return {"separates": list(self.separates), "do": self.do, "expected_power": self.expected_power,
-                "separation_now_nats": self.separation_now, "separation_after_nats": self.separation_after,
-                "minutes": self.minutes, "manoeuvre": [dict(part) for part in self.manoeuvre]}
+        return {
+            "separates": list(self.separates),
+            "do": self.do,
+            "expected_power": self.expected_power,
+            "separation_now_nats": self.separation_now,
+            "separation_after_nats": self.separation_after,
+            "minutes": self.minutes,
+            "manoeuvre": [dict(part) for part in self.manoeuvre],
+        }
 
 
 @dataclass(frozen=True)
@@ -192,8 +213,13 @@ class HeldOut:
 
     def to_json(self) -> dict[str, Any]:
         """All fields."""
-        return {"how": self.how, "runs": list(self.runs), "shifted": self.shifted,
-                "energy_error_pct": dict(self.energy_error_pct), "power_rmse_w": dict(self.power_rmse_w)}
+        return {
+            "how": self.how,
+            "runs": list(self.runs),
+            "shifted": self.shifted,
+            "energy_error_pct": dict(self.energy_error_pct),
+            "power_rmse_w": dict(self.power_rmse_w),
+        }
 
 
 @dataclass(frozen=True)
@@ -285,7 +311,9 @@ class BatteryDiagnosis:
             "heldout_shifted": None if self.shifted is None else self.shifted.to_json(),
             "confounding": {name: dict(row) for name, row in self.confounding.items()},
             "mean_power_w": self.mean_power_w,
-            "runs": list(self.runs), "seconds": self.seconds, "remarks": list(self.told),
+            "runs": list(self.runs),
+            "seconds": self.seconds,
+            "remarks": list(self.told),
         }
 
 
@@ -307,6 +335,9 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """The contract's ``missionsim.diagnosis/1``."""
-        return {"schema": SCHEMA, "robot": self.robot,
-                "batteries": {name: battery.to_json() for name, battery in self.batteries.items()},
-                "skipped": dict(self.skipped)}
+        return {
+            "schema": SCHEMA,
+            "robot": self.robot,
+            "batteries": {name: battery.to_json() for name, battery in self.batteries.items()},
+            "skipped": dict(self.skipped),
+        }

@@ -40,8 +40,15 @@ class Tested:
 
 
 def on_heldout(
-    choice: Choice, runs: Sequence[RunData], candidates: Sequence[Candidate], prior_sd: Mapping[str, float],
-    settings: Settings, how: str, shifted: bool, effects: Sequence[str], clock: Clock | None = None,
+    choice: Choice,
+    runs: Sequence[RunData],
+    candidates: Sequence[Candidate],
+    prior_sd: Mapping[str, float],
+    settings: Settings,
+    how: str,
+    shifted: bool,
+    effects: Sequence[str],
+    clock: Clock | None = None,
 ) -> Tested:
     """Predict held-out runs with what was fitted on the others; nothing of them is fitted, their meters included.
 
@@ -114,9 +121,7 @@ def on_left_out(
     return HeldOut(how, tuple(held), energy, rmse, True)
 
 
-def prediction(
-    model: Model, chosen: Sequence[int], design: Design, fitted: NDArray[np.bool_] | None = None
-) -> Array:
+def prediction(model: Model, chosen: Sequence[int], design: Design, fitted: NDArray[np.bool_] | None = None) -> Array:
     """Power that a model with some of its effects predicts at the rows of a design [W], shape (n,).
 
     Base parameters at their most probable values with these effects in; what a robot file cannot hold is left out:

@@ -115,25 +115,33 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         steps.append(_step(f"+ {choice.effect}", last, "nominal"))
     stopped = _why(last, declined)
     steps.append(Step("noise floor", *noise_floor(last)))
-    return Improved(battery, text, tuple(added), tuple(declined), tuple(steps), first.heldout is not None, first, last,
-                    stopped, _compared(robot, split, battery))
+    return Improved(
+        battery,
+        text,
+        tuple(added),
+        tuple(declined),
+        tuple(steps),
+        first.heldout is not None,
+        first,
+        last,
+        stopped,
+        _compared(robot, split, battery),
+    )
 
 
 def _own_priors(subject: Subject, battery: str, logs: Sequence[Any]) -> dict[str, float]:
     """What was known before these logs; nothing of parameters that were fitted to them by `calibrate`."""
     return {
         term.name_of(name): prior_before(subject, parameter, logs)
-        for term in subject.model.of(battery) for name, parameter in term.parameters.items()
+        for term in subject.model.of(battery)
+        for name, parameter in term.parameters.items()
     }
 
 
 def _fitted_priors(robot: Any, battery: str) -> dict[str, float]:
     """Effects that were fitted to these logs have no prior of their own."""
     model = Subject.of(robot).model
-    return {
-        term.name_of(name): NO_PRIOR_SD
-        for term in model.of(battery) if not term.base for name in term.parameters
-    }
+    return {term.name_of(name): NO_PRIOR_SD for term in model.of(battery) if not term.base for name in term.parameters}
 
 
 def _step(name: str, diagnosis: BatteryDiagnosis, kind: str) -> Step:
@@ -160,8 +168,11 @@ def _compared(robot: Any, split: Split, battery: str) -> Step | None:
         return None
     seconds = np.array([run.seconds for run in found.runs])
     square = np.array([run.power_rmse_w**2 for run in found.runs])
-    return Step("compare", float(np.mean([abs(run.energy_error_pct) for run in found.runs])),
-                float(np.sqrt(np.average(square, weights=seconds))))  # fmt: skip
+    return Step(
+        "compare",
+        float(np.mean([abs(run.energy_error_pct) for run in found.runs])),
+        float(np.sqrt(np.average(square, weights=seconds))),
+    )
 
 
 def _why(last: BatteryDiagnosis, declined: Sequence[str]) -> str:

@@ -27,8 +27,11 @@ CLEAR_OF_NOISE = 2.0
 """Mean error in standard deviations of a single row's noise; the mean of many rows strays far less."""
 RAMPS = (MOTIONS.index("speeding up"), MOTIONS.index("slowing down"))
 VARIES: Mapping[str, str] = {
-    "driving straight": "speed_m_s", "turning on the spot": "yaw_rate_rad_s", "driving a curve": "yaw_rate_rad_s",
-    "speeding up": "accel_m_s2", "slowing down": "accel_m_s2",
+    "driving straight": "speed_m_s",
+    "turning on the spot": "yaw_rate_rad_s",
+    "driving a curve": "yaw_rate_rad_s",
+    "speeding up": "accel_m_s2",
+    "slowing down": "accel_m_s2",
 }
 
 
@@ -60,9 +63,11 @@ class Leftover:
     def told(self) -> str:
         """In words."""
         way = "high" if self.bias_w > 0.0 else "low"
-        return (f"a systematic error while {self.motion}, model {watts(abs(self.bias_w)).lstrip('+')} W too {way}: "
-                f"{100 * self.square_share:.0f} % of the squared error in {100 * self.time_share:.0f} % of the time; "
-                "no effect of the library describes it")
+        return (
+            f"a systematic error while {self.motion}, model {watts(abs(self.bias_w)).lstrip('+')} W too {way}: "
+            f"{100 * self.square_share:.0f} % of the squared error in {100 * self.time_share:.0f} % of the time; "
+            "no effect of the library describes it"
+        )
 
 
 def leftover(found: Identification, covariates: Sequence[Mapping[str, Any]]) -> Leftover | None:

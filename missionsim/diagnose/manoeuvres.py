@@ -140,9 +140,15 @@ def site_of(covariates: Sequence[Mapping[str, Any]], limits: Mapping[str, float]
     switched = [name for name in high if name.startswith("on_") and not name.startswith("on_time")]
     components = {name[3:]: max(1, round(high[name])) for name in switched}
     return Site(
-        usual, low, high, choices, fastest if np.isfinite(fastest) else 0.5, spin,
-        limits.get("acceleration", DEFAULT_ACCELERATION_M_S2), components,
-    )  # fmt: skip
+        usual,
+        low,
+        high,
+        choices,
+        fastest if np.isfinite(fastest) else 0.5,
+        spin,
+        limits.get("acceleration", DEFAULT_ACCELERATION_M_S2),
+        components,
+    )
 
 
 def library(site: Site) -> list[Manoeuvre]:
@@ -154,21 +160,37 @@ def library(site: Site) -> list[Manoeuvre]:
         plain["surface"] = site.usual["surface"]
         without += f" on {site.usual['surface']}"
     found = [
-        Manoeuvre("speed sweep", f"drive straight and level{without} at {_speeds(top)} m/s, 45 s each",
-                  (Part(TOTAL_S, tuple(round(f * top, 3) for f in (0.2, 0.45, 0.7, 0.95)), set=plain),)),
-        Manoeuvre("stop and go", f"drive straight and level{without} at {v:g} m/s with a full stop every 12 s, 3 min",
-                  (Part(TOTAL_S, (v,), stops=15, set=plain),)),
-        Manoeuvre("stand and drive", f"stand still for 90 s, then drive straight{without} at {v:g} m/s for 90 s",
-                  (Part(90.0, set=plain), Part(90.0, (v,), set=plain))),
-    ]  # fmt: skip
+        Manoeuvre(
+            "speed sweep",
+            f"drive straight and level{without} at {_speeds(top)} m/s, 45 s each",
+            (Part(TOTAL_S, tuple(round(f * top, 3) for f in (0.2, 0.45, 0.7, 0.95)), set=plain),),
+        ),
+        Manoeuvre(
+            "stop and go",
+            f"drive straight and level{without} at {v:g} m/s with a full stop every 12 s, 3 min",
+            (Part(TOTAL_S, (v,), stops=15, set=plain),),
+        ),
+        Manoeuvre(
+            "stand and drive",
+            f"stand still for 90 s, then drive straight{without} at {v:g} m/s for 90 s",
+            (Part(90.0, set=plain), Part(90.0, (v,), set=plain)),
+        ),
+    ]
     if "yaw_rate_rad_s" in site.usual:
         rates = tuple(round(f * spin, 3) for f in (0.3, 0.6, 0.95))
         told = ", ".join(f"{r:g}" for r in rates)
-        found.append(Manoeuvre("spin", f"turn on the spot{without} at {told} rad/s, 1 min each",
-                               (Part(TOTAL_S, (), rates, set=plain),)))
-        found.append(Manoeuvre("straight and curved", f"drive{without} at {v:g} m/s, 90 s straight and 90 s in circles "
-                               f"at {rates[1]:g} rad/s",
-                               (Part(90.0, (v,), set=plain), Part(90.0, (v,), (rates[1],), set=plain))))  # fmt: skip
+        found.append(
+            Manoeuvre(
+                "spin", f"turn on the spot{without} at {told} rad/s, 1 min each", (Part(TOTAL_S, (), rates, set=plain),)
+            )
+        )
+        found.append(
+            Manoeuvre(
+                "straight and curved",
+                f"drive{without} at {v:g} m/s, 90 s straight and 90 s in circles at {rates[1]:g} rad/s",
+                (Part(90.0, (v,), set=plain), Part(90.0, (v,), (rates[1],), set=plain)),
+            )
+        )
     found += _varied(site, v, plain, without)
     found += _components(site)
     return found
@@ -190,37 +212,66 @@ def _varied(site: Site, v: float, plain: Mapping[str, Any], without: str) -> lis
     if site.high.get("payload_kg", 0.0) > 0.0:
         load = round(site.high["payload_kg"], 1)
         where = f" on {site.usual['surface']}" if "surface" in site.usual else ""
-        pair("payload on and off",
-             f"drive straight and level{where} at {v:g} m/s, 90 s without payload and 90 s with {load:g} kg",
-             {"payload_kg": 0.0}, {"payload_kg": load})
+        pair(
+            "payload on and off",
+            f"drive straight and level{where} at {v:g} m/s, 90 s without payload and 90 s with {load:g} kg",
+            {"payload_kg": 0.0},
+            {"payload_kg": load},
+        )
     surfaces = site.choices.get("surface", ())
     usual = site.usual.get("surface", "")
     for other in (name for name in surfaces if name != usual):
         unloaded = " without payload" if "payload_kg" in site.usual else ""
-        pair(f"{usual} and {other}", f"drive {usual} then {other} at {v:g} m/s{unloaded}, level, 90 s each",
-             {"surface": usual}, {"surface": other})
+        pair(
+            f"{usual} and {other}",
+            f"drive {usual} then {other} at {v:g} m/s{unloaded}, level, 90 s each",
+            {"surface": usual},
+            {"surface": other},
+        )
     slope = max(abs(site.low.get("slope_rad", 0.0)), abs(site.high.get("slope_rad", 0.0)))
     if slope > 0.01:
         steep = round(slope, 3)
-        found.append(Manoeuvre(
-            "ramp", f"drive up and down a ramp of {np.degrees(steep):.1f} degrees{without} at {v:g} m/s, "
-            "3 min", (Part(TOTAL_S, (v,), slope_rad=steep, set=plain),)))
+        found.append(
+            Manoeuvre(
+                "ramp",
+                f"drive up and down a ramp of {np.degrees(steep):.1f} degrees{without} at {v:g} m/s, 3 min",
+                (Part(TOTAL_S, (v,), slope_rad=steep, set=plain),),
+            )
+        )
     if site.high.get("temp_ambient_c", 0.0) - site.low.get("temp_ambient_c", 0.0) > 3.0:
         cold, warm = round(site.low["temp_ambient_c"]), round(site.high["temp_ambient_c"])
-        pair("cold and warm", f"drive straight and level{without} at {v:g} m/s, 90 s at {cold:g} °C and 90 s at "
-             f"{warm:g} °C", {"temp_ambient_c": float(cold)}, {"temp_ambient_c": float(warm)})
+        pair(
+            "cold and warm",
+            f"drive straight and level{without} at {v:g} m/s, 90 s at {cold:g} °C and 90 s at {warm:g} °C",
+            {"temp_ambient_c": float(cold)},
+            {"temp_ambient_c": float(warm)},
+        )
     if site.high.get("cpu_load", 0.0) - site.low.get("cpu_load", 0.0) > 0.05:
-        pair("processor stress", "stand still, 90 s with the processor idle and 90 s under full load",
-             {"cpu_load": site.low["cpu_load"]}, {"cpu_load": site.high["cpu_load"]}, still=True)
+        pair(
+            "processor stress",
+            "stand still, 90 s with the processor idle and 90 s under full load",
+            {"cpu_load": site.low["cpu_load"]},
+            {"cpu_load": site.high["cpu_load"]},
+            still=True,
+        )
     if site.high.get("cpu_freq_hz", 0.0) > 1.05 * site.low.get("cpu_freq_hz", 0.0) and "cpu_load" in site.usual:
         slow, fast = (f"{value / 1e9:.2f} GHz" for value in (site.low["cpu_freq_hz"], site.high["cpu_freq_hz"]))
-        pair("processor clock", f"stand still under full load, 90 s at {slow} and 90 s at {fast}",
-             {"cpu_freq_hz": site.low["cpu_freq_hz"], "cpu_load": site.high["cpu_load"]},
-             {"cpu_freq_hz": site.high["cpu_freq_hz"], "cpu_load": site.high["cpu_load"]}, still=True)
+        pair(
+            "processor clock",
+            f"stand still under full load, 90 s at {slow} and 90 s at {fast}",
+            {"cpu_freq_hz": site.low["cpu_freq_hz"], "cpu_load": site.high["cpu_load"]},
+            {"cpu_freq_hz": site.high["cpu_freq_hz"], "cpu_load": site.high["cpu_load"]},
+            still=True,
+        )
     if site.high.get("access_point_distance_m", 0.0) > 1.0:
         near, far = site.low["access_point_distance_m"], site.high["access_point_distance_m"]
-        pair("near and far from the access point", f"stand still, 90 s at {near:.0f} m from the access point and 90 s "
-             f"at {far:.0f} m", {"access_point_distance_m": near}, {"access_point_distance_m": far}, still=True)
+        pair(
+            "near and far from the access point",
+            f"stand still, 90 s at {near:.0f} m from the access point and 90 s at {far:.0f} m",
+            {"access_point_distance_m": near},
+            {"access_point_distance_m": far},
+            still=True,
+        )
     return found
 
 
@@ -229,14 +280,22 @@ def _components(site: Site) -> list[Manoeuvre]:
     found = []
     off = {f"on_{name}": 0.0 for name in site.components}
     for name, units in site.components.items():
-        parts = tuple(
-            Part(30.0, set={**off, f"on_{name}": float(units * (i % 2))}) for i in range(6)
+        parts = tuple(Part(30.0, set={**off, f"on_{name}": float(units * (i % 2))}) for i in range(6))
+        found.append(
+            Manoeuvre(
+                f"{name} on and off",
+                f"stand still with everything else off and switch {name} off and on every 30 s, 3 min",
+                parts,
+            )
         )
-        found.append(Manoeuvre(f"{name} on and off", f"stand still with everything else off and switch {name} "
-                               "off and on every 30 s, 3 min", parts))  # fmt: skip
     if site.components:
-        found.append(Manoeuvre("everything off", f"stand still with {', '.join(site.components)} switched off, 3 min",
-                               (Part(TOTAL_S, set=off),)))  # fmt: skip
+        found.append(
+            Manoeuvre(
+                "everything off",
+                f"stand still with {', '.join(site.components)} switched off, 3 min",
+                (Part(TOTAL_S, set=off),),
+            )
+        )
     return found
 
 
@@ -279,8 +338,9 @@ def _drive(part: Part, site: Site) -> dict[str, Array]:
         speed[i] = now
     yaw: Array = np.zeros(count)
     if part.yaw_rates_rad_s:
-        for rate, rows in zip(part.yaw_rates_rad_s, np.array_split(np.arange(count), len(part.yaw_rates_rad_s)),
-                              strict=True):  # fmt: skip
+        for rate, rows in zip(
+            part.yaw_rates_rad_s, np.array_split(np.arange(count), len(part.yaw_rates_rad_s)), strict=True
+        ):
             yaw[rows] = rate
     slope: Array = np.zeros(count)
     if part.slope_rad is not None:

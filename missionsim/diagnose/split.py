@@ -55,8 +55,12 @@ def choose_split(logs: Sequence[Any], holdout: str | Sequence[str | Path] | None
     logs = tuple(logs)
     if holdout is None:
         if len(logs) < FEWEST_RUNS:
-            return Split(logs, (), f"{len(logs)} run{'s' * (len(logs) != 1)} only: none held out, so nothing shows how "
-                                   "the model does on runs that were not used")  # fmt: skip
+            return Split(
+                logs,
+                (),
+                f"{len(logs)} run{'s' * (len(logs) != 1)} only: none held out, so nothing shows how "
+                "the model does on runs that were not used",
+            )
         return _last(logs, 0.25)
     parts = [str(holdout)] if isinstance(holdout, (str, Path)) else [str(item) for item in holdout]
     if all(Path(part).exists() for part in parts):
@@ -109,9 +113,11 @@ def _named(logs: tuple[Any, ...], text: str) -> Split:
     for name in names:
         if name not in known:
             raise InputError.single(
-                f"--holdout: there is no run '{name}'", got=name,
+                f"--holdout: there is no run '{name}'",
+                got=name,
                 allowed="a fraction, a condition such as \"surface == 'carpet'\", files, or of the runs "
-                + ", ".join(known), hint=did_you_mean(name, known),
+                + ", ".join(known),
+                hint=did_you_mean(name, known),
             )
     held = tuple(log for log in logs if log.run in names)
     train = tuple(log for log in logs if log.run not in names)
@@ -133,4 +139,3 @@ def _condition(logs: tuple[Any, ...], text: str) -> Split:
         which = "no run" if not held else "every run"
         raise InputError.single(f"--holdout: {which} meets the condition at least half of the time", got=text)
     return Split(tuple(train), tuple(held), f"the {len(held)} runs with {text}", shifted=True)
-

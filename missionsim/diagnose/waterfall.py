@@ -45,8 +45,7 @@ def mean_variance(noise: Mapping[str, float], seconds: float) -> float:
 
 
 def rise_note(
-    name: str, energy_pct: tuple[float, float], rmse_w: tuple[float, float], floor_pct: float, count: int,
-    fitted: int,
+    name: str, energy_pct: tuple[float, float], rmse_w: tuple[float, float], floor_pct: float, count: int, fitted: int
 ) -> str:
     """In words, why an energy error grew with an effect although the power error fell; empty where it did not.
 
@@ -71,11 +70,13 @@ def rise_note(
     level = floor_pct * math.sqrt(math.pi / 2.0)
     told = "this may be chance" if after <= chance else "this is more than that"
     runs = f"{count} run{'s' * (count != 1)}"
-    return (f"With {name} the energy error rises from {before:.2f} to {after:.2f} % while the power error falls from "
-            f"{rmse_w[0]:.3g} to {rmse_w[1]:.3g} W. Energy is a sum: without it, errors of opposite sign cancelled out "
-            "over a run. With it, what is left is mostly the level by which a whole run differs from the fitted ones, "
-            f"±{level:.1f} % in these logs (one sd: meter, drive, slow noise). On {runs} even a model of the right "
-            f"form shows up to {chance:.1f} %; {told}.")
+    return (
+        f"With {name} the energy error rises from {before:.2f} to {after:.2f} % while the power error falls from "
+        f"{rmse_w[0]:.3g} to {rmse_w[1]:.3g} W. Energy is a sum: without it, errors of opposite sign cancelled out "
+        "over a run. With it, what is left is mostly the level by which a whole run differs from the fitted ones, "
+        f"±{level:.1f} % in these logs (one sd: meter, drive, slow noise). On {runs} even a model of the right "
+        f"form shows up to {chance:.1f} %; {told}."
+    )
 
 
 def energy_note(done: Improved) -> str:
@@ -83,10 +84,16 @@ def energy_note(done: Improved) -> str:
     *steps, floor = done.steps
     count = len((done.first.heldout or done.first).runs)
     notes = (
-        rise_note(f"'{new.name}'", (old.energy_error_pct, new.energy_error_pct), (old.power_rmse_w, new.power_rmse_w),
-                  floor.energy_error_pct, count, len(done.first.runs))
+        rise_note(
+            f"'{new.name}'",
+            (old.energy_error_pct, new.energy_error_pct),
+            (old.power_rmse_w, new.power_rmse_w),
+            floor.energy_error_pct,
+            count,
+            len(done.first.runs),
+        )
         for old, new in pairwise(steps[1:])
-    )  # fmt: skip
+    )
     return next((note for note in notes if note), "")
 
 
@@ -97,8 +104,14 @@ def heldout_note(battery: BatteryDiagnosis) -> str:
     energy, rmse = battery.heldout.energy_error_pct, battery.heldout.power_rmse_w
     name = "the effect" if len(battery.effects) == 1 else "the effects"
     kinds = ("recalibrated", "with_effects")
-    return rise_note(name, (energy[kinds[0]], energy[kinds[1]]), (rmse[kinds[0]], rmse[kinds[1]]),
-                     noise_floor(battery)[0], len(battery.heldout.runs), len(battery.runs))  # fmt: skip
+    return rise_note(
+        name,
+        (energy[kinds[0]], energy[kinds[1]]),
+        (rmse[kinds[0]], rmse[kinds[1]]),
+        noise_floor(battery)[0],
+        len(battery.heldout.runs),
+        len(battery.runs),
+    )
 
 
 def measured_note(done: Improved) -> str:
@@ -112,5 +125,7 @@ def measured_note(done: Improved) -> str:
         return told
     one = done.compared
     rows = "clocks and rows" if first.aligned else "rows"
-    return (f"{told} missionsim compare takes {rows} as logged; of the file written it says "
-            f"{one.energy_error_pct:.2f} % and {one.power_rmse_w:.3g} W on these runs.")
+    return (
+        f"{told} missionsim compare takes {rows} as logged; of the file written it says "
+        f"{one.energy_error_pct:.2f} % and {one.power_rmse_w:.3g} W on these runs."
+    )

@@ -27,8 +27,10 @@ def headline(battery: BatteryDiagnosis) -> str:
         said.append(f"Battery {name}: missing from the model {'is' if len(found) == 1 else 'are'} {told}.")
     for effect in unsure:
         names = (effect.effect, *effect.indistinguishable_from)
-        said.append(f"Battery {name}: something is missing, {_share(effect)}: {' or '.join(names)}. These data cannot "
-                    "tell which.")  # fmt: skip
+        said.append(
+            f"Battery {name}: something is missing, {_share(effect)}: {' or '.join(names)}. These data cannot "
+            "tell which."
+        )
     if driven:
         said.append("The robot drove otherwise than planned: " + "; ".join(_execution(f) for f in driven) + ".")
     if battery.verdict == "unexplained_structure" and not battery.unexplained.depends_on:
@@ -36,8 +38,10 @@ def headline(battery: BatteryDiagnosis) -> str:
     elif battery.verdict == "unexplained_structure":
         on = ", ".join(battery.unexplained.depends_on)
         also = "also " if battery.effects else ""
-        said.append(f"Battery {name}: something is {also}missing that the library does not contain; it varies with "
-                    f"{on} ({battery.unexplained.shape}).")
+        said.append(
+            f"Battery {name}: something is {also}missing that the library does not contain; it varies with "
+            f"{on} ({battery.unexplained.shape})."
+        )
     elif battery.unexplained.shape:
         said.append(f"Battery {name}: {'beyond that, ' if said else ''}something remains: {battery.unexplained.shape}.")
     if not said:
@@ -52,9 +56,14 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
     """The report as (heading, line) pairs, in the order of the skeleton; headings may repeat."""
     lines: list[tuple[str, str]] = []
     for where in battery.where:
-        lines.append(("WHERE", f"{where.by} {where.value}: {100 * where.share:.0f} % of the squared error, model "
-                      f"{watts(where.bias_w)} W against the meter"))
-    edge = ("; at the edge of what is searched: check the clocks" if battery.clock_at_edge else "")
+        lines.append(
+            (
+                "WHERE",
+                f"{where.by} {where.value}: {100 * where.share:.0f} % of the squared error, model "
+                f"{watts(where.bias_w)} W against the meter",
+            )
+        )
+    edge = "; at the edge of what is searched: check the clocks" if battery.clock_at_edge else ""
     clock = f"meter {battery.delay_s:+.2f} s behind the motion, lag {battery.lag_s:.2f} s (applied{edge})"
     if not battery.aligned:
         clock = "taken as logged, as asked"
@@ -81,8 +90,13 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
             lines.append(("HELD-OUT", heldout_line(heldout, bool(battery.effects))))
     if battery.heldout is None:
         count = len(battery.runs)
-        lines.append(("HELD-OUT", f"nothing held out ({count} run{'s' * (count != 1)}): how the model does on runs "
-                      "that were not used is not shown"))
+        lines.append(
+            (
+                "HELD-OUT",
+                f"nothing held out ({count} run{'s' * (count != 1)}): how the model does on runs "
+                "that were not used is not shown",
+            )
+        )
     lines += [("NOTE", remark) for remark in battery.told]
     if battery.untestable:
         lines.append(("UNTESTABLE", _untestable(battery)))
@@ -99,8 +113,10 @@ def found_line(effect: Finding) -> str:
     if math.isfinite(effect.share_low):
         interval = f" (95 % {100 * effect.share_low:.1f} to {100 * effect.share_high:.1f})"
     runs = f", p over runs {effect.p_runs:.1g}" if math.isfinite(effect.p_runs) else ""
-    return (f"{effect.effect}: {100 * effect.energy_share:.1f} % of energy{interval}; {numbers}; {effect.level}, "
-            f"p = {effect.p_value:.1g}{runs}")
+    return (
+        f"{effect.effect}: {100 * effect.energy_share:.1f} % of energy{interval}; {numbers}; {effect.level}, "
+        f"p = {effect.p_value:.1g}{runs}"
+    )
 
 
 def doubtful_line(candidate: Judged) -> str:
@@ -113,10 +129,15 @@ def _base(battery: BatteryDiagnosis) -> list[str]:
     """Shifts of base parameters: those within what is known of them, and those beyond."""
     shifts = [s for s in battery.recalibration if abs(s.shift_in_prior_sd) >= 1.0][:6]
     lines = []
-    for beyond, said in ((False, "recalibrated, no discovery"),
-                         (True, "further off than its sd allows, and no effect takes its place; check file and logs")):
-        told = [f"{s.parameter} {s.shift_pct:+.1f} % ({s.shift_in_prior_sd:+.1f} sd)" for s in shifts
-                if (abs(s.shift_in_prior_sd) > RECALIBRATION_SD) == beyond]  # fmt: skip
+    for beyond, said in (
+        (False, "recalibrated, no discovery"),
+        (True, "further off than its sd allows, and no effect takes its place; check file and logs"),
+    ):
+        told = [
+            f"{s.parameter} {s.shift_pct:+.1f} % ({s.shift_in_prior_sd:+.1f} sd)"
+            for s in shifts
+            if (abs(s.shift_in_prior_sd) > RECALIBRATION_SD) == beyond
+        ]
         if told:
             lines.append(f"{said}: {', '.join(told)}")
     return lines
@@ -131,8 +152,13 @@ def unsure_line(effect: Finding) -> str:
     more = ""
     if math.isfinite(effect.separation_nats):
         d = effect.separation_nats
-        more = "; more of the same data will not help" if d < 0.05 else (
-            f"; expected lead {d:.1f} nats, about {5.0 / d:.1f} times these data would settle it" if d < 5.0 else "")
+        more = (
+            "; more of the same data will not help"
+            if d < 0.05
+            else (
+                f"; expected lead {d:.1f} nats, about {5.0 / d:.1f} times these data would settle it" if d < 5.0 else ""
+            )
+        )
     return f"{' OR '.join(names)}{weights}, {100 * effect.energy_share:.1f} % of energy: these data cannot tell{more}"
 
 
@@ -142,9 +168,11 @@ def next_line(experiment: Experiment) -> str:
     long = "" if minutes in experiment.do else f" ({minutes})"
     if not math.isfinite(experiment.separation_after):
         return experiment.do + long
-    return (f"{experiment.do}{long}: to tell {' from '.join(experiment.separates)}, predicted "
-            f"separation {experiment.separation_now:.1f} -> {experiment.separation_after:.0f} nats, resolves with "
-            f"probability {experiment.expected_power:.2f}")
+    return (
+        f"{experiment.do}{long}: to tell {' from '.join(experiment.separates)}, predicted "
+        f"separation {experiment.separation_now:.1f} -> {experiment.separation_after:.0f} nats, resolves with "
+        f"probability {experiment.expected_power:.2f}"
+    )
 
 
 def heldout_line(heldout: HeldOut, found: bool = True) -> str:
@@ -152,11 +180,15 @@ def heldout_line(heldout: HeldOut, found: bool = True) -> str:
     e, p = heldout.energy_error_pct, heldout.power_rmse_w
     kind = "other conditions" if heldout.shifted else "same kind"
     if not found:
-        return (f"{heldout.how} ({kind}): energy error {e['nominal']:.2f} -> {e['recalibrated']:.2f} % (recalibrated); "
-                f"power RMSE {p['nominal']:.3g} -> {p['recalibrated']:.3g} W")
-    return (f"{heldout.how} ({kind}): energy error {e['nominal']:.2f} -> {e['recalibrated']:.2f} (recalibrated) -> "
-            f"{e['with_effects']:.2f} % (with the effects); power RMSE {p['nominal']:.3g} -> "
-            f"{p['recalibrated']:.3g} -> {p['with_effects']:.3g} W")
+        return (
+            f"{heldout.how} ({kind}): energy error {e['nominal']:.2f} -> {e['recalibrated']:.2f} % (recalibrated); "
+            f"power RMSE {p['nominal']:.3g} -> {p['recalibrated']:.3g} W"
+        )
+    return (
+        f"{heldout.how} ({kind}): energy error {e['nominal']:.2f} -> {e['recalibrated']:.2f} (recalibrated) -> "
+        f"{e['with_effects']:.2f} % (with the effects); power RMSE {p['nominal']:.3g} -> "
+        f"{p['recalibrated']:.3g} -> {p['with_effects']:.3g} W"
+    )
 
 
 def _execution(effect: Finding) -> str:
@@ -174,13 +206,16 @@ def _noise(battery: BatteryDiagnosis) -> str:
         told += f", lasting {n['fast_s']:.0f} to {n['slow_s']:.0f} s"
     if len(battery.runs) < 2:
         return told
-    return (f"{told}; runs differ by ±{watts(n['offset_w']).lstrip('+')} W and ±{100 * n['gain']:.1f} % (meter), "
-            f"±{100 * n['motion_gain']:.1f} % of the power (drive)")
+    return (
+        f"{told}; runs differ by ±{watts(n['offset_w']).lstrip('+')} W and ±{100 * n['gain']:.1f} % (meter), "
+        f"±{100 * n['motion_gain']:.1f} % of the power (drive)"
+    )
 
 
 def _not_seen(battery: BatteryDiagnosis) -> str:
     limits = [
-        (c.smallest_detectable_share, c.effect) for c in battery.candidates
+        (c.smallest_detectable_share, c.effect)
+        for c in battery.candidates
         if not (c.accepted or c.open or c.smallest_detectable_share is None)
         and math.isfinite(c.smallest_detectable_share)
     ]
@@ -195,7 +230,8 @@ def _not_seen(battery: BatteryDiagnosis) -> str:
 
 def _smallest_limits(battery: BatteryDiagnosis) -> str:
     limits = sorted(
-        c.smallest_detectable_share for c in battery.candidates
+        c.smallest_detectable_share
+        for c in battery.candidates
         if c.smallest_detectable_share is not None and c.smallest_detectable_share < BLIND_SHARE
     )
     if not limits:

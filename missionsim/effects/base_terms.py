@@ -18,8 +18,15 @@ _EQ5 = "Jaiem 2021, Eqs. 5 and 8"
 
 
 def drive_term(
-    id: str, equation: str, unit: str, power: Callable[[Covariates, Parameters], Any], *,
-    source: str = _EQ5, needs: tuple[str, ...] = ("speed_m_s",), recovers: bool = False, low: float = 0.0,
+    id: str,
+    equation: str,
+    unit: str,
+    power: Callable[[Covariates, Parameters], Any],
+    *,
+    source: str = _EQ5,
+    needs: tuple[str, ...] = ("speed_m_s",),
+    recovers: bool = False,
+    low: float = 0.0,
 ) -> Effect:
     """A one-parameter base term of the drive that acts while the robot moves; `power` takes ``p["k"]``."""
 
@@ -29,8 +36,19 @@ def drive_term(
             return watts
         return motion.recovered_power(watts, number(cov, "drive_w"), number(cov, "regeneration"))
 
-    return Effect(id, equation, source, f"base term {equation}", (ParameterSpec("k", unit, equation, low=low),), needs,
-                  moving_power, drive=True, recovers=recovers, sign=1 if low == 0.0 else 0, covariate=needs[0])
+    return Effect(
+        id,
+        equation,
+        source,
+        f"base term {equation}",
+        (ParameterSpec("k", unit, equation, low=low),),
+        needs,
+        moving_power,
+        drive=True,
+        recovers=recovers,
+        sign=1 if low == 0.0 else 0,
+        covariate=needs[0],
+    )
 
 
 def _while_moving(watts: Any, moving: Any) -> Any:
@@ -52,21 +70,45 @@ def controller_term(two_levels: bool) -> Effect:
         return np.where(moving, p["moving"], p["standing"])
 
     specs = (ParameterSpec("moving", "W", "boards while moving"), ParameterSpec("standing", "W", "boards at rest"))
-    return Effect("controller", "C4 while moving, standing power at rest", _EQ5, "controller boards",
-                  specs if two_levels else specs[:1], (), power, component="controller", covariate="speed_m_s")
+    return Effect(
+        "controller",
+        "C4 while moving, standing power at rest",
+        _EQ5,
+        "controller boards",
+        specs if two_levels else specs[:1],
+        (),
+        power,
+        component="controller",
+        covariate="speed_m_s",
+    )
 
 
 ROLLING = drive_term("rolling", "C3·v", "W s/m", lambda c, p: motion.rolling_power(c["speed_m_s"], p["k"]))
 VISCOUS = drive_term("viscous", "C2·v²", "W s²/m²", lambda c, p: motion.viscous_power(c["speed_m_s"], p["k"]))
 ACCELERATION_LOSS = drive_term(
-    "acceleration_loss", "C1·a²", "W s⁴/m²", lambda c, p: motion.acceleration_loss(c["accel_m_s2"], p["k"]),
-    needs=("speed_m_s", "accel_m_s2"))
+    "acceleration_loss",
+    "C1·a²",
+    "W s⁴/m²",
+    lambda c, p: motion.acceleration_loss(c["accel_m_s2"], p["k"]),
+    needs=("speed_m_s", "accel_m_s2"),
+)
 ACCELERATION_LINEAR = drive_term(
-    "acceleration_linear", "C5·a", "W s²/m", lambda c, p: motion.acceleration_linear(c["accel_m_s2"], p["k"]),
-    needs=("speed_m_s", "accel_m_s2"), recovers=True, low=-float("inf"))
+    "acceleration_linear",
+    "C5·a",
+    "W s²/m",
+    lambda c, p: motion.acceleration_linear(c["accel_m_s2"], p["k"]),
+    needs=("speed_m_s", "accel_m_s2"),
+    recovers=True,
+    low=-float("inf"),
+)
 KINETIC = drive_term(
-    "kinetic", "C6·a·v", "kg", lambda c, p: motion.kinetic_power(c["speed_m_s"], c["accel_m_s2"], p["k"]),
-    needs=("speed_m_s", "accel_m_s2"), recovers=True)
+    "kinetic",
+    "C6·a·v",
+    "kg",
+    lambda c, p: motion.kinetic_power(c["speed_m_s"], c["accel_m_s2"], p["k"]),
+    needs=("speed_m_s", "accel_m_s2"),
+    recovers=True,
+)
 
 
 def component_term(component: str) -> Effect:
@@ -76,28 +118,53 @@ def component_term(component: str) -> Effect:
     def power(cov: Covariates, p: Parameters) -> Any:
         return electrical.component_power(_units(cov, column), p["power"])
 
-    return Effect("component", "P·units on", "Jaiem 2021, Eq. 3", f"{component}, per unit switched on",
-                  (ParameterSpec("power", "W", "power of one unit"),), (), power, component=component, covariate=column)
+    return Effect(
+        "component",
+        "P·units on",
+        "Jaiem 2021, Eq. 3",
+        f"{component}, per unit switched on",
+        (ParameterSpec("power", "W", "power of one unit"),),
+        (),
+        power,
+        component=component,
+        covariate=column,
+    )
 
 
 def always_on_term(component: str) -> Effect:
     """Constant power of a component that is never switched."""
-    return Effect("always_on", "P", "Jaiem 2021, Eq. 4", f"{component}, always on",
-                  (ParameterSpec("power", "W", "power"),), (), lambda c, p: p["power"] * _ones(c), component=component,
-                  covariate="time_s")
+    return Effect(
+        "always_on",
+        "P",
+        "Jaiem 2021, Eq. 4",
+        f"{component}, always on",
+        (ParameterSpec("power", "W", "power"),),
+        (),
+        lambda c, p: p["power"] * _ones(c),
+        component=component,
+        covariate="time_s",
+    )
 
 
 def startup_term(component: str) -> Effect:
     """Power of units that are starting up, before they are on."""
     column = f"starting_{component}"
-    return Effect("startup", "P·units starting", "data sheet of the component", f"{component} while it starts",
-                  (ParameterSpec("power", "W", "power of one starting unit"),), (),
-                  lambda c, p: electrical.component_power(_units(c, column), p["power"]), component=component,
-                  covariate=column)
+    return Effect(
+        "startup",
+        "P·units starting",
+        "data sheet of the component",
+        f"{component} while it starts",
+        (ParameterSpec("power", "W", "power of one starting unit"),),
+        (),
+        lambda c, p: electrical.component_power(_units(c, column), p["power"]),
+        component=component,
+        covariate=column,
+    )
 
 
-def law_term(component: str, formula: Expression, specs: tuple[ParameterSpec, ...], fixed: Mapping[str, float],
-             always_on: bool) -> Effect:
+def law_term(
+    component: str, formula: Expression, specs: tuple[ParameterSpec, ...], fixed: Mapping[str, float], always_on: bool
+) -> Effect:
     """Power per unit on by a formula of covariates and parameters (sonar: Jaiem 2021, Eq. 12)."""
     column = f"on_{component}"
     own = {spec.name for spec in specs} | fixed.keys()
@@ -107,13 +174,25 @@ def law_term(component: str, formula: Expression, specs: tuple[ParameterSpec, ..
         units = _ones(cov) if always_on else _units(cov, column)
         return units * formula.evaluate({**aliased(cov), **fixed, **p})
 
-    return Effect("law", formula.source, "robot file", f"{component}, {formula.source}", specs, needs, power,
-                  component=component, covariate=needs[0] if needs else column)
+    return Effect(
+        "law",
+        formula.source,
+        "robot file",
+        f"{component}, {formula.source}",
+        specs,
+        needs,
+        power,
+        component=component,
+        covariate=needs[0] if needs else column,
+    )
 
 
 def law_model_term(
-    component: str, specs: tuple[ParameterSpec, ...], needs: tuple[str, ...],
-    unit_power: Callable[[Covariates, Parameters], Any], always_on: bool,
+    component: str,
+    specs: tuple[ParameterSpec, ...],
+    needs: tuple[str, ...],
+    unit_power: Callable[[Covariates, Parameters], Any],
+    always_on: bool,
 ) -> Effect:
     """Power per unit on by a registered law (`missionsim.effects.law_models`)."""
     column = f"on_{component}"
@@ -121,8 +200,17 @@ def law_model_term(
     def power(cov: Covariates, p: Parameters) -> Any:
         return unit_power(cov, p) * (_ones(cov) if always_on else _units(cov, column))
 
-    return Effect("law", "law of the component", "robot file", f"{component}, by its law", specs, needs, power,
-                  component=component, covariate=needs[0] if needs else column)
+    return Effect(
+        "law",
+        "law of the component",
+        "robot file",
+        f"{component}, by its law",
+        specs,
+        needs,
+        power,
+        component=component,
+        covariate=needs[0] if needs else column,
+    )
 
 
 def switchboard_term(name: str, levels: int, components: tuple[str, ...]) -> Effect:
@@ -141,12 +229,23 @@ def switchboard_term(name: str, levels: int, components: tuple[str, ...]) -> Eff
             result = np.where(reached, watts, result)
         return result
 
-    return Effect("switchboard", "P(relays closed)", "Jaiem 2021, Table 3", f"switchboard {name}", specs, (), power,
-                  component=name, covariate="time_s")
+    return Effect(
+        "switchboard",
+        "P(relays closed)",
+        "Jaiem 2021, Table 3",
+        f"switchboard {name}",
+        specs,
+        (),
+        power,
+        component=name,
+        covariate="time_s",
+    )
 
 
 def processor_term(
-    entries: tuple[tuple[str, str, Mapping[str, int], str], ...], columns: tuple[str, ...], idle: str | None = None,
+    entries: tuple[tuple[str, str, Mapping[str, int], str], ...],
+    columns: tuple[str, ...],
+    idle: str | None = None,
     exact: bool = False,
 ) -> Effect:
     """Processor power by control scheme, navigation and sensor set (Jaiem 2021, Table 4).
@@ -188,8 +287,17 @@ def processor_term(
             )
         return result
 
-    return Effect("processor", "P(scheme, navigation, sensors)", "Jaiem 2021, Table 4", "processor", specs, ("scheme",),
-                  power, component="processor", covariate="scheme")
+    return Effect(
+        "processor",
+        "P(scheme, navigation, sensors)",
+        "Jaiem 2021, Table 4",
+        "processor",
+        specs,
+        ("scheme",),
+        power,
+        component="processor",
+        covariate="scheme",
+    )
 
 
 _MOTION = ("speed_m_s", "lateral_speed_m_s", "accel_m_s2", "yaw_rate_rad_s")
@@ -229,15 +337,38 @@ def motion_expression_terms(
         return tuple(ParameterSpec(name, "", "base parameter", low=-float("inf")) for name in names)
 
     return (
-        Effect("motion", formula.source, "robot file", "base power of moving", specs(used), needs, drive, drive=True,
-               covariate=needs[0] if needs else "speed_m_s"),
-        Effect("electronics", formula.source, "robot file", "power when nothing moves", specs(rest), needs, electronics,
-               component="controller", covariate="time_s"),
+        Effect(
+            "motion",
+            formula.source,
+            "robot file",
+            "base power of moving",
+            specs(used),
+            needs,
+            drive,
+            drive=True,
+            covariate=needs[0] if needs else "speed_m_s",
+        ),
+        Effect(
+            "electronics",
+            formula.source,
+            "robot file",
+            "power when nothing moves",
+            specs(rest),
+            needs,
+            electronics,
+            component="controller",
+            covariate="time_s",
+        ),
     )
 
 
 def expression_term(
-    id: str, formula: Expression, specs: tuple[ParameterSpec, ...], *, component: str = "motors", drive: bool = False,
+    id: str,
+    formula: Expression,
+    specs: tuple[ParameterSpec, ...],
+    *,
+    component: str = "motors",
+    drive: bool = False,
     source: str = "robot file",
 ) -> Effect:
     """A user's own formula over covariates and parameters as an effect."""
@@ -247,12 +378,27 @@ def expression_term(
     def power(cov: Covariates, p: Parameters) -> Any:
         return formula.evaluate({**aliased(cov), **p}) * _ones(cov)
 
-    return Effect(id, formula.source, source, formula.source, specs, needs, power, component=component, drive=drive,
-                  sign=1 if specs and specs[0].low >= 0.0 else 0, covariate=needs[0] if needs else "time_s")
+    return Effect(
+        id,
+        formula.source,
+        source,
+        formula.source,
+        specs,
+        needs,
+        power,
+        component=component,
+        drive=drive,
+        sign=1 if specs and specs[0].low >= 0.0 else 0,
+        covariate=needs[0] if needs else "time_s",
+    )
 
 
 ALIASES: dict[str, str] = {
-    "v": "speed_m_s", "a": "accel_m_s2", "w": "yaw_rate_rad_s", "u": "lateral_speed_m_s", "theta": "slope_rad",
+    "v": "speed_m_s",
+    "a": "accel_m_s2",
+    "w": "yaw_rate_rad_s",
+    "u": "lateral_speed_m_s",
+    "theta": "slope_rad",
     "m": "mass_kg",
 }
 """Short names that formulas may use."""

@@ -14,9 +14,7 @@ SMOOTHING_S = 0.5
 """Width over which a noisy speed is smoothed before it is differentiated (a raw difference biases max(a, 0))."""
 
 
-def derive(
-    columns: Mapping[str, Any], time_s: NDArray[np.float64], dt_s: NDArray[np.float64]
-) -> dict[str, Any]:
+def derive(columns: Mapping[str, Any], time_s: NDArray[np.float64], dt_s: NDArray[np.float64]) -> dict[str, Any]:
     """Log columns with what follows from them.
 
     Parameters

@@ -16,20 +16,38 @@ _MAX_DEPTH = 40
 _NOISE_DEPTH, _MOST_PIECES = 9, 4096
 
 # Gauss–Kronrod nodes and weights on [-1, 1], 7 and 15 points (Kronrod 1965; QUADPACK, Piessens et al. 1983)
-_NODES = np.array([
-    0.991455371120812639206854697526329, 0.949107912342758524526189684047851,
-    0.864864423359769072789712788640926, 0.741531185599394439863864773280788,
-    0.586087235467691130294144258781860, 0.405845151377397166906606412076961,
-    0.207784955007898467600689403773245, 0.0,
-])
-_KRONROD = np.array([
-    0.022935322010529224963732008058970, 0.063092092629978553290700663189204,
-    0.104790010322250183839876322541518, 0.140653259715525918745189590510238,
-    0.169004726639267902826583426598550, 0.190350578064785409913256402421014,
-    0.204432940075298892414161999234649, 0.209482141084727828012999174891714,
-])
-_GAUSS = np.array([0.129484966168869693270611432679082, 0.279705391489276667901467771423780,
-                   0.381830050505118944950369775488975, 0.417959183673469387755102040816327])
+_NODES = np.array(
+    [
+        0.991455371120812639206854697526329,
+        0.949107912342758524526189684047851,
+        0.864864423359769072789712788640926,
+        0.741531185599394439863864773280788,
+        0.586087235467691130294144258781860,
+        0.405845151377397166906606412076961,
+        0.207784955007898467600689403773245,
+        0.0,
+    ]
+)
+_KRONROD = np.array(
+    [
+        0.022935322010529224963732008058970,
+        0.063092092629978553290700663189204,
+        0.104790010322250183839876322541518,
+        0.140653259715525918745189590510238,
+        0.169004726639267902826583426598550,
+        0.190350578064785409913256402421014,
+        0.204432940075298892414161999234649,
+        0.209482141084727828012999174891714,
+    ]
+)
+_GAUSS = np.array(
+    [
+        0.129484966168869693270611432679082,
+        0.279705391489276667901467771423780,
+        0.381830050505118944950369775488975,
+        0.417959183673469387755102040816327,
+    ]
+)
 NODES = np.concatenate([-_NODES[:-1], [0.0], _NODES[:-1][::-1]])
 WEIGHTS = np.concatenate([_KRONROD[:-1], _KRONROD[-1:], _KRONROD[:-1][::-1]])
 GAUSS_WEIGHTS = np.zeros(15)
@@ -83,8 +101,9 @@ def _pieces(
     """
     if not memory:
         return index, np.zeros(index.size), duration_s[index]
-    cuts = [np.concatenate([[0.0], 2.0 ** np.arange(max(0, np.ceil(np.log2(max(t, 1.0))))), [t]])
-            for t in duration_s[index]]
+    cuts = [
+        np.concatenate([[0.0], 2.0 ** np.arange(max(0, np.ceil(np.log2(max(t, 1.0))))), [t]]) for t in duration_s[index]
+    ]
     lengths = [np.diff(cut) for cut in cuts]
     counts = [len(length) for length in lengths]
     return np.repeat(index, counts), np.concatenate([cut[:-1] for cut in cuts]), np.concatenate(lengths)
@@ -133,6 +152,12 @@ def _quadrature(
     if bad.any():
         again, start, piece = index[bad], offset[bad], half[bad]
         _quadrature(
-            model, timeline, values, np.concatenate([again, again]), np.concatenate([start, start + piece]),
-            np.concatenate([piece, piece]), energies, depth + 1,
+            model,
+            timeline,
+            values,
+            np.concatenate([again, again]),
+            np.concatenate([start, start + piece]),
+            np.concatenate([piece, piece]),
+            energies,
+            depth + 1,
         )

@@ -48,17 +48,29 @@ def load(cov: Covariates, p: Mapping[str, Any]) -> Any:
 def loop_time(cov: Covariates, p: Mapping[str, Any]) -> Any:
     """Time per batch (PLPT) [s]."""
     return processor.loop_time(
-        clock(cov, p), cov["speed_m_s"], _given(cov, "complexity", 1.0), fixed_s=p["fixed_time"],
-        cycles=p["cycles"], cycles_per_speed=p["cycles_per_speed"],
+        clock(cov, p),
+        cov["speed_m_s"],
+        _given(cov, "complexity", 1.0),
+        fixed_s=p["fixed_time"],
+        cycles=p["cycles"],
+        cycles_per_speed=p["cycles_per_speed"],
     )
 
 
 def power(cov: Covariates, p: Mapping[str, Any]) -> Any:
     """Power of one board that is on [W]."""
     return processor.multicore_power(
-        clock(cov, p), load(cov, p), board_idle_w=p["board_idle"], core_work_w=p["core_work"],
-        core_idle_w=p["core_idle"], core_idle_floor_w=p["core_idle_floor"], cores=p["cores"],
-        cores_busy=p["cores_busy"], low_hz=p["low_freq"], high_hz=p["high_freq"], low_v=p["low_voltage"],
+        clock(cov, p),
+        load(cov, p),
+        board_idle_w=p["board_idle"],
+        core_work_w=p["core_work"],
+        core_idle_w=p["core_idle"],
+        core_idle_floor_w=p["core_idle_floor"],
+        cores=p["cores"],
+        cores_busy=p["cores_busy"],
+        low_hz=p["low_freq"],
+        high_hz=p["high_freq"],
+        low_v=p["low_voltage"],
         high_v=p["high_voltage"],
     )
 

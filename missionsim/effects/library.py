@@ -55,8 +55,16 @@ def _drive(
 ) -> Effect:
     parameters = (_k(unit, "coefficient"), *more.pop("shape", ()))
     return Effect(
-        id, equation, _SOURCES[id.partition(":")[0]], meaning, parameters, needs, power, drive=True,
-        covariate=more.pop("covariate", needs[0] if needs else "speed_m_s"), **more,
+        id,
+        equation,
+        _SOURCES[id.partition(":")[0]],
+        meaning,
+        parameters,
+        needs,
+        power,
+        drive=True,
+        covariate=more.pop("covariate", needs[0] if needs else "speed_m_s"),
+        **more,
     )
 
 
@@ -72,62 +80,171 @@ _REFERENCE = ParameterSpec(
 )
 
 _EFFECTS: tuple[Effect, ...] = (
-    _drive("grade", "k·m·g·v·sin θ, never below what the drive can give back", "1",
-           "lifting the robot on a slope", ("slope_rad", "speed_m_s"), _grade, recovers=True,
-           relief=lambda p: motion.relieved_part(p["k"])),
-    _drive("payload", "k·m_payload·v", "m/s^2", "rolling resistance of the load carried", ("payload_kg", "speed_m_s"),
-           lambda c, p: motion.payload_power(c["speed_m_s"], c["payload_kg"], p["k"])),
-    _drive("acceleration", "k·m·a·v when speeding up", "1", "inertia of the robot when it speeds up",
-           ("speed_m_s", "accel_m_s2"), covariate="accel_m_s2",
-           power=lambda c, p: motion.acceleration_power(
-               c["speed_m_s"], c["accel_m_s2"], number(c, "mass_kg", 1.0), p["k"])),
-    _drive("turning_scrub", "k·|ω|", "W s/rad", "tyres or rollers scrubbing sideways in turns", ("yaw_rate_rad_s",),
-           lambda c, p: motion.turning_power(c["yaw_rate_rad_s"], p["k"])),
-    _drive("rolling_friction", "k·v", "N", "constant friction force", _SPEED,
-           lambda c, p: motion.rolling_power(c["speed_m_s"], p["k"])),
-    _drive("viscous_friction", "k·v²", "N s/m", "friction force that grows with speed", _SPEED,
-           lambda c, p: motion.viscous_power(c["speed_m_s"], p["k"])),
-    _drive("aerodynamic_drag", "k·v³", "kg/m", "air resistance", _SPEED,
-           lambda c, p: motion.drag_power(c["speed_m_s"], p["k"])),
-    _drive("cold_friction", "k·v·exp(−moving time/τ)", "N", "cold grease that warms up as the robot moves",
-           ("speed_m_s", "moving_time_s"), shape=(_TAU,), memory=("moving_time_s",), covariate="moving_time_s",
-           power=lambda c, p: motion.cold_friction_power(c["speed_m_s"], c["moving_time_s"], p["k"], p["tau"])),
-    _drive("temperature_friction", "k·v·(T₀ − T)", "N/K", "friction that falls with the ambient temperature",
-           ("temp_ambient_c", "speed_m_s"), shape=(_REFERENCE,),
-           power=lambda c, p: motion.temperature_friction_power(
-               c["speed_m_s"], c["temp_ambient_c"], p["k"], p["T0"])),
-    Effect("start_surge", "E joules at each start from rest", _SOURCES["start_surge"], "inrush when the motors start",
-           (ParameterSpec("E", "J", "energy of one start"),), ("speed_m_s", "starts"),
-           power=lambda c, p: p["E"] * number(c, "starts_per_s"),
-           impulse=lambda c, p: p["E"] * c["starts"], drive=True, covariate="starts"),
-    Effect("conversion_loss", "k·P² of the load on that battery", _SOURCES["conversion_loss"],
-           "ohmic loss of converters and wiring",
-           (_k("1/W", "coefficient", 1.0),), (), lambda c, p: electrical.conversion_loss(number(c, "load_w"), p["k"]),
-           component="conversion", of_load=True, covariate="load_w"),
-    Effect("standby_load", "k, always", _SOURCES["standby_load"], "a constant load that nobody listed",
-           (_k("W", "power"),), (),
-           lambda c, p: p["k"] * np.ones_like(number(c, "speed_m_s", 0.0), dtype=float), component="standby",
-           covariate="time_s"),
-    Effect("cpu_load", "k·load", _SOURCES["cpu_load"], "processor power that follows its load",
-           (_k("W", "power at full load"),),
-           ("cpu_load",), lambda c, p: electrical.cpu_load_power(c["cpu_load"], p["k"]), component="cpu",
-           covariate="cpu_load"),
-    Effect("cpu_frequency", "k·load·f³", _SOURCES["cpu_frequency"],
-           "dynamic processor power with voltage following frequency", (_k("W/Hz^3", "coefficient"),),
-           ("cpu_load", "cpu_freq_hz"),
-           lambda c, p: electrical.cpu_frequency_power(c["cpu_load"], c["cpu_freq_hz"], p["k"]), component="cpu",
-           covariate="cpu_freq_hz"),
-    Effect("radio_range", "k·d²", _SOURCES["radio_range"], "radio that sends harder far from its access point",
-           (_k("W/m^2", "coefficient"),), ("access_point_distance_m",),
-           lambda c, p: electrical.radio_power(c["access_point_distance_m"], p["k"]), component="radio",
-           covariate="access_point_distance_m"),
+    _drive(
+        "grade",
+        "k·m·g·v·sin θ, never below what the drive can give back",
+        "1",
+        "lifting the robot on a slope",
+        ("slope_rad", "speed_m_s"),
+        _grade,
+        recovers=True,
+        relief=lambda p: motion.relieved_part(p["k"]),
+    ),
+    _drive(
+        "payload",
+        "k·m_payload·v",
+        "m/s^2",
+        "rolling resistance of the load carried",
+        ("payload_kg", "speed_m_s"),
+        lambda c, p: motion.payload_power(c["speed_m_s"], c["payload_kg"], p["k"]),
+    ),
+    _drive(
+        "acceleration",
+        "k·m·a·v when speeding up",
+        "1",
+        "inertia of the robot when it speeds up",
+        ("speed_m_s", "accel_m_s2"),
+        covariate="accel_m_s2",
+        power=lambda c, p: motion.acceleration_power(
+            c["speed_m_s"], c["accel_m_s2"], number(c, "mass_kg", 1.0), p["k"]
+        ),
+    ),
+    _drive(
+        "turning_scrub",
+        "k·|ω|",
+        "W s/rad",
+        "tyres or rollers scrubbing sideways in turns",
+        ("yaw_rate_rad_s",),
+        lambda c, p: motion.turning_power(c["yaw_rate_rad_s"], p["k"]),
+    ),
+    _drive(
+        "rolling_friction",
+        "k·v",
+        "N",
+        "constant friction force",
+        _SPEED,
+        lambda c, p: motion.rolling_power(c["speed_m_s"], p["k"]),
+    ),
+    _drive(
+        "viscous_friction",
+        "k·v²",
+        "N s/m",
+        "friction force that grows with speed",
+        _SPEED,
+        lambda c, p: motion.viscous_power(c["speed_m_s"], p["k"]),
+    ),
+    _drive(
+        "aerodynamic_drag",
+        "k·v³",
+        "kg/m",
+        "air resistance",
+        _SPEED,
+        lambda c, p: motion.drag_power(c["speed_m_s"], p["k"]),
+    ),
+    _drive(
+        "cold_friction",
+        "k·v·exp(−moving time/τ)",
+        "N",
+        "cold grease that warms up as the robot moves",
+        ("speed_m_s", "moving_time_s"),
+        shape=(_TAU,),
+        memory=("moving_time_s",),
+        covariate="moving_time_s",
+        power=lambda c, p: motion.cold_friction_power(c["speed_m_s"], c["moving_time_s"], p["k"], p["tau"]),
+    ),
+    _drive(
+        "temperature_friction",
+        "k·v·(T₀ − T)",
+        "N/K",
+        "friction that falls with the ambient temperature",
+        ("temp_ambient_c", "speed_m_s"),
+        shape=(_REFERENCE,),
+        power=lambda c, p: motion.temperature_friction_power(c["speed_m_s"], c["temp_ambient_c"], p["k"], p["T0"]),
+    ),
+    Effect(
+        "start_surge",
+        "E joules at each start from rest",
+        _SOURCES["start_surge"],
+        "inrush when the motors start",
+        (ParameterSpec("E", "J", "energy of one start"),),
+        ("speed_m_s", "starts"),
+        power=lambda c, p: p["E"] * number(c, "starts_per_s"),
+        impulse=lambda c, p: p["E"] * c["starts"],
+        drive=True,
+        covariate="starts",
+    ),
+    Effect(
+        "conversion_loss",
+        "k·P² of the load on that battery",
+        _SOURCES["conversion_loss"],
+        "ohmic loss of converters and wiring",
+        (_k("1/W", "coefficient", 1.0),),
+        (),
+        lambda c, p: electrical.conversion_loss(number(c, "load_w"), p["k"]),
+        component="conversion",
+        of_load=True,
+        covariate="load_w",
+    ),
+    Effect(
+        "standby_load",
+        "k, always",
+        _SOURCES["standby_load"],
+        "a constant load that nobody listed",
+        (_k("W", "power"),),
+        (),
+        lambda c, p: p["k"] * np.ones_like(number(c, "speed_m_s", 0.0), dtype=float),
+        component="standby",
+        covariate="time_s",
+    ),
+    Effect(
+        "cpu_load",
+        "k·load",
+        _SOURCES["cpu_load"],
+        "processor power that follows its load",
+        (_k("W", "power at full load"),),
+        ("cpu_load",),
+        lambda c, p: electrical.cpu_load_power(c["cpu_load"], p["k"]),
+        component="cpu",
+        covariate="cpu_load",
+    ),
+    Effect(
+        "cpu_frequency",
+        "k·load·f³",
+        _SOURCES["cpu_frequency"],
+        "dynamic processor power with voltage following frequency",
+        (_k("W/Hz^3", "coefficient"),),
+        ("cpu_load", "cpu_freq_hz"),
+        lambda c, p: electrical.cpu_frequency_power(c["cpu_load"], c["cpu_freq_hz"], p["k"]),
+        component="cpu",
+        covariate="cpu_freq_hz",
+    ),
+    Effect(
+        "radio_range",
+        "k·d²",
+        _SOURCES["radio_range"],
+        "radio that sends harder far from its access point",
+        (_k("W/m^2", "coefficient"),),
+        ("access_point_distance_m",),
+        lambda c, p: electrical.radio_power(c["access_point_distance_m"], p["k"]),
+        component="radio",
+        covariate="access_point_distance_m",
+    ),
 )
 
 
 def _execution(id: str, equation: str, unit: str, meaning: str) -> Effect:
-    return Effect(id, equation, _SOURCES[id], meaning, (ParameterSpec("k", unit, meaning),), ("speed_m_s",),
-                  lambda c, p: 0.0 * number(c, "speed_m_s"), component="motors", execution=True,
-                  covariate="speed_m_s")
+    return Effect(
+        id,
+        equation,
+        _SOURCES[id],
+        meaning,
+        (ParameterSpec("k", unit, meaning),),
+        ("speed_m_s",),
+        lambda c, p: 0.0 * number(c, "speed_m_s"),
+        component="motors",
+        execution=True,
+        covariate="speed_m_s",
+    )
 
 
 _EXECUTION: tuple[Effect, ...] = (
@@ -140,8 +257,12 @@ _EXECUTION: tuple[Effect, ...] = (
 def surface_effect(surface: str) -> Effect:
     """`surface_rolling_resistance` on one surface: ``k_s |v|`` where the floor is `surface`."""
     return _drive(
-        f"surface_rolling_resistance:{surface}", f"k·v on surface '{surface}'", "N",
-        f"more rolling resistance on {surface}", ("surface", "speed_m_s"), covariate="surface",
+        f"surface_rolling_resistance:{surface}",
+        f"k·v on surface '{surface}'",
+        "N",
+        f"more rolling resistance on {surface}",
+        ("surface", "speed_m_s"),
+        covariate="surface",
         power=lambda c, p: motion.rolling_power(c["speed_m_s"], p["k"]) * label_equals(c["surface"], surface),
     )
 
@@ -156,10 +277,15 @@ def surfaces_effect(surfaces: tuple[str, ...]) -> Effect:
         return total
 
     return Effect(
-        "surface_rolling_resistance", "k_s·v on surface s", _SOURCES["surface_rolling_resistance"],
+        "surface_rolling_resistance",
+        "k_s·v on surface s",
+        _SOURCES["surface_rolling_resistance"],
         "rolling resistance of the floor",
         tuple(ParameterSpec(f"k_{name}", "N", f"friction force on {name}") for name in surfaces),
-        ("surface", "speed_m_s"), power, drive=True, covariate="surface",
+        ("surface", "speed_m_s"),
+        power,
+        drive=True,
+        covariate="surface",
     )
 
 
@@ -167,9 +293,15 @@ def component_power_effect(component: str) -> Effect:
     """`component_power:<component>`: ``k`` watts per unit switched on."""
     column = f"on_{component}"
     return Effect(
-        f"component_power:{component}", f"k per unit of {component} switched on", _SOURCES["component_power"],
-        f"{component} draws more than its data sheet says", (_k("W", "power of one unit"),), (column,),
-        lambda c, p: electrical.component_power(c[column], p["k"]), component=component, covariate=column,
+        f"component_power:{component}",
+        f"k per unit of {component} switched on",
+        _SOURCES["component_power"],
+        f"{component} draws more than its data sheet says",
+        (_k("W", "power of one unit"),),
+        (column,),
+        lambda c, p: electrical.component_power(c[column], p["k"]),
+        component=component,
+        covariate=column,
     )
 
 
@@ -177,10 +309,16 @@ def component_warmup_effect(component: str) -> Effect:
     """`component_warmup:<component>`: ``k exp(−t/τ)`` after it was switched on."""
     column, clock = f"on_{component}", f"on_time_{component}_s"
     return Effect(
-        f"component_warmup:{component}", "k·exp(−time since switched on/τ)", _SOURCES["component_warmup"],
-        f"{component} draws more until it is warm", (_k("W", "extra power when switched on"), _TAU), (column, clock),
-        lambda c, p: electrical.warmup_power(c[column], c[clock], p["k"], p["tau"]), component=component,
-        memory=(clock,), covariate=clock,
+        f"component_warmup:{component}",
+        "k·exp(−time since switched on/τ)",
+        _SOURCES["component_warmup"],
+        f"{component} draws more until it is warm",
+        (_k("W", "extra power when switched on"), _TAU),
+        (column, clock),
+        lambda c, p: electrical.warmup_power(c[column], c[clock], p["k"], p["tau"]),
+        component=component,
+        memory=(clock,),
+        covariate=clock,
     )
 
 
@@ -194,8 +332,13 @@ _FAMILIES: dict[str, Callable[[str], Effect]] = {
 def effect_ids() -> tuple[str, ...]:
     """Every id of the library; families stand as ``component_power:<component>``."""
     plain = [effect.id for effect in (*_EFFECTS, *_EXECUTION)]
-    return (*plain, "surface_rolling_resistance", "component_power:<component>", "component_warmup:<component>",
-            *sorted(plugins()))
+    return (
+        *plain,
+        "surface_rolling_resistance",
+        "component_power:<component>",
+        "component_warmup:<component>",
+        *sorted(plugins()),
+    )
 
 
 def get_effect(id: str, surfaces: tuple[str, ...] = ()) -> Effect:
@@ -227,7 +370,9 @@ def get_effect(id: str, surfaces: tuple[str, ...] = ()) -> Effect:
         return others[id]
     ids = effect_ids()
     raise InputError.single(
-        f"unknown effect '{id}'", got=id, allowed=", ".join(ids),
+        f"unknown effect '{id}'",
+        got=id,
+        allowed=", ".join(ids),
         hint=did_you_mean(family, [i.partition(":")[0] for i in ids]),
     )
 
@@ -273,7 +418,8 @@ def plugins() -> dict[str, Effect]:
             raise InputError.single(f"effect plug-in '{point.name}' does not load", got=repr(error)) from error
         if not isinstance(effect, Effect):
             raise InputError.single(
-                f"effect plug-in '{point.name}' gives no Effect", got=type(effect).__name__,
+                f"effect plug-in '{point.name}' gives no Effect",
+                got=type(effect).__name__,
                 allowed="a missionsim.effects.base.Effect or a callable that returns one",
             )
         found[effect.id] = effect

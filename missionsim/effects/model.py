@@ -152,18 +152,18 @@ class PowerModel:
             own = [*(spec.name for spec in effect.parameters), *told]
             for name in effect.needs:
                 if name not in cov:
-                    faults.append(effect.place.fault(
-                        f"'{term.key.name}' reads '{name}', which is not known here", got=effect.equation,
-                        allowed=f"its parameters, columns of the log or conditions of the mission; here: {columns}",
-                        hint=did_you_mean(name, own),
-                    ))
+                    faults.append(
+                        effect.place.fault(
+                            f"'{term.key.name}' reads '{name}', which is not known here",
+                            got=effect.equation,
+                            allowed=f"its parameters, columns of the log or conditions of the mission; here: {columns}",
+                            hint=did_you_mean(name, own),
+                        )
+                    )
         return faults
 
     def evaluate(
-        self,
-        cov: Covariates,
-        values: Mapping[str, Any] | None = None,
-        battery: str | None = None,
+        self, cov: Covariates, values: Mapping[str, Any] | None = None, battery: str | None = None
     ) -> dict[str, dict[TermKey, Any]]:
         """Power of every term in watts.
 
@@ -246,9 +246,7 @@ class PowerModel:
         """Power of one battery [W], the sum of its terms."""
         return sum(self.evaluate(cov, values, battery)[battery].values(), start=0.0)
 
-    def impulses(
-        self, cov: Covariates, values: Mapping[str, Any] | None = None
-    ) -> dict[TermKey, Any]:
+    def impulses(self, cov: Covariates, values: Mapping[str, Any] | None = None) -> dict[TermKey, Any]:
         """Energy in J that terms take at the very start of an interval (starts from rest)."""
         full = self.complete(cov, values)
         return {
@@ -295,15 +293,18 @@ class PowerModel:
         for name in values:
             if name not in known:
                 raise InputError.single(
-                    f"the robot has no parameter '{name}'", got=name, allowed=", ".join(sorted(known)),
+                    f"the robot has no parameter '{name}'",
+                    got=name,
+                    allowed=", ".join(sorted(known)),
                     hint=did_you_mean(name, known),
                 )
         terms = tuple(
             replace(
                 term,
                 parameters={
-                    name: replace(parameter, value=values.get(f"{term.key.battery}/{term.name_of(name)}",
-                                                              parameter.value))
+                    name: replace(
+                        parameter, value=values.get(f"{term.key.battery}/{term.name_of(name)}", parameter.value)
+                    )
                     for name, parameter in term.parameters.items()
                 },
             )
@@ -312,9 +313,7 @@ class PowerModel:
         return replace(self, terms=terms)
 
 
-def _relieved(
-    powers: Mapping[TermKey, Any], drive_w: Any, cov: Covariates, parts: Sequence[Any]
-) -> dict[TermKey, Any]:
+def _relieved(powers: Mapping[TermKey, Any], drive_w: Any, cov: Covariates, parts: Sequence[Any]) -> dict[TermKey, Any]:
     """Terms that may be negative, limited together."""
     left = relieved_powers(list(powers.values()), drive_w, number(cov, "regeneration"), parts)
     return dict(zip(powers, left, strict=True))

@@ -48,8 +48,12 @@ def _rollers(cov: Covariates, p: Mapping[str, Any]) -> Any:
 def _copper(cov: Covariates, p: Mapping[str, Any]) -> Any:
     load = _load(cov)
     forces = mecanum.wheel_forces(
-        cov["speed_m_s"], number(cov, "lateral_speed_m_s"), number(cov, "accel_m_s2"),
-        number(cov, "lateral_accel_m_s2"), mass_kg=cov["mass_kg"], wheel_friction_n=p["wheel_friction"] * load,
+        cov["speed_m_s"],
+        number(cov, "lateral_speed_m_s"),
+        number(cov, "accel_m_s2"),
+        number(cov, "lateral_accel_m_s2"),
+        mass_kg=cov["mass_kg"],
+        wheel_friction_n=p["wheel_friction"] * load,
         roller_friction_n=p["roller_friction"] * load,
         grade_force_n=traction.grade_force(number(cov, "slope_rad"), cov["mass_kg"]),
     )
@@ -58,8 +62,11 @@ def _copper(cov: Covariates, p: Mapping[str, Any]) -> Any:
 
 def _kinetic(cov: Covariates, p: Mapping[str, Any]) -> Any:
     watts = p["inertia"] * mecanum.kinetic_power(
-        cov["speed_m_s"], number(cov, "accel_m_s2"), number(cov, "lateral_speed_m_s"),
-        number(cov, "lateral_accel_m_s2"), mass_kg=cov["mass_kg"],
+        cov["speed_m_s"],
+        number(cov, "accel_m_s2"),
+        number(cov, "lateral_speed_m_s"),
+        number(cov, "lateral_accel_m_s2"),
+        mass_kg=cov["mass_kg"],
     )
     return motion.recovered_power(watts, number(cov, "drive_w"), number(cov, "regeneration"))
 
@@ -80,25 +87,85 @@ def _electronics(cov: Covariates, p: Mapping[str, Any]) -> Any:
 
 
 EFFECTS: tuple[Effect, ...] = (
-    Effect("wheel_friction", "Σ f_w·|u_i|", _SOURCE, "rolling friction of the wheels", (_WHEEL, _LEVER),
-           ("speed_m_s",), _wheels, drive=True, covariate="speed_m_s"),
-    Effect("roller_friction", "Σ f_r·√2·|v_y|", _SOURCE, "friction of the rollers", (_ROLLER, _BASE),
-           ("speed_m_s",), _rollers, drive=True, covariate="lateral_speed_m_s"),
-    Effect("copper_loss", "4·R_c·Σ g_i²", _SOURCE, "heat in the motor windings",
-           (ParameterSpec("copper_resistance", "W/N^2", "R_c", default=0.0), _WHEEL, _ROLLER), ("speed_m_s",), _copper,
-           component="motors", covariate="accel_m_s2"),
-    Effect("kinetic", "M·(a·v)", "Hou et al. 2019, Eq. 4", "kinetic energy",
-           (ParameterSpec("inertia", "1", "rotating masses: effective over real mass", default=1.0),), ("speed_m_s",),
-           _kinetic, drive=True, recovers=True, covariate="accel_m_s2"),
-    Effect("lifting", "m·g·sin θ·v", "Newton's second law on a slope", "lifting the robot",
-           (ParameterSpec("grade", "1", "share of the weight that counts", default=1.0),), ("speed_m_s",), _lifting,
-           drive=True, recovers=True, covariate="slope_rad"),
-    Effect("control_pulse", "P while speeding up or braking", "Hou et al. 2019, section 2.2 and Fig. 12",
-           "control system sends pulses", (ParameterSpec("control_pulse", "W", "control power", default=0.0),), (),
-           _pulse, component="control", covariate="accel_m_s2"),
-    Effect("electronics", "P always", "Hou et al. 2019, sections 2.2–2.4", "control, sensors and communication",
-           (ParameterSpec("electronics", "W", "constant load", default=0.0),), ("speed_m_s",), _electronics,
-           component="electronics", covariate="time_s"),
+    Effect(
+        "wheel_friction",
+        "Σ f_w·|u_i|",
+        _SOURCE,
+        "rolling friction of the wheels",
+        (_WHEEL, _LEVER),
+        ("speed_m_s",),
+        _wheels,
+        drive=True,
+        covariate="speed_m_s",
+    ),
+    Effect(
+        "roller_friction",
+        "Σ f_r·√2·|v_y|",
+        _SOURCE,
+        "friction of the rollers",
+        (_ROLLER, _BASE),
+        ("speed_m_s",),
+        _rollers,
+        drive=True,
+        covariate="lateral_speed_m_s",
+    ),
+    Effect(
+        "copper_loss",
+        "4·R_c·Σ g_i²",
+        _SOURCE,
+        "heat in the motor windings",
+        (ParameterSpec("copper_resistance", "W/N^2", "R_c", default=0.0), _WHEEL, _ROLLER),
+        ("speed_m_s",),
+        _copper,
+        component="motors",
+        covariate="accel_m_s2",
+    ),
+    Effect(
+        "kinetic",
+        "M·(a·v)",
+        "Hou et al. 2019, Eq. 4",
+        "kinetic energy",
+        (ParameterSpec("inertia", "1", "rotating masses: effective over real mass", default=1.0),),
+        ("speed_m_s",),
+        _kinetic,
+        drive=True,
+        recovers=True,
+        covariate="accel_m_s2",
+    ),
+    Effect(
+        "lifting",
+        "m·g·sin θ·v",
+        "Newton's second law on a slope",
+        "lifting the robot",
+        (ParameterSpec("grade", "1", "share of the weight that counts", default=1.0),),
+        ("speed_m_s",),
+        _lifting,
+        drive=True,
+        recovers=True,
+        covariate="slope_rad",
+    ),
+    Effect(
+        "control_pulse",
+        "P while speeding up or braking",
+        "Hou et al. 2019, section 2.2 and Fig. 12",
+        "control system sends pulses",
+        (ParameterSpec("control_pulse", "W", "control power", default=0.0),),
+        (),
+        _pulse,
+        component="control",
+        covariate="accel_m_s2",
+    ),
+    Effect(
+        "electronics",
+        "P always",
+        "Hou et al. 2019, sections 2.2–2.4",
+        "control, sensors and communication",
+        (ParameterSpec("electronics", "W", "constant load", default=0.0),),
+        ("speed_m_s",),
+        _electronics,
+        component="electronics",
+        covariate="time_s",
+    ),
 )
 """Terms in order of evaluation; parameters of the same name are one number of the robot file."""
 

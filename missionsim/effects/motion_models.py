@@ -46,7 +46,9 @@ class MotionModel:
 _MODELS: dict[str, MotionModel] = {}
 # modules that register models of their own, imported when a name is not known yet
 _MODULES = (
-    "missionsim.effects.motion_traction", "missionsim.effects.motion_mecanum", "missionsim.effects.motion_linear",
+    "missionsim.effects.motion_traction",
+    "missionsim.effects.motion_mecanum",
+    "missionsim.effects.motion_linear",
 )
 
 
@@ -74,7 +76,9 @@ def get_motion_model(id: str) -> MotionModel:
         _load()
     if id not in _MODELS:
         raise InputError.single(
-            f"unknown motion model '{id}'", got=id, allowed=", ".join((*motion_model_ids(), "expression", "none")),
+            f"unknown motion model '{id}'",
+            got=id,
+            allowed=", ".join((*motion_model_ids(), "expression", "none")),
             hint=did_you_mean(id, _MODELS),
         )
     return _MODELS[id]

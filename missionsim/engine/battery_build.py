@@ -43,7 +43,13 @@ def build_battery(name: str, spec: BatterySpec, number: Callable[[Parameter], fl
     else:
         charge = new_j / (number(spec.nominal_voltage) if spec.nominal_voltage else float(np.trapezoid(volts, states)))
     return EquivalentCircuit(
-        name, float(np.trapezoid(volts, states)) * charge * aged, initial, charge * aged, (states, volts),
-        number(circuit.resistance), number(circuit.peukert), number(circuit.rated_time),
+        name,
+        float(np.trapezoid(volts, states)) * charge * aged,
+        initial,
+        charge * aged,
+        (states, volts),
+        number(circuit.resistance),
+        number(circuit.peukert),
+        number(circuit.rated_time),
         0.0 if circuit.cut_off is None else number(circuit.cut_off),
     )

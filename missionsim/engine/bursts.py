@@ -19,7 +19,8 @@ def refuse_bursts(plan: Plan, most: int) -> None:
     clock = _Clock(plan)
     counted = [
         (clock.seconds(activity) / activity.every_s, activity)
-        for activity in plan.activities if activity.every_s is not None
+        for activity in plan.activities
+        if activity.every_s is not None
     ]
     if sum(count for count, _ in counted) > most:
         raise too_many_bursts(max(counted, key=lambda item: item[0])[1], clock.end_s, most)
@@ -27,12 +28,14 @@ def refuse_bursts(plan: Plan, most: int) -> None:
 
 def too_many_bursts(activity: Activity, seconds: float, most: int) -> InputError:
     """The fault of an activity whose period is too short for its mission."""
-    return InputError(activity.place.fault(
-        f"the activity of '{activity.component}' every {activity.every_s:g} s has too many bursts in a mission of "
-        f"{seconds:.4g} s and more",
-        got=f"more than {most} bursts in all",
-        allowed="a longer period, or a shorter mission (a slow speed, a long way or wait?)",
-    ))
+    return InputError(
+        activity.place.fault(
+            f"the activity of '{activity.component}' every {activity.every_s:g} s has too many bursts in a mission of "
+            f"{seconds:.4g} s and more",
+            got=f"more than {most} bursts in all",
+            allowed="a longer period, or a shorter mission (a slow speed, a long way or wait?)",
+        )
+    )
 
 
 class _Clock:

@@ -163,4 +163,3 @@ class Switchboard:
         closure = self.closure(sensors)
         off = [self.components[name] for name in closure if not self.components[name].units_on]
         return [component.when_on() for component in off] if any(c.info.startup_s > 0.0 for c in off) else []
-

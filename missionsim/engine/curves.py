@@ -39,8 +39,13 @@ class Curves:
     """
 
     def __init__(
-        self, model: PowerModel, line: Timeline, battery: str, values: Mapping[str, Any] | None,
-        changing: NDArray[np.bool_], energy_j: Array,
+        self,
+        model: PowerModel,
+        line: Timeline,
+        battery: str,
+        values: Mapping[str, Any] | None,
+        changing: NDArray[np.bool_],
+        energy_j: Array,
     ) -> None:
         self._model, self._line, self._battery, self._values = model, line, battery, values
         self._changing = changing
@@ -83,7 +88,7 @@ class Curves:
         index = np.flatnonzero(self._changing)
         found: dict[int, tuple[list[float], list[list[float]]]] = {}
         for begin in range(0, index.size, _MOST_AT_ONCE):
-            part = index[begin:begin + _MOST_AT_ONCE]
+            part = index[begin : begin + _MOST_AT_ONCE]
             found.update(interpolants(self._sample, part, self._line.duration_s[part]))
         return found
 

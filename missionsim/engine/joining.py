@@ -30,10 +30,12 @@ def joined(
     lines = [batch.timeline for batch in batches]
     first = lines[0]
     line = Timeline(
-        np.concatenate([item.start_s for item in lines]), np.concatenate([item.duration_s for item in lines]),
+        np.concatenate([item.start_s for item in lines]),
+        np.concatenate([item.duration_s for item in lines]),
         {name: _stacked([item.columns[name] for item in lines]) for name in first.columns},
         {name: np.concatenate([np.asarray(item.rates[name]) for item in lines]) for name in first.rates},
-        np.concatenate([item.segment for item in lines]), first.constants,
+        np.concatenate([item.segment for item in lines]),
+        first.constants,
     )
     energies = {
         name: {key: np.concatenate([batch.energies[name][key] for batch in batches]) for key in terms}
@@ -55,8 +57,10 @@ def collapsed(line: Timeline, energies: Any, charge: Any) -> tuple[Timeline, Any
     start = np.concatenate([[0.0], np.cumsum(duration)[:-1]]) if count else np.zeros(0)
     return (
         Timeline(start, duration, {}, {}, np.arange(count, dtype=np.int64)),
-        {name: {key: np.bincount(line.segment, weights=joules, minlength=count) for key, joules in terms.items()}
-         for name, terms in energies.items()},
+        {
+            name: {key: np.bincount(line.segment, weights=joules, minlength=count) for key, joules in terms.items()}
+            for name, terms in energies.items()
+        },
         {name: values[-1:] for name, values in charge.items()},
     )
 

@@ -64,8 +64,13 @@ class Meter:
     """
 
     def __init__(
-        self, model: PowerModel, recorder: Recorder, legs: list[Leg], batteries: Mapping[str, Battery],
-        values: Mapping[str, Any] | None = None, segments: Sequence[SegmentInfo] = (),
+        self,
+        model: PowerModel,
+        recorder: Recorder,
+        legs: list[Leg],
+        batteries: Mapping[str, Battery],
+        values: Mapping[str, Any] | None = None,
+        segments: Sequence[SegmentInfo] = (),
     ) -> None:
         self.model = model
         self.segments = segments
@@ -80,7 +85,7 @@ class Meter:
 
     def settle(self) -> None:
         """Evaluate the rows that have been closed since the last time."""
-        rows = self.recorder.rows[self._done:]
+        rows = self.recorder.rows[self._done :]
         if not rows:
             return
         self._done = len(self.recorder.rows)
@@ -96,7 +101,10 @@ class Meter:
         modes = np.array([row.charging for row in rows], dtype=np.int64).reshape(len(rows), len(self.batteries))
         loads = {
             name: self._loads(
-                name, line, energies[name], modes[:, i],
+                name,
+                line,
+                energies[name],
+                modes[:, i],
                 np.array([_charger_power(self.legs[row.leg], name) for row in rows]),
             )
             for i, name in enumerate(self.batteries)
@@ -114,16 +122,21 @@ class Meter:
                 bad = np.flatnonzero(~np.isfinite(joules))
                 if bad.size:
                     i, number = int(bad[0]), int(line.segment[bad[0]])
-                    lacking = [name for name, column in line.columns.items()
-                               if isinstance(column, np.ndarray) and column.dtype.kind == "f" and np.isnan(column[i])]
+                    lacking = [
+                        name
+                        for name, column in line.columns.items()
+                        if isinstance(column, np.ndarray) and column.dtype.kind == "f" and np.isnan(column[i])
+                    ]
                     segment = self.segments[number].name if number < len(self.segments) else str(number)
                     place = next(term.effect.place for term in self.model.terms if term.key == key)
-                    raise InputError(place.fault(
-                        f"the power of '{key.name}' ({key.component}, battery '{battery}') is not a number in segment "
-                        f"'{segment}'",
-                        got=", ".join(f"no {name}" for name in lacking) or "an expression without a value there",
-                        allowed="every covariate that the robot's effects read, on every segment",
-                    ))
+                    raise InputError(
+                        place.fault(
+                            f"the power of '{key.name}' ({key.component}, battery '{battery}') is not a number in segment "
+                            f"'{segment}'",
+                            got=", ".join(f"no {name}" for name in lacking) or "an expression without a value there",
+                            allowed="every covariate that the robot's effects read, on every segment",
+                        )
+                    )
 
     def time_to(self, battery: str, level: float, horizon_s: float) -> float | None:
         """Time from now until a battery's state comes to `level`, if nothing else changes; None if not so soon."""
@@ -153,7 +166,7 @@ class Meter:
         self, battery: str, line: Timeline, energies: dict[TermKey, Array], modes: NDArray[np.int64], charger_w: Array
     ) -> Loads:
         total = np.sum(list(energies.values()), axis=0) if energies else np.zeros(len(line))
-        changing = (line.changing(self.model.memory) | (np.asarray(line.columns["starts"]) > 0.0))
+        changing = line.changing(self.model.memory) | (np.asarray(line.columns["starts"]) > 0.0)
 
         def energy_until(interval: int, seconds: float) -> float:
             part = _cut(line, interval, seconds)
@@ -188,8 +201,11 @@ def _first_reserve(battery: Battery, batch: Batch, name: str, level: float) -> A
     loads, states = batch.loads[name], batch.states[name]
     before = np.concatenate([[batch.before[name]], states[:-1]])
     for i in np.flatnonzero((states < level) & (loads.charging == 0)):
-        time = 0.0 if before[i] < level else battery.reach(
-            float(before[i]), loads, int(i), level, float(loads.duration_s[i]))
+        time = (
+            0.0
+            if before[i] < level
+            else battery.reach(float(before[i]), loads, int(i), level, float(loads.duration_s[i]))
+        )
         if time is not None:
             return Alarm(float(batch.timeline.start_s[i]) + time, name, "reserve", int(batch.timeline.segment[i]))
     return None

@@ -202,11 +202,19 @@ class RunResult:
                 "audit_relative_error": battery.audit_relative_error,
             }
         return {
-            "schema": SCHEMA, "mission": self.mission, "robot": self.robot, "feasible": self.feasible,
-            "completed": self.completed, "reason": self.reason or None, "duration_s": self.duration_s,
-            "distance_m": self.distance_m, "segments": [segment.name for segment in self.segments],
-            "batteries": batteries, "warnings": [fault.message for fault in self.warnings],
-            "never_on": list(self.never_on), "provenance": dict(self.provenance),
+            "schema": SCHEMA,
+            "mission": self.mission,
+            "robot": self.robot,
+            "feasible": self.feasible,
+            "completed": self.completed,
+            "reason": self.reason or None,
+            "duration_s": self.duration_s,
+            "distance_m": self.distance_m,
+            "segments": [segment.name for segment in self.segments],
+            "batteries": batteries,
+            "warnings": [fault.message for fault in self.warnings],
+            "never_on": list(self.never_on),
+            "provenance": dict(self.provenance),
         }
 
 

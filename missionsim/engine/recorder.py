@@ -67,10 +67,19 @@ class Recorder:
             return
         phase = self._phase
         moving = phase.moving
-        self.rows.append(Row(
-            self._since_s, duration, self.leg, phase, self._since_s - self._phase_began_s, self._state_index,
-            self._moving_time_s, moving and not self._was_moving, self.charging,
-        ))
+        self.rows.append(
+            Row(
+                self._since_s,
+                duration,
+                self.leg,
+                phase,
+                self._since_s - self._phase_began_s,
+                self._state_index,
+                self._moving_time_s,
+                moving and not self._was_moving,
+                self.charging,
+            )
+        )
         self._was_moving = moving
         if moving:
             self._moving_time_s += duration
@@ -121,8 +130,17 @@ class Recorder:
     def current_row(self, duration_s: float) -> Row:
         """What the interval under way would be, were it to last `duration_s` from now without a change."""
         phase = self._phase
-        return Row(self.env.now, duration_s, self.leg, phase, self.env.now - self._phase_began_s, self._state_index,
-                   self._moving_time_s, phase.moving and not self._was_moving, self.charging)
+        return Row(
+            self.env.now,
+            duration_s,
+            self.leg,
+            phase,
+            self.env.now - self._phase_began_s,
+            self._state_index,
+            self._moving_time_s,
+            phase.moving and not self._was_moving,
+            self.charging,
+        )
 
     def states(self) -> np.ndarray:
         """Component states, shape (states, 3 · components): units on, units starting, time of switching on."""
@@ -130,8 +148,12 @@ class Recorder:
 
 
 def timeline(
-    rows: Sequence[Row], legs: Sequence[Leg], components: Sequence[str], states: np.ndarray,
-    constants: Mapping[str, Any] | None = None, needs: Set[str] = frozenset(),
+    rows: Sequence[Row],
+    legs: Sequence[Leg],
+    components: Sequence[str],
+    states: np.ndarray,
+    constants: Mapping[str, Any] | None = None,
+    needs: Set[str] = frozenset(),
 ) -> Timeline:
     """The interval table of some rows.
 
@@ -154,9 +176,9 @@ def timeline(
         Glossary columns and rates, ready for `missionsim.effects.integrate`.
     """
     count = len(rows)
-    numbers = np.array(
-        [(r[0], r[1], r[2], r[4], r[5], r[6], r[7], *r[3][2:]) for r in rows], dtype=float
-    ).reshape(count, 14)
+    numbers = np.array([(r[0], r[1], r[2], r[4], r[5], r[6], r[7], *r[3][2:]) for r in rows], dtype=float).reshape(
+        count, 14
+    )
     start, duration, elapsed = numbers[:, 0], numbers[:, 1], numbers[:, 3]
     leg_of = numbers[:, 2].astype(np.intp)
     accel, lateral_rate, yaw_rate = numbers[:, 8], numbers[:, 10], numbers[:, 12]
@@ -187,7 +209,10 @@ def timeline(
     state = states[numbers[:, 4].astype(np.intp)]
     width = len(components)
     rates: dict[str, Any] = {
-        "speed_m_s": accel, "lateral_speed_m_s": lateral_rate, "yaw_rate_rad_s": yaw_rate, "moving_time_s": moving,
+        "speed_m_s": accel,
+        "lateral_speed_m_s": lateral_rate,
+        "yaw_rate_rad_s": yaw_rate,
+        "moving_time_s": moving,
     }
     if "time_s" in needs:
         columns["time_s"], rates["time_s"] = start, np.ones(count)

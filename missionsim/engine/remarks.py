@@ -22,8 +22,13 @@ Energies = Mapping[str, Mapping[TermKey, NDArray[np.float64]]]
 
 
 def doubts(
-    model: PowerModel, line: Timeline, energies: Energies, charge_wh: Mapping[str, NDArray[np.float64]],
-    batteries: Mapping[str, Battery], segments: Sequence[SegmentInfo], places: Mapping[str, Place] | None = None,
+    model: PowerModel,
+    line: Timeline,
+    energies: Energies,
+    charge_wh: Mapping[str, NDArray[np.float64]],
+    batteries: Mapping[str, Battery],
+    segments: Sequence[SegmentInfo],
+    places: Mapping[str, Place] | None = None,
 ) -> tuple[Fault, ...]:
     """Warnings about batteries that are charged by what should draw from them.
 
@@ -63,21 +68,28 @@ def doubts(
             negative = negative & (np.sum(list(parts), axis=0) < 0.0) & ~back
         if (given := -float(joules[negative].sum())) <= TOLERANCE * scale:
             continue
-        found.append(term.effect.place.warning(
-            f"the power of '{term.key.name}' is negative: it charges battery '{term.key.battery}' with "
-            f"{given / J_PER_WH:.4g} Wh in {_named(line.segment[negative], segments)}; is the sign right?",
-            got=term.effect.equation, allowed="power that is drawn is positive",
-        ))
+        found.append(
+            term.effect.place.warning(
+                f"the power of '{term.key.name}' is negative: it charges battery '{term.key.battery}' with "
+                f"{given / J_PER_WH:.4g} Wh in {_named(line.segment[negative], segments)}; is the sign right?",
+                got=term.effect.equation,
+                allowed="power that is drawn is positive",
+            )
+        )
     for name, battery in batteries.items():
         full = battery.capacity_j / J_PER_WH
         beyond = charge_wh[name] > full * (1.0 + TOLERANCE)
         if beyond.any():
             most = float(charge_wh[name].max())
-            found.append((places or {}).get(name, Place()).warning(
-                f"battery '{name}' comes to {100.0 * most / full:.4g} % of its capacity in "
-                f"{_named(line.segment[beyond], segments)}: more than it can hold, {most - full:.4g} Wh beyond full; "
-                "the surplus is counted as if it were kept",
-            ))
+            found.append(
+                (places or {})
+                .get(name, Place())
+                .warning(
+                    f"battery '{name}' comes to {100.0 * most / full:.4g} % of its capacity in "
+                    f"{_named(line.segment[beyond], segments)}: more than it can hold, {most - full:.4g} Wh beyond full; "
+                    "the surplus is counted as if it were kept"
+                )
+            )
     return tuple(found)
 
 
@@ -102,6 +114,7 @@ def never_on(line: Timeline) -> tuple[str, ...]:
     """Components that were neither on nor starting at any time."""
     names = [name[3:] for name in line.columns if name.startswith("on_") and f"starting_{name[3:]}" in line.columns]
     return tuple(
-        name for name in names
+        name
+        for name in names
         if not np.any(line.columns[f"on_{name}"]) and not np.any(line.columns[f"starting_{name}"])
     )

@@ -92,8 +92,15 @@ def home_energies(
 
 
 def _append(
-    world: World, homing: Homing, way: list[Leg], clock: float, legs: list[Leg], rows: list[Row],
-    states: dict[tuple[float, ...], int], owner: list[int], position: int,
+    world: World,
+    homing: Homing,
+    way: list[Leg],
+    clock: float,
+    legs: list[Leg],
+    rows: list[Row],
+    states: dict[tuple[float, ...], int],
+    owner: list[int],
+    position: int,
 ) -> None:
     """Rows of one way home."""
     base = len(legs)

@@ -100,7 +100,11 @@ class RunSetup:
     """What all executions of one mission share."""
 
     def __init__(
-        self, mission: MissionSpec, plan: Plan, model: PowerModel, numbers: Mapping[str, float],
+        self,
+        mission: MissionSpec,
+        plan: Plan,
+        model: PowerModel,
+        numbers: Mapping[str, float],
         drawn: Mapping[str, float],
     ) -> None:
         self.mission = mission
@@ -119,8 +123,13 @@ class RunSetup:
             for name, spec in robot.batteries.items()
         }
         self.components = [
-            ComponentInfo(name, spec.units, spec.always_on, spec.requires,
-                          0.0 if spec.startup is None else self._robot_number(spec.startup.duration))
+            ComponentInfo(
+                name,
+                spec.units,
+                spec.always_on,
+                spec.requires,
+                0.0 if spec.startup is None else self._robot_number(spec.startup.duration),
+            )
             for name, spec in robot.components.items()
         ]
         self._homing: Homing | None = None
@@ -148,8 +157,15 @@ class RunSetup:
     def execute(self, alarms: tuple[Alarm, ...] | list[Alarm]) -> World:
         """One execution with interrupts at known instants."""
         check_covariates(self.plan, self.model)
-        world = World(self.plan, self.model, self.batteries, self.components, alarms=alarms,
-                      detour=self._detour if alarms else None, values=self.drawn)
+        world = World(
+            self.plan,
+            self.model,
+            self.batteries,
+            self.components,
+            alarms=alarms,
+            detour=self._detour if alarms else None,
+            values=self.drawn,
+        )
         world.run()
         return world
 
@@ -192,9 +208,22 @@ class RunSetup:
         distance = distance_of(line) if trace else distance_of(joined(batches, self.batteries)[0])
         mission = self.mission
         return RunResult(
-            mission.name, mission.robot.name, world.completed and not reasons, world.completed, "; ".join(reasons),
-            duration, distance, line, energies, charge, segments, world.ends_s, results,
-            home=lambda: home_energies(world, self.homing, self.model, self.drawn), warnings=warnings, never_on=off,
+            mission.name,
+            mission.robot.name,
+            world.completed and not reasons,
+            world.completed,
+            "; ".join(reasons),
+            duration,
+            distance,
+            line,
+            energies,
+            charge,
+            segments,
+            world.ends_s,
+            results,
+            home=lambda: home_energies(world, self.homing, self.model, self.drawn),
+            warnings=warnings,
+            never_on=off,
         )
 
     def _home_at_end(self, world: World) -> dict[str, float | None]:
@@ -203,8 +232,15 @@ class RunSetup:
         return home_energies(world, self.homing, self.model, self.drawn, only_last=True)[-1]
 
     def _battery_result(
-        self, name: str, battery: Battery, world: World, whole: World, alarms: list[Alarm], line: Timeline,
-        energies: Mapping[str, Mapping[Any, Any]], home: Mapping[str, float | None],
+        self,
+        name: str,
+        battery: Battery,
+        world: World,
+        whole: World,
+        alarms: list[Alarm],
+        line: Timeline,
+        energies: Mapping[str, Mapping[Any, Any]],
+        home: Mapping[str, float | None],
     ) -> BatteryResult:
         meter = world.meter
         cells = [math.fsum(joules.tolist()) for joules in energies[name].values()]
@@ -226,11 +262,21 @@ class RunSetup:
         way = home.get(name)
         duration = float(world.env.now)
         return BatteryResult(
-            name, used / J_PER_WH, used / duration if duration else 0.0, capacity / J_PER_WH, initial / J_PER_WH,
-            charged / J_PER_WH, left / J_PER_WH, battery.fraction(meter.state[name]), loss / J_PER_WH,
-            float(battery.charge_j(battery.state_of(self.required[name]))) / J_PER_WH, None if way is None else way,
-            left / J_PER_WH - (way or 0.0), None if empty is None else empty.time_s,
-            "" if empty is None else world.segments[empty.segment].name, max(0.0, -lowest) / J_PER_WH,
+            name,
+            used / J_PER_WH,
+            used / duration if duration else 0.0,
+            capacity / J_PER_WH,
+            initial / J_PER_WH,
+            charged / J_PER_WH,
+            left / J_PER_WH,
+            battery.fraction(meter.state[name]),
+            loss / J_PER_WH,
+            float(battery.charge_j(battery.state_of(self.required[name]))) / J_PER_WH,
+            None if way is None else way,
+            left / J_PER_WH - (way or 0.0),
+            None if empty is None else empty.time_s,
+            "" if empty is None else world.segments[empty.segment].name,
+            max(0.0, -lowest) / J_PER_WH,
             audit,
         )
 
@@ -243,8 +289,12 @@ def check_covariates(plan: Plan, model: PowerModel) -> None:
     missionsim.errors.InputError
         With the effect, the column and a segment that lacks it.
     """
-    keys = {"temp_ambient_c": "temperature", "cpu_load": "cpu_load", "cpu_freq_hz": "cpu_frequency",
-            "access_point_distance_m": "access_point_distance"}
+    keys = {
+        "temp_ambient_c": "temperature",
+        "cpu_load": "cpu_load",
+        "cpu_freq_hz": "cpu_frequency",
+        "access_point_distance_m": "access_point_distance",
+    }
     wanted = {name: term.effect for term in model.terms for name in term.effect.needs if name in keys}
     if not wanted:
         return

@@ -83,14 +83,18 @@ def adaptive_runge_kutta(
         k2 = slope(t + step / 5, y + step * k1 / 5)
         k3 = slope(t + 3 * step / 10, y + step * (3 * k1 + 9 * k2) / 40)
         k4 = slope(t + 4 * step / 5, y + step * (44 * k1 / 45 - 56 * k2 / 15 + 32 * k3 / 9))
-        k5 = slope(t + 8 * step / 9, y + step * (
-            19372 * k1 / 6561 - 25360 * k2 / 2187 + 64448 * k3 / 6561 - 212 * k4 / 729))
-        k6 = slope(t + step, y + step * (
-            9017 * k1 / 3168 - 355 * k2 / 33 + 46732 * k3 / 5247 + 49 * k4 / 176 - 5103 * k5 / 18656))
+        k5 = slope(
+            t + 8 * step / 9, y + step * (19372 * k1 / 6561 - 25360 * k2 / 2187 + 64448 * k3 / 6561 - 212 * k4 / 729)
+        )
+        k6 = slope(
+            t + step,
+            y + step * (9017 * k1 / 3168 - 355 * k2 / 33 + 46732 * k3 / 5247 + 49 * k4 / 176 - 5103 * k5 / 18656),
+        )
         new = y + step * (35 * k1 / 384 + 500 * k3 / 1113 + 125 * k4 / 192 - 2187 * k5 / 6784 + 11 * k6 / 84)
         k7 = slope(t + step, new)
-        error = abs(step * (71 * k1 / 57600 - 71 * k3 / 16695 + 71 * k4 / 1920 - 17253 * k5 / 339200
-                            + 22 * k6 / 525 - k7 / 40))
+        error = abs(
+            step * (71 * k1 / 57600 - 71 * k3 / 16695 + 71 * k4 / 1920 - 17253 * k5 / 339200 + 22 * k6 / 525 - k7 / 40)
+        )
         if step <= 1e-12 * duration and not isfinite(error):  # the slope is no number here; the engine says whose
             return [*points, (duration, nan)]
         if error <= tolerance or step <= 1e-12 * duration:

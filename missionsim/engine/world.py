@@ -65,8 +65,15 @@ class World:
     """
 
     def __init__(
-        self, plan: Plan, model: PowerModel, batteries: Mapping[str, Battery], components: Sequence[ComponentInfo],
-        *, alarms: Sequence[Alarm] = (), detour: Detour | None = None, values: Mapping[str, Any] | None = None,
+        self,
+        plan: Plan,
+        model: PowerModel,
+        batteries: Mapping[str, Battery],
+        components: Sequence[ComponentInfo],
+        *,
+        alarms: Sequence[Alarm] = (),
+        detour: Detour | None = None,
+        values: Mapping[str, Any] | None = None,
     ) -> None:
         self.env = env = simpy.Environment()
         self.plan = plan
@@ -176,13 +183,18 @@ class World:
         base = len(self.legs)
         self.segments.append(SegmentInfo("return to dock", "return"))
         self.legs.extend(way)
-        moved = tuple(
-            Step(step.kind, tuple(p._replace(leg=p.leg + base) for p in step.phases)) for step in steps
-        )
+        moved = tuple(Step(step.kind, tuple(p._replace(leg=p.leg + base) for p in step.phases)) for step in steps)
         if braking_s > 0.0 and decel:
             at = recorder.leg
-            brake = Phase(braking_s, at, speed, -decel, yaw_rad_s=speed * leg.curvature_1_m,
-                          yaw_rad_s2=-decel * leg.curvature_1_m, moving=True)
+            brake = Phase(
+                braking_s,
+                at,
+                speed,
+                -decel,
+                yaw_rad_s=speed * leg.curvature_1_m,
+                yaw_rad_s2=-decel * leg.curvature_1_m,
+                moving=True,
+            )
             self.legs.append(_plain(leg))
             return (Step("roll", (brake._replace(leg=len(self.legs) - 1),)), *moved)
         recorder.rest(recorder.leg)
@@ -231,9 +243,7 @@ class World:
                 yield stop | env.timeout(max(0.0, began + count * every - env.now))
         board.hold(activity.key, ())
 
-    def _endless_bursts(
-        self, activity: Activity, on: tuple[tuple[str, int], ...]
-    ) -> Generator[simpy.Event, Any, None]:
+    def _endless_bursts(self, activity: Activity, on: tuple[tuple[str, int], ...]) -> Generator[simpy.Event, Any, None]:
         """Bursts until the mission ends, without anything else to wait for."""
         env, hold, key = self.env, self.board.hold, activity.key
         every, length = activity.every_s or FOREVER_S, activity.duration_s or 0.0
@@ -270,23 +280,25 @@ class World:
             recorder.close()
             meter.settle()
             began = env.now
-            full = {
-                name for name in recharge.batteries if meter.state[name] >= self._batteries[name].state_of(level)
-            }
+            full = {name for name in recharge.batteries if meter.state[name] >= self._batteries[name].state_of(level)}
             try:
                 while env.now < deadline:
                     active = [name for name in recharge.batteries if name not in full]
                     if not active and recharge.until is not None:
                         return
-                    recorder.charge(tuple(
-                        0 if name not in recharge.batteries else HELD if name in full else CHARGING for name in order
-                    ))
+                    recorder.charge(
+                        tuple(
+                            0 if name not in recharge.batteries else HELD if name in full else CHARGING
+                            for name in order
+                        )
+                    )
                     meter.settle()
                     left = deadline - env.now
                     times = {
-                        name: found for name in active
-                        if (found := meter.time_to(
-                            name, self._batteries[name].state_of(level), min(left, 1e7))) is not None
+                        name: found
+                        for name in active
+                        if (found := meter.time_to(name, self._batteries[name].state_of(level), min(left, 1e7)))
+                        is not None
                     }
                     stuck = not times and env.peek() == float("inf")
                     if recharge.duration_s is None and (stuck or env.now - began > LONGEST_CHARGE_S):

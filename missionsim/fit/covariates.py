@@ -76,8 +76,9 @@ def run_covariates(model: PowerModel, log: Any, battery: str, remarks: list[str]
         cov["speed_m_s"] = np.asarray(cov["speed_m_s"], dtype=float)
     cov.update(_loads(model, cov, battery))
     fresh = log.fresh.get(battery) if log.fresh else None
-    return Run(log.run, time_s, np.asarray(log.dt_s, dtype=float), np.asarray(log.power_w[battery], dtype=float),
-               fresh, cov)
+    return Run(
+        log.run, time_s, np.asarray(log.dt_s, dtype=float), np.asarray(log.power_w[battery], dtype=float), fresh, cov
+    )
 
 
 def _loads(model: PowerModel, cov: dict[str, Any], battery: str) -> dict[str, Any]:

@@ -25,8 +25,13 @@ SHORTEST_STANDING_S = 5.0
 LEAST_CHANGES = 2
 SETTLING_S = 3.0
 REST_BLOCK_S = 10.0
-_OPTIONS = {"name": "--new", "body.mass": "--mass", "body.drive": "--drive", "body.max_speed": "--max-speed",
-            "batteries": "--battery"}
+_OPTIONS = {
+    "name": "--new",
+    "body.mass": "--mass",
+    "body.drive": "--drive",
+    "body.max_speed": "--max-speed",
+    "batteries": "--battery",
+}
 _NEAR, _LIKELY = 0.5, 0.75
 """Similarity from which a parameter may be, or probably is, a column's name written wrong."""
 _UNKNOWN = "not known from logs; put your own"
@@ -85,16 +90,22 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Any]) -> Calibration:
     """
     if not any(robot.battery in log.power_w for log in logs):
         measured = sorted({name for log in logs for name in log.power_w})
-        raise InputError.single(f"no log measures the battery '{robot.battery}'", file="--battery", got=robot.battery,
-                                allowed=", ".join(measured), hint=did_you_mean(robot.battery, measured))
+        raise InputError.single(
+            f"no log measures the battery '{robot.battery}'",
+            file="--battery",
+            got=robot.battery,
+            allowed=", ".join(measured),
+            hint=did_you_mean(robot.battery, measured),
+        )
     formula = _formula(robot, logs)
     remarks: list[str] = []
     components = _components(logs, robot.battery, remarks)
     parameters = sorted(formula.names - _columns(formula, logs))
     standing = _has_standing(logs, robot.battery, remarks)
     if standing and "standing" in parameters:
-        raise InputError.single("'standing' is the name of the power at rest; call the parameter otherwise",
-                                got=robot.base)
+        raise InputError.single(
+            "'standing' is the name of the power at rest; call the parameter otherwise", got=robot.base
+        )
     names = [*parameters, *(["standing"] if standing else [])]
     draft = _text(robot, dict.fromkeys(names), components, standing, logs, "", "")
     model = _load(draft)
@@ -107,8 +118,10 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Any]) -> Calibration:
         fit = _with_rest(fit, logs, robot.battery)
     for name, value in fit.parameters.items():
         if value.value < 0.0:
-            remarks.append(f"{name} came out negative ({value.value:.3g}, 95 % {value.low:.3g} to {value.high:.3g}): "
-                           "the formula lacks something, or the logs do not vary it enough")
+            remarks.append(
+                f"{name} came out negative ({value.value:.3g}, 95 % {value.low:.3g} to {value.high:.3g}): "
+                "the formula lacks something, or the logs do not vary it enough"
+            )
     source = f"fitted to {len(fit.runs)} run{'s' * (len(fit.runs) != 1)}"
     text = _text(robot, fit.parameters, components, standing, logs, source, data_tag(logs))
     return Calibration(text, replace(fit, model=_load(text)), (*fit.remarks, *remarks))
@@ -122,8 +135,9 @@ def _load(text: str) -> PowerModel:
     try:
         return build_power_model(robot_from_text(text))
     except InputError as error:
-        raise InputError(replace(fault, file=_option(fault.path), line=0, column=0, path="")
-                         for fault in error.faults) from None
+        raise InputError(
+            replace(fault, file=_option(fault.path), line=0, column=0, path="") for fault in error.faults
+        ) from None
 
 
 def _option(path: str) -> str:
@@ -142,8 +156,12 @@ def _formula(robot: NewRobot, logs: Sequence[Any]) -> Expression:
         derived = wanted in ("accel_m_s2", "mass_kg")
         known = name in ALIASES or column_of(name) is not None
         if known and not derived and any(wanted not in log.columns for log in logs):
-            raise InputError.single(f"--base reads '{name}' ({wanted}), which not every log has", got=name,
-                                    allowed=", ".join(sorted(columns)), hint=did_you_mean(wanted, columns))
+            raise InputError.single(
+                f"--base reads '{name}' ({wanted}), which not every log has",
+                got=name,
+                allowed=", ".join(sorted(columns)),
+                hint=did_you_mean(wanted, columns),
+            )
     return formula
 
 
@@ -218,7 +236,8 @@ def _refuse_unseen(fit: ModelFit, names: Sequence[str], logs: Sequence[Any]) -> 
         columns = _known_columns(logs)
         near = dict.fromkeys(column for name in unseen if (column := did_you_mean(name, columns, _NEAR)))
         raise InputError.single(
-            "these logs cannot tell some parameters of --base apart", got=", ".join(unseen),
+            "these logs cannot tell some parameters of --base apart",
+            got=", ".join(unseen),
             allowed=f"parameters that each change the power on their own, and columns: {', '.join(columns)}",
             hint=", ".join(near),
         )
@@ -231,8 +250,13 @@ def _known_columns(logs: Sequence[Any]) -> list[str]:
 
 
 def _text(
-    robot: NewRobot, values: Mapping[str, FittedParameter | None], components: Mapping[str, int], standing: bool,
-    logs: Sequence[Any], source: str, tag: str,
+    robot: NewRobot,
+    values: Mapping[str, FittedParameter | None],
+    components: Mapping[str, int],
+    standing: bool,
+    logs: Sequence[Any],
+    source: str,
+    tag: str,
 ) -> str:
     base = [name for name in values if "." not in name]
     lines = [
@@ -258,11 +282,19 @@ def _text(
         lines.append("components:")
     for name, units in components.items():
         number = _number(values.get(f"{name}.power"), "W")
-        lines += [f"  {name}:", *([f"    units: {units}"] if units > 1 else []), "    loads:",
-                  f"      - {{battery: {robot.battery}, power: {number}}}"]
+        lines += [
+            f"  {name}:",
+            *([f"    units: {units}"] if units > 1 else []),
+            "    loads:",
+            f"      - {{battery: {robot.battery}, power: {number}}}",
+        ]
     sensors = ", ".join(f"{name}: {units}" for name, units in components.items())
-    lines += ["schemes:", "  drive:", "    motion: true",
-              *([f"    sensors: {{optional: {{{sensors}}}}}"] if sensors else [])]
+    lines += [
+        "schemes:",
+        "  drive:",
+        "    motion: true",
+        *([f"    sensors: {{optional: {{{sensors}}}}}"] if sensors else []),
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -277,8 +309,9 @@ def _number(value: FittedParameter | None, unit: str = "") -> str:
         return f"1 {unit}".strip()
     shown = max(value.value, 0.0) if unit else value.value
     suffix = f" {unit}" if unit else ""
-    return (f"{{value: {shown:.6g}{suffix}, sd: {max(value.sd, 1e-12):.3g}{suffix}, status: fitted, "
-            f"source: {CALIBRATION}}}")
+    return (
+        f"{{value: {shown:.6g}{suffix}, sd: {max(value.sd, 1e-12):.3g}{suffix}, status: fitted, source: {CALIBRATION}}}"
+    )
 
 
 def _max_speed(robot: NewRobot, logs: Sequence[Any]) -> str:

@@ -114,7 +114,8 @@ def fit_parameters(
     if all(float(np.ptp(run.measured_w)) == 0.0 for run in ready.runs):
         raise InputError.single(
             f"battery '{battery}': the measured power never changes in any run, so that nothing can be fitted to it",
-            got=f"{ready.runs[0].measured_w[0]:g} W in every row", allowed="a meter that is not frozen",
+            got=f"{ready.runs[0].measured_w[0]:g} W in every row",
+            allowed="a meter that is not frozen",
         )
     before = ready
     plain: Plain | None = None
@@ -128,7 +129,8 @@ def fit_parameters(
     except (np.linalg.LinAlgError, OverflowError) as error:
         raise InputError.single(
             f"the model of battery '{battery}' cannot be fitted: its values or its parameters run out of all numbers",
-            got=str(error), allowed="a formula that stays finite, and linear in its parameters if possible",
+            got=str(error),
+            allowed="a formula that stays finite, and linear in its parameters if possible",
         ) from error
     prior_value = {name: p.value for name, p in known.items()}
     fitted: Model | None = None
@@ -153,18 +155,26 @@ def fit_parameters(
     final = _moved(model, battery, moved)
     sd = {name: float(np.sqrt(covariance[i, i])) for i, name in enumerate(names)}
     parameters = {
-        name: _fitted(name, p.unit, p.value, moved.get(name), sd.get(name), prior_sd[name], prior_value[name],
-                      name in told)
+        name: _fitted(
+            name, p.unit, p.value, moved.get(name), sd.get(name), prior_sd[name], prior_value[name], name in told
+        )
         for name, p in ((n, ready.parameters[n]) for n in known)
     }
     errors = _errors(fitted, before, ready, moved)
     if plain is not None and errors[2] < plain.explained - WORSE:
         return _plain_fit(battery, plain, before, told, errors[0])
     return ModelFit(
-        battery, final, parameters, fitted.clock.delay_s, fitted.clock.lag_s, fitted.noise.total_sd_w, *errors,
-        tuple(run.name for run in ready.runs), float(sum(np.sum(run.dt_s) for run in ready.runs)),
+        battery,
+        final,
+        parameters,
+        fitted.clock.delay_s,
+        fitted.clock.lag_s,
+        fitted.noise.total_sd_w,
+        *errors,
+        tuple(run.name for run in ready.runs),
+        float(sum(np.sum(run.dt_s) for run in ready.runs)),
         tuple(dict.fromkeys(before.remarks)),
-    )  # fmt: skip
+    )
 
 
 def _moved(model: PowerModel, battery: str, moved: Mapping[str, float]) -> PowerModel:
@@ -173,7 +183,13 @@ def _moved(model: PowerModel, battery: str, moved: Mapping[str, float]) -> Power
 
 
 def _fitted(
-    name: str, unit: str, value: float, moved: float | None, sd: float | None, prior_sd: float, before: float,
+    name: str,
+    unit: str,
+    value: float,
+    moved: float | None,
+    sd: float | None,
+    prior_sd: float,
+    before: float,
     told: bool,
 ) -> FittedParameter:
     seen = moved is not None and sd is not None and told
@@ -182,24 +198,39 @@ def _fitted(
     return FittedParameter(name, unit, new, absolute, new - Z95 * absolute, new + Z95 * absolute, before, seen)
 
 
-def _plain_fit(
-    battery: str, plain: Plain, before: Prepared, told: frozenset[str], rmse_before_w: float
-) -> ModelFit:
+def _plain_fit(battery: str, plain: Plain, before: Prepared, told: frozenset[str], rmse_before_w: float) -> ModelFit:
     parameters = {}
     for i, name in enumerate(plain.names):
         p = plain.model.parameters[f"{battery}/{name}"]
         sd = abs(p.value) * float(np.sqrt(plain.covariance[i, i]))
         parameters[name] = FittedParameter(
-            name, p.unit, p.value, sd, p.value - Z95 * sd, p.value + Z95 * sd, before.parameters[name].value,
+            name,
+            p.unit,
+            p.value,
+            sd,
+            p.value - Z95 * sd,
+            p.value + Z95 * sd,
+            before.parameters[name].value,
             name in told,
-        )  # fmt: skip
-    remark = ("weighting by the noise model explains clearly less than ordinary least squares, so these are used, with "
-              f"errors clustered in blocks of {BLOCK_S:.0f} s")
+        )
+    remark = (
+        "weighting by the noise model explains clearly less than ordinary least squares, so these are used, with "
+        f"errors clustered in blocks of {BLOCK_S:.0f} s"
+    )
     return ModelFit(
-        battery, plain.model, parameters, 0.0, 0.0, plain.noise_w, rmse_before_w,
-        plain.rmse_w, plain.explained, tuple(run.name for run in before.runs), float(np.sum(row_seconds(before))),
+        battery,
+        plain.model,
+        parameters,
+        0.0,
+        0.0,
+        plain.noise_w,
+        rmse_before_w,
+        plain.rmse_w,
+        plain.explained,
+        tuple(run.name for run in before.runs),
+        float(np.sum(row_seconds(before))),
         tuple(dict.fromkeys([*before.remarks, remark])),
-    )  # fmt: skip
+    )
 
 
 def _errors(fitted: Model, before: Prepared, ready: Prepared, moved: Mapping[str, float]) -> tuple[float, float, float]:

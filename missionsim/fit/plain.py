@@ -61,9 +61,7 @@ def settled(model: PowerModel, ready: Prepared, logs: Sequence[Any]) -> tuple[Po
     return model, Plain(model, names, covariance, explained, float(np.sqrt(square)), float(np.sqrt(square - mean**2)))
 
 
-def _shortened(
-    model: PowerModel, ready: Prepared, aim: PowerModel, logs: Sequence[Any]
-) -> tuple[PowerModel, Prepared]:
+def _shortened(model: PowerModel, ready: Prepared, aim: PowerModel, logs: Sequence[Any]) -> tuple[PowerModel, Prepared]:
     """The step towards `aim`, halved until the squared error does not rise; a linear formula takes the whole step."""
     before = _square(ready)
     battery = ready.battery
@@ -92,9 +90,7 @@ def row_seconds(ready: Prepared) -> NDArray[np.float64]:
     return np.concatenate([run.dt_s for run in ready.runs])
 
 
-def _stacked(
-    ready: Prepared,
-) -> tuple[tuple[str, ...], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _stacked(ready: Prepared) -> tuple[tuple[str, ...], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Names, gradient rows, residual and seconds of all rows; rows without a measurement weigh nothing."""
     names = tuple(name for name in ready.gradients[0] if any(np.any(g[name]) for g in ready.gradients))
     x = np.column_stack([np.concatenate([g[name] for g in ready.gradients]) for name in names])
@@ -148,7 +144,8 @@ def _least_squares_start(model: PowerModel, ready: Prepared) -> PowerModel:
     if not usable.any():
         raise InputError.single(
             f"the model of battery '{ready.battery}' gives no number in any row of these logs",
-            got="nothing that can be fitted", allowed="a formula with a finite value (no division by nought?)",
+            got="nothing that can be fitted",
+            allowed="a formula with a finite value (no division by nought?)",
         )
     size = np.linalg.norm(x[usable], axis=0)
     shift, *_ = np.linalg.lstsq(x[usable] / size * weight[usable, None], y[usable] * weight[usable], rcond=1e-9)

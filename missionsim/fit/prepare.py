@@ -68,9 +68,16 @@ class Prepared:
             base_w = np.where(broken, 0.0, base_w)
             slopes = {name: np.where(broken, 0.0, values) for name, values in slopes.items()}
         return RunData(
-            run.name, run.time_s, run.dt_s, measured, base_w, slopes, columns,
-            watched(run, set(self.names), self.texts), run.fresh,
-        )  # fmt: skip
+            run.name,
+            run.time_s,
+            run.dt_s,
+            measured,
+            base_w,
+            slopes,
+            columns,
+            watched(run, set(self.names), self.texts),
+            run.fresh,
+        )
 
 
 def prepare(model: PowerModel, logs: Sequence[Any], battery: str) -> Prepared:
@@ -98,16 +105,22 @@ def prepare(model: PowerModel, logs: Sequence[Any], battery: str) -> Prepared:
         needed = sorted({name for columns in lacking.values() for name in columns})
         raise InputError.single(
             f"the model of battery '{battery}' needs columns that the logs lack",
-            got=", ".join(sorted(set.intersection(*(set(log.columns) for log in tables)))), allowed=", ".join(needed),
+            got=", ".join(sorted(set.intersection(*(set(log.columns) for log in tables)))),
+            allowed=", ".join(needed),
         )
     parameters = {
         term.name_of(name): parameter for term in model.of(battery) for name, parameter in term.parameters.items()
     }
     return Prepared(
-        battery, tuple(runs), frozenset(names), texts(runs, names),
+        battery,
+        tuple(runs),
+        frozenset(names),
+        texts(runs, names),
         tuple(_base(model, run, battery) for run in runs),
-        tuple(gradient(model, run.cov, battery) for run in runs), parameters, remarks,
-    )  # fmt: skip
+        tuple(gradient(model, run.cov, battery) for run in runs),
+        parameters,
+        remarks,
+    )
 
 
 def _base(model: PowerModel, run: Run, battery: str) -> Array:

@@ -54,8 +54,9 @@ def refit_robot(robot: str | Path, logs: Sequence[Any], battery: str | None = No
     updates: dict[str, dict[str, Any]] = {}
     for name in wanted:
         if name not in model.batteries:
-            refused.append(InputError.single(f"the robot has no battery '{name}'", got=name,
-                                             allowed=", ".join(model.batteries)))
+            refused.append(
+                InputError.single(f"the robot has no battery '{name}'", got=name, allowed=", ".join(model.batteries))
+            )
             continue
         try:
             fit = fit_parameters(_aged(model, spec.sources, logs), logs, name)
@@ -69,14 +70,20 @@ def refit_robot(robot: str | Path, logs: Sequence[Any], battery: str | None = No
             whole = model.parameters[f"{name}/{parameter.name}"]
             if parameter.seen and whole.path:
                 # the file has the power of one unit of a component that is always on, the model that of all
-                updates[whole.path] = {"value": parameter.value / whole.times, "sd": parameter.sd / whole.times,
-                                       "status": "fitted", "source": CALIBRATION,
-                                       "note": f"{parameter.before / whole.times:.6g} before"}
+                updates[whole.path] = {
+                    "value": parameter.value / whole.times,
+                    "sd": parameter.sd / whole.times,
+                    "status": "fitted",
+                    "source": CALIBRATION,
+                    "note": f"{parameter.before / whole.times:.6g} before",
+                }
     if not fits:
         raise refused[0]
     if twice := [n for n, p in model.parameters.items() if fitted_to(spec.sources.get(p.source, p.source), logs)]:
-        remarks.append(f"{', '.join(n.partition('/')[2] for n in twice)}: fitted to these very logs before, so that "
-                       "they count twice now and the intervals are too narrow; refit the file as it was before")
+        remarks.append(
+            f"{', '.join(n.partition('/')[2] for n in twice)}: fitted to these very logs before, so that "
+            "they count twice now and the intervals are too narrow; refit the file as it was before"
+        )
     text = edit.set_values(edit.robot_text(robot), updates)
     count = len(logs)
     text = edit.set_source(text, CALIBRATION, f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(logs)}")
@@ -92,6 +99,7 @@ def _aged(model: PowerModel, sources: Mapping[str, str], logs: Sequence[Any]) ->
             return parameter
         return replace(parameter, sd=sd_on_other_logs(parameter.prior_sd, source) * abs(parameter.value))
 
-    terms = tuple(replace(term, parameters={name: aged(p) for name, p in term.parameters.items()})
-                  for term in model.terms)  # fmt: skip
+    terms = tuple(
+        replace(term, parameters={name: aged(p) for name, p in term.parameters.items()}) for term in model.terms
+    )
     return replace(model, terms=terms)

@@ -117,9 +117,12 @@ class Intervals:
 
     @classmethod
     def of(
-        cls, intervals_s: Sequence[tuple[Array, Array]], start_s: Sequence[float], step_s: Sequence[float],
+        cls,
+        intervals_s: Sequence[tuple[Array, Array]],
+        start_s: Sequence[float],
+        step_s: Sequence[float],
         rows: Sequence[int],
-    ) -> Intervals:  # fmt: skip
+    ) -> Intervals:
         """From the lower and upper ends [s] of the intervals of each run, which never overlap."""
         edges, low_at, least, total = [], [], [], 0
         for (low, high), step in zip(intervals_s, step_s, strict=True):
@@ -136,11 +139,19 @@ class Intervals:
         run = np.repeat(np.arange(len(edges)), [len(e) for e in edges])
         first = np.concatenate([[0], np.cumsum(rows)[:-1]])
         grid = Grid(
-            np.asarray(start_s, dtype=float)[run], np.asarray(step_s, dtype=float)[run],
-            np.asarray(rows, dtype=np.int32)[run], first.astype(np.int32)[run],
-        )  # fmt: skip
-        return cls(np.concatenate(edges), run, np.concatenate(low_at).astype(np.intp), grid, int(np.sum(rows)),
-                   np.concatenate(least))  # fmt: skip
+            np.asarray(start_s, dtype=float)[run],
+            np.asarray(step_s, dtype=float)[run],
+            np.asarray(rows, dtype=np.int32)[run],
+            first.astype(np.int32)[run],
+        )
+        return cls(
+            np.concatenate(edges),
+            run,
+            np.concatenate(low_at).astype(np.intp),
+            grid,
+            int(np.sum(rows)),
+            np.concatenate(least),
+        )
 
     def weights(self, delay_s: Array, lag_s: float) -> Weights:
         """Weights for the delay of each run, shape (runs,), and a common lag [s]."""

@@ -99,12 +99,7 @@ def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) 
 
 
 def _next_step(
-    source: Source,
-    candidates: Sequence[Candidate],
-    rules: Rules,
-    settings: Settings,
-    effects: int,
-    found: Choice,
+    source: Source, candidates: Sequence[Candidate], rules: Rules, settings: Settings, effects: int, found: Choice
 ) -> Choice | None:
     model = found.model
     gains = single_gains(model.gram, rules, model.chosen)
@@ -137,8 +132,10 @@ def _next_step(
     for trial in trials:
         fitted = fit_model(source, trial, model, thorough=False)
         spread = overdispersion(fitted, settings)
-        weighed = {c: _with_twin_limit(weigh(fitted, c, rules, settings, spread, effects), fitted, candidates,
-                                       settings) for c in trial}  # fmt: skip
+        weighed = {
+            c: _with_twin_limit(weigh(fitted, c, rules, settings, spread, effects), fitted, candidates, settings)
+            for c in trial
+        }
         if hidden is not None and trial[-1] == hidden and hidden not in first_of:
             weighed[hidden].passed["repeated in the runs"] = weighed[hidden].p_runs < REPEATED
         rise = log_likelihood(fitted) - before
@@ -226,9 +223,7 @@ def changes(model: Model, column: int, candidates: Sequence[Candidate]) -> int:
     return sum(int(np.count_nonzero(np.diff(v[np.isfinite(v)]))) for v in values)
 
 
-def _beyond_form(
-    fitted: Model, column: int, gain: float, found: Choice, candidates: Sequence[Candidate]
-) -> bool:
+def _beyond_form(fitted: Model, column: int, gain: float, found: Choice, candidates: Sequence[Candidate]) -> bool:
     """Whether a column is more than a correction to the form of an effect in the model.
 
     No form is exact: v2 with a little v3 explains any friction curve better than either alone, and only one is there.

@@ -152,12 +152,23 @@ class Source:
     def with_column(self, column: int, layout: Layout, rows: Sequence[Array]) -> Source:
         """The same runs with one column, an array (rows,) for each run, evaluated anew; the rest is shared."""
         root = self._root or self
-        curve = integral_curves([
-            grid.on(np.asarray(values, dtype=float)[None, :])
-            for grid, values in zip(root._grids(), rows, strict=True)
-        ])  # fmt: skip
-        return Source(self.runs, self.columns, self.covariates, layout, self.clock, self.aligned, self.kept,
-                      _root=root, _varied={**self._varied, column: curve})  # fmt: skip
+        curve = integral_curves(
+            [
+                grid.on(np.asarray(values, dtype=float)[None, :])
+                for grid, values in zip(root._grids(), rows, strict=True)
+            ]
+        )
+        return Source(
+            self.runs,
+            self.columns,
+            self.covariates,
+            layout,
+            self.clock,
+            self.aligned,
+            self.kept,
+            _root=root,
+            _varied={**self._varied, column: curve},
+        )
 
     def design(self, clock: Clock, only: Sequence[int] | None = None) -> Design:
         """Build the regression for a clock, with all candidate columns or some only."""
@@ -182,19 +193,28 @@ class Source:
         curves = self._curves((*range(HEAD_ROWS + q), *(HEAD_ROWS + q + k for k in chosen)))
         here = np.ascontiguousarray(grid.means(curves, self._weights(clock)).T)
         run_delay = clock.delay_s + np.asarray(clock.run_delay_s)
-        later, earlier = (grid.means_of_one(self._base_curve(), run_delay + shift, clock.lag_s)
-                          for shift in (DERIVATIVE_STEP_S, -DERIVATIVE_STEP_S))  # fmt: skip
+        later, earlier = (
+            grid.means_of_one(self._base_curve(), run_delay + shift, clock.lag_s)
+            for shift in (DERIVATIVE_STEP_S, -DERIVATIVE_STEP_S)
+        )
         base, motion, switching, spread = here[:HEAD_ROWS]
         slope = (later - earlier) / (2 * DERIVATIVE_STEP_S)
         bend = (later - 2 * base + earlier) / DERIVATIVE_STEP_S**2
         scale = np.array([self.layout.mean_power_w / self.layout.columns[k].watts_per_unit for k in chosen])
         frame = self._rows()
         return Design(
-            self.layout, frame.y, base, frame.duration_s, frame.time_s,
+            self.layout,
+            frame.y,
+            base,
+            frame.duration_s,
+            frame.time_s,
             np.vstack([here[HEAD_ROWS : HEAD_ROWS + q], slope, bend, spread, switching]),
-            here[HEAD_ROWS + q :] * scale[:, None], np.vstack([np.ones_like(base), base, motion, slope, bend]),
-            frame.runs, frame.stretches, tuple(r.run for r in self.runs),
-        )  # fmt: skip
+            here[HEAD_ROWS + q :] * scale[:, None],
+            np.vstack([np.ones_like(base), base, motion, slope, bend]),
+            frame.runs,
+            frame.stretches,
+            tuple(r.run for r in self.runs),
+        )
 
     def _rows(self) -> Frame:
         if self._frame is None:

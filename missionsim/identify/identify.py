@@ -84,9 +84,13 @@ def fit_effects(
 
 
 def _report(
-    source: Source, candidates: Sequence[Candidate], choice: Choice, settings: Settings, given_runs: int,
+    source: Source,
+    candidates: Sequence[Candidate],
+    choice: Choice,
+    settings: Settings,
+    given_runs: int,
     given: bool = False,
-) -> Identification:  # fmt: skip
+) -> Identification:
     rules = Rules.of(source.layout, candidates)
     if not given:
         choice = without_shadows(choice, candidates, rules, settings)
@@ -111,10 +115,11 @@ def _report(
         for i, name in enumerate(layout.parameters)
     )
     clock = ClockReport(
-        model.clock.delay_s, model.clock.lag_s,
+        model.clock.delay_s,
+        model.clock.lag_s,
         {n: model.clock.delay_s + d for n, d in zip(model.design.names, model.clock.run_delay_s, strict=True)},
         model.clock.at_edge,
-    )  # fmt: skip
+    )
     return Identification(
         verdict=verdict,
         effects=effects,

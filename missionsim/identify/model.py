@@ -143,10 +143,15 @@ def fit_model(source: Source, chosen: Sequence[int], start: Model | None = None,
         # what a new effect explains had passed for differences between runs, and a fit from there would stay there
         fresh = start_noise(design)
         guess = replace(
-            guess, gain=min(guess.gain, USUAL_GAIN), motion_gain=min(guess.motion_gain, USUAL_GAIN),
-            offset_w=min(guess.offset_w, fresh.offset_w), fast_s=fresh.fast_s, slow_s=fresh.slow_s,
-            fast_share=fresh.fast_share, slow_share=fresh.slow_share,
-        )  # fmt: skip
+            guess,
+            gain=min(guess.gain, USUAL_GAIN),
+            motion_gain=min(guess.motion_gain, USUAL_GAIN),
+            offset_w=min(guess.offset_w, fresh.offset_w),
+            fast_s=fresh.fast_s,
+            slow_s=fresh.slow_s,
+            fast_share=fresh.fast_share,
+            slow_share=fresh.slow_share,
+        )
     noise = fit_noise(design, chosen, guess, thorough=guess is None or unusual)
     if source.aligned:
         clock = refine_clock(source, clock, noise, chosen, 2 if start is None else 1)

@@ -90,9 +90,21 @@ def start_noise(design: Design) -> Noise:
     sigma = 0.02 * power * min(1.0, np.sqrt(step))
     has_motion = 0.005 if np.any(design.random[2]) else 1e-6
     return Noise(
-        step, max(4.0, 2 * step), max(60.0, 20 * step), 0.6, 0.1, sigma, 0.0, 0.005 * power, 0.005, has_motion,
-        0.0, 0.0, np.ones(n), np.ones(n),
-    )  # fmt: skip
+        step,
+        max(4.0, 2 * step),
+        max(60.0, 20 * step),
+        0.6,
+        0.1,
+        sigma,
+        0.0,
+        0.005 * power,
+        0.005,
+        has_motion,
+        0.0,
+        0.0,
+        np.ones(n),
+        np.ones(n),
+    )
 
 
 def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None, thorough: bool = True) -> Noise:
@@ -163,9 +175,13 @@ def _fit_filter(design: Design, noise: Noise, rows: Blocks, chosen: int, evaluat
         odds = np.exp(np.clip(x[2:4], -12, 12))
         shares = odds / (1 + odds.sum())
         return replace(
-            noise, fast_s=float(np.exp(x[0])), slow_s=float(np.exp(x[1])), fast_share=float(shares[0]),
-            slow_share=float(shares[1]), sigma_w=float(np.exp(x[4])),
-        )  # fmt: skip
+            noise,
+            fast_s=float(np.exp(x[0])),
+            slow_s=float(np.exp(x[1])),
+            fast_share=float(shares[0]),
+            slow_share=float(shares[1]),
+            sigma_w=float(np.exp(x[4])),
+        )
 
     def cost(x: Array) -> float:
         if not (0.05 * noise.step_s < np.exp(x[0]) < border < np.exp(x[1]) < 40 * border):
@@ -186,9 +202,11 @@ def _fit_filter(design: Design, noise: Noise, rows: Blocks, chosen: int, evaluat
     size = 1.0 if evaluations > 60 else 0.6
     simplex = np.vstack([x0] + [x0 + size * step for step in np.diag([0.5, 0.4, 0.7, 0.7, 0.3])])
     found = minimize(
-        cost, x0, method="Nelder-Mead",
+        cost,
+        x0,
+        method="Nelder-Mead",
         options={"maxfev": evaluations, "initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05},
-    )  # fmt: skip
+    )
     return at(found.x)
 
 
@@ -206,10 +224,16 @@ def _fit_levels(design: Design, noise: Noise, blocks: Array, chosen: int, evalua
 
     x0 = np.log([getattr(noise, n) for n in names])
     found = minimize(
-        lambda x: _objective(design, at(x), blocks, count, chosen), x0, method="Nelder-Mead",
-        options={"maxfev": evaluations, "xatol": 0.03, "fatol": 0.05,
-                 "initial_simplex": np.vstack([x0] + [x0 + s for s in np.diag([0.1, *([0.5] * (len(names) - 1))])])},
-    )  # fmt: skip
+        lambda x: _objective(design, at(x), blocks, count, chosen),
+        x0,
+        method="Nelder-Mead",
+        options={
+            "maxfev": evaluations,
+            "xatol": 0.03,
+            "fatol": 0.05,
+            "initial_simplex": np.vstack([x0] + [x0 + s for s in np.diag([0.1, *([0.5] * (len(names) - 1))])]),
+        },
+    )
     return at(found.x)
 
 

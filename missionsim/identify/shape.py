@@ -63,9 +63,7 @@ def _has_shape(candidate: Candidate, column: Column) -> bool:
     return candidate.refit is not None and not candidate.levels and bool(candidate.shape[column.position])
 
 
-def without_shadows(
-    choice: Choice, candidates: Sequence[Candidate], rules: Rules, settings: Settings
-) -> Choice:
+def without_shadows(choice: Choice, candidates: Sequence[Candidate], rules: Rules, settings: Settings) -> Choice:
     """Leave out what is only there because a shape in the model was not yet fitted, or was fitted beside it.
 
     Friction below a reference temperature, with that temperature 5 K off, leaves a constant rolling friction over.
@@ -144,9 +142,11 @@ def _refit(
     step = 0.25 * (high - low)
     simplex = np.vstack([x0] + [np.clip(x0 + np.where(x0 + s > high, -s, s), low, high) for s in np.diag(step)])
     found = minimize(
-        cost, x0, method="Nelder-Mead",
+        cost,
+        x0,
+        method="Nelder-Mead",
         options={"maxfev": EVALUATIONS * len(names), "initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05},
-    )  # fmt: skip
+    )
     best = outer(found.x)
     source = with_shape(best)
     design = source.design(model.clock)
@@ -212,8 +212,13 @@ def _replaced(source: Source, column: int, candidate: Candidate, shape: Mapping[
     if not mean > 0:
         return source
     numbered = list(source.layout.columns)
-    numbered[column] = replace(numbered[column], watts_per_unit=mean, mix=_mix(candidate, shape),
-                               exact=exact_name(candidate.effect), shape=tuple(shape.items()))
+    numbered[column] = replace(
+        numbered[column],
+        watts_per_unit=mean,
+        mix=_mix(candidate, shape),
+        exact=exact_name(candidate.effect),
+        shape=tuple(shape.items()),
+    )
     layout = replace(source.layout, columns=tuple(numbered))
     return source.with_column(column, layout, rows)
 

@@ -114,9 +114,7 @@ class Packed:
     runs: int
 
     @classmethod
-    def of(
-        cls, rows: Array, scale: Array, weight: Array, stretches: Sequence[slice], runs: Sequence[slice]
-    ) -> Packed:
+    def of(cls, rows: Array, scale: Array, weight: Array, stretches: Sequence[slice], runs: Sequence[slice]) -> Packed:
         """Cut rows (k, n) with scale and weight (n,) into stretches; every stretch lies in one of the runs."""
         scaled, root = rows / scale, np.sqrt(weight)
         begins = np.array([run.start for run in runs])

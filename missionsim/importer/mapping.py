@@ -94,11 +94,15 @@ def _logs(mapper: Mapper, part: Part) -> list[LogTable]:
 def _words_that_are_columns(mapper: Mapper) -> list[Remark]:
     """Remarks on `text: name` where the source has a column of that name, which was perhaps meant."""
     return [
-        Remark("name", name, f"'{column.text}' is this very word in every row, although the source has a "
-               "column of that name", f"as the map says; for the column write {name}: {column.text}")
+        Remark(
+            "name",
+            name,
+            f"'{column.text}' is this very word in every row, although the source has a column of that name",
+            f"as the map says; for the column write {name}: {column.text}",
+        )
         for name, column in mapper.spec.columns.items()
         if column.text is not None and column.text in mapper.raw.columns
-    ]  # fmt: skip
+    ]
 
 
 def _finish(

@@ -61,9 +61,15 @@ def kind_of_source(path: Path) -> str:
         return "bag"
     if kind := _NO_TABLES.get(path.suffix.lower()):
         raise InputError(
-            Fault(str(path), 0, 0, f"this is no {kind}, whatever its name says: it does not begin as one (damaged or "
-                  "compressed?)", "", "an empty file" if not head else "",
-                  f"a whole {kind}; a table needs another suffix")
+            Fault(
+                str(path),
+                0,
+                0,
+                f"this is no {kind}, whatever its name says: it does not begin as one (damaged or compressed?)",
+                "",
+                "an empty file" if not head else "",
+                f"a whole {kind}; a table needs another suffix",
+            )
         )
     return "table"
 

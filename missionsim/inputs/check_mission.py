@@ -92,8 +92,11 @@ class _MissionCheck(RouteCheck):
             for where, item in told:
                 if getattr(item, long, None) is not None:
                     self.check.add(
-                        (*where, long), f"'{long}' has no effect without '{often}'", got=long,
-                        allowed=f"{often} beside it, in the mission's behaviour or in the robot's", key=True,
+                        (*where, long),
+                        f"'{long}' has no effect without '{often}'",
+                        got=long,
+                        allowed=f"{often} beside it, in the mission's behaviour or in the robot's",
+                        key=True,
                     )
 
     def segment(self, segment: Any) -> None:
@@ -277,7 +280,9 @@ class _MissionCheck(RouteCheck):
             begin, end = (m.time if m is not None else None for m in (activity.from_, activity.until))
             if begin is not None and end is not None and end.value <= begin.value:
                 self.check.add(
-                    (*where, "until"), "the activity ends before it begins", got=f"{end.value:g} s",
+                    (*where, "until"),
+                    "the activity ends before it begins",
+                    got=f"{end.value:g} s",
                     allowed=f"more than {begin.value:g} s",
                 )
             for key, moment in (("from", activity.from_), ("until", activity.until)):
@@ -307,7 +312,9 @@ class _MissionCheck(RouteCheck):
                 self.check.known((*where, number), path, known, "uncertain value")
         if not self.check.touched("correlations") and not _possible(self.mission.correlations):
             self.check.add(
-                ("correlations",), "these correlations cannot hold together", key=True,
+                ("correlations",),
+                "these correlations cannot hold together",
+                key=True,
                 got=", ".join(dict.fromkeys(path for item in self.mission.correlations for path in item.between)),
                 allowed="a positive definite matrix of correlations",
             )

@@ -234,8 +234,13 @@ class MapSpec(FileModel):
         if "time_s" not in present:
             hint = did_you_mean("time_s", self.columns)
             found.append(
-                document.fault(("columns",), "the column 'time_s' is missing", hint=hint, key=True,
-                               allowed="time_s: and a formula; for a bag or ULog `time_s: time_s`")
+                document.fault(
+                    ("columns",),
+                    "the column 'time_s' is missing",
+                    hint=hint,
+                    key=True,
+                    allowed="time_s: and a formula; for a bag or ULog `time_s: time_s`",
+                )
             )
         kinds = {known[0].name for name in present if (known := column_of(name)) is not None}
         if not kinds & {"power_<battery>_w", "energy_<battery>_wh"} and not (

@@ -72,8 +72,11 @@ def build_effect(spec: EffectSpec, robot: RobotSpec | None = None) -> Effect:
         formula = _compiled(spec.power, place)
         specs = tuple(
             ParameterSpec(
-                name, p.unit, low=-float("inf") if p.low is None else p.low,
-                high=float("inf") if p.high is None else p.high, default=p.value,
+                name,
+                p.unit,
+                low=-float("inf") if p.low is None else p.low,
+                high=float("inf") if p.high is None else p.high,
+                default=p.value,
             )
             for name, p in spec.parameters.items()
         )
@@ -111,9 +114,12 @@ def _complete(
     unknown = [name for name in given if name not in {spec.name for spec in specs}]
     if missing or unknown:
         raise InputError.single(
-            f"{what}: " + "; ".join([f"parameter '{n}' is missing" for n in missing]
-                                    + [f"parameter '{n}' is not known" for n in unknown]),
-            got=", ".join(given), allowed=", ".join(f"{spec.name} ({spec.unit})" for spec in specs),
+            f"{what}: "
+            + "; ".join(
+                [f"parameter '{n}' is missing" for n in missing] + [f"parameter '{n}' is not known" for n in unknown]
+            ),
+            got=", ".join(given),
+            allowed=", ".join(f"{spec.name} ({spec.unit})" for spec in specs),
         )
     defaults = {
         spec.name: ModelParameter(spec.default, spec.unit, 0.0, spec.low, spec.high, "assumed", "default")
@@ -137,8 +143,12 @@ def _motion(robot: RobotSpec) -> Iterator[Term]:
     standing = None if motion.standing is None else _compiled(motion.standing, _place(robot, ("motion", "standing")))
     for effect in base_terms.motion_expression_terms(formula, standing, tuple(parameters)):
         used = {spec.name: parameters[spec.name] for spec in effect.parameters}
-        yield Term(TermKey(motion.battery, effect.component, effect.id), effect.renamed(place=place), used,
-                   {name: name for name in used})
+        yield Term(
+            TermKey(motion.battery, effect.component, effect.id),
+            effect.renamed(place=place),
+            used,
+            {name: name for name in used},
+        )
 
 
 def _components(robot: RobotSpec) -> Iterator[Term]:
@@ -154,8 +164,11 @@ def _components(robot: RobotSpec) -> Iterator[Term]:
             load = component.loads[0]
             link = _link(robot, load)
             yield Term(
-                TermKey(load.battery, name, f"{name} start-up"), base_terms.startup_term(name),
-                {"power": model_parameter(startup.power)}, {"power": f"{name}.startup_power"}, scale=1.0 / link[1],
+                TermKey(load.battery, name, f"{name} start-up"),
+                base_terms.startup_term(name),
+                {"power": model_parameter(startup.power)},
+                {"power": f"{name}.startup_power"},
+                scale=1.0 / link[1],
                 link=link,
             )
 
@@ -220,8 +233,12 @@ def _processor(robot: RobotSpec) -> Iterator[Term]:
     if not parameters:
         return
     effect = base_terms.processor_term(tuple(entries), columns, idle, robot.processor.fallback == "refuse")
-    yield Term(TermKey(robot.processor.battery, "processor", "processor"), effect, parameters,
-               {name: name for name in parameters})
+    yield Term(
+        TermKey(robot.processor.battery, "processor", "processor"),
+        effect,
+        parameters,
+        {name: name for name in parameters},
+    )
 
 
 def _effects(robot: RobotSpec) -> Iterator[Term]:
@@ -233,8 +250,13 @@ def _effects(robot: RobotSpec) -> Iterator[Term]:
             continue
         label = spec.name or effect.id
         parameters = _complete(f"effect '{label}'", _converted(spec.parameters, effect.parameters), effect.parameters)
-        yield Term(TermKey(spec.battery, effect.component, label), effect, parameters,
-                   {name: f"{label}.{name}" for name in parameters}, base=False)
+        yield Term(
+            TermKey(spec.battery, effect.component, label),
+            effect,
+            parameters,
+            {name: f"{label}.{name}" for name in parameters},
+            base=False,
+        )
 
 
 def _unique(terms: list[Term]) -> Iterator[Term]:

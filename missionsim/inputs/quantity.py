@@ -44,8 +44,7 @@ class QuantityOf(UncertainReader):
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
         return core_schema.with_info_plain_validator_function(
-            self._validate,
-            serialization=core_schema.plain_serializer_function_ser_schema(_serialize),
+            self._validate, serialization=core_schema.plain_serializer_function_ser_schema(_serialize)
         )
 
     def __get_pydantic_json_schema__(

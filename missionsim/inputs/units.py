@@ -232,13 +232,26 @@ def _compound(unit: str) -> float | None:
 
 _EXPONENTS: dict[str, tuple[int, int, int, int, int]] = {
     # of m, kg, s, A, K; an angle counts as a plain number
-    "length": (1, 0, 0, 0, 0), "speed": (1, 0, -1, 0, 0), "acceleration": (1, 0, -2, 0, 0), "angle": (0, 0, 0, 0, 0),
-    "yaw rate": (0, 0, -1, 0, 0), "yaw acceleration": (0, 0, -2, 0, 0), "mass": (0, 1, 0, 0, 0),
-    "power": (2, 1, -3, 0, 0), "energy": (2, 1, -2, 0, 0), "charge": (0, 0, 1, 1, 0), "voltage": (2, 1, -3, -1, 0),
-    "current": (0, 0, 0, 1, 0), "resistance": (2, 1, -3, -2, 0), "duration": (0, 0, 1, 0, 0),
-    "frequency": (0, 0, -1, 0, 0), "temperature": (0, 0, 0, 0, 1), "fraction": (0, 0, 0, 0, 0),
-    "number": (0, 0, 0, 0, 0), "force": (1, 1, -2, 0, 0),
-}  # fmt: skip
+    "length": (1, 0, 0, 0, 0),
+    "speed": (1, 0, -1, 0, 0),
+    "acceleration": (1, 0, -2, 0, 0),
+    "angle": (0, 0, 0, 0, 0),
+    "yaw rate": (0, 0, -1, 0, 0),
+    "yaw acceleration": (0, 0, -2, 0, 0),
+    "mass": (0, 1, 0, 0, 0),
+    "power": (2, 1, -3, 0, 0),
+    "energy": (2, 1, -2, 0, 0),
+    "charge": (0, 0, 1, 1, 0),
+    "voltage": (2, 1, -3, -1, 0),
+    "current": (0, 0, 0, 1, 0),
+    "resistance": (2, 1, -3, -2, 0),
+    "duration": (0, 0, 1, 0, 0),
+    "frequency": (0, 0, -1, 0, 0),
+    "temperature": (0, 0, 0, 0, 1),
+    "fraction": (0, 0, 0, 0, 0),
+    "number": (0, 0, 0, 0, 0),
+    "force": (1, 1, -2, 0, 0),
+}
 
 
 def same_dimension(unit: str, other: str) -> bool:

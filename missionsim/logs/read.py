@@ -233,12 +233,21 @@ def make_log(
         )
         kinds = measured_batteries(rows.columns)
         if not kinds or len(rows.row) < 2:
-            told = [remark for remark in rows.remarks if remark.column.startswith(("power_", "voltage_", "current_",
-                                                                                   "energy_"))]  # fmt: skip
+            told = [
+                remark
+                for remark in rows.remarks
+                if remark.column.startswith(("power_", "voltage_", "current_", "energy_"))
+            ]
             raise InputError(
-                Fault(raw.file, 0, 0, "no battery has values in two rows or more", "power_<battery>_w",
-                      "; ".join(f"{remark.column}: {remark.message}" for remark in told), "numbers in watts, or in "
-                      "volts and amperes, or in watt-hours")
+                Fault(
+                    raw.file,
+                    0,
+                    0,
+                    "no battery has values in two rows or more",
+                    "power_<battery>_w",
+                    "; ".join(f"{remark.column}: {remark.message}" for remark in told),
+                    "numbers in watts, or in volts and amperes, or in watt-hours",
+                )
             )
         return _freeze(rows, run, kinds, held, robot, own, statistics)
 

@@ -232,8 +232,9 @@ def check_dead_meter(rows: Rows, battery: str, power_w: Floats) -> None:
 def check_standstill(rows: Rows) -> None:
     """Tell a speed or yaw rate whose noise at rest is above the limits of standing still."""
     number = {name: rows.columns.get(name) for name in ("speed_m_s", "yaw_rate_rad_s")}
-    speed, yaw = (None if data is None or isinstance(data, Labels) else np.abs(data[:_SAMPLE])
-                  for data in number.values())
+    speed, yaw = (
+        None if data is None or isinstance(data, Labels) else np.abs(data[:_SAMPLE]) for data in number.values()
+    )
     if speed is None:
         return
     turning = np.zeros_like(speed) if yaw is None else yaw

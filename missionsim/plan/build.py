@@ -21,8 +21,12 @@ if TYPE_CHECKING:
     import numpy as np
 
 MOST_SEGMENTS = 1_000_000
-_EXTRAS = (("temperature", "temp_ambient_c"), ("cpu_load", "cpu_load"), ("cpu_frequency", "cpu_freq_hz"),
-           ("access_point_distance", "access_point_distance_m"))
+_EXTRAS = (
+    ("temperature", "temp_ambient_c"),
+    ("cpu_load", "cpu_load"),
+    ("cpu_frequency", "cpu_freq_hz"),
+    ("access_point_distance", "access_point_distance_m"),
+)
 
 
 def make_plan(
@@ -75,7 +79,9 @@ class _Builder:
         accel = self._robot(body.max_acceleration)
         decel = self._robot(body.max_deceleration)
         self.limits = Limits(
-            accel, accel if decel is None else decel, self.number(body.max_yaw_rate, "robot."),
+            accel,
+            accel if decel is None else decel,
+            self.number(body.max_yaw_rate, "robot."),
             self._robot(body.max_yaw_acceleration),
         )
         self.chance: dict[str, int] = {}
@@ -110,8 +116,16 @@ class _Builder:
 
         steps = group(self.legs, self.limits, breaks if slow else None)
         activities = tuple(self._activity(i, spec) for i, spec in enumerate(self.mission.activities))
-        return Plan(tuple(self.legs), steps, tuple(self.segments), activities, self.limits, start,
-                    tuple(sorted(self.chance.items())), tuple(self._routes))
+        return Plan(
+            tuple(self.legs),
+            steps,
+            tuple(self.segments),
+            activities,
+            self.limits,
+            start,
+            tuple(sorted(self.chance.items())),
+            tuple(self._routes),
+        )
 
     def fault(self, segment: Any, message: str, allowed: str = "") -> InputError:
         """A fault at the line of a segment."""
@@ -191,9 +205,13 @@ class _Builder:
             extra |= {name: self._condition(value) for name, value in source.items()}
         slope = segment.slope if segment.kind in ("drive", "arc", "move") else None
         made = Settings(
-            len(self.segments) - 1, mission.scheme_of(segment) or "", mission.navigation_of(segment) or "",
-            tuple(sorted(mission.sensors_of(segment).items())), 0.0 if payload is None else self.number(payload),
-            0.0 if slope is None else self.number(slope), self._ambient_surface if surface is None else surface,
+            len(self.segments) - 1,
+            mission.scheme_of(segment) or "",
+            mission.navigation_of(segment) or "",
+            tuple(sorted(mission.sensors_of(segment).items())),
+            0.0 if payload is None else self.number(payload),
+            0.0 if slope is None else self.number(slope),
+            self._ambient_surface if surface is None else surface,
             tuple(sorted(extra.items())),
         )
         self._base[id(segment)] = made
@@ -218,7 +236,9 @@ class _Builder:
             mission = self.mission
             of_robot = self.robot.schemes.get(scheme)
             known = self._behaviours_of[scheme] = (
-                (mission.behaviour.schemes.get(scheme), ""), (mission.behaviour, ""), (mission.defaults.behaviour, ""),
+                (mission.behaviour.schemes.get(scheme), ""),
+                (mission.behaviour, ""),
+                (mission.defaults.behaviour, ""),
                 (of_robot.behaviour if of_robot else None, "robot."),
             )
         return known
@@ -258,8 +278,16 @@ class _Builder:
             heading = None if segment.heading is None else self.number(segment.heading)
             self._face(segment, base, heading)
             pace = self._pace(segment)
-            self.legs.append(Leg("roll", base, self.number(segment.distance) * self._stretch(segment), pace.speed,
-                                 instant=self._instant(segment), pace=pace))
+            self.legs.append(
+                Leg(
+                    "roll",
+                    base,
+                    self.number(segment.distance) * self._stretch(segment),
+                    pace.speed,
+                    instant=self._instant(segment),
+                    pace=pace,
+                )
+            )
             self.place = ""
             return
         if self.routes is None:
@@ -282,11 +310,18 @@ class _Builder:
         instant = self._instant(segment)
         pieces = self._radio(way, settings)
         for i, (share_from, share_to, here) in enumerate(pieces):
-            self.legs.append(Leg(
-                "roll", here, way.length_m * (share_to - share_from) * stretch, pace.speed, instant=instant, pace=pace,
-                place=way.end if i + 1 == len(pieces) else "",
-                edge=(way.begin, way.end, way.length_m * share_from, way.length_m * share_to),
-            ))
+            self.legs.append(
+                Leg(
+                    "roll",
+                    here,
+                    way.length_m * (share_to - share_from) * stretch,
+                    pace.speed,
+                    instant=instant,
+                    pace=pace,
+                    place=way.end if i + 1 == len(pieces) else "",
+                    edge=(way.begin, way.end, way.length_m * share_from, way.length_m * share_to),
+                )
+            )
 
     def _radio(self, way: Way, settings: Settings) -> list[tuple[float, float, Settings]]:
         """Pieces of a way with the distance to the nearest access point (its root mean square over the piece)."""
@@ -294,12 +329,17 @@ class _Builder:
         if environment is None or not environment.access_points or "access_point_distance_m" in way.extra:
             return [(0.0, 1.0, settings)]
         assert self.routes is not None
-        points = [(self.number(p.x, "environment."), self.number(p.y, "environment."))
-                  for p in environment.access_points.values()]
+        points = [
+            (self.number(p.x, "environment."), self.number(p.y, "environment."))
+            for p in environment.access_points.values()
+        ]
         pieces = []
         for low, high, distance in self.routes.away_from(way, points):
-            extra = settings.extra if distance is None else tuple(
-                sorted({**dict(settings.extra), "access_point_distance_m": distance}.items()))
+            extra = (
+                settings.extra
+                if distance is None
+                else tuple(sorted({**dict(settings.extra), "access_point_distance_m": distance}.items()))
+            )
             pieces.append((low, high, settings._replace(extra=extra)))
         return pieces
 
@@ -335,15 +375,33 @@ class _Builder:
         rate = self.limits.yaw_rate_rad_s if given is None else self.number(given)
         pace = self._pace(segment, rate * radius)
         length = radius * abs(angle) * self._stretch(segment)
-        self.legs.append(Leg("roll", base, length, pace.speed, math.copysign(1.0 / radius, angle),
-                             instant=self._instant(segment), pace=pace))
+        self.legs.append(
+            Leg(
+                "roll",
+                base,
+                length,
+                pace.speed,
+                math.copysign(1.0 / radius, angle),
+                instant=self._instant(segment),
+                pace=pace,
+            )
+        )
         self.place = ""
         self.heading = None if self.heading is None else self.heading + angle
 
     def _move(self, segment: Any, base: Settings) -> None:
         pace = self._pace(segment)
-        self.legs.append(Leg("slide", base, self.number(segment.distance) * self._stretch(segment), pace.speed,
-                             direction_rad=self.number(segment.direction), instant=self._instant(segment), pace=pace))
+        self.legs.append(
+            Leg(
+                "slide",
+                base,
+                self.number(segment.distance) * self._stretch(segment),
+                pace.speed,
+                direction_rad=self.number(segment.direction),
+                instant=self._instant(segment),
+                pace=pace,
+            )
+        )
         self.place = ""
 
     def _inspect(self, segment: Any, base: Settings) -> None:
@@ -366,8 +424,9 @@ class _Builder:
         if environment is not None and self.place in environment.places:
             charger = environment.places[self.place].charger
         if charger is None:
-            raise self.fault(segment, f"no charger at '{self.place or 'an unknown place'}'",
-                             "a place with a charger, reached before")
+            raise self.fault(
+                segment, f"no charger at '{self.place or 'an unknown place'}'", "a place with a charger, reached before"
+            )
         asked = segment.recharge
         batteries = asked.batteries or charger.batteries or tuple(self.robot.batteries)
         offered = self.number(charger.power, "environment.")
@@ -377,9 +436,12 @@ class _Builder:
                 most = math.inf if spec.max_charge_power is None else self.number(spec.max_charge_power, "robot.")
                 power[name] = min(offered, most) * self.number(spec.charge_efficiency, "robot.")
         recharge = Recharge(
-            self.place, power, tuple(power),
+            self.place,
+            power,
+            tuple(power),
             None if asked.until is None else self.number(asked.until),
-            None if asked.duration is None else self.number(asked.duration), charger.slots,
+            None if asked.duration is None else self.number(asked.duration),
+            charger.slots,
         )
         self.legs.append(Leg("dock", base, place=self.place, recharge=recharge))
 

@@ -83,9 +83,9 @@ class Homing:
                 best = first + [_leg(leg, other) for other in rest]
         return best
 
-    def detour(self, leg: Leg, done_m: float, brake_m: float, segment: int, driven: Leg | None) -> tuple[
-        list[Leg], tuple[Step, ...]
-    ] | None:
+    def detour(
+        self, leg: Leg, done_m: float, brake_m: float, segment: int, driven: Leg | None
+    ) -> tuple[list[Leg], tuple[Step, ...]] | None:
         """Legs and steps home for the engine, booked on a segment of their own; None where there is no way."""
         rolling = leg.kind == "roll"
         way = self.from_edge(leg, done_m, brake_m) if rolling else self.from_place(leg.place, driven or leg)
@@ -112,8 +112,15 @@ def last_driven(legs: Sequence[Leg], upto: int) -> Leg | None:
 
 def _leg(like: Leg, way: Way) -> Leg:
     speed = min(like.speed_m_s, way.max_speed_m_s)
-    return Leg("roll", along(like.settings, way), way.length_m, speed, instant=like.instant, place=way.end,
-               edge=(way.begin, way.end, 0.0, way.length_m))
+    return Leg(
+        "roll",
+        along(like.settings, way),
+        way.length_m,
+        speed,
+        instant=like.instant,
+        place=way.end,
+        edge=(way.begin, way.end, 0.0, way.length_m),
+    )
 
 
 def _length(ways: Sequence[Way]) -> float:

@@ -71,7 +71,8 @@ class Routes:
             if length is None:
                 raise InputError.single(
                     f"the edge from '{edge.from_}' to '{edge.to}' has neither a length nor coordinates at both ends",
-                    file=str(environment.path), allowed="length: 16 m",
+                    file=str(environment.path),
+                    allowed="length: 16 m",
                 )
             extra: dict[str, float | str] = {}
             if edge.temperature is not None:
@@ -102,9 +103,7 @@ class Routes:
             return None
         return math.atan2(b[1] - a[1], b[0] - a[0])
 
-    def away_from(
-        self, way: Way, points: Sequence[tuple[float, float]]
-    ) -> list[tuple[float, float, float | None]]:
+    def away_from(self, way: Way, points: Sequence[tuple[float, float]]) -> list[tuple[float, float, float | None]]:
         """Pieces of a way and the distance [m] from each to the nearest point (its root mean square over the piece).
 
         Begin and end are parts of the way; the distance is None where the way's ends have no coordinates.
@@ -157,13 +156,17 @@ class Routes:
         for place in (begin, end):
             if place not in self.ways:
                 raise InputError.single(
-                    f"unknown place '{place}'", file=where, got=place, allowed=", ".join(self.ways),
+                    f"unknown place '{place}'",
+                    file=where,
+                    got=place,
+                    allowed=", ".join(self.ways),
                     hint=did_you_mean(place, self.ways),
                 )
         found = self.shortest(begin, end)
         if found is None:
-            raise InputError.single(f"no way from '{begin}' to '{end}'", file=where, got=end,
-                                    allowed="a place that the edges connect")
+            raise InputError.single(
+                f"no way from '{begin}' to '{end}'", file=where, got=end, allowed="a place that the edges connect"
+            )
         return found
 
     def length(self, begin: str, end: str) -> float:

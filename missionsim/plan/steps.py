@@ -48,9 +48,7 @@ def group(legs: Sequence[Leg], limits: Limits, breaks: Breaks | None = None) -> 
         spans.append((begin, i))
         begin = i
     profiles = _profiles(legs, spans, limits)
-    return tuple(
-        Step(legs[low].kind, _step_phases(legs, low, high, profiles.get(low))) for low, high in spans
-    )
+    return tuple(Step(legs[low].kind, _step_phases(legs, low, high, profiles.get(low))) for low, high in spans)
 
 
 Profile = tuple[list[list[float]], list[list[float]], list[list[float]]]

@@ -162,9 +162,19 @@ def mecanum_fit(
     motion_w, robot_w = model(fit.x)
     scores = {"3": errors(motion_w, motion_measured), "4": errors(robot_w, robot_measured)}
     return MecanumFit(
-        profile, duration_s, friction, mass, copper, electronics, pulse, motion_w, robot_w,
-        {t: s[0] for t, s in scores.items()}, {t: s[1] for t, s in scores.items()},
-        {t: s[2] for t, s in scores.items()}, np.linalg.svd(fit.jac * fit.x, compute_uv=False),
+        profile,
+        duration_s,
+        friction,
+        mass,
+        copper,
+        electronics,
+        pulse,
+        motion_w,
+        robot_w,
+        {t: s[0] for t, s in scores.items()},
+        {t: s[1] for t, s in scores.items()},
+        {t: s[2] for t, s in scores.items()},
+        np.linalg.svd(fit.jac * fit.x, compute_uv=False),
     )
 
 

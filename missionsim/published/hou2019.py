@@ -48,7 +48,8 @@ def start_powers(times_s: Array) -> dict[str, Array]:
     values = {name: p.value for name, p in model.parameters.items()}
     motion = sum((powers[name] for name in MOTION_TERMS if name in powers), start=np.zeros_like(times_s))
     return {
-        "speed": speed, "motion": motion,
+        "speed": speed,
+        "motion": motion,
         "robot": motion + powers["electronics"] + np.where(pulse, values["robot/control_pulse"], 0.0),
     }
 
@@ -182,11 +183,22 @@ def identifiability(figures: Mapping[str, Figure]) -> list[dict[str, float | str
     top = figures["time.max"].value
     for profile, duration in (("linear", top), ("minimum_jerk", top), ("minimum_jerk", top + 0.02)):
         fit = fits.mecanum_fit(figures, profile=profile, duration_s=duration)
-        rows.append({
-            "profile": profile, "duration_s": duration, "wheel_friction_n": fit.friction_n, "mass_kg": fit.mass_kg,
-            "copper_w_n2": fit.copper_w_n2, "electronics_w": fit.electronics_w, "pulse_w": fit.pulse_w,
-            "rmse_table3_w": fit.rmse_w["3"], "rmse_table4_w": fit.rmse_w["4"], "mape_table3_pct": fit.mape_pct["3"],
-            "mape_table4_pct": fit.mape_pct["4"], "max_table3_pct": fit.max_pct["3"],
-            "max_table4_pct": fit.max_pct["4"], "condition": float(fit.singular_values[0] / fit.singular_values[-1]),
-        })
+        rows.append(
+            {
+                "profile": profile,
+                "duration_s": duration,
+                "wheel_friction_n": fit.friction_n,
+                "mass_kg": fit.mass_kg,
+                "copper_w_n2": fit.copper_w_n2,
+                "electronics_w": fit.electronics_w,
+                "pulse_w": fit.pulse_w,
+                "rmse_table3_w": fit.rmse_w["3"],
+                "rmse_table4_w": fit.rmse_w["4"],
+                "mape_table3_pct": fit.mape_pct["3"],
+                "mape_table4_pct": fit.mape_pct["4"],
+                "max_table3_pct": fit.max_pct["3"],
+                "max_table4_pct": fit.max_pct["4"],
+                "condition": float(fit.singular_values[0] / fit.singular_values[-1]),
+            }
+        )
     return rows

@@ -18,12 +18,17 @@ from missionsim.published.locate import mission, run
 
 PAPER = "jaiem2021"
 SCHEMES = {
-    "FM": "forward_motion", "SPF-OA": "path_following", "CM-OA": "centring_motion", "RVT": "rotational_visual_tracking",
+    "FM": "forward_motion",
+    "SPF-OA": "path_following",
+    "CM-OA": "centring_motion",
+    "RVT": "rotational_visual_tracking",
     "IA": "image_analysis",
 }
 NAVIGATION = {"none": None, "ODO": "odometry", "QRCN": "qr_code", "GBL": "grid_based_localisation"}
 CORRIDOR = {
-    "fm": "corridor_forward_motion", "cm": "corridor_centring_motion", "qr1": "corridor_qr_code_4_markers",
+    "fm": "corridor_forward_motion",
+    "cm": "corridor_centring_motion",
+    "qr1": "corridor_qr_code_4_markers",
     "qr2": "corridor_qr_code_8_markers",
 }
 Row = dict[str, str]
@@ -37,7 +42,12 @@ def ours() -> dict[str, Ours]:
     rows = [table4_row(model, row) for row in load_table("jaiem2021_table4_rows")]
     result: dict[str, Ours] = {}
     for part in (
-        _inputs(robot), _equations(model), _table1(robot), _table4(rows), _ranges(rows), _table5(figures),
+        _inputs(robot),
+        _equations(model),
+        _table1(robot),
+        _table4(rows),
+        _ranges(rows),
+        _table5(figures),
         patrol.figures(),
     ):
         result.update(part)
@@ -47,8 +57,11 @@ def ours() -> dict[str, Ours]:
 def table4_row(model: PowerModel, row: Row) -> dict[str, float]:
     """One row of Table 4: battery powers and their parts (W), shares (%)."""
     cov: dict[str, Any] = {
-        "speed_m_s": float(row["speed_m_s"]), "accel_m_s2": 0.0, "scheme": row["scheme"],
-        "navigation": row["navigation"], **{f"on_{name}": float(row[name]) for name in ("sonar", "laser", "kinect")},
+        "speed_m_s": float(row["speed_m_s"]),
+        "accel_m_s2": 0.0,
+        "scheme": row["scheme"],
+        "navigation": row["navigation"],
+        **{f"on_{name}": float(row[name]) for name in ("sonar", "laser", "kinect")},
     }
     power = model.evaluate(cov)
     laptop: dict[str, float] = {}
@@ -59,12 +72,22 @@ def table4_row(model: PowerModel, row: Row) -> dict[str, float]:
     p_l = sum(laptop.values())
     total = p_r + p_l
     return {
-        "row": float(row["row"]), "speed": float(row["speed_m_s"]),
-        "P_R": p_r, "P_L_kinect": laptop["kinect"], "P_L_laser": laptop["laser"],
-        "P_L_watt": laptop["wattmeter"] + laptop["robot_controller"], "P_L_switch1": laptop["switchboard1"],
-        "P_L_switch2": laptop["switchboard2"], "P_L_screen": screen, "P_L_proc": laptop["processor"], "P_L": p_l,
-        "pct_screen": 100.0 * screen / (p_l + screen), "P_total": total, "pct_P_R": 100.0 * p_r / total,
-        "pct_P_L": 100.0 * p_l / total, "delta_P": 100.0 * abs(p_r - p_l) / total,
+        "row": float(row["row"]),
+        "speed": float(row["speed_m_s"]),
+        "P_R": p_r,
+        "P_L_kinect": laptop["kinect"],
+        "P_L_laser": laptop["laser"],
+        "P_L_watt": laptop["wattmeter"] + laptop["robot_controller"],
+        "P_L_switch1": laptop["switchboard1"],
+        "P_L_switch2": laptop["switchboard2"],
+        "P_L_screen": screen,
+        "P_L_proc": laptop["processor"],
+        "P_L": p_l,
+        "pct_screen": 100.0 * screen / (p_l + screen),
+        "P_total": total,
+        "pct_P_R": 100.0 * p_r / total,
+        "pct_P_L": 100.0 * p_l / total,
+        "delta_P": 100.0 * abs(p_r - p_l) / total,
     }
 
 
@@ -86,19 +109,38 @@ def _inputs(robot: Any) -> Iterator[tuple[str, Ours]]:
     yield "mass", Ours(float(robot.body.mass))
     yield "laser_count", Ours(float(parts["laser"].units))
     yield "switch_channels", Ours(float(len(boards["switchboard1"].power) - 1), "relays of switchboard 1")
-    for key, name in (("eq7.C2", "c2"), ("eq8.c2", "c2"), ("eq10.c2", "c2"), ("eq7.C3", "c3"), ("eq8.c3", "c3"),
-                      ("eq7.C4", "c4"), ("eq8.c4", "c4"), ("eq10.c4", "c4"), ("eq8.rest", "standing"),
-                      ("sec311.controller", "standing"), ("table2.Controller1", "standing")):
+    for key, name in (
+        ("eq7.C2", "c2"),
+        ("eq8.c2", "c2"),
+        ("eq10.c2", "c2"),
+        ("eq7.C3", "c3"),
+        ("eq8.c3", "c3"),
+        ("eq7.C4", "c4"),
+        ("eq8.c4", "c4"),
+        ("eq10.c4", "c4"),
+        ("eq8.rest", "standing"),
+        ("sec311.controller", "standing"),
+        ("table2.Controller1", "standing"),
+    ):
         yield key, Ours(motion_of[name])
-    for key, value in (("sec311.kinect", kinect), ("table2.Kinect", kinect), ("sec311.laser", laser),
-                       ("table2.Laser", laser), ("sec311.two_lasers", parts["laser"].units * laser)):
+    for key, value in (
+        ("sec311.kinect", kinect),
+        ("table2.Kinect", kinect),
+        ("sec311.laser", laser),
+        ("table2.Laser", laser),
+        ("sec311.two_lasers", parts["laser"].units * laser),
+    ):
         yield key, Ours(value)
     yield "vexp", Ours(float(robot.body.max_speed))
     yield "eq12.p2", Ours(float(law.parameters["p2"]))
     yield "eq12.p1", Ours(float(law.parameters["p1"]))
     yield "sonar.rate", Ours(float(law.rate))
-    for key, name in (("laser", "laser"), ("kinect", "kinect"), ("controller", "robot_controller"),
-                      ("wattmeter", "wattmeter")):
+    for key, name in (
+        ("laser", "laser"),
+        ("kinect", "kinect"),
+        ("controller", "robot_controller"),
+        ("wattmeter", "wattmeter"),
+    ):
         yield f"table3.{key}", Ours(float(parts[name].loads[-1].power))
     for relays, power in enumerate(boards["switchboard1"].power):
         yield f"table3.switch{relays}", Ours(float(power))
@@ -152,13 +194,24 @@ def _ranges(rows: list[dict[str, float]]) -> Iterator[tuple[str, Ours]]:
     others = [row for config, row in named if config["scheme"] not in ("image_analysis", "rotational_visual_tracking")]
     shares = {config["scheme"]: row["pct_P_L"] for config, row in named}
     values = {
-        "fm.min": least(fm, "P_R"), "fm.max": most(fm, "P_R"), "fm.count": float(len(fm)), "fm.range": span(fm, "P_R"),
-        "all.min": least(moving, "P_R"), "all.max": most(rows, "P_R"), "proc.fm.min": least(fm, "P_L_proc"),
-        "proc.fm.max": most(fm, "P_L_proc"), "proc.fm.range": span(fm, "P_L_proc"),
-        "proc.all.min": least(rows, "P_L_proc"), "proc.all.max": most(rows, "P_L_proc"),
-        "total.fm.min": least(fm, "P_total"), "total.fm.max": most(fm, "P_total"),
-        "share.max_difference": largest["delta_P"], "share.pr": largest["pct_P_R"], "share.pl": largest["pct_P_L"],
-        "share.all": most(others, "delta_P"), "laptop.rvt": shares["rotational_visual_tracking"],
+        "fm.min": least(fm, "P_R"),
+        "fm.max": most(fm, "P_R"),
+        "fm.count": float(len(fm)),
+        "fm.range": span(fm, "P_R"),
+        "all.min": least(moving, "P_R"),
+        "all.max": most(rows, "P_R"),
+        "proc.fm.min": least(fm, "P_L_proc"),
+        "proc.fm.max": most(fm, "P_L_proc"),
+        "proc.fm.range": span(fm, "P_L_proc"),
+        "proc.all.min": least(rows, "P_L_proc"),
+        "proc.all.max": most(rows, "P_L_proc"),
+        "total.fm.min": least(fm, "P_total"),
+        "total.fm.max": most(fm, "P_total"),
+        "share.max_difference": largest["delta_P"],
+        "share.pr": largest["pct_P_R"],
+        "share.pl": largest["pct_P_L"],
+        "share.all": most(others, "delta_P"),
+        "laptop.rvt": shares["rotational_visual_tracking"],
         "laptop.ia": shares["image_analysis"],
     }
     for name, value in values.items():
@@ -179,7 +232,7 @@ def runs_of_table5(figures: Mapping[str, Figure]) -> dict[tuple[str, str], tuple
     result = {}
     for key, figure in figures.items():
         if key.startswith("table5.") and key.endswith(".experiment"):
-            experiment, velocity = key[len("table5."):-len(".experiment")].split(".", 1)
+            experiment, velocity = key[len("table5.") : -len(".experiment")].split(".", 1)
             source = figure
             if figure.basis == "contradiction":
                 source = figures[key.replace(".experiment", ".predicted")]
@@ -205,8 +258,9 @@ def _table5(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
         key = f"table5.{experiment}.{velocity}"
         yield f"{key}.predicted", Ours(predicted)
         k = stretch[experiment, velocity]
-        yield f"{key}.experiment", Ours(
-            predicted * k, f"predicted with a path stretch of {k:.3f} from the scheme's other two velocities"
+        yield (
+            f"{key}.experiment",
+            Ours(predicted * k, f"predicted with a path stretch of {k:.3f} from the scheme's other two velocities"),
         )
         printed = figures[f"{key}.experiment"].value
         # the errors of the QR-code runs follow from the cut predictions, those of the others from the uncut ones
@@ -214,8 +268,10 @@ def _table5(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
         used = math.floor(predicted * 100.0 + 1e-9) / 100.0 if cut else predicted
         error = 100.0 * abs(printed - used) / printed
         errors.setdefault(experiment, []).append(error)
-        yield f"{key}.error", Ours(error, "from the printed experiment and our prediction" + (
-            " cut to two digits" if cut else ""))
+        yield (
+            f"{key}.error",
+            Ours(error, "from the printed experiment and our prediction" + (" cut to two digits" if cut else "")),
+        )
     for velocity in dict.fromkeys(velocity for _, velocity in runs):
         driven: Any = mission(f"pioneer3dx/{CORRIDOR['fm']}_{round(float(velocity) * 100)}cm_s").defaults.speed
         yield f"table5.velocity.{velocity}", Ours(float(driven))
@@ -228,4 +284,3 @@ def _table5(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
     markers = figures["sec341.qr_markers2"].value
     yield "sec341.qr_spacing_low", Ours(length / markers)
     yield "sec341.qr_spacing_high", Ours(length / markers)
-

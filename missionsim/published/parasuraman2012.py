@@ -40,8 +40,11 @@ def motion_power(speed_m_s: float, payload_kg: float = 0.0) -> float:
 def static_power(radio: str | None) -> float:
     """Static power (W) of the robot with all sensors on, with a radio or without."""
     robot = load_robot("khepera3")
-    on = {"on_korebot": 1.0, "on_infrared": float(robot.components["infrared"].units),
-          "on_ultrasonic": float(robot.components["ultrasonic"].units)}
+    on = {
+        "on_korebot": 1.0,
+        "on_infrared": float(robot.components["infrared"].units),
+        "on_ultrasonic": float(robot.components["ultrasonic"].units),
+    }
     if radio:
         on[f"on_{radio}"] = 1.0
     return float(build_power_model(robot).total({"speed_m_s": 0.0, **on}, "robot"))
@@ -51,7 +54,9 @@ def crossing_energy(speed_m_s: float, radio: str | None) -> float:
     """Energy (Wh) of the crossing from A to B, simulated at a speed and with a radio."""
     sensors = "{" + SENSING + (f", {radio}: 1" if radio else "") + "}"
     overrides: Overrides = (
-        ("defaults.speed", f"{speed_m_s} m/s"), ("defaults.sensors", sensors), ("segments.1.wait.sensors", sensors)
+        ("defaults.speed", f"{speed_m_s} m/s"),
+        ("defaults.sensors", sensors),
+        ("segments.1.wait.sensors", sensors),
     )
     return run(CROSSING, overrides).batteries["robot"].energy_wh
 
@@ -100,8 +105,9 @@ def _inputs(robot: Any, figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]
     greatest = motion_power(float(robot.body.max_speed))
     yield "table1.khepera.power", Ours(greatest)
     named = figures["table1.khepera.power"].value
-    yield "table1.khepera.share", Ours(
-        100.0 * named / (named + static_power("wifi")), f"static power with WiFi {static_power('wifi'):.3f} W"
+    yield (
+        "table1.khepera.share",
+        Ours(100.0 * named / (named + static_power("wifi")), f"static power with WiFi {static_power('wifi'):.3f} W"),
     )
 
 
@@ -119,9 +125,12 @@ def _savings(figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]]:
     slow_wh = crossing_energy(slow, "wifi")
     yield "saving.speed", Ours(float(khepera.saving(slow_wh, crossing_energy(fast, "wifi"))))
     wifi, bluetooth = (run(TASK_A[name]).batteries["robot"].energy_wh for name in ("wifi", "bluetooth"))
-    yield "saving.bluetooth", Ours(
-        float(khepera.saving(wifi, bluetooth)),
-        f"task A simulated: {3600 * wifi:.1f} J against {3600 * bluetooth:.1f} J",
+    yield (
+        "saving.bluetooth",
+        Ours(
+            float(khepera.saving(wifi, bluetooth)),
+            f"task A simulated: {3600 * wifi:.1f} J against {3600 * bluetooth:.1f} J",
+        ),
     )
     yield "saving.no_radio", Ours(float(khepera.saving(slow_wh, crossing_energy(fast, None))))
     table1 = figures["table1.khepera.power"].value
@@ -131,8 +140,11 @@ def _savings(figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]]:
         return float(khepera.energy_needed(1.0, speed, static_w=static_w, motion_w=motion_power(speed)))
 
     slow_j = moving_only(slow, static)
-    yield "saving.speed.table1", Ours(
-        float(khepera.saving(slow_j, moving_only(fast, static))), f"static power {static:.3f} W, no standing time"
+    yield (
+        "saving.speed.table1",
+        Ours(
+            float(khepera.saving(slow_j, moving_only(fast, static))), f"static power {static:.3f} W, no standing time"
+        ),
     )
     # the 33 % give the difference of the radios; Bluetooth's own power is at least nought
     task = run(TASK_A["wifi"])
@@ -140,9 +152,12 @@ def _savings(figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]]:
     total_j = static * task.duration_s + motion_power(figures["taskA.speed"].value / 1000.0) * moving_s
     difference = figures["saving.bluetooth"].value / 100.0 * total_j / task.duration_s
     without = moving_only(fast, static - difference)
-    yield "saving.no_radio.from33", Ours(
-        float(khepera.saving(slow_j, without)),
-        f"least saving, with Bluetooth at 0 W and WiFi at {difference:.3f} W",
+    yield (
+        "saving.no_radio.from33",
+        Ours(
+            float(khepera.saving(slow_j, without)),
+            f"least saving, with Bluetooth at 0 W and WiFi at {difference:.3f} W",
+        ),
     )
 
 

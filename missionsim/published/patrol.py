@@ -44,7 +44,9 @@ class ErrorCurve:
         """Peak, final value, mean and standard deviation over the samples, %."""
         error = self.percent(relative_to)
         return {
-            "peak": float(np.max(error)), "final": float(error[-1]), "mean": float(np.mean(error)),
+            "peak": float(np.max(error)),
+            "final": float(error[-1]),
+            "mean": float(np.mean(error)),
             "std": float(np.std(error)),
         }
 
@@ -54,8 +56,9 @@ def error_curve(battery: str, plan: str = PLAN, driven: str = DRIVEN) -> ErrorCu
 
     Both runs have the same segments and hold their speed within one, so equal progress is an equal share of a segment.
     """
-    durations, energies = zip(*((_durations(name), run(name).by_segment_wh(battery)) for name in (plan, driven)),
-                              strict=True)
+    durations, energies = zip(
+        *((_durations(name), run(name).by_segment_wh(battery)) for name in (plan, driven)), strict=True
+    )
     return curve(durations[1], energies[0], energies[1])
 
 

@@ -40,9 +40,7 @@ def complexity_of_tracks() -> dict[str, float]:
     """Complexity of each track of the shipped environment."""
     spec = mission("rover_tx2/high_complexity").environment
     assert spec is not None
-    return {
-        str(edge.name): float(edge.conditions["complexity"]) for edge in spec.edges if edge.name in COMPLEXITIES
-    }
+    return {str(edge.name): float(edge.conditions["complexity"]) for edge in spec.edges if edge.name in COMPLEXITIES}
 
 
 def speeds(top_m_s: float, step_m_s: float = SPEED_STEP_M_S) -> Array:
@@ -62,9 +60,12 @@ def drive_constant(speed_m_s: float) -> float:
     robot = load_robot("rover_tx2")
     p = {name: float(value) for name, value in robot.motion.parameters.items()} if robot.motion else {}
     force = {
-        "mass_kg": float(robot.body.mass or 0.0), "rolling_coefficient": p["rolling_coefficient"],
-        "viscous_coefficient_s_m": p["viscous_coefficient"], "drag_coefficient": p["drag_coefficient"],
-        "frontal_area_m2": p["frontal_area"], "air_density_kg_m3": p["air_density"],
+        "mass_kg": float(robot.body.mass or 0.0),
+        "rolling_coefficient": p["rolling_coefficient"],
+        "viscous_coefficient_s_m": p["viscous_coefficient"],
+        "drag_coefficient": p["drag_coefficient"],
+        "frontal_area_m2": p["frontal_area"],
+        "air_density_kg_m3": p["air_density"],
     }
     step = 1e-4 * speed_m_s
     up, down = (float(traction.propulsive_force(speed_m_s + d, **force)) for d in (step, -step))
@@ -93,11 +94,10 @@ def processing_work(
 def kmh_values(figures: Mapping[str, Figure]) -> dict[str, float]:
     """Parameters of the robot under the reading that the printed speeds are km/h."""
     cpu = predictor()._cpu()
-    rest, more = processing_work(
-        figures, fixed_s=cpu["fixed_time"], share_at_rest=_share(cpu, figures), reading=KMH
-    )
+    rest, more = processing_work(figures, fixed_s=cpu["fixed_time"], share_at_rest=_share(cpu, figures), reading=KMH)
     return {
-        "robot/drive_constant": drive_constant(figures["mech.speed"].value * KMH), "robot/cpu.cycles": rest,
+        "robot/drive_constant": drive_constant(figures["mech.speed"].value * KMH),
+        "robot/cpu.cycles": rest,
         "robot/cpu.cycles_per_speed": more,
     }
 
@@ -116,8 +116,14 @@ def service_limit(robot: PowerPredictor, freq_hz: float, complexity: float, top_
 def _inputs(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
     robot = load_robot("rover_tx2")
     assert robot.motion is not None
-    names = {"Cr": "rolling_coefficient", "Cv": "viscous_coefficient", "Cd": "drag_coefficient", "Af": "frontal_area",
-             "ρ": "air_density", "rho": "air_density"}
+    names = {
+        "Cr": "rolling_coefficient",
+        "Cv": "viscous_coefficient",
+        "Cd": "drag_coefficient",
+        "Af": "frontal_area",
+        "ρ": "air_density",
+        "rho": "air_density",
+    }
     yield "table1.m", Ours(float(robot.body.mass or 0.0))
     for key in figures:
         name = names.get(key.removeprefix("table1."))
@@ -147,8 +153,10 @@ def _optima(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
     yield "joint.freq", Ours(best.freq_hz / 1e9, note)
     other = predictor(kmh_values(figures))
     found = other.best(speeds(16.0) * KMH, clocks, tracks["slalom"])
-    note = (f"{found.energy_j_m:.2f} J/m; drive constant {drive_constant(figures['mech.speed'].value * KMH):.2f} W; "
-            "a hypothesis that the text does not support")
+    note = (
+        f"{found.energy_j_m:.2f} J/m; drive constant {drive_constant(figures['mech.speed'].value * KMH):.2f} W; "
+        "a hypothesis that the text does not support"
+    )
     yield "joint.speed.kmh", Ours(found.speed_m_s / KMH, note)
     yield "joint.freq.kmh", Ours(found.freq_hz / 1e9, note)
     yield "qos.speed", Ours(service_limit(robot, float(clocks[-1]), tracks["slalom"], 2.0 * top))
@@ -174,11 +182,16 @@ def optima_table() -> list[dict[str, Any]]:
         grid = speeds(16.0) * scale
         for name, complexity in complexity_of_tracks().items():
             best = robot.best(grid, clocks, complexity)
-            rows.append({
-                "reading": reading, "track": name, "complexity": complexity, "speed": best.speed_m_s / scale,
-                "unit": unit, "clock_ghz": best.freq_hz / 1e9, "energy_j_m": best.energy_j_m,
-                "service_limit": service_limit(robot, float(clocks[-1]), complexity, 16.0 * scale) / scale,
-            })
+            rows.append(
+                {
+                    "reading": reading,
+                    "track": name,
+                    "complexity": complexity,
+                    "speed": best.speed_m_s / scale,
+                    "unit": unit,
+                    "clock_ghz": best.freq_hz / 1e9,
+                    "energy_j_m": best.energy_j_m,
+                    "service_limit": service_limit(robot, float(clocks[-1]), complexity, 16.0 * scale) / scale,
+                }
+            )
     return rows
-
-

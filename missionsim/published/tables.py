@@ -32,10 +32,16 @@ def optimal_velocities() -> Rows:
                 on = {"on_sonar": float(sonar), "on_laser": float(laser), "on_kinect": float(kinect)}
                 extra = float(model.total({**still, **on}, "robot")) - rest
                 best = float(motion.optimal_speed(c2, c4, extra))
-                rows.append({
-                    "sonar": sonar, "laser": laser, "kinect": kinect, "sensors_w": extra, "v_opt_m_s": best,
-                    "reachable": "yes" if best <= float(robot.body.max_speed) else "no",
-                })
+                rows.append(
+                    {
+                        "sonar": sonar,
+                        "laser": laser,
+                        "kinect": kinect,
+                        "sensors_w": extra,
+                        "v_opt_m_s": best,
+                        "reachable": "yes" if best <= float(robot.body.max_speed) else "no",
+                    }
+                )
     return rows
 
 
@@ -46,8 +52,12 @@ def stretch_test() -> Rows:
     left_out = jaiem2021.stretch_left_out(runs)
     return [
         {
-            "scheme": experiment, "speed_m_s": float(velocity), "plan_wh": predicted, "measured_wh": measured,
-            "stretch_of_run": measured / predicted, "stretch_of_others": left_out[experiment, velocity],
+            "scheme": experiment,
+            "speed_m_s": float(velocity),
+            "plan_wh": predicted,
+            "measured_wh": measured,
+            "stretch_of_run": measured / predicted,
+            "stretch_of_others": left_out[experiment, velocity],
             "predicted_wh": predicted * left_out[experiment, velocity],
             "error_without_pct": 100.0 * (predicted / measured - 1.0),
             "error_with_pct": 100.0 * (predicted * left_out[experiment, velocity] / measured - 1.0),
@@ -63,11 +73,14 @@ def stretch_summary() -> Rows:
     result: Rows = []
     for scheme in [*schemes, "all"]:
         of = [row for row in rows if scheme in (row["scheme"], "all")]
-        result.append({
-            "scheme": scheme, "mean_stretch": float(np.mean([row["stretch_of_run"] for row in of])),
-            "rms_error_without_pct": _rms([row["error_without_pct"] for row in of]),
-            "rms_error_with_pct": _rms([row["error_with_pct"] for row in of]),
-        })
+        result.append(
+            {
+                "scheme": scheme,
+                "mean_stretch": float(np.mean([row["stretch_of_run"] for row in of])),
+                "rms_error_without_pct": _rms([row["error_without_pct"] for row in of]),
+                "rms_error_with_pct": _rms([row["error_with_pct"] for row in of]),
+            }
+        )
     return result
 
 
@@ -83,10 +96,15 @@ def patrol_errors() -> Rows:
         curve = patrol.error_curve(battery)
         for relative in ("predicted", "measured"):
             for name, value in curve.statistics(relative).items():
-                rows.append({
-                    "battery": battery, "relative_to": relative, "statistic": name, "ours_pct": value,
-                    "published_pct": figures[f"sec342.{battery}.{name}"].value,
-                })
+                rows.append(
+                    {
+                        "battery": battery,
+                        "relative_to": relative,
+                        "statistic": name,
+                        "ours_pct": value,
+                        "published_pct": figures[f"sec342.{battery}.{name}"].value,
+                    }
+                )
     return rows
 
 
@@ -98,10 +116,16 @@ def patrol_uncertainty() -> Rows:
     for battery, statistics in drawn.items():
         for name, values in statistics.items():
             low, median, high = (float(q) for q in np.quantile(values, (0.05, 0.5, 0.95)))
-            rows.append({
-                "battery": battery, "statistic": name, "q05_pct": low, "median_pct": median, "q95_pct": high,
-                "published_pct": figures[f"sec342.{battery}.{name}"].value,
-            })
+            rows.append(
+                {
+                    "battery": battery,
+                    "statistic": name,
+                    "q05_pct": low,
+                    "median_pct": median,
+                    "q95_pct": high,
+                    "published_pct": figures[f"sec342.{battery}.{name}"].value,
+                }
+            )
     return rows
 
 
@@ -158,18 +182,28 @@ def fidelity() -> Rows:
     for level in LEVELS:
         mean, most = model.error_pct(level)
         best = model.optimum(level)
-        rows.append({
-            "level": level.name, "speed_step_m_s": level.speed_step_m_s, "clock_step_hz": level.clock_step_hz,
-            "evaluations": best.evaluations, "mean_error_pct": mean, "max_error_pct": most,
-            "best_speed_m_s": best.speed_m_s, "best_clock_ghz": best.freq_hz / 1e9, "energy_j_m": best.energy_j_m,
-        })
+        rows.append(
+            {
+                "level": level.name,
+                "speed_step_m_s": level.speed_step_m_s,
+                "clock_step_hz": level.clock_step_hz,
+                "evaluations": best.evaluations,
+                "mean_error_pct": mean,
+                "max_error_pct": most,
+                "best_speed_m_s": best.speed_m_s,
+                "best_clock_ghz": best.freq_hz / 1e9,
+                "energy_j_m": best.energy_j_m,
+            }
+        )
     return rows
 
 
 TABLES: dict[str, list[tuple[str, Callable[[], Rows]]]] = {
     "jaiem2021": [
-        ("optimal_velocities", optimal_velocities), ("stretch_test", stretch_test),
-        ("stretch_summary", stretch_summary), ("patrol_errors", patrol_errors),
+        ("optimal_velocities", optimal_velocities),
+        ("stretch_test", stretch_test),
+        ("stretch_summary", stretch_summary),
+        ("patrol_errors", patrol_errors),
         ("patrol_uncertainty", patrol_uncertainty),
     ],
     "parasuraman2012": [("static_powers", static_powers), ("components", components)],

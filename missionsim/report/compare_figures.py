@@ -71,10 +71,11 @@ def covariate_figure(one: BatteryComparison) -> Figure:
     figure = _figure(4.0 * columns, 3.2 * rows)
     for axes, dependence in zip(figure.subplots(rows, columns, squeeze=False).flat, found, strict=False):
         _draw_covariate(axes, dependence)
-    for axes in figure.axes[len(found):]:
+    for axes in figure.axes[len(found) :]:
         axes.set_visible(False)
-    figure.suptitle(f"Power error (model − measured) by covariate, battery {one.battery}: mean and standard deviation",
-                    fontsize=11)
+    figure.suptitle(
+        f"Power error (model − measured) by covariate, battery {one.battery}: mean and standard deviation", fontsize=11
+    )
     return figure
 
 
@@ -85,8 +86,17 @@ def _draw_covariate(axes: Axes, found: Dependence) -> None:
     if numeric:
         x = np.array([0.5 * ((b.low or 0.0) + (b.high or 0.0)) for b in bins])
     axes.axhline(0.0, color="black", linewidth=0.8)
-    axes.errorbar(x, [b.bias_w for b in bins], [b.spread_w for b in bins], color=MODEL, ecolor="#c3cad3",
-                  marker="o", markersize=4, linewidth=1.2 if numeric else 0.0, elinewidth=1.0)
+    axes.errorbar(
+        x,
+        [b.bias_w for b in bins],
+        [b.spread_w for b in bins],
+        color=MODEL,
+        ecolor="#c3cad3",
+        marker="o",
+        markersize=4,
+        linewidth=1.2 if numeric else 0.0,
+        elinewidth=1.0,
+    )
     if not numeric:
         step = max(1, -(-len(bins) // 12))
         axes.set_xticks(x[::step], [b.value for b in bins][::step], rotation=35, ha="right", fontsize=8)
@@ -102,14 +112,23 @@ def progress_figure(one: BatteryComparison) -> Figure:
     axes.axhline(0.0, color="black", linewidth=0.8)
     if len(one.runs) > 1:
         for i, run in enumerate(one.runs):
-            axes.plot(100.0 * run.progress, run.error_curve_pct, linewidth=0.8, color="#aab2bd",
-                      label="single runs" if i == 0 else None)
+            axes.plot(
+                100.0 * run.progress,
+                run.error_curve_pct,
+                linewidth=0.8,
+                color="#aab2bd",
+                label="single runs" if i == 0 else None,
+            )
     axes.plot(100.0 * one.progress, one.error_curve_pct, color=MODEL, linewidth=2.0, label="all runs")
     axes.set_xlabel("progress, % of the run's time")
     axes.set_ylabel("error of the energy so far, %")
     found = one.error_statistics
-    axes.set_title(f"battery {one.battery}: peak {found.peak_pct:.2f}, final {found.final_pct:.2f}, mean "
-                   f"{found.mean_pct:.2f}, standard deviation {found.std_pct:.2f} %", fontsize=10, loc="right")
+    axes.set_title(
+        f"battery {one.battery}: peak {found.peak_pct:.2f}, final {found.final_pct:.2f}, mean "
+        f"{found.mean_pct:.2f}, standard deviation {found.std_pct:.2f} %",
+        fontsize=10,
+        loc="right",
+    )
     axes.legend(frameon=False)
     return figure
 
@@ -131,8 +150,15 @@ def map_figure(one: BatteryComparison) -> Figure:
     figure = _figure(7.0, float(np.clip(7.0 * rows / columns, 3.0, 8.0)))
     axes = figure.subplots()
     edge = 0.5 * width
-    image = axes.imshow(error, origin="lower", cmap=colours, vmin=-limit, vmax=limit, interpolation="nearest",
-                        extent=(left - edge, left + columns * width - edge, low - edge, low + rows * width - edge))
+    image = axes.imshow(
+        error,
+        origin="lower",
+        cmap=colours,
+        vmin=-limit,
+        vmax=limit,
+        interpolation="nearest",
+        extent=(left - edge, left + columns * width - edge, low - edge, low + rows * width - edge),
+    )
     axes.set_facecolor("#e5e8ec")
     figure.colorbar(image, ax=axes, label="mean error (model − measured), W")
     axes.set_xlabel("x, m")

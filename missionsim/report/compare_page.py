@@ -21,8 +21,12 @@ TABLE_ROWS = 15
 MEASURED, MODEL, RESIDUAL = COLOURS[0], COLOURS[1], "#52606d"
 DIVERGING = [[0.0, "#0b4f8a"], [0.25, "#7fb2d9"], [0.5, "#f7f7f7"], [0.75, "#f2a477"], [1.0, "#a63603"]]
 """Blue where the model is too low, orange where it is too high; told apart with any colour vision."""
-PART_TITLES = {"path_stretch": "longer or shorter way", "speed_tracking": "slower or faster", "dwell": "standing",
-               "other": "the rest (turns, ramps, switching)"}
+PART_TITLES = {
+    "path_stretch": "longer or shorter way",
+    "speed_tracking": "slower or faster",
+    "dwell": "standing",
+    "other": "the rest (turns, ramps, switching)",
+}
 
 
 def compare_page(comparison: Comparison, *, tolerance_pct: float | None = None, footer: str = "") -> str:
@@ -98,26 +102,54 @@ def _where(one: BatteryComparison) -> list[Block]:
     blocks: list[Block] = [Bullets(in_words(one.dependences))]
     if found:
         shown = found[:12][::-1]
-        blocks.append(Chart(
-            [{"type": "bar", "orientation": "h", "x": [100.0 * d.explained for d in shown],
-              "y": [label(d.title) for d in shown], "marker": {"color": MEASURED},
-              "hovertemplate": "%{y}: %{x:.1f} %<extra></extra>"}],
-            {"xaxis": {"title": {"text": "part of the error's variance that goes with it, %"}, "rangemode": "tozero"},
-             "hovermode": "closest", "margin": {"l": 180, "r": 16, "t": 30, "b": 48}},
-            "What the power error varies with, each quantity taken alone. Quantities that vary together share the same "
-            "part, so this shows where to look, not the cause.", 60 + 30 * max(3, len(shown)),
-        ))
+        blocks.append(
+            Chart(
+                [
+                    {
+                        "type": "bar",
+                        "orientation": "h",
+                        "x": [100.0 * d.explained for d in shown],
+                        "y": [label(d.title) for d in shown],
+                        "marker": {"color": MEASURED},
+                        "hovertemplate": "%{y}: %{x:.1f} %<extra></extra>",
+                    }
+                ],
+                {
+                    "xaxis": {
+                        "title": {"text": "part of the error's variance that goes with it, %"},
+                        "rangemode": "tozero",
+                    },
+                    "hovermode": "closest",
+                    "margin": {"l": 180, "r": 16, "t": 30, "b": 48},
+                },
+                "What the power error varies with, each quantity taken alone. Quantities that vary together share the same "
+                "part, so this shows where to look, not the cause.",
+                60 + 30 * max(3, len(shown)),
+            )
+        )
     rows = [
-        [w.title, f"{w.value} {w.unit}".strip(), w.explains, _signed(w.bias_w, 3), w.seconds, w.share_of_squared_error,
-         _signed(w.gap_wh, 3)]
-        for w in one.where[:TABLE_ROWS] if w.explains > 0.0
+        [
+            w.title,
+            f"{w.value} {w.unit}".strip(),
+            w.explains,
+            _signed(w.bias_w, 3),
+            w.seconds,
+            w.share_of_squared_error,
+            _signed(w.gap_wh, 3),
+        ]
+        for w in one.where[:TABLE_ROWS]
+        if w.explains > 0.0
     ]
     if rows:
-        blocks.append(Table(
-            ["quantity", "value", "explains", "bias, W", "time, s", "share of squared error", "energy gap, Wh"], rows,
-            "Values that explain most of the error (bias: model minus measured; energy gap: measured minus model)",
-            3, 2,
-        ))
+        blocks.append(
+            Table(
+                ["quantity", "value", "explains", "bias, W", "time, s", "share of squared error", "energy gap, Wh"],
+                rows,
+                "Values that explain most of the error (bias: model minus measured; energy gap: measured minus model)",
+                3,
+                2,
+            )
+        )
     charts = [(d.title, [_residual(d)]) for d in sorted(one.dependences, key=lambda d: -d.explained) if d.by != "place"]
     if charts:
         blocks.append(Choice("Error against", charts))
@@ -136,22 +168,48 @@ def _residual(found: Dependence) -> Chart:
     else:
         points = {"mode": "markers", "marker": {"size": 11, "color": MODEL}}
     traces = [
-        {"type": "bar", "x": x, "y": [100.0 * b.seconds / seconds for b in bins], "yaxis": "y2",
-         "name": "share of time", "marker": {"color": "#d9dee4"},
-         "hovertemplate": "%{y:.1f} % of the time<extra></extra>"},
-        {"type": "scatter", "x": x, "y": bias, "name": "mean error (model minus measured)", "text": hover,
-         "hovertemplate": "%{text}<extra></extra>",
-         "error_y": {"type": "data", "array": spread, "color": "#aab2bd", "thickness": 1, "width": 3}, **points},
+        {
+            "type": "bar",
+            "x": x,
+            "y": [100.0 * b.seconds / seconds for b in bins],
+            "yaxis": "y2",
+            "name": "share of time",
+            "marker": {"color": "#d9dee4"},
+            "hovertemplate": "%{y:.1f} % of the time<extra></extra>",
+        },
+        {
+            "type": "scatter",
+            "x": x,
+            "y": bias,
+            "name": "mean error (model minus measured)",
+            "text": hover,
+            "hovertemplate": "%{text}<extra></extra>",
+            "error_y": {"type": "data", "array": spread, "color": "#aab2bd", "thickness": 1, "width": 3},
+            **points,
+        },
     ]
     unit = f", {found.unit}" if found.unit else ""
     return Chart(
         traces,
-        {"xaxis": {"title": {"text": label(found.title) + unit}, **({} if numeric else {"type": "category"})},
-         "yaxis": {"title": {"text": "power error, W"}, "overlaying": "y2", "tickmode": "auto", "zeroline": True,
-                   "zerolinewidth": 2},
-         "yaxis2": {"title": {"text": "share of time, %"}, "side": "right", "showgrid": False, "tickmode": "auto",
-                    "rangemode": "tozero"},
-         "margin": {"l": 64, "r": 64, "t": 30, "b": 48}, "hovermode": "closest"},
+        {
+            "xaxis": {"title": {"text": label(found.title) + unit}, **({} if numeric else {"type": "category"})},
+            "yaxis": {
+                "title": {"text": "power error, W"},
+                "overlaying": "y2",
+                "tickmode": "auto",
+                "zeroline": True,
+                "zerolinewidth": 2,
+            },
+            "yaxis2": {
+                "title": {"text": "share of time, %"},
+                "side": "right",
+                "showgrid": False,
+                "tickmode": "auto",
+                "rangemode": "tozero",
+            },
+            "margin": {"l": 64, "r": 64, "t": 30, "b": 48},
+            "hovermode": "closest",
+        },
         f"Power error against {found.title}: mean and standard deviation within each range; bars: share of the time.",
     )
 
@@ -177,22 +235,47 @@ def _power_chart(run: RunComparison, points: int) -> Chart:
     traces: list[dict[str, Any]] = []
     if series.rows > 1:
         low, high = columns["measured_low_w"][kept], columns["measured_high_w"][kept]
-        traces.append({"x": np.concatenate([time_s, time_s[::-1]]), "y": np.concatenate([high, low[::-1]]),
-                       "type": "scatter", "mode": "lines", "fill": "toself", "fillcolor": "rgba(0,114,178,0.15)",
-                       "line": {"width": 0}, "name": "range of the measured power", "hoverinfo": "skip"})
+        traces.append(
+            {
+                "x": np.concatenate([time_s, time_s[::-1]]),
+                "y": np.concatenate([high, low[::-1]]),
+                "type": "scatter",
+                "mode": "lines",
+                "fill": "toself",
+                "fillcolor": "rgba(0,114,178,0.15)",
+                "line": {"width": 0},
+                "name": "range of the measured power",
+                "hoverinfo": "skip",
+            }
+        )
     for name, values, colour, axis in (
-        ("measured", measured, MEASURED, "y"), ("model", model, MODEL, "y"),
+        ("measured", measured, MEASURED, "y"),
+        ("model", model, MODEL, "y"),
         ("model minus measured", model - measured, RESIDUAL, "y2"),
     ):
-        traces.append({"type": "scatter", "mode": "lines", "x": time_s, "y": values[kept], "name": name, "xaxis": "x",
-                       "yaxis": axis, "line": {"color": colour, "width": 1.4}, "hovertemplate": "%{y:.4g} W"})
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "x": time_s,
+                "y": values[kept],
+                "name": name,
+                "xaxis": "x",
+                "yaxis": axis,
+                "line": {"color": colour, "width": 1.4},
+                "hovertemplate": "%{y:.4g} W",
+            }
+        )
     joined = f" Each point is the mean of {series.rows} rows." if series.rows > 1 else ""
     return Chart(
         traces,
-        {"xaxis": {"title": {"text": "time since the start, s"}, "anchor": "y2"},
-         "yaxis": {"title": {"text": "power, W"}, "domain": [0.36, 1.0]},
-         "yaxis2": {"title": {"text": "error, W"}, "domain": [0.0, 0.28], "zeroline": True, "zerolinewidth": 2}},
-        f"Run {run.run}, battery {run.battery}: measured and modelled power, the error under it.{joined}", 480,
+        {
+            "xaxis": {"title": {"text": "time since the start, s"}, "anchor": "y2"},
+            "yaxis": {"title": {"text": "power, W"}, "domain": [0.36, 1.0]},
+            "yaxis2": {"title": {"text": "error, W"}, "domain": [0.0, 0.28], "zeroline": True, "zerolinewidth": 2},
+        },
+        f"Run {run.run}, battery {run.battery}: measured and modelled power, the error under it.{joined}",
+        480,
     )
 
 
@@ -206,22 +289,46 @@ def _progress(one: BatteryComparison) -> list[Block]:
         for name, found in (("measured", plan.error_statistics), ("plan", plan.error_statistics_predicted)):
             rows.append(["simulated plan", name, found.peak_pct, found.final_pct, found.mean_pct, found.std_pct])
     traces: list[dict[str, Any]] = [
-        {"type": "scatter", "mode": "lines", "x": 100.0 * one.progress, "y": one.error_curve_pct, "name": "all runs",
-         "line": {"color": "#1f2933", "width": 2.5}, "hovertemplate": "%{y:+.2f} %"}
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "x": 100.0 * one.progress,
+            "y": one.error_curve_pct,
+            "name": "all runs",
+            "line": {"color": "#1f2933", "width": 2.5},
+            "hovertemplate": "%{y:+.2f} %",
+        }
     ]
     if len(one.runs) > 1:
         traces += [
-            {"type": "scatter", "mode": "lines", "x": 100.0 * run.progress, "y": run.error_curve_pct,
-             "name": label(run.run), "line": {"width": 1}, "opacity": 0.7, "hovertemplate": "%{y:+.2f} %"}
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "x": 100.0 * run.progress,
+                "y": run.error_curve_pct,
+                "name": label(run.run),
+                "line": {"width": 1},
+                "opacity": 0.7,
+                "hovertemplate": "%{y:+.2f} %",
+            }
             for run in one.runs[:MOST_RUNS]
         ]
     return [
-        Chart(traces, {"xaxis": {"title": {"text": "progress, % of the run's time"}},
-                       "yaxis": {"title": {"text": "error of the energy so far, %"}, "zeroline": True,
-                                 "zerolinewidth": 2}},
-              "Error of the energy spent so far, model minus measured, relative to measured.", 400),
-        Table(["of", "relative to", "peak, %", "final, %", "mean, %", "standard deviation, %"], rows,
-              "Statistics of the magnitude of the error over progress", 3),
+        Chart(
+            traces,
+            {
+                "xaxis": {"title": {"text": "progress, % of the run's time"}},
+                "yaxis": {"title": {"text": "error of the energy so far, %"}, "zeroline": True, "zerolinewidth": 2},
+            },
+            "Error of the energy spent so far, model minus measured, relative to measured.",
+            400,
+        ),
+        Table(
+            ["of", "relative to", "peak, %", "final, %", "mean, %", "standard deviation, %"],
+            rows,
+            "Statistics of the magnitude of the error over progress",
+            3,
+        ),
     ]
 
 
@@ -238,15 +345,33 @@ def _map(one: BatteryComparison) -> list[Block]:
         error[i, j], seconds[i, j] = -cell.gap_j / cell.seconds, cell.seconds
     limit = float(np.nanquantile(np.abs(error), 0.98)) or 1.0
     ratio = (ys[-1] - ys[0] + width) / (xs[-1] - xs[0] + width)
-    return [Chart(
-        [{"type": "heatmap", "x": x, "y": y, "z": error, "customdata": seconds, "colorscale": DIVERGING, "zmin": -limit,
-          "zmax": limit, "hoverongaps": False, "colorbar": {"title": {"text": "error, W"}},
-          "hovertemplate": "x %{x:.2f} m, y %{y:.2f} m: %{z:.3g} W, %{customdata:.0f} s<extra></extra>"}],
-        {"xaxis": {"title": {"text": "x, m"}, "constrain": "domain"},
-         "yaxis": {"title": {"text": "y, m"}, "scaleanchor": "x", "constrain": "domain"}, "hovermode": "closest"},
-        "Mean power error by place: orange where the model is too high, blue where it is too low; colours end at the "
-        "98th percentile.", int(np.clip(900 * ratio, 320, 760)),
-    )]
+    return [
+        Chart(
+            [
+                {
+                    "type": "heatmap",
+                    "x": x,
+                    "y": y,
+                    "z": error,
+                    "customdata": seconds,
+                    "colorscale": DIVERGING,
+                    "zmin": -limit,
+                    "zmax": limit,
+                    "hoverongaps": False,
+                    "colorbar": {"title": {"text": "error, W"}},
+                    "hovertemplate": "x %{x:.2f} m, y %{y:.2f} m: %{z:.3g} W, %{customdata:.0f} s<extra></extra>",
+                }
+            ],
+            {
+                "xaxis": {"title": {"text": "x, m"}, "constrain": "domain"},
+                "yaxis": {"title": {"text": "y, m"}, "scaleanchor": "x", "constrain": "domain"},
+                "hovermode": "closest",
+            },
+            "Mean power error by place: orange where the model is too high, blue where it is too low; colours end at the "
+            "98th percentile.",
+            int(np.clip(900 * ratio, 320, 760)),
+        )
+    ]
 
 
 def _behaviour(one: BatteryComparison) -> list[Block]:
@@ -256,26 +381,59 @@ def _behaviour(one: BatteryComparison) -> list[Block]:
     x = ["power model", *(PART_TITLES[part] for part in PARTS), "measured minus simulated"]
     y = [gap["power_model"], *(mission.part_wh(part) for part in PARTS), gap["total"]]
     waterfall = Chart(
-        [{"type": "waterfall", "x": x, "y": y, "measure": ["relative"] * (1 + len(PARTS)) + ["total"],
-          "increasing": {"marker": {"color": MODEL}}, "decreasing": {"marker": {"color": MEASURED}},
-          "totals": {"marker": {"color": RESIDUAL}}, "hovertemplate": "%{x}: %{delta:+.4g} Wh<extra></extra>"}],
+        [
+            {
+                "type": "waterfall",
+                "x": x,
+                "y": y,
+                "measure": ["relative"] * (1 + len(PARTS)) + ["total"],
+                "increasing": {"marker": {"color": MODEL}},
+                "decreasing": {"marker": {"color": MEASURED}},
+                "totals": {"marker": {"color": RESIDUAL}},
+                "hovertemplate": "%{x}: %{delta:+.4g} Wh<extra></extra>",
+            }
+        ],
         {"yaxis": {"title": {"text": "energy, Wh"}, "zeroline": True}, "hovermode": "closest"},
         "The gap between measured and simulated energy: what the power model misses and what the robot did otherwise.",
     )
     rows = [
-        [s.scheme or "–", s.path_stretch, s.speed_tracking, s.dwell_s, s.planned_m, s.driven_m,
-         *(_signed(s.wh[one.battery][part], 3) for part in PARTS)]
+        [
+            s.scheme or "–",
+            s.path_stretch,
+            s.speed_tracking,
+            s.dwell_s,
+            s.planned_m,
+            s.driven_m,
+            *(_signed(s.wh[one.battery][part], 3) for part in PARTS),
+        ]
         for s in mission.schemes
     ]
-    columns = ["scheme", "path stretch", "speed tracking", "dwell, s", "planned, m", "driven, m",
-               "way, Wh", "speed, Wh", "standing, Wh", "rest, Wh"]
+    columns = [
+        "scheme",
+        "path stretch",
+        "speed tracking",
+        "dwell, s",
+        "planned, m",
+        "driven, m",
+        "way, Wh",
+        "speed, Wh",
+        "standing, Wh",
+        "rest, Wh",
+    ]
     return [Bullets(mission.words), waterfall, Table(columns, rows, "Plan and run by control scheme, all runs", 3)]
 
 
 def _runs(one: BatteryComparison) -> list[Block]:
     rows = [
-        [run.run, run.seconds, run.energy_measured_wh, run.energy_model_wh, _signed(run.energy_error_pct, 3),
-         run.power_rmse_w, _signed(run.power_bias_w, 3)]
+        [
+            run.run,
+            run.seconds,
+            run.energy_measured_wh,
+            run.energy_model_wh,
+            _signed(run.energy_error_pct, 3),
+            run.power_rmse_w,
+            _signed(run.power_bias_w, 3),
+        ]
         for run in one.runs
     ]
     total = sum(one.by_component_wh.values()) or 1.0

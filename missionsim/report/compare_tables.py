@@ -28,41 +28,126 @@ def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
     """
     batteries = list(comparison.batteries.values())
     written = [
-        _write(folder / "runs.csv", (
-            "battery", "run", "seconds", "energy_measured_wh", "energy_model_wh", "energy_error_pct", "power_rmse_w",
-            "power_bias_w", "peak_pct", "final_pct", "mean_pct", "std_pct",
-        ), (row for b in batteries for row in _runs(b))),
-        _write(folder / "where.csv", (
-            "battery", "by", "value", "low", "high", "unit", "explains", "share_of_squared_error", "share_of_gap",
-            "gap_wh", "bias_w", "seconds"), (row for b in batteries for row in _where(b))),
-        _write(folder / "terms.csv", ("battery", "run", "component", "term", "energy_wh"), (
-            (b.battery, run.run, key.component, key.name, energy)
-            for b in batteries for run in b.runs for key, energy in run.by_term_wh.items())),
+        _write(
+            folder / "runs.csv",
+            (
+                "battery",
+                "run",
+                "seconds",
+                "energy_measured_wh",
+                "energy_model_wh",
+                "energy_error_pct",
+                "power_rmse_w",
+                "power_bias_w",
+                "peak_pct",
+                "final_pct",
+                "mean_pct",
+                "std_pct",
+            ),
+            (row for b in batteries for row in _runs(b)),
+        ),
+        _write(
+            folder / "where.csv",
+            (
+                "battery",
+                "by",
+                "value",
+                "low",
+                "high",
+                "unit",
+                "explains",
+                "share_of_squared_error",
+                "share_of_gap",
+                "gap_wh",
+                "bias_w",
+                "seconds",
+            ),
+            (row for b in batteries for row in _where(b)),
+        ),
+        _write(
+            folder / "terms.csv",
+            ("battery", "run", "component", "term", "energy_wh"),
+            (
+                (b.battery, run.run, key.component, key.name, energy)
+                for b in batteries
+                for run in b.runs
+                for key, energy in run.by_term_wh.items()
+            ),
+        ),
     ]
     if comparison.mission:
-        written.append(_write(folder / "behaviour.csv", (
-            "battery", "scheme", "path_stretch", "speed_tracking", "dwell_s", "planned_m", "driven_m", "planned_s",
-            "driven_s", *(f"{part}_wh" for part in PARTS)), (row for b in batteries for row in _behaviour(b))))
+        written.append(
+            _write(
+                folder / "behaviour.csv",
+                (
+                    "battery",
+                    "scheme",
+                    "path_stretch",
+                    "speed_tracking",
+                    "dwell_s",
+                    "planned_m",
+                    "driven_m",
+                    "planned_s",
+                    "driven_s",
+                    *(f"{part}_wh" for part in PARTS),
+                ),
+                (row for b in batteries for row in _behaviour(b)),
+            )
+        )
     return written
 
 
 def _runs(one: BatteryComparison) -> Iterable[Sequence[Any]]:
     for run in one.runs:
         found = run.error_statistics
-        yield (one.battery, run.run, run.seconds, run.energy_measured_wh, run.energy_model_wh, run.energy_error_pct,
-               run.power_rmse_w, run.power_bias_w, found.peak_pct, found.final_pct, found.mean_pct, found.std_pct)
+        yield (
+            one.battery,
+            run.run,
+            run.seconds,
+            run.energy_measured_wh,
+            run.energy_model_wh,
+            run.energy_error_pct,
+            run.power_rmse_w,
+            run.power_bias_w,
+            found.peak_pct,
+            found.final_pct,
+            found.mean_pct,
+            found.std_pct,
+        )
 
 
 def _where(one: BatteryComparison) -> Iterable[Sequence[Any]]:
     for where in one.where:
-        yield (one.battery, where.by, where.value, where.low, where.high, where.unit, where.explains,
-               where.share_of_squared_error, where.share_of_gap, where.gap_wh, where.bias_w, where.seconds)
+        yield (
+            one.battery,
+            where.by,
+            where.value,
+            where.low,
+            where.high,
+            where.unit,
+            where.explains,
+            where.share_of_squared_error,
+            where.share_of_gap,
+            where.gap_wh,
+            where.bias_w,
+            where.seconds,
+        )
 
 
 def _behaviour(one: BatteryComparison) -> Iterable[Sequence[Any]]:
     for scheme in one.mission.schemes if one.mission is not None else ():
-        yield (one.battery, scheme.scheme, scheme.path_stretch, scheme.speed_tracking, scheme.dwell_s, scheme.planned_m,
-               scheme.driven_m, scheme.planned_s, scheme.driven_s, *(scheme.wh[one.battery][part] for part in PARTS))
+        yield (
+            one.battery,
+            scheme.scheme,
+            scheme.path_stretch,
+            scheme.speed_tracking,
+            scheme.dwell_s,
+            scheme.planned_m,
+            scheme.driven_m,
+            scheme.planned_s,
+            scheme.driven_s,
+            *(scheme.wh[one.battery][part] for part in PARTS),
+        )
 
 
 def _write(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Path:

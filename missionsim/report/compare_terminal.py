@@ -35,26 +35,47 @@ def print_comparison(comparison: Comparison, console: Any) -> None:
 
 
 def _summary(comparison: Comparison, console: Any) -> None:
-    table = _table(f"{comparison.robot or 'model'}: model against measurements, {len(comparison.runs)} "
-                   f"{'runs' if len(comparison.runs) != 1 else 'run'}")
-    for heading in ("battery", "measured Wh", "model Wh", "error %", "RMSE W", "bias W", "peak %", "final %", "mean %",
-                    "std %"):
+    table = _table(
+        f"{comparison.robot or 'model'}: model against measurements, {len(comparison.runs)} "
+        f"{'runs' if len(comparison.runs) != 1 else 'run'}"
+    )
+    for heading in (
+        "battery",
+        "measured Wh",
+        "model Wh",
+        "error %",
+        "RMSE W",
+        "bias W",
+        "peak %",
+        "final %",
+        "mean %",
+        "std %",
+    ):
         table.add_column(heading, justify="left" if heading == "battery" else "right")
     for one in comparison.batteries.values():
         found = one.error_statistics
         table.add_row(
-            one.battery, f"{one.energy_measured_wh:.3f}", f"{one.energy_model_wh:.3f}",
+            one.battery,
+            f"{one.energy_measured_wh:.3f}",
+            f"{one.energy_model_wh:.3f}",
             _plain(one.energy_error_pct, "+.2f"),
-            f"{one.power_rmse_w:.3f}", f"{one.power_bias_w:+.3f}", _plain(found.peak_pct), _plain(found.final_pct),
-            _plain(found.mean_pct), _plain(found.std_pct),
+            f"{one.power_rmse_w:.3f}",
+            f"{one.power_bias_w:+.3f}",
+            _plain(found.peak_pct),
+            _plain(found.final_pct),
+            _plain(found.mean_pct),
+            _plain(found.std_pct),
         )
     console.print(table)
-    console.print("error: model minus measured; peak, final, mean, std: its magnitude over the progress of the runs",
-                  style="dim")
+    console.print(
+        "error: model minus measured; peak, final, mean, std: its magnitude over the progress of the runs", style="dim"
+    )
     untold = [name for name, one in comparison.batteries.items() if not math.isfinite(one.error_statistics.final_pct)]
     if untold:
-        console.print(f"no relative error over progress for {', '.join(untold)}: the energy measured is not above zero",
-                      style="dim")
+        console.print(
+            f"no relative error over progress for {', '.join(untold)}: the energy measured is not above zero",
+            style="dim",
+        )
 
 
 def _where(one: BatteryComparison, console: Any) -> None:
@@ -68,12 +89,18 @@ def _where(one: BatteryComparison, console: Any) -> None:
         table.add_column(heading, justify="right")
     for where in rows:
         table.add_row(
-            where.title, f"{where.value} {where.unit}".strip(), f"{100.0 * where.explains:.1f}", f"{where.bias_w:+.2f}",
-            f"{where.seconds:.0f}", f"{100.0 * where.share_of_squared_error:.0f}", f"{where.gap_wh:+.3f}",
+            where.title,
+            f"{where.value} {where.unit}".strip(),
+            f"{100.0 * where.explains:.1f}",
+            f"{where.bias_w:+.2f}",
+            f"{where.seconds:.0f}",
+            f"{100.0 * where.share_of_squared_error:.0f}",
+            f"{where.gap_wh:+.3f}",
         )
     console.print(table)
-    console.print("explains: part of the error's variance that goes with the value; what varies together shares it",
-                  style="dim")
+    console.print(
+        "explains: part of the error's variance that goes with the value; what varies together shares it", style="dim"
+    )
 
 
 def _behaviour(one: BatteryComparison, console: Any) -> None:
@@ -82,7 +109,8 @@ def _behaviour(one: BatteryComparison, console: Any) -> None:
     gap = one.gap_wh
     console.print(
         f"measured − simulated {_signed(gap['total'])} Wh = power model {_signed(gap['power_model'])} Wh "
-        f"+ behaviour {_signed(gap['behaviour'])} Wh", markup=False,
+        f"+ behaviour {_signed(gap['behaviour'])} Wh",
+        markup=False,
     )
     table = _table("Behaviour against the plan")
     table.add_column("scheme", max_width=26, overflow="fold")
@@ -90,7 +118,10 @@ def _behaviour(one: BatteryComparison, console: Any) -> None:
         table.add_column(heading, justify="right")
     for scheme in one.mission.schemes:
         table.add_row(
-            scheme.scheme or "–", _ratio(scheme.path_stretch), _ratio(scheme.speed_tracking), f"{scheme.dwell_s:+.0f}",
+            scheme.scheme or "–",
+            _ratio(scheme.path_stretch),
+            _ratio(scheme.speed_tracking),
+            f"{scheme.dwell_s:+.0f}",
             *(_signed(scheme.wh[one.battery][part]) for part in PARTS),
         )
     console.print(table)
@@ -106,8 +137,14 @@ def _runs(one: BatteryComparison, console: Any) -> None:
     for heading in ("time s", "measured Wh", "model Wh", "error %", "RMSE W"):
         table.add_column(heading, justify="right")
     for run in [run for run in one.runs if run in shown]:
-        table.add_row(run.run, f"{run.seconds:.0f}", f"{run.energy_measured_wh:.3f}", f"{run.energy_model_wh:.3f}",
-                      _plain(run.energy_error_pct, "+.2f"), f"{run.power_rmse_w:.3f}")
+        table.add_row(
+            run.run,
+            f"{run.seconds:.0f}",
+            f"{run.energy_measured_wh:.3f}",
+            f"{run.energy_model_wh:.3f}",
+            _plain(run.energy_error_pct, "+.2f"),
+            f"{run.power_rmse_w:.3f}",
+        )
     console.print(table)
 
 

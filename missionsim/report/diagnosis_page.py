@@ -12,8 +12,12 @@ from missionsim.report.blocks import Block, Bullets, Chart, Choice, Details, Par
 from missionsim.report.downsample import shared_indices
 from missionsim.report.page import COLOURS, format_cell, label, page
 
-TONES: dict[str, Any] = {"effects_found": "warn", "nothing_missing": "good", "ambiguous": "warn",
-                         "unexplained_structure": "bad"}
+TONES: dict[str, Any] = {
+    "effects_found": "warn",
+    "nothing_missing": "good",
+    "ambiguous": "warn",
+    "unexplained_structure": "bad",
+}
 TOTAL_POINTS = 90_000
 MOST_RUNS = 30
 MOST_ALIKE = 14
@@ -30,8 +34,12 @@ def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "") -> str:
         How it was made (version, command).
     """
     runs = max((len(b.runs) for b in diagnosis.batteries.values()), default=0)
-    return page(f"{diagnosis.robot}: which effect is missing", diagnosis_sections(diagnosis),
-                subtitle=f"{runs} runs fitted", footer=footer)
+    return page(
+        f"{diagnosis.robot}: which effect is missing",
+        diagnosis_sections(diagnosis),
+        subtitle=f"{runs} runs fitted",
+        footer=footer,
+    )
 
 
 def diagnosis_sections(diagnosis: Diagnosis) -> list[Section]:
@@ -54,8 +62,13 @@ def diagnosis_sections(diagnosis: Diagnosis) -> list[Section]:
 
 
 def _result(battery: BatteryDiagnosis) -> list[Block]:
-    tiles = [("Mean power", f"{format_cell(battery.mean_power_w, 3)} W", f"{len(battery.runs)} runs, "
-              f"{battery.seconds / 60:.0f} min")]
+    tiles = [
+        (
+            "Mean power",
+            f"{format_cell(battery.mean_power_w, 3)} W",
+            f"{len(battery.runs)} runs, {battery.seconds / 60:.0f} min",
+        )
+    ]
     for effect in battery.effects[:4]:
         names = " or ".join((effect.effect, *effect.indistinguishable_from))
         interval = ""
@@ -64,8 +77,13 @@ def _result(battery: BatteryDiagnosis) -> list[Block]:
         tiles.append((names, f"{100 * effect.energy_share:.1f} % of energy", interval))
     if battery.heldout is not None:
         e = battery.heldout.energy_error_pct
-        tiles.append(("Energy error, held-out runs", f"{e['nominal']:.2f} → {e['with_effects']:.2f} %",
-                      f"recalibrated only: {e['recalibrated']:.2f} %"))
+        tiles.append(
+            (
+                "Energy error, held-out runs",
+                f"{e['nominal']:.2f} → {e['with_effects']:.2f} %",
+                f"recalibrated only: {e['recalibrated']:.2f} %",
+            )
+        )
     lines = words.report(battery)
     table = Table(["", "what the data say"], [[heading, text] for heading, text in lines if heading != "NOTE"])
     return [Verdict(words.headline(battery), TONES[battery.verdict]), Tiles(tiles), table]
@@ -83,31 +101,67 @@ def _candidates(battery: BatteryDiagnosis) -> list[Block]:
         limits = [_percent(c.smallest_detectable_share) for c in rows][::-1]
         effects = [found[c.effect] for c in rows if c.effect in found][::-1]
         traces: list[dict[str, Any]] = [
-            {"type": "bar", "orientation": "h", "y": names, "x": limits, "name": "smallest share that would be found",
-             "marker": {"color": "#d9dee4"}, "hovertemplate": "%{y}: %{x:.2f} %<extra></extra>"}]
+            {
+                "type": "bar",
+                "orientation": "h",
+                "y": names,
+                "x": limits,
+                "name": "smallest share that would be found",
+                "marker": {"color": "#d9dee4"},
+                "hovertemplate": "%{y}: %{x:.2f} %<extra></extra>",
+            }
+        ]
         if effects:
             shares = [100 * e.energy_share for e in effects]
             up = [100 * (e.share_high - e.energy_share) if _finite(e.share_high) else 0.0 for e in effects]
             down = [100 * (e.energy_share - e.share_low) if _finite(e.share_low) else 0.0 for e in effects]
-            traces.append({
-                "type": "scatter", "mode": "markers", "x": shares, "y": [label(e.effect) for e in effects],
-                "name": "found, with 95 % interval", "marker": {"color": MEASURED, "size": 10},
-                "error_x": {"type": "data", "symmetric": False, "array": up, "arrayminus": down, "color": MEASURED},
-                "hovertemplate": "%{y}: %{x:.2f} % of the energy<extra></extra>"})
-        blocks.append(Chart(
-            traces, {"xaxis": {"title": {"text": "share of the battery's energy, %"}, "rangemode": "tozero"},
-                     "hovermode": "closest", "margin": {"l": 220, "r": 16, "t": 30, "b": 48}},
-            "Effects that were found, and how large the others could be without being seen (80 % power); those of "
-            "which these data say nothing are left out.",
-            90 + 24 * len(names)))
-    blocks.append(Details("Every candidate and the reason", [Table(
-        ["effect", "taken", "reason", "smallest detectable share, %"],
-        [[c.effect, "yes" if c.accepted else "no", c.reason,
-          _percent(c.smallest_detectable_share)]
-         for c in battery.candidates], digits=3)]))
+            traces.append(
+                {
+                    "type": "scatter",
+                    "mode": "markers",
+                    "x": shares,
+                    "y": [label(e.effect) for e in effects],
+                    "name": "found, with 95 % interval",
+                    "marker": {"color": MEASURED, "size": 10},
+                    "error_x": {"type": "data", "symmetric": False, "array": up, "arrayminus": down, "color": MEASURED},
+                    "hovertemplate": "%{y}: %{x:.2f} % of the energy<extra></extra>",
+                }
+            )
+        blocks.append(
+            Chart(
+                traces,
+                {
+                    "xaxis": {"title": {"text": "share of the battery's energy, %"}, "rangemode": "tozero"},
+                    "hovermode": "closest",
+                    "margin": {"l": 220, "r": 16, "t": 30, "b": 48},
+                },
+                "Effects that were found, and how large the others could be without being seen (80 % power); those of "
+                "which these data say nothing are left out.",
+                90 + 24 * len(names),
+            )
+        )
+    blocks.append(
+        Details(
+            "Every candidate and the reason",
+            [
+                Table(
+                    ["effect", "taken", "reason", "smallest detectable share, %"],
+                    [
+                        [c.effect, "yes" if c.accepted else "no", c.reason, _percent(c.smallest_detectable_share)]
+                        for c in battery.candidates
+                    ],
+                    digits=3,
+                )
+            ],
+        )
+    )
     if battery.untestable:
-        blocks.append(Details("Effects that these logs cannot test", [Table(
-            ["effect", "needs"], [[name, ", ".join(needs)] for name, needs in battery.untestable.items()])]))
+        blocks.append(
+            Details(
+                "Effects that these logs cannot test",
+                [Table(["effect", "needs"], [[name, ", ".join(needs)] for name, needs in battery.untestable.items()])],
+            )
+        )
     return blocks
 
 
@@ -126,46 +180,98 @@ def _run_chart(run: RunSeries, points: int) -> Chart:
     left = run.measured_w - run.fitted_w
     pick = shared_indices([run.measured_w, left], max(points // 4, 200))
     time_s = run.time_s[pick]
-    lines = [("measured", run.measured_w, MEASURED), ("model of the robot file", run.nominal_w, NOMINAL),
-             ("with what was found", run.fitted_w, FITTED)]
+    lines = [
+        ("measured", run.measured_w, MEASURED),
+        ("model of the robot file", run.nominal_w, NOMINAL),
+        ("with what was found", run.fitted_w, FITTED),
+    ]
     traces: list[dict[str, Any]] = [
-        {"type": "scatter", "mode": "lines", "name": name, "x": time_s, "y": values[pick],
-         "line": {"color": colour, "width": 1.3}} for name, values, colour in lines]
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": name,
+            "x": time_s,
+            "y": values[pick],
+            "line": {"color": colour, "width": 1.3},
+        }
+        for name, values, colour in lines
+    ]
     traces += [
-        {"type": "scatter", "mode": "lines", "name": "left: robot file", "x": time_s, "visible": "legendonly",
-         "y": (run.measured_w - run.nominal_w)[pick], "yaxis": "y2", "line": {"color": NOMINAL, "width": 1}},
-        {"type": "scatter", "mode": "lines", "name": "left: with what was found", "x": time_s, "y": left[pick],
-         "yaxis": "y2", "line": {"color": RESIDUAL, "width": 1}}]
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": "left: robot file",
+            "x": time_s,
+            "visible": "legendonly",
+            "y": (run.measured_w - run.nominal_w)[pick],
+            "yaxis": "y2",
+            "line": {"color": NOMINAL, "width": 1},
+        },
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": "left: with what was found",
+            "x": time_s,
+            "y": left[pick],
+            "yaxis": "y2",
+            "line": {"color": RESIDUAL, "width": 1},
+        },
+    ]
     layout = {
         "xaxis": {"title": {"text": "time, s"}, "anchor": "y2"},
         "margin": {"l": 64, "r": 16, "t": 56, "b": 48},  # the legend stands below the buttons
         "yaxis": {"title": {"text": "power, W"}, "domain": [0.36, 1.0]},
         "yaxis2": {"title": {"text": "left, W"}, "domain": [0.0, 0.28]},
     }
-    return Chart(traces, layout, f"Run {run.run}: measured and modelled power, and what is left (measured minus "
-                 "model), clocks aligned.", 520)
+    return Chart(
+        traces,
+        layout,
+        f"Run {run.run}: measured and modelled power, and what is left (measured minus model), clocks aligned.",
+        520,
+    )
 
 
 def _next(battery: BatteryDiagnosis) -> list[Block]:
     blocks: list[Block] = []
     if battery.next_experiments:
-        rows = [[e.do, " / ".join(e.separates), e.separation_now, e.separation_after, e.expected_power, e.minutes]
-                for e in battery.next_experiments]
-        blocks.append(Table(["drive this", "to tell apart", "separation now, nats", "after, nats",
-                             "probability that it resolves", "minutes"], rows, digits=3))
+        rows = [
+            [e.do, " / ".join(e.separates), e.separation_now, e.separation_after, e.expected_power, e.minutes]
+            for e in battery.next_experiments
+        ]
+        blocks.append(
+            Table(
+                [
+                    "drive this",
+                    "to tell apart",
+                    "separation now, nats",
+                    "after, nats",
+                    "probability that it resolves",
+                    "minutes",
+                ],
+                rows,
+                digits=3,
+            )
+        )
     else:
-        blocks.append(Paragraph(
-            "No drive of ours varies what remains; log what may cause it." if battery.unexplained.shape else
-            "Nothing is left that an experiment would have to separate."
-        ))
+        blocks.append(
+            Paragraph(
+                "No drive of ours varies what remains; log what may cause it."
+                if battery.unexplained.shape
+                else "Nothing is left that an experiment would have to separate."
+            )
+        )
     return blocks
 
 
 def _details(battery: BatteryDiagnosis) -> list[Block]:
-    blocks: list[Block] = [Table(
-        ["base parameter", "shift, %", "in prior standard deviations", "new value", "standard deviation", "unit"],
-        [[s.parameter, s.shift_pct, s.shift_in_prior_sd, s.value, s.sd, s.unit] for s in battery.recalibration],
-        "Recalibration of the base model: shifts within 4 prior standard deviations are no discovery", 3)]
+    blocks: list[Block] = [
+        Table(
+            ["base parameter", "shift, %", "in prior standard deviations", "new value", "standard deviation", "unit"],
+            [[s.parameter, s.shift_pct, s.shift_in_prior_sd, s.value, s.sd, s.unit] for s in battery.recalibration],
+            "Recalibration of the base model: shifts within 4 prior standard deviations are no discovery",
+            3,
+        )
+    ]
     if battery.confounding:
         blocks.append(_alike(battery))
     if battery.heldout is not None:
@@ -185,23 +291,42 @@ def _alike(battery: BatteryDiagnosis) -> Chart:
     others = sorted(most, key=lambda name: -most[name])[:MOST_ALIKE]
     values = [[1.0 if a == b else battery.confounding[a].get(b) for b in others] for a in found]
     return Chart(
-        [{"type": "heatmap", "x": [label(n) for n in others], "y": [label(n) for n in found], "zmin": -1, "zmax": 1,
-          "z": values, "texttemplate": "%{z:.2f}", "colorscale": [[0, "#d55e00"], [0.5, "#f4f6f8"], [1, "#0072b2"]],
-          "hovertemplate": "%{y} and %{x}: r = %{z:.2f}<extra></extra>"}],
+        [
+            {
+                "type": "heatmap",
+                "x": [label(n) for n in others],
+                "y": [label(n) for n in found],
+                "zmin": -1,
+                "zmax": 1,
+                "z": values,
+                "texttemplate": "%{z:.2f}",
+                "colorscale": [[0, "#d55e00"], [0.5, "#f4f6f8"], [1, "#0072b2"]],
+                "hovertemplate": "%{y} and %{x}: r = %{z:.2f}<extra></extra>",
+            }
+        ],
         {"hovermode": "closest", "margin": {"l": 200, "r": 16, "t": 36, "b": 160}},
         "How alike the effects found and others look in these data once recalibration is allowed for: at 1 they look "
-        "the same, at 0 they have nothing in common.", 240 + 30 * len(found))
+        "the same, at 0 they have nothing in common.",
+        240 + 30 * len(found),
+    )
 
 
 def _heldout_table(battery: BatteryDiagnosis) -> Table:
     rows: list[Sequence[Any]] = []
     for held in (battery.heldout, battery.shifted):
         if held is not None:
-            for kind, text in (("nominal", "robot file"), ("recalibrated", "recalibrated"),
-                               ("with_effects", "with what was found")):
+            for kind, text in (
+                ("nominal", "robot file"),
+                ("recalibrated", "recalibrated"),
+                ("with_effects", "with what was found"),
+            ):
                 rows.append([held.how, text, held.energy_error_pct[kind], held.power_rmse_w[kind]])
-    return Table(["held-out runs", "model", "energy error, %", "power error (RMS), W"], rows,
-                 "Errors on runs that were not used to fit", 3)
+    return Table(
+        ["held-out runs", "model", "energy error, %", "power error (RMS), W"],
+        rows,
+        "Errors on runs that were not used to fit",
+        3,
+    )
 
 
 def _seen(limit: float | None) -> bool:

@@ -14,8 +14,20 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#ee8866", "#77aadd", "#999933",
-           "#882255", "#44aa99", "#332288")
+COLOURS = (
+    "#4477aa",
+    "#ee6677",
+    "#228833",
+    "#ccbb44",
+    "#66ccee",
+    "#aa3377",
+    "#ee8866",
+    "#77aadd",
+    "#999933",
+    "#882255",
+    "#44aa99",
+    "#332288",
+)
 """Distinguishable without colour vision (P. Tol's bright, light and muted schemes)."""
 OTHERS = "#bbbbbb"
 MOST_COMPONENTS = 8
@@ -63,15 +75,23 @@ def power_figure(result: RunResult) -> Figure:
         base = np.zeros(len(line))
         for component, joules in parts.items():
             top = base + joules / line.duration_s
-            axis.fill_between(edges, np.append(base, base[-1:]), np.append(top, top[-1:]), step="post",
-                              color=colours[component], label=component, linewidth=0)
+            axis.fill_between(
+                edges,
+                np.append(base, base[-1:]),
+                np.append(top, top[-1:]),
+                step="post",
+                color=colours[component],
+                label=component,
+                linewidth=0,
+            )
             base = top
         axis.step(edges, np.append(base, base[-1:]), where="post", color="#222222", linewidth=0.7)
         axis.set_ylabel(f"{name} battery [W]")
         axis.set_ylim(min(0.0, float(base.min(initial=0.0)) * 1.05), max(1e-9, float(base.max(initial=0.0))) * 1.06)
         handles, labels = axis.get_legend_handles_labels()
-        axis.legend(handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False,
-                    fontsize=8)
+        axis.legend(
+            handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8
+        )
     _mark_segments(axes, result, scale)
     axes[-1].set_xlabel(f"time [{unit}]")
     return figure
@@ -89,10 +109,14 @@ def charge_figure(result: RunResult) -> Figure:
         battery = result.batteries[name]
         charge = np.append(battery.initial_wh, result.charge_wh[name])
         axis.plot(time, charge, color=COLOURS[i % len(COLOURS)], linewidth=1.6, label="charge")
-        axis.axhline(battery.reserve_required_wh, color="#777777", linestyle="--", linewidth=1.0,
-                     label="reserve to keep")
-        ways = [(result.segment_end_s[j] / scale, entry[name]) for j, entry in enumerate(home)
-                if j in result.segment_end_s and entry.get(name) is not None]
+        axis.axhline(
+            battery.reserve_required_wh, color="#777777", linestyle="--", linewidth=1.0, label="reserve to keep"
+        )
+        ways = [
+            (result.segment_end_s[j] / scale, entry[name])
+            for j, entry in enumerate(home)
+            if j in result.segment_end_s and entry.get(name) is not None
+        ]
         if any(energy for _, energy in ways):
             axis.plot(*zip(*ways, strict=True), color="#aa3377", marker=".", linewidth=1.0, label="needed to come home")
         if battery.empty_at_s is not None:
@@ -112,8 +136,9 @@ def energy_figure(result: RunResult) -> Figure:
     for i, segment in enumerate(result.segments):
         groups.setdefault(segment.label or segment.name, []).append(i)
     names = list(result.batteries)
-    totals = {label: sum(float(result.by_segment_wh(n)[members].sum()) for n in names)
-              for label, members in groups.items()}
+    totals = {
+        label: sum(float(result.by_segment_wh(n)[members].sum()) for n in names) for label, members in groups.items()
+    }
     kept = set(sorted(totals, key=lambda label: -totals[label])[:MOST_BARS])
     labels = [label for label in groups if label in kept]
     from matplotlib.figure import Figure
@@ -200,6 +225,14 @@ def _mark_segments(axes: list[Axes], result: RunResult, scale: float) -> None:
             continue
         middle = 0.5 * (line.start_s[i] + end) / scale
         name = result.segments[int(line.segment[i])].name
-        axes[0].annotate(name if len(name) < 22 else name[:20] + "…", (middle, 1.0),
-                         xycoords=("data", "axes fraction"), xytext=(0, 3), textcoords="offset points",
-                         rotation=35, ha="left", va="bottom", fontsize=7)
+        axes[0].annotate(
+            name if len(name) < 22 else name[:20] + "…",
+            (middle, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, 3),
+            textcoords="offset points",
+            rotation=35,
+            ha="left",
+            va="bottom",
+            fontsize=7,
+        )

@@ -37,10 +37,12 @@ def improve_page(robot: str, done: Sequence[Improved], *, footer: str = "") -> s
 def _result(one: Improved) -> list[Block]:
     which = "held-out runs" if one.heldout else "the fitted runs; none were held out"
     first, last = one.steps[0], one.steps[-2]
-    text = (f"Battery {one.battery}: {', '.join(one.added) or 'nothing'} added; the power error on {which} went from "
-            f"{first.power_rmse_w:.3g} to {last.power_rmse_w:.3g} W, the energy error from "
-            f"{first.energy_error_pct:.2f} to {last.energy_error_pct:.2f} %. "
-            f"{one.stopped[:1].upper()}{one.stopped[1:]}")
+    text = (
+        f"Battery {one.battery}: {', '.join(one.added) or 'nothing'} added; the power error on {which} went from "
+        f"{first.power_rmse_w:.3g} to {last.power_rmse_w:.3g} W, the energy error from "
+        f"{first.energy_error_pct:.2f} to {last.energy_error_pct:.2f} %. "
+        f"{one.stopped[:1].upper()}{one.stopped[1:]}"
+    )
     if note := energy_note(one):
         text += f" {note}"
     names = [label(step.name) for step in one.steps]
@@ -52,19 +54,48 @@ def _result(one: Improved) -> list[Block]:
     ):
         colours = [COLOURS[1], *([COLOURS[4]] * (len(values) > 2)), *([COLOURS[2]] * (len(values) - 3)), "#aab2bd"]
         traces: list[dict[str, Any]] = [
-            {"type": "bar", "x": names, "y": values, "marker": {"color": colours}, "showlegend": False,
-             "text": [format_cell(v, 3) for v in values], "textposition": "outside",
-             "hovertemplate": "%{x}: %{y:.3g}<extra></extra>"},
-            {"type": "scatter", "mode": "lines", "x": names, "y": [level] * len(names), "name": "noise floor",
-             "line": {"color": "#52606d", "dash": "dot"}, "hoverinfo": "skip"}]
+            {
+                "type": "bar",
+                "x": names,
+                "y": values,
+                "marker": {"color": colours},
+                "showlegend": False,
+                "text": [format_cell(v, 3) for v in values],
+                "textposition": "outside",
+                "hovertemplate": "%{x}: %{y:.3g}<extra></extra>",
+            },
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "x": names,
+                "y": [level] * len(names),
+                "name": "noise floor",
+                "line": {"color": "#52606d", "dash": "dot"},
+                "hoverinfo": "skip",
+            },
+        ]
         layout = {"yaxis": {"title": {"text": title}, "rangemode": "tozero"}, "hovermode": "closest"}
-        charts.append(Chart(traces, layout,
-                            f"The {title.split(',')[0]} on {which}, step by step; the noise floor is what a true model "
-                            "would still show.", 360))
+        charts.append(
+            Chart(
+                traces,
+                layout,
+                f"The {title.split(',')[0]} on {which}, step by step; the noise floor is what a true model "
+                "would still show.",
+                360,
+            )
+        )
     tone: Any = "good" if one.added and last.power_rmse_w < first.power_rmse_w else "neutral"
-    table = Table(["model", "energy error, %", "power error (RMS), W"],
-                  [[s.name, s.energy_error_pct, s.power_rmse_w] for s in one.steps], measured_note(one), 3)
-    tiles = Tiles([("Added", str(len(one.added)), ", ".join(one.added)),
-                   ("Power error", f"{first.power_rmse_w:.3g} → {last.power_rmse_w:.3g} W", which),
-                   ("Noise floor", f"{floor.power_rmse_w:.3g} W", "noise, and runs whose meters and drives differ")])
+    table = Table(
+        ["model", "energy error, %", "power error (RMS), W"],
+        [[s.name, s.energy_error_pct, s.power_rmse_w] for s in one.steps],
+        measured_note(one),
+        3,
+    )
+    tiles = Tiles(
+        [
+            ("Added", str(len(one.added)), ", ".join(one.added)),
+            ("Power error", f"{first.power_rmse_w:.3g} → {last.power_rmse_w:.3g} W", which),
+            ("Noise floor", f"{floor.power_rmse_w:.3g} W", "noise, and runs whose meters and drives differ"),
+        ]
+    )
     return [Verdict(text, tone), tiles, *charts, table]

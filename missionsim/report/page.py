@@ -15,16 +15,26 @@ import numpy as np
 from missionsim.report.blocks import Bullets, Chart, Choice, Details, Paragraph, Section, Table, Tiles, Verdict
 
 MARKS = {"good": ("✓", "Good"), "warn": ("!", "Attention"), "bad": ("✗", "Wrong"), "neutral": ("i", "Result")}
-AXIS = {"gridcolor": "#e5e8ec", "zerolinecolor": "#aab2bd", "linecolor": "#aab2bd", "ticks": "outside",
-        "tickcolor": "#aab2bd", "automargin": True}
+AXIS = {
+    "gridcolor": "#e5e8ec",
+    "zerolinecolor": "#aab2bd",
+    "linecolor": "#aab2bd",
+    "ticks": "outside",
+    "tickcolor": "#aab2bd",
+    "automargin": True,
+}
 _SIGNED = re.compile(r"[+−][0-9][0-9.,]*(e[-−+]?[0-9]+)?")
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f3c8d", "#666666")
 """Okabe and Ito's colours, told apart with any colour vision, and two more."""
 HOUSE_LAYOUT: dict[str, Any] = {
     "font": {"family": "system-ui, 'DejaVu Sans', Arial, sans-serif", "size": 13, "color": "#1f2933"},
-    "paper_bgcolor": "#ffffff", "plot_bgcolor": "#ffffff", "margin": {"l": 64, "r": 16, "t": 30, "b": 48},
-    "hovermode": "x unified", "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"},
-    "hoverlabel": {"namelength": -1}, "colorway": list(COLOURS),
+    "paper_bgcolor": "#ffffff",
+    "plot_bgcolor": "#ffffff",
+    "margin": {"l": 64, "r": 16, "t": 30, "b": 48},
+    "hovermode": "x unified",
+    "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"},
+    "hoverlabel": {"namelength": -1},
+    "colorway": list(COLOURS),
 }
 
 
@@ -59,10 +69,20 @@ def page(title: str, sections: Sequence[Section], *, subtitle: str = "", footer:
 
     body = environment.get_template("page.html.j2")
     # the template draws the blocks first and asks for the charts' data at its end
-    return str(body.render(
-        title=title, subtitle=subtitle, footer=footer, sections=sections, chart_id=chart_id, choice_id=choice_id,
-        cell=format_cell, is_number=_is_number, charts_json=lambda: _script_json(charts), plotly_js=_plotly_js,
-    ))
+    return str(
+        body.render(
+            title=title,
+            subtitle=subtitle,
+            footer=footer,
+            sections=sections,
+            chart_id=chart_id,
+            choice_id=choice_id,
+            cell=format_cell,
+            is_number=_is_number,
+            charts_json=lambda: _script_json(charts),
+            plotly_js=_plotly_js,
+        )
+    )
 
 
 def format_cell(value: Any, digits: int = 4) -> str:
@@ -141,10 +161,27 @@ def _environment() -> Any:
     import jinja2
 
     return jinja2.Environment(
-        loader=jinja2.PackageLoader("missionsim.report"), autoescape=True, trim_blocks=True, lstrip_blocks=True,
+        loader=jinja2.PackageLoader("missionsim.report"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
 
 
-__all__ = ["COLOURS", "Bullets", "Chart", "Choice", "Details", "Paragraph", "Section", "Table", "Tiles", "Verdict",
-           "format_cell", "label", "page", "plain"]
+__all__ = [
+    "COLOURS",
+    "Bullets",
+    "Chart",
+    "Choice",
+    "Details",
+    "Paragraph",
+    "Section",
+    "Table",
+    "Tiles",
+    "Verdict",
+    "format_cell",
+    "label",
+    "page",
+    "plain",
+]

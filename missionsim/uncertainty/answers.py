@@ -69,10 +69,7 @@ def quantile_ranks(count: int, q: float, level: float = LEVEL) -> tuple[int, int
 def quantile_interval(ordered: NDArray[np.float64], q: float, level: float = LEVEL) -> tuple[float, float]:
     """Distribution-free interval of a quantile of a sorted sample, shape (n,); infinite where it is not bounded."""
     low, high = quantile_ranks(len(ordered), q, level)
-    return (
-        float(ordered[low]) if low >= 0 else -math.inf,
-        float(ordered[high]) if high < len(ordered) else math.inf,
-    )
+    return (float(ordered[low]) if low >= 0 else -math.inf, float(ordered[high]) if high < len(ordered) else math.inf)
 
 
 def quantiles(

@@ -145,8 +145,12 @@ class ArrayMission:
             table.again[part] |= ~(initial - most > floor + slack)  # also where it is not a number
             table.again[part] |= doubt > AGREEMENT * np.abs(total)
             np.less(left, required - slack, out=table.below[b, part])
-            for quantity, joules in (("energy", total), ("charge_left", left), ("margin", left - required),
-                                     ("needed", np.maximum(most, 0.0))):
+            for quantity, joules in (
+                ("energy", total),
+                ("charge_left", left),
+                ("margin", left - required),
+                ("needed", np.maximum(most, 0.0)),
+            ):
                 numbers[table.row(b, quantity)] = joules
 
     @functools.cached_property

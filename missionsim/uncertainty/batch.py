@@ -193,7 +193,8 @@ def _finished(
             if isinstance(error, OSError) and error.filename is not None:
                 raise
             raise InputError.single(
-                "the Dask scheduler was lost", got=" ".join(str(error).split())[:100],
+                "the Dask scheduler was lost",
+                got=" ".join(str(error).split())[:100],
                 allowed="with --out, finished blocks are kept: --resume and a scheduler that runs",
             ) from error
         return

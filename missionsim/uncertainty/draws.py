@@ -64,8 +64,9 @@ class Sampler:
             Name → ndarray of shape (count,), SI. The same for any block and whatever else is uncertain.
         """
         streams = Streams(seed)
-        correlated = self._correlated({name: streams.normals(name, first, count) for group in self.groups
-                                       for name in group[0]})
+        correlated = self._correlated(
+            {name: streams.normals(name, first, count) for group in self.groups for name in group[0]}
+        )
         found: Draws = {}
         for value in self.values:
             name, law = value.name, value.distribution

@@ -103,10 +103,18 @@ class Dependence:
             for place, entry in enumerate(entries):
                 for turn, (name, how, coefficient) in enumerate(self._of.get(entry, ())):
                     steps.setdefault((turn, how), []).append((place, rank[how == "plus", name], coefficient))
-            self._known[entries] = self.base[None, list(entries)], [
-                (np.array([s[0] for s in step]), np.array([s[1] for s in step]), how, np.array([s[2] for s in step]))
-                for (_, how), step in sorted(steps.items())
-            ]
+            self._known[entries] = (
+                self.base[None, list(entries)],
+                [
+                    (
+                        np.array([s[0] for s in step]),
+                        np.array([s[1] for s in step]),
+                        how,
+                        np.array([s[2] for s in step]),
+                    )
+                    for (_, how), step in sorted(steps.items())
+                ],
+            )
         return self._known[entries]
 
     @functools.cached_property
@@ -231,8 +239,7 @@ def _same(a: Array, b: Array, absolute: float = 0.0, relative: float = 1e-14) ->
 def _form(
     base: Array, changed: list[Array], value: float, steps: list[float]
 ) -> tuple[NDArray[np.bool_], Array] | None:
-    """Which entries are products, and their exponents, the others being sums with a slope; None where some is neither.
-    """
+    """Which entries are products, and their exponents, the others being sums with a slope; None where some is neither."""
     product = np.full(base.shape, bool(value)) & (base != 0.0)
     known = base[product]
     wanted = [1.0 + step / (value or 1.0) for step in steps]

@@ -115,7 +115,9 @@ class BlockStore:
                 table = self._read(first, names)
             except (OSError, ValueError) as error:
                 raise InputError.single(
-                    "this block of runs is damaged", file=str(self.path(first)), got=str(error).splitlines()[0],
+                    "this block of runs is damaged",
+                    file=str(self.path(first)),
+                    got=str(error).splitlines()[0],
                     allowed="--resume computes it again",
                 ) from error
             yield {name: _numpy(table.column(name).combine_chunks()) for name in names}
@@ -176,7 +178,9 @@ class BlockStore:
                 old = _flat(json.loads(path.read_text(encoding="utf-8")))
             except (ValueError, AttributeError) as error:
                 raise InputError.single(
-                    "this file does not tell which batch is in the folder", file=str(path), got=str(error),
+                    "this file does not tell which batch is in the folder",
+                    file=str(path),
+                    got=str(error),
                     allowed="another --out, or the file as it was written",
                 ) from error
             new = _flat(identity)

@@ -15,8 +15,13 @@ C2, C3, C4, PRIOR_SD = 6.25, 9.79, 3.66, 0.03
 # watts of what is on all the time, by battery and component: two lasers and the Kinect
 ROBOT_W = {"laser": 2 * 2.34, "kinect": 2.82}
 LAPTOP_W = {
-    "laser": 2 * 0.4, "kinect": 1.2, "robot_controller": 0.075, "wattmeter": 0.49, "switchboard1": 0.72,
-    "switchboard2": 0.405, "processor": 13.27,
+    "laser": 2 * 0.4,
+    "kinect": 1.2,
+    "robot_controller": 0.075,
+    "wattmeter": 0.49,
+    "switchboard1": 0.72,
+    "switchboard2": 0.405,
+    "processor": 13.27,
 }
 INSTANTS = 21
 
@@ -97,13 +102,15 @@ def progpy_patrol(runs: int, seed: int) -> np.ndarray:
             speed = ASKED_M_S[i] * rng.normal(TRACKING, TRACKING_SD)
             spent = {"motors": (x["c2"] * speed + x["c3"]) * way, "controller": x["c4"] * way / speed}
             spent |= {name: watts * way / speed for name, watts in ROBOT_W.items()}
-            return self.StateContainer({
-                **{name: x[name] for name in ("c2", "c3", "c4")},
-                **{name: x[name] + joules for name, joules in spent.items()},
-                "segment": x["segment"] + 1,
-                "time_s": x["time_s"] + way / speed,
-                "laptop": x["laptop"] + sum(LAPTOP_W.values()) * way / speed,
-            })
+            return self.StateContainer(
+                {
+                    **{name: x[name] for name in ("c2", "c3", "c4")},
+                    **{name: x[name] + joules for name, joules in spent.items()},
+                    "segment": x["segment"] + 1,
+                    "time_s": x["time_s"] + way / speed,
+                    "laptop": x["laptop"] + sum(LAPTOP_W.values()) * way / speed,
+                }
+            )
 
         def output(self, x: Any) -> Any:
             return self.OutputContainer({"energy_wh": sum(x[name] for name in parts) / 3600.0})
@@ -116,10 +123,15 @@ def progpy_patrol(runs: int, seed: int) -> np.ndarray:
 
     model = Patrol()
     first = [
-        model.StateContainer({
-            "segment": 0.0, "time_s": 0.0, **dict.fromkeys(parts, 0.0), "laptop": 0.0,
-            **{name: rng.normal(v, PRIOR_SD * v) for name, v in (("c2", C2), ("c3", C3), ("c4", C4))},
-        })
+        model.StateContainer(
+            {
+                "segment": 0.0,
+                "time_s": 0.0,
+                **dict.fromkeys(parts, 0.0),
+                "laptop": 0.0,
+                **{name: rng.normal(v, PRIOR_SD * v) for name, v in (("c2", C2), ("c3", C3), ("c4", C4))},
+            }
+        )
         for _ in range(runs)
     ]
     found = MonteCarlo(model).predict(

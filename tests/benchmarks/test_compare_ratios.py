@@ -54,16 +54,24 @@ def write_log(path: Path, rows: int) -> None:
         speed = np.where(time_s % 60 < 50, np.abs(0.4 + 0.1 * np.sin(time_s / 7) + rng.normal(0, 0.01, size)), 0.0)
         slope = 0.05 * np.sin(time_s / 97)
         power = 6.25 * speed**2 + 9.79 * speed + np.where(speed > 0, 3.66, 2.67) + 2.34
-        table = pa.table({
-            "time_s": time_s, "power_robot_w": power + 30 * slope * speed + rng.normal(0, 0.3, size),
-            "speed_m_s": speed, "accel_m_s2": np.gradient(speed, time_s),
-            "yaw_rate_rad_s": np.where((time_s % 23 < 3) & (speed > 0), 0.5, 0.0), "slope_rad": slope,
-            "payload_kg": np.where(time_s // 600 % 2 > 0, 4.0, 0.0),
-            "surface": pa.array(np.where(time_s // 300 % 2 > 0, "tile", "carpet")).dictionary_encode(),
-            "temp_ambient_c": 20 + 5 * np.sin(time_s / 1e4), "cpu_load": rng.uniform(0, 1, size),
-            "on_laser": np.ones(size, dtype=np.int64), "on_kinect": np.zeros(size, dtype=np.int64),
-            "x_m": 10 * np.sin(time_s / 50), "y_m": 5 * np.cos(time_s / 80),
-        })
+        table = pa.table(
+            {
+                "time_s": time_s,
+                "power_robot_w": power + 30 * slope * speed + rng.normal(0, 0.3, size),
+                "speed_m_s": speed,
+                "accel_m_s2": np.gradient(speed, time_s),
+                "yaw_rate_rad_s": np.where((time_s % 23 < 3) & (speed > 0), 0.5, 0.0),
+                "slope_rad": slope,
+                "payload_kg": np.where(time_s // 600 % 2 > 0, 4.0, 0.0),
+                "surface": pa.array(np.where(time_s // 300 % 2 > 0, "tile", "carpet")).dictionary_encode(),
+                "temp_ambient_c": 20 + 5 * np.sin(time_s / 1e4),
+                "cpu_load": rng.uniform(0, 1, size),
+                "on_laser": np.ones(size, dtype=np.int64),
+                "on_kinect": np.zeros(size, dtype=np.int64),
+                "x_m": 10 * np.sin(time_s / 50),
+                "y_m": 5 * np.cos(time_s / 80),
+            }
+        )
         writer = writer or parquet.ParquetWriter(path, table.schema)
         writer.write_table(table)
     assert writer is not None
@@ -100,8 +108,10 @@ def test_a_million_rows_in_bounded_memory_and_linear_time(folder: Path) -> None:
     write_log(small, 500_000)
     write_log(large, 2_000_000)
     a, b = measured(OURS, small), measured(OURS, large)
-    print(f"500,000 rows: {a['wall_s']:.2f} s, {a['peak_mb']:.0f} MB; 2,000,000 rows: {b['wall_s']:.2f} s, "
-          f"{b['peak_mb']:.0f} MB")
+    print(
+        f"500,000 rows: {a['wall_s']:.2f} s, {a['peak_mb']:.0f} MB; 2,000,000 rows: {b['wall_s']:.2f} s, "
+        f"{b['peak_mb']:.0f} MB"
+    )
     assert b["rows"] == 4 * a["rows"]
     # the second file has 168 MB more of numbers
     assert b["peak_mb"] - a["peak_mb"] < 60.0

@@ -76,6 +76,7 @@ def both(folder: Path) -> tuple[Callable[[], object], Callable[[], object], Call
 
 def test_twelve_runs_at_ten_hertz_within_five_seconds_and_no_slower_than_the_peer(folder: Path) -> None:
     pytest.importorskip("pysindy", reason="the peers are an extra: pip install missionsim[peers]")
+
     def ours() -> None:
         result = diagnose_files("pioneer3dx", [folder / "train"])
         assert len(result.batteries["robot"].candidates) >= 15
@@ -84,8 +85,10 @@ def test_twelve_runs_at_ten_hertz_within_five_seconds_and_no_slower_than_the_pee
     ours()  # imports
     seconds, small = cpu_seconds(ours, peer_on_means, rounds=3)
     search, theirs = cpu_seconds(mine, peer, rounds=4)
-    print(f"diagnose {seconds:.2f} s, of which the search {search:.2f} s; PySINDy's ensemble {theirs:.2f} s at 10 Hz "
-          f"and {small:.2f} s on one-second means; ratio {search / theirs:.2f}")
+    print(
+        f"diagnose {seconds:.2f} s, of which the search {search:.2f} s; PySINDy's ensemble {theirs:.2f} s at 10 Hz "
+        f"and {small:.2f} s on one-second means; ratio {search / theirs:.2f}"
+    )
     assert seconds < LIMIT_S
     assert search < theirs
 
@@ -107,7 +110,8 @@ def test_time_grows_no_faster_than_rows(folder: Path, tmp_path: Path) -> None:
     pytest.importorskip("threadpoolctl", reason="comes with the peers: pip install missionsim[peers]")
     one, two = cpu_seconds(
         lambda: diagnose_files("pioneer3dx", [few], holdout="none"),
-        lambda: diagnose_files("pioneer3dx", [folder / "train"], holdout="none"), rounds=2,
-    )  # fmt: skip
+        lambda: diagnose_files("pioneer3dx", [folder / "train"], holdout="none"),
+        rounds=2,
+    )
     print(f"6 runs {one:.2f} s, 12 runs {two:.2f} s")
     assert two < 2.6 * one

@@ -38,8 +38,10 @@ def test_hundred_times_faster_than_polling_at_10_hz(tmp_path: Path) -> None:
     assert len(result.energies["main"]) + len(result.energies["aux"]) >= patrol.COMPONENTS + 3
     ours = cpu_seconds(lambda: simulate(mission, trace=True), 20)
     theirs = cpu_seconds(patrol.polling_script, 2)
-    print(f"polling {theirs * 1e3:.0f} ms, ours {ours * 1e3:.2f} ms, ratio {theirs / ours:.0f}, "
-          f"{result.duration_s:.0f} s simulated")
+    print(
+        f"polling {theirs * 1e3:.0f} ms, ours {ours * 1e3:.2f} ms, ratio {theirs / ours:.0f}, "
+        f"{result.duration_s:.0f} s simulated"
+    )
     assert theirs / ours >= 100.0
 
 

@@ -34,9 +34,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("command", ["validate", "run"])
-def test_start_up_within_three_times_the_bare_interpreter(
-    root: Path, command: str, installed: dict[str, str]
-) -> None:
+def test_start_up_within_three_times_the_bare_interpreter(root: Path, command: str, installed: dict[str, str]) -> None:
     mission = str(root / "missions" / "pioneer3dx" / "valve_patrol.yaml")
     ours = [*OURS, command, mission]
     seconds(BARE, installed), seconds(ours, installed)  # both from a warm file cache

@@ -60,8 +60,14 @@ def test_files_of_a_comparison(logs: Path, tmp_path: Path, capsys: pytest.Captur
     assert run_command(["compare", "--robot", "pioneer3dx", str(logs), *files, "--quiet"]) == 0
     assert capsys.readouterr().out == ""
     assert {path.name for path in out.iterdir()} == {
-        "runs.csv", "where.csv", "terms.csv", "power_robot_run_00.png", "power_robot_run_01.png",
-        "error_by_covariate_robot.png", "error_over_progress_robot.png", "error_map_robot.png",
+        "runs.csv",
+        "where.csv",
+        "terms.csv",
+        "power_robot_run_00.png",
+        "power_robot_run_01.png",
+        "error_by_covariate_robot.png",
+        "error_over_progress_robot.png",
+        "error_map_robot.png",
     }
     with open(out / "runs.csv", encoding="utf-8") as handle:
         rows = list(csv.DictReader(handle))
@@ -82,11 +88,14 @@ def test_all_faults_of_a_command_at_once(tmp_path: Path, capsys: pytest.CaptureF
     assert "no.yaml" in err
 
 
-@pytest.mark.parametrize(("extra", "text"), [
-    (["--tolerance", "-3"], "the tolerance is a percentage"),
-    (["--report", "page.pdf"], "a file name that ends in .html"),
-    (["--by", "payload"], "the log has no column 'payload'"),
-])
+@pytest.mark.parametrize(
+    ("extra", "text"),
+    [
+        (["--tolerance", "-3"], "the tolerance is a percentage"),
+        (["--report", "page.pdf"], "a file name that ends in .html"),
+        (["--by", "payload"], "the log has no column 'payload'"),
+    ],
+)
 def test_wrong_options_are_told(logs: Path, extra: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command(["compare", "--robot", "pioneer3dx", str(logs), *extra]) == 2
     assert text in capsys.readouterr().err

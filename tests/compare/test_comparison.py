@@ -46,18 +46,24 @@ def test_numbers_against_the_definition() -> None:
     assert one.energy_error_pct == pytest.approx(100 * error.sum() / measured.sum())
     assert one.power_rmse_w == pytest.approx(np.sqrt(np.mean(error**2)))
     assert one.power_bias_w == pytest.approx(error.mean())
-    assert one.gap_wh == {"total": pytest.approx(-error.sum() * 0.5 / 3600), "behaviour": None,
-                          "power_model": pytest.approx(-error.sum() * 0.5 / 3600)}
+    assert one.gap_wh == {
+        "total": pytest.approx(-error.sum() * 0.5 / 3600),
+        "behaviour": None,
+        "power_model": pytest.approx(-error.sum() * 0.5 / 3600),
+    }
     assert one.runs[0].error_statistics.final_pct == pytest.approx(abs(one.energy_error_pct))
     assert sum(one.by_term_wh.values()) == pytest.approx(one.energy_model_wh)
 
 
-@pytest.mark.parametrize(("extra", "by", "value"), [
-    (lambda c: np.where(c["surface"].equals("carpet"), 2.0 * c["speed_m_s"], 0.0), "surface", "carpet"),
-    (lambda c: 25.0 * 9.81 * c["speed_m_s"] * np.sin(c["slope_rad"]), "slope_rad", None),
-    (lambda c: 3.0 * np.abs(c["yaw_rate_rad_s"]), "yaw_rate_rad_s", None),
-    (lambda c: 0.8 * c["on_kinect"], "on_kinect", "1"),
-])
+@pytest.mark.parametrize(
+    ("extra", "by", "value"),
+    [
+        (lambda c: np.where(c["surface"].equals("carpet"), 2.0 * c["speed_m_s"], 0.0), "surface", "carpet"),
+        (lambda c: 25.0 * 9.81 * c["speed_m_s"] * np.sin(c["slope_rad"]), "slope_rad", None),
+        (lambda c: 3.0 * np.abs(c["yaw_rate_rad_s"]), "yaw_rate_rad_s", None),
+        (lambda c: 0.8 * c["on_kinect"], "on_kinect", "1"),
+    ],
+)
 def test_a_planted_term_is_seen_where_it_acts(extra: Any, by: str, value: str | None) -> None:
     one = planted(extra).batteries["robot"]
     strongest = one.dependences[0]
@@ -155,14 +161,22 @@ def test_json_has_every_key_of_the_contract() -> None:
 
 # ---------------------------------------------------------------- behaviour
 
+
 def cruise_plan(speed: float = 0.5, seconds: float = 100.0, rest_s: float = 20.0) -> Timeline:
     """Ramp up, cruise, ramp down, rest, under scheme a; a short cruise under scheme b."""
     return Timeline(
-        np.cumsum([0.0, 1.0, seconds, 1.0, rest_s]), np.array([1.0, seconds, 1.0, rest_s, 50.0]),
-        {"speed_m_s": np.array([0.0, speed, speed, 0.0, 0.3]), "accel_m_s2": np.array([speed, 0, -speed, 0, 0]),
-         "yaw_rate_rad_s": np.zeros(5), "on_kinect": np.zeros(5), "moving": np.array([1.0, 1, 1, 0, 1]),
-         "scheme": Labels.of(["a", "a", "a", "a", "b"])},
-        {"speed_m_s": np.array([speed, 0.0, -speed, 0.0, 0.0])}, np.array([0, 0, 0, 1, 2]),
+        np.cumsum([0.0, 1.0, seconds, 1.0, rest_s]),
+        np.array([1.0, seconds, 1.0, rest_s, 50.0]),
+        {
+            "speed_m_s": np.array([0.0, speed, speed, 0.0, 0.3]),
+            "accel_m_s2": np.array([speed, 0, -speed, 0, 0]),
+            "yaw_rate_rad_s": np.zeros(5),
+            "on_kinect": np.zeros(5),
+            "moving": np.array([1.0, 1, 1, 0, 1]),
+            "scheme": Labels.of(["a", "a", "a", "a", "b"]),
+        },
+        {"speed_m_s": np.array([speed, 0.0, -speed, 0.0, 0.0])},
+        np.array([0, 0, 0, 1, 2]),
     )
 
 
@@ -173,8 +187,9 @@ def steady(speed: float) -> float:
 def test_a_longer_way_is_path_stretch_alone() -> None:
     extra_m, plan = 10.0, cruise_plan()
     done = {"a": Driven(50.5 + extra_m, 102.0 + extra_m / 0.5, 0.0, 20.0), "b": Driven(15.0, 50.0)}
-    base = split_behaviour(friction_model(), plan, {"a": Driven(50.5, 102.0, 0.0, 20.0), "b": Driven(15.0, 50.0)}, 1,
-                           ["robot"])
+    base = split_behaviour(
+        friction_model(), plan, {"a": Driven(50.5, 102.0, 0.0, 20.0), "b": Driven(15.0, 50.0)}, 1, ["robot"]
+    )
     found = split_behaviour(friction_model(), plan, done, 1, ["robot"])
     assert found[0].path_stretch == pytest.approx((50.5 + extra_m) / 50.5)
     assert found[0].wh["robot"]["path_stretch"] == pytest.approx(steady(0.5) * extra_m / 0.5 / 3600, rel=1e-9)
@@ -286,11 +301,17 @@ def test_a_clock_shift_that_looks_like_inertia_is_said(shared: Path) -> None:
     assert "aligns the clocks" in one.words[-1]
 
 
-@pytest.mark.parametrize(("case", "by"), [
-    ("grade-5pct", "slope_rad"), ("turning_scrub-5pct", "yaw_rate_rad_s"),
-    ("component_power-kinect-5pct", "on_kinect"), ("surface_rolling_resistance-5pct", "surface"),
-    ("payload-5pct", "payload_kg"), ("aerodynamic_drag-5pct", "speed_m_s"),
-])
+@pytest.mark.parametrize(
+    ("case", "by"),
+    [
+        ("grade-5pct", "slope_rad"),
+        ("turning_scrub-5pct", "yaw_rate_rad_s"),
+        ("component_power-kinect-5pct", "on_kinect"),
+        ("surface_rolling_resistance-5pct", "surface"),
+        ("payload-5pct", "payload_kg"),
+        ("aerodynamic_drag-5pct", "speed_m_s"),
+    ],
+)
 def test_practice_logs_point_at_the_covariate_of_the_hidden_effect(shared: Path, case: str, by: str) -> None:
     """Beside what a late meter does in ramps, the covariate of the hidden effect explains most."""
     one = compare_files("pioneer3dx", [shared / "practice" / case / "train"]).batteries["robot"]

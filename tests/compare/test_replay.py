@@ -13,8 +13,9 @@ from tests.compare.worlds import cut, drive, friction_model, log_of, true_power
 
 
 def with_effect(model: PowerModel, name: str, **values: float) -> PowerModel:
-    term = Term(TermKey("robot", name, name), get_effect(name), {k: ModelParameter(v) for k, v in values.items()},
-                base=False)
+    term = Term(
+        TermKey("robot", name, name), get_effect(name), {k: ModelParameter(v) for k, v in values.items()}, base=False
+    )
     return model.with_term(term)
 
 
@@ -31,10 +32,15 @@ def test_replay_is_the_physics_written_out_again() -> None:
 
 
 @pytest.mark.parametrize("size", [1, 7, 64, 599])
-@pytest.mark.parametrize("effect", [
-    ("cold_friction", {"k": 5.0, "tau": 60.0}), ("component_warmup:kinect", {"k": 2.0, "tau": 30.0}),
-    ("start_surge", {"E": 12.0}), ("acceleration", {"k": 1.0}),
-])
+@pytest.mark.parametrize(
+    "effect",
+    [
+        ("cold_friction", {"k": 5.0, "tau": 60.0}),
+        ("component_warmup:kinect", {"k": 2.0, "tau": 30.0}),
+        ("start_surge", {"E": 12.0}),
+        ("acceleration", {"k": 1.0}),
+    ],
+)
 def test_blocks_carry_the_memory_of_the_model(size: int, effect: tuple[str, dict[str, float]]) -> None:
     columns = drive(rows=600)
     log = log_of(columns, true_power(columns))
@@ -66,7 +72,8 @@ def test_missing_columns_with_a_plain_meaning_are_filled_and_said() -> None:
     model = with_effect(with_effect(friction_model(), "grade", k=1.0), "turning_scrub", k=2.0)
     plan = plan_replay(model, log.columns, log.batteries)
     assert set(plan.notes) == {
-        "no column on_kinect: kinect counts as switched off", "no column slope_rad: the ground is level",
+        "no column on_kinect: kinect counts as switched off",
+        "no column slope_rad: the ground is level",
         "no column yaw_rate_rad_s: the robot drives straight",
     }
     (block,) = replay_blocks(plan, [log])

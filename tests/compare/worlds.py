@@ -26,7 +26,8 @@ def friction_model(c2: float = 6.25, c3: float = 9.79, moving: float = 3.66, sta
             one("controller", "controller", base_terms.controller_term(True), {"moving": moving, "standing": standing}),
             one("kinect", "kinect", base_terms.component_term("kinect"), {"power": 2.82}),
         ),
-        ("robot",), {"body_mass_kg": 25.0, "regeneration": 0.0},
+        ("robot",),
+        {"body_mass_kg": 25.0, "regeneration": 0.0},
     )
 
 
@@ -60,9 +61,12 @@ def log_of(columns: dict[str, Any], power_w: NDArray[np.float64], run: str = "ru
     data = {**columns, "power_robot_w": np.asarray(power_w, dtype=float)}
     arrays = {k: v if isinstance(v, Labels) else np.array(v, dtype=float) for k, v in data.items()}
     return LogTable(
-        run, arrays,
-        row_durations(np.asarray(columns["time_s"], dtype=float)), {"robot": np.array(power_w, dtype=float)},
-        {"robot": fresh}, {"robot": "power"},
+        run,
+        arrays,
+        row_durations(np.asarray(columns["time_s"], dtype=float)),
+        {"robot": np.array(power_w, dtype=float)},
+        {"robot": fresh},
+        {"robot": "power"},
     )
 
 

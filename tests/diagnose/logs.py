@@ -11,8 +11,14 @@ from missionsim.logs import LogTable
 
 
 def drive(
-    seed: int, *, seconds: float = 420.0, step_s: float = 1.0, scrub_w_s_rad: float = 0.0, noise: float = 0.02,
-    run: str = "", **more: Any,
+    seed: int,
+    *,
+    seconds: float = 420.0,
+    step_s: float = 1.0,
+    scrub_w_s_rad: float = 0.0,
+    noise: float = 0.02,
+    run: str = "",
+    **more: Any,
 ) -> LogTable:
     """One run of a Pioneer-like robot: random speeds, turns, stops and switching; AR noise on the power."""
     rng = np.random.default_rng(seed)
@@ -35,11 +41,20 @@ def drive(
     for i in range(1, count):
         error[i] = keep * error[i - 1] + rng.normal(0.0, noise * power.mean() * np.sqrt(1.0 - keep**2))
     columns: dict[str, Any] = {
-        "time_s": time_s, "power_robot_w": power + error, "speed_m_s": speed, "yaw_rate_rad_s": yaw,
-        "on_laser": np.ones(count), "on_kinect": kinect, **more,
+        "time_s": time_s,
+        "power_robot_w": power + error,
+        "speed_m_s": speed,
+        "yaw_rate_rad_s": yaw,
+        "on_laser": np.ones(count),
+        "on_kinect": kinect,
+        **more,
     }
     columns = {n: Labels.of(v) if isinstance(v, list) else v for n, v in columns.items()}
     return LogTable(
-        run or f"run_{seed:02d}", columns, np.full(count, step_s), {"robot": power + error}, {"robot": None},
+        run or f"run_{seed:02d}",
+        columns,
+        np.full(count, step_s),
+        {"robot": power + error},
+        {"robot": None},
         {"robot": "power"},
     )

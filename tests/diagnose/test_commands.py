@@ -47,8 +47,22 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def diagnosis(folders: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     out = tmp_path_factory.mktemp("out") / "diagnosis.json"
     page = out.with_suffix(".html")
-    assert run("diagnose", "--robot", "pioneer3dx", str(folders["train"]), "--holdout", str(folders["held"]),
-                        "--json", str(out), "--report", str(page), "--quiet") == 0
+    assert (
+        run(
+            "diagnose",
+            "--robot",
+            "pioneer3dx",
+            str(folders["train"]),
+            "--holdout",
+            str(folders["held"]),
+            "--json",
+            str(out),
+            "--report",
+            str(page),
+            "--quiet",
+        )
+        == 0
+    )
     assert "<script" in page.read_text(encoding="utf-8")
     assert "turning_scrub" in page.read_text(encoding="utf-8")
     return dict(json.loads(out.read_text(encoding="utf-8")))
@@ -57,8 +71,16 @@ def diagnosis(folders: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
 def test_diagnosis_has_the_contract_s_shape(diagnosis: dict[str, Any]) -> None:
     assert diagnosis["schema"] == "missionsim.diagnosis/1"
     battery = diagnosis["batteries"]["robot"]
-    assert set(battery) >= {"verdict", "effects", "candidates", "recalibration", "clock", "untestable", "unexplained",
-                            "next_experiment"}
+    assert set(battery) >= {
+        "verdict",
+        "effects",
+        "candidates",
+        "recalibration",
+        "clock",
+        "untestable",
+        "unexplained",
+        "next_experiment",
+    }
     assert set(battery["clock"]) >= {"delay_s", "lag_s"}
     assert set(battery["unexplained"]) == {"share_of_residual", "depends_on", "shape"}
     for candidate in battery["candidates"]:
@@ -107,8 +129,20 @@ def compare(robot: str, logs: Path, tmp_path: Path) -> dict[str, Any]:
 
 def test_add_effect_lowers_the_error_on_runs_that_were_not_used(folders: dict[str, Path], tmp_path: Path) -> None:
     robot = tmp_path / "better.yaml"
-    assert run("add-effect", "--robot", "pioneer3dx", "--effect", "turning_scrub", str(folders["train"]),
-                        "--out", str(robot), "--quiet") == 0
+    assert (
+        run(
+            "add-effect",
+            "--robot",
+            "pioneer3dx",
+            "--effect",
+            "turning_scrub",
+            str(folders["train"]),
+            "--out",
+            str(robot),
+            "--quiet",
+        )
+        == 0
+    )
     text = robot.read_text(encoding="utf-8")
     assert "# Pioneer 3DX with a laptop" in text  # comments are kept
     assert "effect: turning_scrub" in text
@@ -120,13 +154,26 @@ def test_add_effect_lowers_the_error_on_runs_that_were_not_used(folders: dict[st
     assert run("validate", str(robot), "--quiet") == 0
     # what the file holds is not proposed again, and not added twice
     out = tmp_path / "again.json"
-    assert run("diagnose", "--robot", str(robot), str(folders["held"]), "--holdout", "none", "--json", str(out),
-               "--quiet") == 0
+    assert (
+        run("diagnose", "--robot", str(robot), str(folders["held"]), "--holdout", "none", "--json", str(out), "--quiet")
+        == 0
+    )
     again = json.loads(out.read_text(encoding="utf-8"))["batteries"]["robot"]
     assert "turning_scrub" not in {c["effect"] for c in again["candidates"]}
     assert again["effects"] == []
-    assert run("add-effect", "--robot", str(robot), "--effect", "turning_scrub", str(folders["train"]), "--out",
-                        str(tmp_path / "twice.yaml")) == 2
+    assert (
+        run(
+            "add-effect",
+            "--robot",
+            str(robot),
+            "--effect",
+            "turning_scrub",
+            str(folders["train"]),
+            "--out",
+            str(tmp_path / "twice.yaml"),
+        )
+        == 2
+    )
     assert not (tmp_path / "twice.yaml").exists()
 
 
@@ -134,8 +181,16 @@ def test_add_effect_refuses_what_the_data_do_not_support(
     folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot = tmp_path / "no.yaml"
-    command = ["add-effect", "--robot", "pioneer3dx", "--effect", "aerodynamic_drag", str(folders["clean"]), "--out",
-               str(robot)]
+    command = [
+        "add-effect",
+        "--robot",
+        "pioneer3dx",
+        "--effect",
+        "aerodynamic_drag",
+        str(folders["clean"]),
+        "--out",
+        str(robot),
+    ]
     assert run(*command) == 1
     assert "aerodynamic_drag is not supported by these logs" in capsys.readouterr().err
     assert not robot.exists()
@@ -146,22 +201,53 @@ def test_add_effect_refuses_what_the_data_do_not_support(
 
 @pytest.mark.parametrize(
     ("effect", "message"),
-    [("grade", "these logs cannot test 'grade'"), ("turning_scrubb", "did you mean: turning_scrub"),
-     ("dwell", "how the robot drives")],
+    [
+        ("grade", "these logs cannot test 'grade'"),
+        ("turning_scrubb", "did you mean: turning_scrub"),
+        ("dwell", "how the robot drives"),
+    ],
 )
 def test_add_effect_faults(
     folders: dict[str, Path], tmp_path: Path, effect: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run("add-effect", "--robot", "pioneer3dx", "--effect", effect, str(folders["train"]), "--out",
-                        str(tmp_path / "x.yaml")) == 2
+    assert (
+        run(
+            "add-effect",
+            "--robot",
+            "pioneer3dx",
+            "--effect",
+            effect,
+            str(folders["train"]),
+            "--out",
+            str(tmp_path / "x.yaml"),
+        )
+        == 2
+    )
     assert message in capsys.readouterr().err
     assert not (tmp_path / "x.yaml").exists()
 
 
 def test_improve_goes_to_the_noise_floor(folders: dict[str, Path], tmp_path: Path) -> None:
     robot, out, page = (tmp_path / name for name in ("i.yaml", "i.json", "i.html"))
-    assert run("improve", "--robot", "pioneer3dx", str(folders["train"]), "--holdout", str(folders["held"]),
-                        "--yes", "--out", str(robot), "--json", str(out), "--report", str(page), "--quiet") == 0
+    assert (
+        run(
+            "improve",
+            "--robot",
+            "pioneer3dx",
+            str(folders["train"]),
+            "--holdout",
+            str(folders["held"]),
+            "--yes",
+            "--out",
+            str(robot),
+            "--json",
+            str(out),
+            "--report",
+            str(page),
+            "--quiet",
+        )
+        == 0
+    )
     battery = json.loads(out.read_text(encoding="utf-8"))["batteries"]["robot"]
     assert battery["added"] == ["turning_scrub"]
     steps = {step["name"]: step["power_rmse_w"] for step in battery["steps"]}
@@ -187,8 +273,24 @@ def test_improve_asks_on_a_terminal_only(
 
 def test_calibrate_finds_the_base_of_a_new_robot(folders: dict[str, Path], tmp_path: Path) -> None:
     robot, out = tmp_path / "new.yaml", tmp_path / "new.json"
-    assert run("calibrate", "--new", "rover", "--base", "c2*v**2 + c3*v + c4", str(folders["clean"]), "--out",
-                        str(robot), "--json", str(out), "--mass", "25 kg", "--quiet") == 0
+    assert (
+        run(
+            "calibrate",
+            "--new",
+            "rover",
+            "--base",
+            "c2*v**2 + c3*v + c4",
+            str(folders["clean"]),
+            "--out",
+            str(robot),
+            "--json",
+            str(out),
+            "--mass",
+            "25 kg",
+            "--quiet",
+        )
+        == 0
+    )
     fitted = json.loads(out.read_text(encoding="utf-8"))["batteries"]["robot"]
     p = fitted["parameters"]
     # the laser is never switched in these logs, so its 2.34 W are part of the base
@@ -206,8 +308,17 @@ def test_calibrate_takes_the_only_battery_that_is_measured(tmp_path: Path) -> No
     columns = {("power_main_w" if n == "power_robot_w" else n): c for n, c in log.columns.items()}
     write(replace(log, columns=columns), tmp_path / "logs")
     robot = tmp_path / "new.yaml"
-    command = ["calibrate", "--new", "rover", "--base", "c2*v**2 + c3*v + c4", str(tmp_path / "logs"), "--out",
-               str(robot), "--quiet"]
+    command = [
+        "calibrate",
+        "--new",
+        "rover",
+        "--base",
+        "c2*v**2 + c3*v + c4",
+        str(tmp_path / "logs"),
+        "--out",
+        str(robot),
+        "--quiet",
+    ]
     assert run(*command) == 0
     assert "battery: main" in robot.read_text(encoding="utf-8")
 
@@ -243,8 +354,9 @@ def test_calibrate_faults(
 def test_a_user_s_own_candidate_is_tested_and_adopted(folders: dict[str, Path], tmp_path: Path, root: Path) -> None:
     text = (root / "missionsim" / "robots" / "pioneer3dx.yaml").read_text(encoding="utf-8")
     text = text.split("\n", 1)[1] + (
-        "\neffects:\n  - {name: my_turning, battery: robot, candidate: true, power: \"k * abs(yaw_rate_rad_s) * 1\","
-        " parameters: {k: {value: 1, low: 0, high: 100, unit: W s/rad}}}\n")
+        '\neffects:\n  - {name: my_turning, battery: robot, candidate: true, power: "k * abs(yaw_rate_rad_s) * 1",'
+        " parameters: {k: {value: 1, low: 0, high: 100, unit: W s/rad}}}\n"
+    )
     mine = tmp_path / "mine.yaml"
     mine.write_text(text, encoding="utf-8")
     out = tmp_path / "d.json"
@@ -254,8 +366,20 @@ def test_a_user_s_own_candidate_is_tested_and_adopted(folders: dict[str, Path], 
     assert {first["effect"], *first["indistinguishable_from"]} >= {"my_turning", "turning_scrub"}
     assert battery["verdict"] == "ambiguous"
     better = tmp_path / "better.yaml"
-    assert run("add-effect", "--robot", str(mine), "--effect", "my_turning", str(folders["train"]), "--out",
-                        str(better), "--quiet") == 0
+    assert (
+        run(
+            "add-effect",
+            "--robot",
+            str(mine),
+            "--effect",
+            "my_turning",
+            str(folders["train"]),
+            "--out",
+            str(better),
+            "--quiet",
+        )
+        == 0
+    )
     written = better.read_text(encoding="utf-8")
     assert "candidate" not in written
     assert "cannot_be_told_from: [turning_scrub]" in written

@@ -48,8 +48,12 @@ def log(seed: int, *, stretch: float = 1.0, tracking: float = 1.0, dwell_s: floa
         names += [name] * seconds
     v = np.concatenate(speeds)
     count = len(v)
-    columns = {"time_s": np.arange(count) + 0.5, "speed_m_s": np.abs(v + 0.002 * rng.standard_normal(count)),
-               "yaw_rate_rad_s": np.zeros(count), "segment": Labels.of(names)}
+    columns = {
+        "time_s": np.arange(count) + 0.5,
+        "speed_m_s": np.abs(v + 0.002 * rng.standard_normal(count)),
+        "yaw_rate_rad_s": np.zeros(count),
+        "segment": Labels.of(names),
+    }
     power = 6.25 * v**2 + 9.79 * v + np.where(v > 0, 3.66, 2.67)
     return LogTable(f"run_{seed}", columns, np.ones(count), {"robot": power}, {"robot": None}, {"robot": "power"})
 
@@ -66,8 +70,11 @@ def test_driven_as_planned_names_nothing(plan: Timeline, segments: tuple[str, ..
 
 @pytest.mark.parametrize(
     ("more", "effect", "value"),
-    [({"stretch": 1.06}, "path_stretch", 1.06), ({"tracking": 0.94}, "speed_tracking", 0.94),
-     ({"dwell_s": 15.0}, "dwell", 15.0)],
+    [
+        ({"stretch": 1.06}, "path_stretch", 1.06),
+        ({"tracking": 0.94}, "speed_tracking", 0.94),
+        ({"dwell_s": 15.0}, "dwell", 15.0),
+    ],
 )
 def test_each_effect_is_named_alone_with_its_size(
     plan: Timeline, more: dict[str, float], effect: str, value: float
@@ -107,7 +114,9 @@ def test_each_scheme_has_its_own_stretch(tmp_path: Path) -> None:
         "kind: mission\nname: two\nrobot: pioneer3dx\ndefaults: {profile: constant_speed, speed: 0.5 m/s}\nsegments:\n"
         "  - drive: {name: a, distance: 20 m, scheme: forward_motion}\n"
         "  - inspect: {name: look, duration: 10 s, scheme: image_analysis, sensors: {kinect: 1}}\n"
-        "  - drive: {name: b, distance: 20 m, scheme: path_following, sensors: {laser: 2}}\n", encoding="utf-8")
+        "  - drive: {name: b, distance: 20 m, scheme: path_following, sensors: {laser: 2}}\n",
+        encoding="utf-8",
+    )
     timeline = simulate(load_mission(path)).timeline
     logs = []
     for seed in range(6):
@@ -116,11 +125,16 @@ def test_each_scheme_has_its_own_stretch(tmp_path: Path) -> None:
         v = np.concatenate([np.full(first, 0.5), np.zeros(10), np.full(second, 0.5)])
         scheme = ["forward_motion"] * first + ["image_analysis"] * 10 + ["path_following"] * second
         count = len(v)
-        columns = {"time_s": np.arange(count) + 0.5, "speed_m_s": v, "yaw_rate_rad_s": np.zeros(count),
-                   "scheme": Labels.of(scheme)}
+        columns = {
+            "time_s": np.arange(count) + 0.5,
+            "speed_m_s": v,
+            "yaw_rate_rad_s": np.zeros(count),
+            "scheme": Labels.of(scheme),
+        }
         power = 6.25 * v**2 + 9.79 * v + 3.0
-        logs.append(LogTable(f"run_{seed}", columns, np.ones(count), {"robot": power}, {"robot": None},
-                             {"robot": "power"}))
+        logs.append(
+            LogTable(f"run_{seed}", columns, np.ones(count), {"robot": power}, {"robot": None}, {"robot": "power"})
+        )
     named = [one for one in execution_effects(timeline, logs, "robot") if one.found]
     assert [(one.effect, one.scheme) for one in named] == [("path_stretch", "path_following")]
     assert named[0].value == pytest.approx(1.15, abs=0.01)

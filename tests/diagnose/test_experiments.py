@@ -17,9 +17,12 @@ def covariates(**more: object) -> dict[str, object]:
     count = 200
     v = np.tile(np.repeat([0.0, 0.5], 50), 2)
     columns: dict[str, object] = {
-        "time_s": np.arange(count) + 0.5, "speed_m_s": v, "yaw_rate_rad_s": np.zeros(count),
-        "on_kinect": (v > 0).astype(float), **more,
-    }  # fmt: skip
+        "time_s": np.arange(count) + 0.5,
+        "speed_m_s": v,
+        "yaw_rate_rad_s": np.zeros(count),
+        "on_kinect": (v > 0).astype(float),
+        **more,
+    }
     return derive(columns, np.arange(count) + 0.5, np.ones(count))
 
 
@@ -27,8 +30,11 @@ def test_only_what_the_place_has_is_proposed() -> None:
     plain = {m.name for m in library(site_of([covariates()], LIMITS))}
     assert {"speed sweep", "stop and go", "spin", "kinect on and off"} <= plain
     assert not plain & {"ramp", "payload on and off", "cold and warm", "processor stress"}
-    rich = covariates(payload_kg=np.repeat([0.0, 5.0], 100), slope_rad=np.linspace(-0.05, 0.05, 200),
-                      surface=Labels.of(["tile"] * 120 + ["carpet"] * 80))
+    rich = covariates(
+        payload_kg=np.repeat([0.0, 5.0], 100),
+        slope_rad=np.linspace(-0.05, 0.05, 200),
+        surface=Labels.of(["tile"] * 120 + ["carpet"] * 80),
+    )
     names = {m.name: m for m in library(site_of([rich], LIMITS))}
     assert {"ramp", "payload on and off", "tile and carpet"} <= set(names)
     assert names["tile and carpet"].varies == {"surface"}
@@ -53,8 +59,15 @@ def test_a_script_keeps_the_robots_limits_and_the_length() -> None:
 
 def test_parts_as_plain_data() -> None:
     part = Part(90.0, (0.5,), set={"payload_kg": 4.0, "on_kinect": 1.0, "surface": "tile"})
-    assert part.to_json() == {"seconds": 90.0, "speeds_m_s": [0.5], "yaw_rate_rad_s": 0.0, "stops": 0,
-                              "payload_kg": 4.0, "surface": "tile", "on": {"kinect": 1.0}}
+    assert part.to_json() == {
+        "seconds": 90.0,
+        "speeds_m_s": [0.5],
+        "yaw_rate_rad_s": 0.0,
+        "stops": 0,
+        "payload_kg": 4.0,
+        "surface": "tile",
+        "on": {"kinect": 1.0},
+    }
 
 
 def test_power_of_a_lead_grows_from_nothing_to_certainty() -> None:

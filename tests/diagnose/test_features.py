@@ -29,8 +29,15 @@ def features(model: PowerModel, *runs: LogTable) -> Features:
 def test_candidates_and_what_they_lack(model: PowerModel) -> None:
     found = features(model, drive(1, seconds=60.0), drive(2, seconds=60.0))
     ids = {candidate.effect for candidate in found.candidates}
-    assert {"turning_scrub", "aerodynamic_drag", "cold_friction", "start_surge", "conversion_loss",
-            "component_warmup:kinect", "component_power:laser"} <= ids
+    assert {
+        "turning_scrub",
+        "aerodynamic_drag",
+        "cold_friction",
+        "start_surge",
+        "conversion_loss",
+        "component_warmup:kinect",
+        "component_power:laser",
+    } <= ids
     assert found.untestable["grade"] == ("slope_rad",)
     assert found.untestable["payload"] == ("payload_kg",)
     assert found.untestable["surface_rolling_resistance"] == ("surface",)
@@ -43,8 +50,11 @@ def test_twins_of_base_parameters_have_a_free_sign(model: PowerModel) -> None:
     found = features(model, drive(1), drive(2))
     twins = {c.effect: (c.prior, c.sign) for c in found.candidates if c.prior}
     assert twins == {
-        "rolling_friction": ("c3", 0), "viscous_friction": ("c2", 0), "standby_load": ("c4", 0),
-        "component_power:laser": ("laser.power", 0), "component_power:kinect": ("kinect.power", 0),
+        "rolling_friction": ("c3", 0),
+        "viscous_friction": ("c2", 0),
+        "standby_load": ("c4", 0),
+        "component_power:laser": ("laser.power", 0),
+        "component_power:kinect": ("kinect.power", 0),
     }
 
 
@@ -73,9 +83,7 @@ def test_surfaces_are_levels_of_one_effect(model: PowerModel) -> None:
     candidate = next(c for c in found.candidates if c.effect == "surface_rolling_resistance")
     assert candidate.levels == ("carpet", "tile")
     run = found.runs[0]
-    np.testing.assert_allclose(
-        run.columns["surface_rolling_resistance|carpet"][:200], 0.0
-    )
+    np.testing.assert_allclose(run.columns["surface_rolling_resistance|carpet"][:200], 0.0)
     one = features(model, drive(5, surface=["tile"] * 420))
     assert "surface_rolling_resistance" not in one.effects
     assert any("all runs are on one surface (tile)" in remark for remark in one.remarks)

@@ -39,17 +39,26 @@ def test_most_of_the_error_in_little_time_is_told() -> None:
     found = left_over(12.0)
     assert found is not None
     assert found.depends_on == ("accel_m_s2",)
-    assert found.told == ("a systematic error while slowing down, model 12 W too high: 94 % of the squared "
-                          "error in 9 % of the time; no effect of the library describes it")
+    assert found.told == (
+        "a systematic error while slowing down, model 12 W too high: 94 % of the squared "
+        "error in 9 % of the time; no effect of the library describes it"
+    )
     low = left_over(-12.0)
     assert low is not None
     assert "model 12 W too low" in low.told
 
 
-@pytest.mark.parametrize("noise", [
-    {"here_w": 0.0}, {"here_w": 2.0}, {"here_w": 12.0, "part": 0.3}, {"here_w": 12.0, "flip": True},
-    {"here_w": 12.0, "runs": 2}, {"here_w": 12.0, "noise_w": 8.0},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "noise",
+    [
+        {"here_w": 0.0},
+        {"here_w": 2.0},
+        {"here_w": 12.0, "part": 0.3},
+        {"here_w": 12.0, "flip": True},
+        {"here_w": 12.0, "runs": 2},
+        {"here_w": 12.0, "noise_w": 8.0},
+    ],
+)
 def test_noise_and_what_runs_disagree_on_is_not(noise: dict[str, float]) -> None:
     assert left_over(**noise) is None  # type: ignore[arg-type]
 

@@ -105,7 +105,9 @@ def test_the_file_with_one_of_two_missing_effects_fits_as_it_is(tmp_path: Path) 
     split = Split(tuple(logs), (), "")
     robot = robot_from_text(made.text)
     assert {e.effect for e in examine(Subject.of(robot), split, BATTERY, Settings()).found.effects} == {
-        "turning_scrub", "payload"}
+        "turning_scrub",
+        "payload",
+    }
     adopted = adopt(made.text, robot, split, "turning_scrub", BATTERY, Settings())
     path = tmp_path / "own.yaml"
     path.write_text(adopted.text, encoding="utf-8")

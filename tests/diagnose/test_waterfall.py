@@ -29,8 +29,12 @@ WANDERS = Unexplained(0.1, (), "the residual wanders by 3.6 % of the power")
 def improved(after_pct: float, runs: int = 1) -> Improved:
     held = HeldOut("the last", tuple(f"run_{i}" for i in range(runs)), HELD, HELD)
     first = replace(BATTERY, heldout=held, runs=("a", "b", "c", "d"))
-    steps = (Step("before", 2.3, 1.25), Step("recalibrated", 0.2, 1.22), Step("+ grade", after_pct, 0.57),
-             Step("noise floor", 0.6, 0.34))
+    steps = (
+        Step("before", 2.3, 1.25),
+        Step("recalibrated", 0.2, 1.22),
+        Step("+ grade", after_pct, 0.57),
+        Step("noise floor", 0.6, 0.34),
+    )
     return Improved("robot", "", ("grade",), (), steps, True, first, replace(first, effects=()), "stopped.")
 
 
@@ -40,15 +44,20 @@ def test_energy_note_is_silent_where_both_errors_fall() -> None:
 
 
 # fitted to four: 0.6 sqrt(5/4) = 0.671; one run: 0.671 (1 + 2 sqrt(pi/2 - 1)) = 1.68 %; nine runs: with 2/3, 1.01 %
-@pytest.mark.parametrize(("after_pct", "runs", "told"), [
-    (1.65, 1, "On 1 run even a model of the right form shows up to 1.7 %; this may be chance"),
-    (1.75, 1, "this is more than that"),
-    (1.65, 9, "On 9 runs even a model of the right form shows up to 1.0 %; this is more than that"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("after_pct", "runs", "told"),
+    [
+        (1.65, 1, "On 1 run even a model of the right form shows up to 1.7 %; this may be chance"),
+        (1.75, 1, "this is more than that"),
+        (1.65, 9, "On 9 runs even a model of the right form shows up to 1.0 %; this is more than that"),
+    ],
+)
 def test_energy_note_weighs_the_rise_against_the_floor(after_pct: float, runs: int, told: str) -> None:
     note = energy_note(improved(after_pct, runs))
-    assert note.startswith(f"With '+ grade' the energy error rises from 0.20 to {after_pct:.2f} % while the power "
-                           "error falls from 1.22 to 0.57 W")
+    assert note.startswith(
+        f"With '+ grade' the energy error rises from 0.20 to {after_pct:.2f} % while the power "
+        "error falls from 1.22 to 0.57 W"
+    )
     assert "±0.8 % in these logs" in note
     assert told in note
     assert note in unescape(improve_page("r", [improved(after_pct, runs)]))
@@ -65,8 +74,10 @@ def test_what_remains_is_never_called_nothing(left: Unexplained) -> None:
     assert left.shape in dict(words.report(quiet))["REMAINS"]
 
 
-@pytest.mark.parametrize(("bias_w", "told"), [(-720.4, "−720 W"), (-1234.0, "−1200 W"), (0.0123, "+0.012 W"),
-                                              (4.07, "+4.1 W"), (0.0, "+0 W")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("bias_w", "told"),
+    [(-720.4, "−720 W"), (-1234.0, "−1200 W"), (0.0123, "+0.012 W"), (4.07, "+4.1 W"), (0.0, "+0 W")],
+)
 def test_where_gives_watts_without_powers_of_ten(bias_w: float, told: str) -> None:
     lines = dict(words.report(replace(BATTERY, where=(replace(BATTERY.where[0], bias_w=bias_w),))))
     assert lines["WHERE"].endswith(f"model {told} against the meter")

@@ -24,20 +24,62 @@ from missionsim.diagnose.findings import (
 from missionsim.report.blocks import Chart
 from missionsim.report.diagnosis_page import diagnosis_page, diagnosis_sections
 
-GRADE = Finding("grade", {"k": Estimate(0.98, 0.95, 1.01)}, 0.033, 1e-9, 0.030, 0.036, 2e-9,
-                "identified, repeated across runs", 1.8, 0.5)
-PAYLOAD = Finding("payload", {"k": Estimate(0.7, 0.6, 0.8, "m/s^2")}, 0.05, 1e-7, 0.04, 0.06,
-                  indistinguishable_from=("surface_rolling_resistance",), separation_nats=0.0)
+GRADE = Finding(
+    "grade",
+    {"k": Estimate(0.98, 0.95, 1.01)},
+    0.033,
+    1e-9,
+    0.030,
+    0.036,
+    2e-9,
+    "identified, repeated across runs",
+    1.8,
+    0.5,
+)
+PAYLOAD = Finding(
+    "payload",
+    {"k": Estimate(0.7, 0.6, 0.8, "m/s^2")},
+    0.05,
+    1e-7,
+    0.04,
+    0.06,
+    indistinguishable_from=("surface_rolling_resistance",),
+    separation_nats=0.0,
+)
 HELD = {"nominal": 4.6, "recalibrated": 2.7, "with_effects": 1.2}
 BATTERY = BatteryDiagnosis(
-    "robot", "effects_found", (GRADE,), (Judged("aerodynamic_drag", False, "adds nothing", 0.011),
-                                        Judged("conversion_loss", False, "adds nothing", 1.4)),
-    (Recalibrated("c3", 4.2, 1.4, 10.2, 0.2, "W s/m"),), 0.3, 0.3, False,
-    {"sd_w": 0.4, "sd_share": 0.03, "fast_s": 4.0, "slow_s": 40.0, "fast_share": 0.5, "slow_share": 0.3,
-     "offset_w": 0.18, "gain": 0.01, "motion_gain": 0.008}, {"radio_range": ("access_point_distance_m",)},
-    Unexplained(0.0, (), ""), (), HeldOut("the last 2 runs of 8", ("run_06", "run_07"), HELD, HELD), None, (), 13.0,
-    ("run_00",), 420.0, (), {}, (Where("slope", "2 to 4 °", 0.4, -1.5),),
-)  # fmt: skip
+    "robot",
+    "effects_found",
+    (GRADE,),
+    (Judged("aerodynamic_drag", False, "adds nothing", 0.011), Judged("conversion_loss", False, "adds nothing", 1.4)),
+    (Recalibrated("c3", 4.2, 1.4, 10.2, 0.2, "W s/m"),),
+    0.3,
+    0.3,
+    False,
+    {
+        "sd_w": 0.4,
+        "sd_share": 0.03,
+        "fast_s": 4.0,
+        "slow_s": 40.0,
+        "fast_share": 0.5,
+        "slow_share": 0.3,
+        "offset_w": 0.18,
+        "gain": 0.01,
+        "motion_gain": 0.008,
+    },
+    {"radio_range": ("access_point_distance_m",)},
+    Unexplained(0.0, (), ""),
+    (),
+    HeldOut("the last 2 runs of 8", ("run_06", "run_07"), HELD, HELD),
+    None,
+    (),
+    13.0,
+    ("run_00",),
+    420.0,
+    (),
+    {},
+    (Where("slope", "2 to 4 °", 0.4, -1.5),),
+)
 
 
 def text(battery: BatteryDiagnosis) -> str:
@@ -69,14 +111,18 @@ def test_nothing_is_excluded_of_what_may_be_the_cause() -> None:
 
 def test_without_effects_there_is_no_error_with_them() -> None:
     line = dict(words.report(replace(BATTERY, effects=())))["HELD-OUT"]
-    assert line == ("the last 2 runs of 8 (same kind): energy error 4.60 -> 2.70 % (recalibrated); "
-                    "power RMSE 4.6 -> 2.7 W")
+    assert line == (
+        "the last 2 runs of 8 (same kind): energy error 4.60 -> 2.70 % (recalibrated); power RMSE 4.6 -> 2.7 W"
+    )
 
 
 def test_a_base_that_is_far_off_is_no_mere_recalibration() -> None:
     far = replace(BATTERY.recalibration[0], parameter="kinect.power", shift_pct=-21.0, shift_in_prior_sd=-7.0)
-    lines = [line for heading, line in words.report(replace(BATTERY, recalibration=(far, *BATTERY.recalibration)))
-             if heading == "BASE"]  # fmt: skip
+    lines = [
+        line
+        for heading, line in words.report(replace(BATTERY, recalibration=(far, *BATTERY.recalibration)))
+        if heading == "BASE"
+    ]
     assert lines[0] == "recalibrated, no discovery: c3 +4.2 % (+1.4 sd)"
     assert lines[1].startswith("further off than its sd allows")
     assert lines[1].endswith("kinect.power -21.0 % (-7.0 sd)")
@@ -118,8 +164,9 @@ def test_nothing_and_something_unknown() -> None:
     nothing = replace(BATTERY, verdict="nothing_missing", effects=())
     assert "nothing missing above" not in words.headline(BATTERY)
     assert "no evidence of anything missing above the detection limits (1.1 to 1.1 % of" in words.headline(nothing)
-    unknown = replace(nothing, verdict="unexplained_structure",
-                      unexplained=Unexplained(0.3, ("yaw_rate_rad_s",), "form not right"))
+    unknown = replace(
+        nothing, verdict="unexplained_structure", unexplained=Unexplained(0.3, ("yaw_rate_rad_s",), "form not right")
+    )
     assert "the library does not contain; it varies with yaw_rate_rad_s (form not right)" in words.headline(unknown)
 
 
@@ -138,6 +185,7 @@ def test_json_and_page_hold_for_every_verdict(battery: BatteryDiagnosis) -> None
 
 def test_the_page_shows_what_looks_alike() -> None:
     """Each effect found against all others, most alike first; one effect alone is enough for a figure."""
+
     def alike(battery: BatteryDiagnosis) -> list[Chart]:
         details = diagnosis_sections(Diagnosis("r", {"robot": battery}))[-1]
         return [b for b in details.blocks if isinstance(b, Chart)]

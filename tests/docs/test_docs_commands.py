@@ -64,7 +64,13 @@ def test_commands_of_page(page: Path, tmp_path: Path) -> None:
         shell = ["bash", "-euo", "pipefail", "-c", script(code)]
         command = shell if language == "bash" else [sys.executable, "-c", code]
         done = subprocess.run(
-            command, cwd=here, env=environment, capture_output=True, text=True, timeout=600, check=False,
+            command,
+            cwd=here,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=600,
+            check=False,
             stdin=subprocess.DEVNULL,
         )
         told = f"--- out\n{done.stdout[-3000:]}\n--- err\n{done.stderr[-3000:]}"

@@ -7,9 +7,11 @@ import pytest
 from missionsim.effects.library import effect_ids, get_effect
 
 
-@pytest.mark.parametrize("id", [name for name in effect_ids() if "<" not in name] + [
-    "component_power:lidar", "component_warmup:lidar", "surface_rolling_resistance:gravel",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "id",
+    [name for name in effect_ids() if "<" not in name]
+    + ["component_power:lidar", "component_warmup:lidar", "surface_rolling_resistance:gravel"],
+)
 def test_every_effect_tells_equation_units_bounds_and_where_it_comes_from(id: str) -> None:
     effect = get_effect(id, ("gravel",))
     assert effect.equation

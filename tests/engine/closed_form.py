@@ -85,8 +85,9 @@ def turn(angle: float, scheme: str, sonar: int = 0, lasers: int = 0, kinect: int
 
 def stand(time: float, scheme: str = "", sonar: int = 0, lasers: int = 0, kinect: int = 0) -> Piece:
     """Standing still."""
-    return Piece(time, (STANDING + sensors_robot_w(sonar, lasers, kinect)) * time,
-                 laptop_w(scheme, sonar, lasers, kinect))
+    return Piece(
+        time, (STANDING + sensors_robot_w(sonar, lasers, kinect)) * time, laptop_w(scheme, sonar, lasers, kinect)
+    )
 
 
 def bursts_on(length: float, every: float, burst: float) -> float:
@@ -106,9 +107,14 @@ def energies_wh(pieces: list[Piece]) -> dict[str, float]:
 def valve_patrol(stretch: tuple[float, ...] = (1.0,) * 8, tracking: tuple[float, ...] = (1.0,) * 8) -> list[Piece]:
     """Section 3.4.2 with the fitted lengths; stretch and speed tracking of the eight drives."""
     drives = [
-        (7.0, 0.46, "GBL", 0, 2, 0), (24.0, 0.56, "QR", 0, 0, 1), (16.0, 0.75, "QR", 0, 2, 1),
-        (38.0, 0.56, "CM", 0, 2, 1), (5.0, 0.56, "QR", 0, 0, 1), (43.0, 0.56, "CM", 0, 2, 1),
-        (40.0, 0.75, "QR", 0, 2, 1), (7.0, 0.46, "GBL", 0, 2, 0),
+        (7.0, 0.46, "GBL", 0, 2, 0),
+        (24.0, 0.56, "QR", 0, 0, 1),
+        (16.0, 0.75, "QR", 0, 2, 1),
+        (38.0, 0.56, "CM", 0, 2, 1),
+        (5.0, 0.56, "QR", 0, 0, 1),
+        (43.0, 0.56, "CM", 0, 2, 1),
+        (40.0, 0.75, "QR", 0, 2, 1),
+        (7.0, 0.46, "GBL", 0, 2, 0),
     ]
     made = [cruise(d * k, v * g, *rest) for (d, v, *rest), k, g in zip(drives, stretch, tracking, strict=True)]
     stop = stand(38.0, "IA", 0, 0, 1)
@@ -131,8 +137,11 @@ def hour_inspection() -> list[Piece]:
 def guard_round() -> list[Piece]:
     """The infeasible mission, driven to its end as if the batteries were bottomless."""
     return [
-        trapezoid(31.0, 0.46, "QR", 1, 2, 1), stand(5400.0, "IA", 0, 0, 1), trapezoid(59.0, 0.46, "QR", 1, 2, 1),
-        stand(3600.0, "IA", 0, 0, 1), trapezoid(90.0, 0.46, "QR", 1, 2, 1),
+        trapezoid(31.0, 0.46, "QR", 1, 2, 1),
+        stand(5400.0, "IA", 0, 0, 1),
+        trapezoid(59.0, 0.46, "QR", 1, 2, 1),
+        stand(3600.0, "IA", 0, 0, 1),
+        trapezoid(90.0, 0.46, "QR", 1, 2, 1),
     ]
 
 
@@ -144,8 +153,11 @@ def recharging_patrol() -> tuple[dict[str, float], dict[str, float], float]:
     duration = 0.0
     charger_w = 60.0
     for _ in range(4):
-        out, look, back = trapezoid(90.0, 0.56, "QR", 0, 2, 1), stand(600.0, "IA", 0, 0, 1), trapezoid(
-            90.0, 0.56, "QR", 0, 2, 1)
+        out, look, back = (
+            trapezoid(90.0, 0.56, "QR", 0, 2, 1),
+            stand(600.0, "IA", 0, 0, 1),
+            trapezoid(90.0, 0.56, "QR", 0, 2, 1),
+        )
         round_trip = [out, look, back]
         energy = energies_wh(round_trip)
         energy["laptop"] += SCREEN * bursts_on(look.duration_s + back.duration_s, 120.0, 10.0) / 3600.0

@@ -17,12 +17,19 @@ ROBOT: dict[str, Any] = {
     "kind": "robot",
     "name": "tester",
     "body": {
-        "mass": 20, "drive": "omni", "max_speed": 1.5, "max_lateral_speed": 1.5, "max_acceleration": 0.4,
-        "max_deceleration": 0.6, "max_yaw_rate": 1.0, "max_yaw_acceleration": 2.0,
+        "mass": 20,
+        "drive": "omni",
+        "max_speed": 1.5,
+        "max_lateral_speed": 1.5,
+        "max_acceleration": 0.4,
+        "max_deceleration": 0.6,
+        "max_yaw_rate": 1.0,
+        "max_yaw_acceleration": 2.0,
     },
     "batteries": {"main": {"capacity": "200 Wh"}, "aux": {"capacity": "100 Wh"}},
     "motion": {
-        "battery": "main", "model": "polynomial",
+        "battery": "main",
+        "model": "polynomial",
         "parameters": {"c1": 2.0, "c2": 6.0, "c3": 9.0, "c4": 3.5, "c6": 8.0, "standing": 2.5},
     },
     "components": {
@@ -70,8 +77,10 @@ def load(
 
 
 def run(
-    segments: list[dict[str, Any]], robot_data: dict[str, Any] | None = None,
-    environment: dict[str, Any] | None = None, **mission: Any,
+    segments: list[dict[str, Any]],
+    robot_data: dict[str, Any] | None = None,
+    environment: dict[str, Any] | None = None,
+    **mission: Any,
 ) -> RunResult:
     """Load and simulate."""
     return simulate(load({"segments": segments, **mission}, robot_data, environment))

@@ -17,7 +17,9 @@ FLAT = {"kind": "equivalent_circuit", "open_circuit_voltage": [[0, 12.0], [1, 12
 PLACES = {
     "places": {
         "dock": {"x": 0, "y": 0, "charger": {"power": 40, "batteries": ["main"]}},
-        "middle": {"x": 50, "y": 0}, "end": {"x": 100, "y": 0}, "aside": {"x": 50, "y": 30},
+        "middle": {"x": 50, "y": 0},
+        "end": {"x": 100, "y": 0},
+        "aside": {"x": 50, "y": 30},
     },
     "edges": [{"from": "dock", "to": "middle"}, {"from": "middle", "to": "end"}, {"from": "middle", "to": "aside"}],
 }
@@ -26,11 +28,15 @@ PLACES = {
 def simple(**changes: Any) -> dict[str, Any]:
     """A robot of one battery: 10 W standing, 30 W driving at any speed."""
     made = {
-        "kind": "robot", "name": "simple",
+        "kind": "robot",
+        "name": "simple",
         "body": {"drive": "differential", "max_speed": 2.0},
         "batteries": {"main": {"capacity": "20 Wh", "nominal_voltage": "12 V"}},
-        "motion": {"battery": "main", "model": "polynomial",
-                   "parameters": {"c2": 0, "c3": 0, "c4": 30.0, "standing": 10.0}},
+        "motion": {
+            "battery": "main",
+            "model": "polynomial",
+            "parameters": {"c2": 0, "c3": 0, "c4": 30.0, "standing": 10.0},
+        },
     }
     for path, value in changes.items():
         *parents, last = path.split("__")
@@ -74,8 +80,12 @@ def test_sloping_curve_against_the_analytic_solution() -> None:
 
 
 def test_cut_off_voltage_stops_before_the_charge_ends() -> None:
-    model = {"kind": "equivalent_circuit", "open_circuit_voltage": [[0, 10], [1, 12]], "resistance": 0.2,
-             "cut_off": 10.5}
+    model = {
+        "kind": "equivalent_circuit",
+        "open_circuit_voltage": [[0, 10], [1, 12]],
+        "resistance": 0.2,
+        "cut_off": 10.5,
+    }
     machine = simple(batteries__main={"capacity": "3 Ah", "nominal_voltage": "11 V", "model": model})
     result = run([{"wait": {"duration": 36000}}], machine)
     battery = result.batteries["main"]
@@ -133,8 +143,14 @@ def test_exhaustion_within_a_ramp_is_found_to_the_instant() -> None:
 def test_return_to_dock_from_the_middle_of_an_edge() -> None:
     machine = simple(batteries__main={"capacity": "20 Wh", "reserve": 0.4})
     segments = [{"drive": {"to": "end", "speed": 1.0}}, {"wait": {"duration": "10 h"}}]
-    result = run(segments, machine, PLACES, start="dock", initial_charge={"main": 0.43},
-                 policy={"on_empty": "return_to_dock", "dock": "dock"})
+    result = run(
+        segments,
+        machine,
+        PLACES,
+        start="dock",
+        initial_charge={"main": 0.43},
+        policy={"on_empty": "return_to_dock", "dock": "dock"},
+    )
     # 0.6 Wh above the reserve last 72 s at 30 W: 72 m on the way, 22 m past the middle
     assert [s.name for s in result.segments][-1] == "return to dock"
     assert result.segment_end_s[2] == pytest.approx(144.0)
@@ -149,21 +165,37 @@ def test_return_to_dock_from_the_middle_of_an_edge() -> None:
 def test_return_home_goes_on_where_that_is_shorter() -> None:
     ring = {
         "places": {"dock": {"charger": {"power": 40}}, "far": {}},
-        "edges": [{"from": "dock", "to": "far", "length": 100, "both_ways": True},
-                  {"from": "far", "to": "dock", "length": 5, "both_ways": False}],
+        "edges": [
+            {"from": "dock", "to": "far", "length": 100, "both_ways": True},
+            {"from": "far", "to": "dock", "length": 5, "both_ways": False},
+        ],
     }
     machine = simple(batteries__main={"capacity": "20 Wh", "reserve": 0.4})
-    result = run([{"drive": {"to": "far", "via": [], "speed": 1.0}}], machine, ring, start="dock",
-                 initial_charge={"main": 0.43}, policy={"on_empty": "return_to_dock", "dock": "dock"})
+    result = run(
+        [{"drive": {"to": "far", "via": [], "speed": 1.0}}],
+        machine,
+        ring,
+        start="dock",
+        initial_charge={"main": 0.43},
+        policy={"on_empty": "return_to_dock", "dock": "dock"},
+    )
     # after 72 m: 28 m on and 5 m home beat 72 m back
     assert result.distance_m == pytest.approx(72.0 + 28.0 + 5.0)
 
 
 def test_return_brakes_before_it_turns_back() -> None:
-    machine = simple(batteries__main={"capacity": "20 Wh", "reserve": 0.4},
-                     body={"drive": "differential", "max_speed": 2.0, "max_acceleration": 0.5})
-    result = run([{"drive": {"to": "end", "speed": 1.0}}], machine, PLACES, start="dock",
-                 initial_charge={"main": 0.43}, policy={"on_empty": "return_to_dock", "dock": "dock"})
+    machine = simple(
+        batteries__main={"capacity": "20 Wh", "reserve": 0.4},
+        body={"drive": "differential", "max_speed": 2.0, "max_acceleration": 0.5},
+    )
+    result = run(
+        [{"drive": {"to": "end", "speed": 1.0}}],
+        machine,
+        PLACES,
+        start="dock",
+        initial_charge={"main": 0.43},
+        policy={"on_empty": "return_to_dock", "dock": "dock"},
+    )
     # 72 s in: 1 m short of 72 m for the start; 1 m to brake; as far back
     assert result.distance_m == pytest.approx(2.0 * 72.0)
     speed = result.timeline.columns["speed_m_s"]
@@ -175,8 +207,14 @@ def test_return_brakes_before_it_turns_back() -> None:
 
 def test_empty_on_the_way_home_is_told() -> None:
     machine = simple(batteries__main={"capacity": "20 Wh", "reserve": 0.01})
-    result = run([{"drive": {"to": "end", "speed": 1.0}}, {"wait": {"duration": 60}}], machine, PLACES, start="dock",
-                 initial_charge={"main": 0.03}, policy={"on_empty": "return_to_dock", "dock": "dock"})
+    result = run(
+        [{"drive": {"to": "end", "speed": 1.0}}, {"wait": {"duration": 60}}],
+        machine,
+        PLACES,
+        start="dock",
+        initial_charge={"main": 0.03},
+        policy={"on_empty": "return_to_dock", "dock": "dock"},
+    )
     battery = result.batteries["main"]
     assert battery.empty_at_s == pytest.approx(72.0)
     assert battery.empty_in_segment == "return to dock"
@@ -186,8 +224,9 @@ def test_empty_on_the_way_home_is_told() -> None:
 
 def test_charging_for_a_time_stops_at_full_and_holds() -> None:
     machine = simple(batteries__main={"capacity": "20 Wh", "charge_efficiency": 0.9, "max_charge_power": 30})
-    result = run([{"dock": {"recharge": {"duration": "1 h"}}}], machine, PLACES, start="dock",
-                 initial_charge={"main": 0.5})
+    result = run(
+        [{"dock": {"recharge": {"duration": "1 h"}}}], machine, PLACES, start="dock", initial_charge={"main": 0.5}
+    )
     battery = result.batteries["main"]
     # 27 W stored less 10 W drawn fill 10 Wh in 35.3 min; then the charger holds the level
     assert result.duration_s == pytest.approx(3600.0)
@@ -202,16 +241,25 @@ def test_charging_for_a_time_stops_at_full_and_holds() -> None:
 
 def test_a_charger_that_is_too_weak_is_told() -> None:
     weak = {"places": {"dock": {"x": 0, "y": 0, "charger": {"power": 5}}}, "edges": []}
-    result = run([{"wait": {"duration": 60}}, {"dock": {"recharge": {"until": 0.99}}}], simple(), weak, start="dock",
-                 initial_charge={"main": 0.5})
+    result = run(
+        [{"wait": {"duration": 60}}, {"dock": {"recharge": {"until": 0.99}}}],
+        simple(),
+        weak,
+        start="dock",
+        initial_charge={"main": 0.5},
+    )
     assert not result.feasible
     assert "charger at 'dock' gives less" in result.reason
     assert result.duration_s == pytest.approx(60.0)
 
 
 def test_reserve_for_the_way_home_at_each_place() -> None:
-    result = run([{"drive": {"to": "end", "speed": 1.0}}, {"drive": {"to": "aside", "speed": 0.5}},
-                  {"wait": {"duration": 60}}], simple(), PLACES, start="dock")
+    result = run(
+        [{"drive": {"to": "end", "speed": 1.0}}, {"drive": {"to": "aside", "speed": 0.5}}, {"wait": {"duration": 60}}],
+        simple(),
+        PLACES,
+        start="dock",
+    )
     # Eq. 12: power times the time of the shortest way, with the settings of the last drive
     wh = 30.0 / 3600.0
     homes = [entry["main"] for entry in result.home_energy()]
@@ -223,16 +271,19 @@ def test_reserve_for_the_way_home_at_each_place() -> None:
 
 def test_a_mission_that_ends_where_home_is_out_of_reach_is_not_feasible() -> None:
     machine = simple(batteries__main={"capacity": "20 Wh"})
-    result = run([{"drive": {"to": "end", "speed": 1.0}}], machine, PLACES, start="dock",
-                 initial_charge={"main": 0.06})
+    result = run([{"drive": {"to": "end", "speed": 1.0}}], machine, PLACES, start="dock", initial_charge={"main": 0.06})
     assert result.completed
     assert not result.feasible
     assert "cannot bring the robot home" in result.reason
 
 
 def test_conversion_loss_and_reserve_below_policy() -> None:
-    result = run([{"wait": {"duration": 3600}}], robot(), initial_charge={"main": 0.2},
-                 policy={"on_empty": "stop", "reserve": 0.199})
+    result = run(
+        [{"wait": {"duration": 3600}}],
+        robot(),
+        initial_charge={"main": 0.2},
+        policy={"on_empty": "stop", "reserve": 0.199},
+    )
     assert not result.feasible
     assert "below its reserve" in result.reason
     terms = result.by_term_wh("aux")
@@ -259,8 +310,13 @@ def test_intervals_left_out_by_bounds_never_empty_a_battery(
     monkeypatch: pytest.MonkeyPatch, cut_off: float, resistance: float, surge: float
 ) -> None:
     curve = [[0, 10], [0.3, 11.2], [0.6, 11.2], [1, 12]]
-    model = {"kind": "equivalent_circuit", "open_circuit_voltage": curve, "resistance": resistance,
-             "cut_off": cut_off, "peukert": 1.1}
+    model = {
+        "kind": "equivalent_circuit",
+        "open_circuit_voltage": curve,
+        "resistance": resistance,
+        "cut_off": cut_off,
+        "peukert": 1.1,
+    }
     machine = simple(
         body={"drive": "differential", "max_speed": 2.0, "max_acceleration": 0.3},
         batteries__main={"capacity": "0.6 Ah", "nominal_voltage": "11 V", "model": model},
@@ -271,8 +327,14 @@ def test_intervals_left_out_by_bounds_never_empty_a_battery(
     found = run(segments, machine).batteries["main"]
     looked: list[int] = []
     suspects = EquivalentCircuit.suspects
-    monkeypatch.setattr(EquivalentCircuit, "suspects", lambda cell, before, after, loads: (
-        looked.extend([len(suspects(cell, before, after, loads)), len(before)]), np.arange(len(before)))[1])
+    monkeypatch.setattr(
+        EquivalentCircuit,
+        "suspects",
+        lambda cell, before, after, loads: (
+            looked.extend([len(suspects(cell, before, after, loads)), len(before)]),
+            np.arange(len(before)),
+        )[1],
+    )
     assert run(segments, machine).batteries["main"] == found
     assert found.empty_at_s is not None
     assert looked[0] < looked[1]

@@ -35,7 +35,8 @@ def test_valve_patrol(root: Path) -> None:
     assert result.distance_m == pytest.approx(180.0)
     # segment by segment: each cell, not only the sum
     for battery, cells in (
-        ("robot", [p.robot_j / 3600 for p in pieces]), ("laptop", [p.laptop_w * p.duration_s / 3600 for p in pieces]),
+        ("robot", [p.robot_j / 3600 for p in pieces]),
+        ("laptop", [p.laptop_w * p.duration_s / 3600 for p in pieces]),
     ):
         assert result.by_segment_wh(battery) == pytest.approx(cells, rel=EXACT)
 
@@ -58,15 +59,18 @@ def test_valve_patrol_by_component(root: Path) -> None:
 def test_valve_patrol_as_driven(root: Path) -> None:
     stretch = (1.12, 1.12, 1.0, 1.0, 1.12, 1.0, 1.26, 1.12)
     gaps = (0.174, 0.174, 0.027, 0.027, 0.1, 0.027, 0.027, 0.1)
-    agree(run(root, "pioneer3dx/valve_patrol_as_driven"),
-          hand.valve_patrol(stretch, tuple(1.0 - gap for gap in gaps)))
+    agree(run(root, "pioneer3dx/valve_patrol_as_driven"), hand.valve_patrol(stretch, tuple(1.0 - gap for gap in gaps)))
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.3, 0.5])
 @pytest.mark.parametrize(
     ("name", "configuration"),
-    [("forward_motion", ("FM", 0, 2, 0)), ("centring_motion", ("CM", 0, 2, 0)),
-     ("qr_code_4_markers", ("QR", 0, 2, 1)), ("qr_code_8_markers", ("QR", 0, 2, 1))],
+    [
+        ("forward_motion", ("FM", 0, 2, 0)),
+        ("centring_motion", ("CM", 0, 2, 0)),
+        ("qr_code_4_markers", ("QR", 0, 2, 1)),
+        ("qr_code_8_markers", ("QR", 0, 2, 1)),
+    ],
 )
 def test_corridors_of_table_5(root: Path, name: str, configuration: tuple[str, int, int, int], speed: float) -> None:
     result = run(root, f"pioneer3dx/corridor_{name}_{round(100 * speed)}cm_s")
@@ -118,8 +122,11 @@ def test_khepera(root: Path) -> None:
         ("task_a_wifi", hand.khepera_task_a(hand.WIFI), 125.0),
         ("task_a_bluetooth", hand.khepera_task_a(hand.BLUETOOTH), 125.0),
         ("task_b", hand.khepera_task_b(), sum(4.0 / v for v in (0.028, 0.056, 0.083, 0.110, 0.138))),
-        ("crossing", hand.khepera_static(hand.WIFI) * (200.0 + 15.067818) + hand.khepera_motion(5.6, 0.028),
-         200.0 + 15.067818),
+        (
+            "crossing",
+            hand.khepera_static(hand.WIFI) * (200.0 + 15.067818) + hand.khepera_motion(5.6, 0.028),
+            200.0 + 15.067818,
+        ),
     ):
         result = run(root, f"khepera3/{name}")
         assert result.batteries["robot"].energy_wh * 3600.0 == pytest.approx(joules, rel=EXACT), name

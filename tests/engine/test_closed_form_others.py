@@ -37,8 +37,13 @@ SIDES = (-1.0, 1.0, 1.0, -1.0)
 
 
 def mecanum_run(
-    distance: float, speed: float, direction: float = 0.0, payload: float = 0.0, slope: float = 0.0,
-    entry: float = 0.0, leave: float = 0.0,
+    distance: float,
+    speed: float,
+    direction: float = 0.0,
+    payload: float = 0.0,
+    slope: float = 0.0,
+    entry: float = 0.0,
+    leave: float = 0.0,
 ) -> tuple[float, float]:
     """Joules and seconds of a move in a direction, from and to given speeds."""
     mass = MASS + payload
@@ -56,7 +61,8 @@ def mecanum_run(
 
     def constant(accel: float) -> float:
         forces = [
-            WHEEL * load / 4.0 * ((u > 0) - (u < 0)) + s * math.sqrt(2.0) * ROLLER * load / 4.0 * left
+            WHEEL * load / 4.0 * ((u > 0) - (u < 0))
+            + s * math.sqrt(2.0) * ROLLER * load / 4.0 * left
             + ((mass * accel * ahead + lift) + s * mass * accel * aside) / 4.0
             for u, s in zip(wheels, SIDES, strict=True)
         ]
@@ -70,7 +76,8 @@ def mecanum_run(
     up, down = (speed - entry) / a, (speed - leave) / a
     steady = (distance - (speed**2 - entry**2) / (2 * a) - (speed**2 - leave**2) / (2 * a)) / speed
     joules = (
-        over([constant(a), per_speed(a)], entry, speed, a) + over([constant(-a), per_speed(-a)], speed, leave, -a)
+        over([constant(a), per_speed(a)], entry, speed, a)
+        + over([constant(-a), per_speed(-a)], speed, leave, -a)
         + (constant(0.0) + per_speed(0.0) * speed) * steady
     )
     return joules, up + steady + down
@@ -101,9 +108,14 @@ def test_mecanum_directions(root: Path) -> None:
 def test_mecanum_pallet_transfer(root: Path) -> None:
     quarter, half = math.pi / 2, math.pi
     one = [
-        mecanum_run(12.0, 0.8), mecanum_run(2.0, 0.4, quarter), mecanum_stand(20.0),
-        mecanum_run(2.0, 0.4, -quarter, 6.0), mecanum_turn(half, 6.0), mecanum_run(12.0, 0.8, 0.0, 6.0),
-        mecanum_stand(15.0), mecanum_turn(half),
+        mecanum_run(12.0, 0.8),
+        mecanum_run(2.0, 0.4, quarter),
+        mecanum_stand(20.0),
+        mecanum_run(2.0, 0.4, -quarter, 6.0),
+        mecanum_turn(half, 6.0),
+        mecanum_run(12.0, 0.8, 0.0, 6.0),
+        mecanum_stand(15.0),
+        mecanum_turn(half),
     ]
     expected = tuple(10.0 * math.fsum(column) for column in zip(*one, strict=True))
     assert energy(root, "mecanum4/pallet_transfer") == pytest.approx(expected, rel=EXACT)
@@ -112,9 +124,11 @@ def test_mecanum_pallet_transfer(root: Path) -> None:
 def test_mecanum_ramp(root: Path) -> None:
     slope = math.atan(0.05)
     parts = [
-        mecanum_run(10.0, 0.6, payload=5.0, leave=0.6), mecanum_run(6.0, 0.6, payload=5.0, slope=slope, entry=0.6),
+        mecanum_run(10.0, 0.6, payload=5.0, leave=0.6),
+        mecanum_run(6.0, 0.6, payload=5.0, slope=slope, entry=0.6),
         mecanum_stand(30.0),
-        mecanum_run(6.0, 0.6, slope=-slope, leave=0.6), mecanum_run(10.0, 0.6, entry=0.6),
+        mecanum_run(6.0, 0.6, slope=-slope, leave=0.6),
+        mecanum_run(10.0, 0.6, entry=0.6),
     ]
     expected = tuple(math.fsum(column) for column in zip(*parts, strict=True))
     assert energy(root, "mecanum4/ramp") == pytest.approx(expected, rel=EXACT)
@@ -143,7 +157,12 @@ def computer_law(frequency_ghz: float, complexity: float) -> list[float]:
 
 
 def rover_run(
-    distance: float, speed: float, other: list[float], slope: float = 0.0, payload: float = 0.0, starts: bool = True,
+    distance: float,
+    speed: float,
+    other: list[float],
+    slope: float = 0.0,
+    payload: float = 0.0,
+    starts: bool = True,
     stops: bool = True,
 ) -> tuple[float, float]:
     """Joules and seconds of a run, from and to rest or not; `other`: power of all electronics as a polynomial of v."""
@@ -156,10 +175,14 @@ def rover_run(
     def phase(begin: float, end: float, rate: float) -> float:
         """Forces at the wheels over a ramp, weight and inertia together, where they do not drive the robot."""
         drive = [force[0] + mass * rate + lift, force[1], force[2]]
-        roots = sorted(
-            (-drive[1] + sign * math.sqrt(drive[1] ** 2 - 4 * drive[0] * drive[2])) / (2 * drive[2])
-            for sign in (-1.0, 1.0)
-        ) if drive[1] ** 2 > 4 * drive[0] * drive[2] else []
+        roots = (
+            sorted(
+                (-drive[1] + sign * math.sqrt(drive[1] ** 2 - 4 * drive[0] * drive[2])) / (2 * drive[2])
+                for sign in (-1.0, 1.0)
+            )
+            if drive[1] ** 2 > 4 * drive[0] * drive[2]
+            else []
+        )
         low, high = min(begin, end), max(begin, end)
         borders = [low, *(r for r in roots if low < r < high), high]
         if rate < 0:
@@ -198,7 +221,10 @@ def test_rover_high_complexity(root: Path) -> None:
 def test_rover_mixed_survey(root: Path) -> None:
     # it passes the start without stopping on its way from one track to the next, and stops where it turns back
     tracks = [
-        (0.4992, 0.3, True, True), (0.4992, 0.3, True, False), (0.96, 0.6, False, True), (0.96, 0.6, True, False),
+        (0.4992, 0.3, True, True),
+        (0.4992, 0.3, True, False),
+        (0.96, 0.6, False, True),
+        (0.96, 0.6, True, False),
         (1.4208, 1.0, False, True),
     ]
     parts = [((computer(0.4992, 0.3) + STANDING) * 60.0, 60.0)]
@@ -240,7 +266,9 @@ def test_khepera_tunnel(root: Path) -> None:
     rest = SENSORS + KOREBOT + CONTROLLER
     one = []
     for pieces, payload in (
-        ([(8.2, 0.0), (6.4, slope)], 0.0), ([(12.0, 0.0)], 0.1), ([(12.0, 0.0), (6.4, -slope), (8.2, 0.0)], 0.0),
+        ([(8.2, 0.0), (6.4, slope)], 0.0),
+        ([(12.0, 0.0)], 0.1),
+        ([(12.0, 0.0), (6.4, -slope), (8.2, 0.0)], 0.0),
     ):
         joules, seconds = khepera_run(pieces, 0.1, payload)
         one.append((joules + (rest + WIFI) * seconds, seconds))
@@ -263,8 +291,9 @@ def test_khepera_components_one_by_one(root: Path) -> None:
 
 
 def test_no_shipped_mission_is_left_out(root: Path) -> None:
-    text = "".join((root / "tests" / "engine" / name).read_text()
-                   for name in ("test_closed_form.py", "test_closed_form_others.py"))
+    text = "".join(
+        (root / "tests" / "engine" / name).read_text() for name in ("test_closed_form.py", "test_closed_form_others.py")
+    )
     for path in sorted((root / "missions").glob("*/*.yaml")):
         if "kind: mission" in path.read_text().split("segments:")[0] and not path.stem.startswith("corridor_"):
             assert f'{path.parent.name}/{path.stem}"' in text or f'"{path.stem}"' in text, path

@@ -46,7 +46,8 @@ def test_the_robot_waits_standing_for_a_component_that_starts() -> None:
 
 def test_requirements_come_first_one_after_the_other() -> None:
     machine = robot(
-        components__camera__startup=STARTING, components__radio__startup={"duration": 2.0},
+        components__camera__startup=STARTING,
+        components__radio__startup={"duration": 2.0},
         components__camera__requires=["radio"],
     )
     result = run([{"wait": {"duration": 10, "sensors": {"camera": 1}}}, {"wait": {"duration": 5}}], machine)
@@ -70,8 +71,9 @@ def test_a_needed_component_is_not_restarted_between_segments() -> None:
 def test_an_activity_hands_over_to_a_segment_without_a_gap() -> None:
     machine = robot(components__camera__startup=STARTING)
     beside = [{"component": "camera", "from": {"time": 0.0}, "until": {"time": 10.0}}]
-    result = run([{"wait": {"duration": 10}}, {"wait": {"duration": 5, "sensors": {"camera": 1}}}], machine,
-                 activities=beside)
+    result = run(
+        [{"wait": {"duration": 10}}, {"wait": {"duration": 5, "sensors": {"camera": 1}}}], machine, activities=beside
+    )
     assert spans(result, "camera", "starting") == [(0.0, 3.0, 1.0)]
     assert spans(result, "camera") == [(3.0, 15.0, 1.0)]
 
@@ -99,22 +101,30 @@ PLACES: dict[str, Any] = {
 def test_an_activity_between_two_places_on_every_round() -> None:
     there = {"drive": {"to": "C", "speed": 1, "profile": "constant_speed"}}
     back = {"drive": {"to": "A", "speed": 1, "profile": "constant_speed"}}
-    result = run([{"repeat": {"times": 2, "segments": [there, back]}}], environment=PLACES, start="A",
-                 activities=[{"component": "camera", "from": "B", "until": "C"}])
+    result = run(
+        [{"repeat": {"times": 2, "segments": [there, back]}}],
+        environment=PLACES,
+        start="A",
+        activities=[{"component": "camera", "from": "B", "until": "C"}],
+    )
     # on at B, off at C, on again at B on the way back, off at C in the next round
     assert spans(result, "camera") == [(10.0, 20.0, 1.0), (30.0, 60.0, 1.0), (70.0, 80.0, 1.0)]
 
 
 def test_an_activity_during_named_segments() -> None:
     stand = [{"wait": {"name": name, "duration": 10}} for name in ("a", "b", "c", "d")]
-    result = run(stand, activities=[
-        {"component": "radio", "from": {"segment": "b"}, "until": {"segment": "c"}}])
+    result = run(stand, activities=[{"component": "radio", "from": {"segment": "b"}, "until": {"segment": "c"}}])
     assert spans(result, "radio") == [(10.0, 30.0, 1.0)]
 
 
 def test_memory_clocks_run_exactly() -> None:
-    result = run([{"drive": {"distance": 60, "speed": 1, "profile": "constant_speed"}},
-                  {"wait": {"duration": 30}}, {"drive": {"distance": 60, "speed": 1, "profile": "constant_speed"}}])
+    result = run(
+        [
+            {"drive": {"distance": 60, "speed": 1, "profile": "constant_speed"}},
+            {"wait": {"duration": 30}},
+            {"drive": {"distance": 60, "speed": 1, "profile": "constant_speed"}},
+        ]
+    )
     import math
 
     # k v ∫ exp(−t/τ) over 120 s of moving, whatever the pause
@@ -157,8 +167,10 @@ def test_a_mission_that_lacks_what_an_effect_reads_is_refused() -> None:
 def test_values_reach_the_model_and_the_plan() -> None:
     spec = load({"segments": [{"drive": {"distance": 10, "speed": 1, "profile": "constant_speed"}}]})
     plain = simulate(spec)
-    changed = simulate(spec, values={"main/c3": 18.0, "segments.0.drive.distance": 20.0,
-                                     "robot.batteries.main.capacity": 3600.0 * 50.0})
+    changed = simulate(
+        spec,
+        values={"main/c3": 18.0, "segments.0.drive.distance": 20.0, "robot.batteries.main.capacity": 3600.0 * 50.0},
+    )
     assert changed.by_term_wh("main")["rolling"] == pytest.approx(4.0 * plain.by_term_wh("main")["rolling"])
     assert changed.batteries["main"].capacity_wh == pytest.approx(50.0)
     by_path = simulate(spec, values={"robot.motion.parameters.c3": 18.0})

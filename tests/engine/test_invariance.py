@@ -17,9 +17,9 @@ from tests.engine.making import ROBOT, energy, load, robot, run
 EXACT = 1e-12
 SOME = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
-sensors = st.fixed_dictionaries({}, optional={
-    "camera": st.integers(0, 2), "lidar": st.integers(0, 1), "radio": st.integers(0, 1),
-})
+sensors = st.fixed_dictionaries(
+    {}, optional={"camera": st.integers(0, 2), "lidar": st.integers(0, 1), "radio": st.integers(0, 1)}
+)
 common = {"sensors": sensors, "payload": st.sampled_from([0.0, 0.0, 2.0, 5.0])}
 
 
@@ -28,20 +28,35 @@ def _segment(kind: str, **fields: Any) -> st.SearchStrategy[dict[str, Any]]:
 
 
 profile = st.sampled_from(["trapezoidal", "constant_speed"])
-drives = _segment("drive", distance=st.floats(0.05, 60.0), speed=st.floats(0.05, 1.5), slope=st.floats(-0.2, 0.2),
-                  profile=profile)
-arcs = _segment("arc", radius=st.floats(0.3, 5.0), angle=st.floats(-3.0, 3.0).filter(lambda x: abs(x) > 0.05),
-                speed=st.floats(0.05, 1.0), profile=profile)
+drives = _segment(
+    "drive", distance=st.floats(0.05, 60.0), speed=st.floats(0.05, 1.5), slope=st.floats(-0.2, 0.2), profile=profile
+)
+arcs = _segment(
+    "arc",
+    radius=st.floats(0.3, 5.0),
+    angle=st.floats(-3.0, 3.0).filter(lambda x: abs(x) > 0.05),
+    speed=st.floats(0.05, 1.0),
+    profile=profile,
+)
 turns = _segment("turn", angle=st.floats(-3.0, 3.0), yaw_rate=st.floats(0.1, 1.0), profile=profile)
 moves = _segment("move", distance=st.floats(0.05, 20.0), direction=st.floats(-3.0, 3.0), speed=st.floats(0.05, 1.0))
 waits = _segment("wait", duration=st.floats(0.0, 300.0))
 segments = st.lists(st.one_of(drives, drives, arcs, turns, moves, waits), min_size=1, max_size=8)
-activities = st.lists(st.one_of(
-    st.fixed_dictionaries({"component": st.sampled_from(["camera", "radio"]), "from": st.fixed_dictionaries(
-        {"time": st.floats(0.0, 100.0)}), "duration": st.floats(0.1, 50.0)}),
-    st.fixed_dictionaries({"component": st.just("radio"), "every": st.floats(5.0, 60.0),
-                           "duration": st.floats(0.1, 4.0)}),
-), max_size=3)
+activities = st.lists(
+    st.one_of(
+        st.fixed_dictionaries(
+            {
+                "component": st.sampled_from(["camera", "radio"]),
+                "from": st.fixed_dictionaries({"time": st.floats(0.0, 100.0)}),
+                "duration": st.floats(0.1, 50.0),
+            }
+        ),
+        st.fixed_dictionaries(
+            {"component": st.just("radio"), "every": st.floats(5.0, 60.0), "duration": st.floats(0.1, 4.0)}
+        ),
+    ),
+    max_size=3,
+)
 
 
 def sums(result: RunResult, battery: str) -> dict[str, float]:
@@ -71,14 +86,14 @@ def test_audit_on_random_missions(mission: list[dict[str, Any]], beside: list[di
 def test_cutting_a_segment_in_two_changes_nothing(mission: list[dict[str, Any]], data: st.DataObject) -> None:
     index = data.draw(st.integers(0, len(mission) - 1))
     share = data.draw(st.floats(0.05, 0.95))
-    (kind, body), = mission[index].items()
+    ((kind, body),) = mission[index].items()
     key = {"drive": "distance", "arc": "angle", "move": "distance", "wait": "duration"}.get(kind)
     if key is None:
         return
     first, second = copy.deepcopy(body), copy.deepcopy(body)
     first[key] = body[key] * share
     second[key] = body[key] * (1.0 - share)
-    cut = [*mission[:index], {kind: first}, {kind: second}, *mission[index + 1:]]
+    cut = [*mission[:index], {kind: first}, {kind: second}, *mission[index + 1 :]]
     whole, parts = run(mission), run(cut)
     assert parts.duration_s == pytest.approx(whole.duration_s, rel=EXACT)
     assert parts.distance_m == pytest.approx(whole.distance_m, rel=EXACT)

@@ -56,16 +56,23 @@ def test_steeper_uphill_never_costs_less(mission: list[dict[str, Any]], more: fl
     assert energy(run(steeper)) >= energy(run(uphill)) * SLACK
 
 
-@given(st.floats(1.0, 100.0), st.floats(0.1, 1.5), st.floats(0.0, 0.4), st.floats(0.0, 1.0),
-       st.sampled_from(["trapezoidal", "constant_speed"]))
+@given(
+    st.floats(1.0, 100.0),
+    st.floats(0.1, 1.5),
+    st.floats(0.0, 0.4),
+    st.floats(0.0, 1.0),
+    st.sampled_from(["trapezoidal", "constant_speed"]),
+)
 @SOME
 def test_up_and_down_costs_at_least_flat(
     distance: float, speed: float, slope: float, back: float, profile: str
 ) -> None:
     machine = robot(body__regeneration=back)
     # cold friction depends on when, not only where: it is the same drive, there and back
-    ways = [[{"drive": {"distance": distance, "speed": speed, "slope": s, "profile": profile}} for s in pair]
-            for pair in ((slope, -slope), (0.0, 0.0))]
+    ways = [
+        [{"drive": {"distance": distance, "speed": speed, "slope": s, "profile": profile}} for s in pair]
+        for pair in ((slope, -slope), (0.0, 0.0))
+    ]
     hill, flat = (energy(run(way, machine)) for way in ways)
     assert hill >= flat * SLACK
 
@@ -109,8 +116,11 @@ def test_braking_is_not_charged_as_consumption() -> None:
 
 def test_braking_uphill_pays_for_the_lifting() -> None:
     """Friction, inertia and weight add up at the wheels before anything is braked away (c6 is the kinetic mass)."""
-    machine = robot(motion__parameters={"c2": 0.0, "c3": 9.0, "c4": 0.0, "c6": 20.0}, effects=[
-        {"effect": "grade", "battery": "main", "parameters": {"k": 1.0}}], components={})
+    machine = robot(
+        motion__parameters={"c2": 0.0, "c3": 9.0, "c4": 0.0, "c6": 20.0},
+        effects=[{"effect": "grade", "battery": "main", "parameters": {"k": 1.0}}],
+        components={},
+    )
     slope, speed, braking = 0.05, 1.0, 0.6
     drive = [{"drive": {"distance": 20, "speed": speed, "slope": slope}}]
     # 20 kg at 0.6 m/s² brake with 12 N, more than the friction of 9 N, but less than friction and weight together

@@ -52,7 +52,10 @@ def outcome(report: dict[str, Any], seconds: float) -> Outcome:
         rmse_w=rmse,
         seconds=seconds,
         shares=shares,
-        limits={c["effect"]: c["smallest_detectable_share"] for c in battery["candidates"]
-                if c["smallest_detectable_share"] is not None},
+        limits={
+            c["effect"]: c["smallest_detectable_share"]
+            for c in battery["candidates"]
+            if c["smallest_detectable_share"] is not None
+        },
         experiments=len(battery.get("next_experiment", [])),
     )

@@ -49,12 +49,24 @@ def markdown(rows: Sequence[Row], heading: str) -> str:
     rows = [row | {"found": bool(row["in_set"]) if row["first_right"] is not None else None} for row in rows]
     lines = [f"# Hidden effects: {heading}", ""]
     head = (
-        "group", "method", "n", "right name first", "exactly right", "all named", "a wrong name", "truth in the set",
-        "confident wrong name", "cannot tell, kept honest", "resolved by one / two proposed experiments",
+        "group",
+        "method",
+        "n",
+        "right name first",
+        "exactly right",
+        "all named",
+        "a wrong name",
+        "truth in the set",
+        "confident wrong name",
+        "cannot tell, kept honest",
+        "resolved by one / two proposed experiments",
         "outside: says so",
-        "held-out energy error % nominal → method (truth known)", "removed (energy)", "removed (power²)",
-        "interval covers", "s",
-    )  # fmt: skip
+        "held-out energy error % nominal → method (truth known)",
+        "removed (energy)",
+        "removed (power²)",
+        "interval covers",
+        "s",
+    )
     lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for group in dict.fromkeys(row["group"] for row in rows):
         for method in dict.fromkeys(row["method"] for row in rows):
@@ -100,13 +112,19 @@ def _goals(rows: Sequence[Row]) -> list[str]:
     lines = [
         ("nothing hidden: nothing named", "≥ 98 %", _rate(of("nothing hidden"), "exact")),
         ("2 % of the energy: right name first", "≥ 95 %", _rate(of("one effect, 2 %"), "first_right")),
-        ("2 %: right name first, without silence about what the report says it cannot see", "–",
-         _rate(seen(of("one effect, 2 %")), "first_right")),
+        (
+            "2 %: right name first, without silence about what the report says it cannot see",
+            "–",
+            _rate(seen(of("one effect, 2 %")), "first_right"),
+        ),
         ("5 % of the energy: right name first", "100 %", _rate(of("one effect, 5 %"), "first_right")),
         ("5 %: truth named or in the set of what cannot be told apart", "100 %", _rate(of("one effect, 5 %"), "found")),
         ("pairs: both named", "≥ 90 %", _rate(of("two effects"), "all_named")),
-        ("pairs: both named, without silence about what the report says it cannot see", "–",
-         _rate(seen(of("two effects")), "all_named")),
+        (
+            "pairs: both named, without silence about what the report says it cannot see",
+            "–",
+            _rate(seen(of("two effects")), "all_named"),
+        ),
         ("pairs: both named or in the set of what cannot be told apart", "–", _rate(of("two effects"), "all_in_set")),
         (
             "removable held-out energy error removed (2, 5, 10 %, pairs)",

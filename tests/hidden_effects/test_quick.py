@@ -29,10 +29,7 @@ def test_nothing_hidden_names_nothing(robot):
     assert result["verdict"] == "nothing_missing"
 
 
-@pytest.mark.parametrize(
-    "effect",
-    ["grade", "acceleration", "surface_rolling_resistance", "cpu_load"],
-)
+@pytest.mark.parametrize("effect", ["grade", "acceleration", "surface_rolling_resistance", "cpu_load"])
 def test_five_percent_of_the_energy_is_found_and_the_heldout_error_falls(effect):
     result = row(f"{effect}-5pct")
     assert result["first_right"], result
@@ -102,8 +99,9 @@ def test_table_is_written_whole(tmp_path):
 
 
 def test_practice_folders_are_scored_by_the_same_command(shared: Path):
-    options = parser().parse_args(["--practice", str(shared / "practice"), "--cases", "grade-5pct", "nothing-1",
-                                   "--no-peers"])
+    options = parser().parse_args(
+        ["--practice", str(shared / "practice"), "--cases", "grade-5pct", "nothing-1", "--no-peers"]
+    )
     found = {r["case"]: r for r in run(list(tasks(options)), 1, quiet=True) if r["method"] == "missionsim"}
     assert not any(r.get("failure") for r in found.values()), found
     assert found["grade-5pct"]["first_right"]

@@ -112,8 +112,9 @@ def test_a_varied_column_is_like_a_source_made_with_it() -> None:
     for k, rows in changed.items():
         columns[k] = replace(columns[k], watts_per_unit=0.7 + k)
         varied = varied.with_column(k, replace(source.layout, columns=tuple(columns)), rows)
-        expected = [replace(run, columns=dict(run.columns) | {names[k]: own})
-                    for run, own in zip(expected, rows, strict=True)]  # fmt: skip
+        expected = [
+            replace(run, columns=dict(run.columns) | {names[k]: own}) for run, own in zip(expected, rows, strict=True)
+        ]
     made = make_source(expected, library(), {}, Settings(align=False), like=varied)
     for clock, old in zip(clocks, before, strict=True):
         for only in (None, [second, 0, first]):

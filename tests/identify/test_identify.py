@@ -35,11 +35,14 @@ def test_nothing_hidden_nothing_named(seed):
 @pytest.mark.parametrize(
     ("column", "effect"),
     [
-        ("grade", "grade"), ("payload", "payload"), ("turning_scrub", "turning_scrub"),
-        ("surface|carpet", "surface_rolling_resistance"), ("aerodynamic_drag", "aerodynamic_drag"),
+        ("grade", "grade"),
+        ("payload", "payload"),
+        ("turning_scrub", "turning_scrub"),
+        ("surface|carpet", "surface_rolling_resistance"),
+        ("aerodynamic_drag", "aerodynamic_drag"),
         ("component_power:camera", "component_power:camera"),
     ],
-)  # fmt: skip
+)
 def test_one_effect_is_named_and_measured(column, effect):
     hidden = _strength(column, 0.05)
     found = identify(make_runs(11, hidden), library(), {})
@@ -115,8 +118,10 @@ def test_few_runs_work_and_say_so(count):
 
 def test_shape_is_refitted_exactly():
     runs = make_runs(12, {"cold": 6.0}, count=8)
-    moved = [np.cumsum((np.abs(r.covariates["speed_m_s"]) > 0.005) | (np.abs(r.covariates["yaw_rate_rad_s"]) > 0.02))
-             for r in runs]  # fmt: skip
+    moved = [
+        np.cumsum((np.abs(r.covariates["speed_m_s"]) > 0.005) | (np.abs(r.covariates["yaw_rate_rad_s"]) > 0.02))
+        for r in runs
+    ]
 
     def refit(shape):
         return [r.columns["rolling_friction"] * np.exp(-m / shape["tau_s"]) for r, m in zip(runs, moved, strict=True)]
@@ -155,8 +160,14 @@ def _with_temperature(cold_runs, extra_n):
         temperature = np.full(len(run.time_s), 5.0 if j in cold_runs else 22.0)
         column = run.columns["rolling_friction"] * np.maximum(25.0 - temperature, 0.0)
         hidden = extra_n * run.columns["rolling_friction"] * (j in cold_runs)
-        runs.append(replace(run, columns=run.columns | {"temperature": column}, measured_w=run.measured_w + hidden,
-                            covariates=run.covariates | {"temp_ambient_c": temperature}))  # fmt: skip
+        runs.append(
+            replace(
+                run,
+                columns=run.columns | {"temperature": column},
+                measured_w=run.measured_w + hidden,
+                covariates=run.covariates | {"temp_ambient_c": temperature},
+            )
+        )
     return runs, [*library(), Candidate("temperature_friction", ("temperature",), covariate="temp_ambient_c")]
 
 

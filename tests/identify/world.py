@@ -58,14 +58,22 @@ def make_run(
     moving = (np.abs(speed) > 0.005) | (np.abs(turn) > 0.02)
     moved = np.cumsum(moving) / fine
     terms = {
-        "c2": BASE["c2"] * speed**2 * moving, "c3": BASE["c3"] * speed * moving, "c4": BASE["c4"] * moving,
-        "standing": BASE["standing"] * ~moving, "camera.power": BASE["camera.power"] * camera,
-    }  # fmt: skip
+        "c2": BASE["c2"] * speed**2 * moving,
+        "c3": BASE["c3"] * speed * moving,
+        "c4": BASE["c4"] * moving,
+        "standing": BASE["standing"] * ~moving,
+        "camera.power": BASE["camera.power"] * camera,
+    }
     columns = {
-        "grade": 20 * 9.81 * speed * np.sin(slope), "payload": payload * speed, "turning_scrub": np.abs(turn),
-        "surface|carpet": speed * carpet, "rolling_friction": speed, "aerodynamic_drag": speed**3,
-        "standby_load": np.ones_like(speed), "component_power:camera": camera,
-    }  # fmt: skip
+        "grade": 20 * 9.81 * speed * np.sin(slope),
+        "payload": payload * speed,
+        "turning_scrub": np.abs(turn),
+        "surface|carpet": speed * carpet,
+        "rolling_friction": speed,
+        "aerodynamic_drag": speed**3,
+        "standby_load": np.ones_like(speed),
+        "component_power:camera": camera,
+    }
     columns |= {f"cold|{tau:g}": speed * np.exp(-moved / tau) for tau in TAUS}
     error = base_error or {}
     power = sum((1 + error.get(k, 0.0)) * v for k, v in terms.items())
@@ -87,14 +95,24 @@ def make_run(
         e[i] = 0.8 * e[i - 1] + 0.6 * rng.standard_normal()
     measured = measured + noise * measured.mean() * e
     covariates = {
-        "speed_m_s": coarse(speed), "yaw_rate_rad_s": coarse(turn), "payload_kg": coarse(payload),
-        "slope_rad": coarse(slope), "time_s": np.arange(n) + 0.5, "carpet": coarse(carpet),
-    }  # fmt: skip
+        "speed_m_s": coarse(speed),
+        "yaw_rate_rad_s": coarse(turn),
+        "payload_kg": coarse(payload),
+        "slope_rad": coarse(slope),
+        "time_s": np.arange(n) + 0.5,
+        "carpet": coarse(carpet),
+    }
     gradient = {k: coarse(v) for k, v in terms.items()}
     return RunData(
-        name, np.arange(n) + 0.5, np.ones(n), measured, np.sum(list(gradient.values()), axis=0), gradient,
-        {k: coarse(v) for k, v in columns.items()}, covariates,
-    )  # fmt: skip
+        name,
+        np.arange(n) + 0.5,
+        np.ones(n),
+        measured,
+        np.sum(list(gradient.values()), axis=0),
+        gradient,
+        {k: coarse(v) for k, v in columns.items()},
+        covariates,
+    )
 
 
 def make_runs(seed: int, hidden: dict[str, float] | None = None, count: int = 6, **options: object) -> list[RunData]:
@@ -111,18 +129,19 @@ def library() -> list[Candidate]:
         Candidate("grade", ("grade",), covariate="slope_rad"),
         Candidate("payload", ("payload",), covariate="payload_kg"),
         Candidate("turning_scrub", ("turning_scrub",), covariate="yaw_rate_rad_s"),
-        Candidate(
-            "surface_rolling_resistance", ("surface|carpet",), covariate="carpet", levels=("carpet",), unit="N"
-        ),
+        Candidate("surface_rolling_resistance", ("surface|carpet",), covariate="carpet", levels=("carpet",), unit="N"),
         Candidate("rolling_friction", ("rolling_friction",), sign=0, prior="c3", covariate="speed_m_s"),
         Candidate("aerodynamic_drag", ("aerodynamic_drag",), covariate="speed_m_s"),
         Candidate("standby_load", ("standby_load",), sign=0, prior="c4"),
         Candidate("component_power:camera", ("component_power:camera",), sign=0, prior="camera.power"),
         Candidate(
-            "cold_friction", tuple(f"cold|{t:g}" for t in TAUS), shape=tuple({"tau_s": t} for t in TAUS),
-            covariate="time_s", shape_bounds={"tau_s": (20.0, 400.0)},
+            "cold_friction",
+            tuple(f"cold|{t:g}" for t in TAUS),
+            shape=tuple({"tau_s": t} for t in TAUS),
+            covariate="time_s",
+            shape_bounds={"tau_s": (20.0, 400.0)},
         ),
-    ]  # fmt: skip
+    ]
 
 
 def coefficient(runs: Sequence[RunData], column: str, share: float) -> float:
@@ -140,6 +159,12 @@ def with_gap(run: RunData, first: int, last: int) -> RunData:
         return {k: v[keep] for k, v in group.items()}
 
     return replace(
-        run, time_s=run.time_s[keep], dt_s=run.dt_s[keep], measured_w=run.measured_w[keep], base_w=run.base_w[keep],
-        gradient=cut(dict(run.gradient)), columns=cut(dict(run.columns)), covariates=cut(dict(run.covariates)),
-    )  # fmt: skip
+        run,
+        time_s=run.time_s[keep],
+        dt_s=run.dt_s[keep],
+        measured_w=run.measured_w[keep],
+        base_w=run.base_w[keep],
+        gradient=cut(dict(run.gradient)),
+        columns=cut(dict(run.columns)),
+        covariates=cut(dict(run.covariates)),
+    )

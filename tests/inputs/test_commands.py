@@ -89,15 +89,18 @@ def test_robots(capsys: pytest.CaptureFixture[str]) -> None:
 PATROL = "missions/pioneer3dx/valve_patrol.yaml"
 
 
-@pytest.mark.parametrize("words", [
-    ["validate", PATROL, "missions/khepera3"],
-    ["validate", PATROL, "--json", "-", "--quiet"],
-    ["validate", "nowhere.yaml"],
-    ["run", PATROL],
-    ["run", "--set", "defaults.speed=0.3", PATROL, "--set=defaults.payload=2 kg", "--json", "-"],
-    ["run", "--quiet", "missions/pioneer3dx/infeasible.yaml"],
-    ["run", PATROL, "--out", "{out}", "--format=parquet", "--quiet"],
-])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["validate", PATROL, "missions/khepera3"],
+        ["validate", PATROL, "--json", "-", "--quiet"],
+        ["validate", "nowhere.yaml"],
+        ["run", PATROL],
+        ["run", "--set", "defaults.speed=0.3", PATROL, "--set=defaults.payload=2 kg", "--json", "-"],
+        ["run", "--quiet", "missions/pioneer3dx/infeasible.yaml"],
+        ["run", PATROL, "--out", "{out}", "--format=parquet", "--quiet"],
+    ],
+)
 def test_plain_calls_are_read_as_the_parser_reads_them(
     words: list[str], root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -110,24 +113,40 @@ def test_plain_calls_are_read_as_the_parser_reads_them(
     assert told[0] == told[1]
 
 
-@pytest.mark.parametrize("words", [
-    [], ["run"], ["--help"], ["run", "--help"], ["run", PATROL, "--plot"], ["run", PATROL, "--format", "xls"],
-    ["run", PATROL, PATROL], ["run", PATROL, "--sat", "a=1"], ["run", PATROL, "--out"],
-    ["run", PATROL, "--set", "-x=1"],
-    ["run", PATROL, "--json", "a", "--json", "b"], ["validate", "--quiet"], ["effects", "--json", "-"],
-    ["run", "--mission", PATROL], ["validate", PATROL, "-h"],
-])
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["run"],
+        ["--help"],
+        ["run", "--help"],
+        ["run", PATROL, "--plot"],
+        ["run", PATROL, "--format", "xls"],
+        ["run", PATROL, PATROL],
+        ["run", PATROL, "--sat", "a=1"],
+        ["run", PATROL, "--out"],
+        ["run", PATROL, "--set", "-x=1"],
+        ["run", PATROL, "--json", "a", "--json", "b"],
+        ["validate", "--quiet"],
+        ["effects", "--json", "-"],
+        ["run", "--mission", PATROL],
+        ["validate", PATROL, "-h"],
+    ],
+)
 def test_what_is_not_plain_is_left_to_the_parser(words: list[str]) -> None:
     assert quick(words) is None
 
 
-@pytest.mark.parametrize(("words", "ordered"), [
-    (["run", "--plot", "m.yaml"], ["run", "m.yaml", "--plot"]),
-    (["run", "--plot", "svg", "png", "m.yaml", "--quiet"], ["run", "m.yaml", "--quiet", "--plot", "svg", "png"]),
-    (["run", "m.yaml", "--plot", "--out", "x"], ["run", "m.yaml", "--out", "x", "--plot"]),
-    (["run", "m.yaml", "--plot=svg"], ["run", "m.yaml", "--plot=svg"]),
-    (["montecarlo", "--plot", "m.yaml"], ["montecarlo", "--plot", "m.yaml"]),
-])
+@pytest.mark.parametrize(
+    ("words", "ordered"),
+    [
+        (["run", "--plot", "m.yaml"], ["run", "m.yaml", "--plot"]),
+        (["run", "--plot", "svg", "png", "m.yaml", "--quiet"], ["run", "m.yaml", "--quiet", "--plot", "svg", "png"]),
+        (["run", "m.yaml", "--plot", "--out", "x"], ["run", "m.yaml", "--out", "x", "--plot"]),
+        (["run", "m.yaml", "--plot=svg"], ["run", "m.yaml", "--plot=svg"]),
+        (["montecarlo", "--plot", "m.yaml"], ["montecarlo", "--plot", "m.yaml"]),
+    ],
+)
 def test_plot_may_stand_before_the_mission(words: list[str], ordered: list[str]) -> None:
     assert with_plot_last(words) == ordered
 

@@ -71,18 +71,7 @@ NASTY: list[Any] = [
     {"distribution": {"kind": "normal"}},
     {"distribution": {"kind": "empirical", "file": "/dev/null", "column": "x"}},
 ]
-CHARACTERS = [
-    *"{}[]:,-?&*!|>'\"%@`#\t\n \\~0aZ",
-    "---",
-    "...",
-    "<<: ",
-    "&a ",
-    "*a ",
-    "!!str ",
-    "é",
-    "\x00",
-    "\ufeff",
-]
+CHARACTERS = [*"{}[]:,-?&*!|>'\"%@`#\t\n \\~0aZ", "---", "...", "<<: ", "&a ", "*a ", "!!str ", "é", "\x00", "\ufeff"]
 
 
 def paths_of(data: Any, here: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:

@@ -66,7 +66,8 @@ def test_braking_for_a_slow_zone_begins_before_it() -> None:
     assert border == pytest.approx([0.0, 0.2, 0.2, 0.0])
     # the next piece is too short to brake in: the limit reaches back over it
     assert junction_speeds([10.0, 0.01, 5.0], [1.0, 1.0, 0.1], 0.5, 0.25) == pytest.approx(
-        [0.0, (0.1**2 + 2 * 0.25 * 0.01) ** 0.5, 0.1, 0.0])
+        [0.0, (0.1**2 + 2 * 0.25 * 0.01) ** 0.5, 0.1, 0.0]
+    )
 
 
 def test_constant_speed_is_distance_over_speed() -> None:

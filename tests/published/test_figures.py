@@ -29,12 +29,23 @@ def figure(printed: str, rule: str = "rounded", basis: str = "") -> Figure:
 @pytest.mark.parametrize(
     ("printed", "rule", "ours", "met"),
     [
-        ("12.94", "rounded", 12.9449, True), ("12.94", "rounded", 12.9451, False), ("12.90", "rounded", 12.905, True),
-        ("0.76", "truncated", 0.7652, True), ("0.76", "truncated", 0.7699, True), ("0.76", "truncated", 0.77, False),
-        ("0.76", "truncated", 0.7599, False), ("-2.8", "truncated", -2.86, True), ("-2.8", "truncated", -2.75, False),
-        ("95", "at_least", 95.0, True), ("95", "at_least", 94.99, False), ("5", "at_most", 4.9, True),
-        ("180", "about:5", 184.9, True), ("180", "about:5", 185.1, False), ("5.1e-4", "rounded", 5.14e-4, True),
-        ("5.1e-4", "rounded", 5.16e-4, False), ("28.6", "inputs:0.03", 28.63, True),
+        ("12.94", "rounded", 12.9449, True),
+        ("12.94", "rounded", 12.9451, False),
+        ("12.90", "rounded", 12.905, True),
+        ("0.76", "truncated", 0.7652, True),
+        ("0.76", "truncated", 0.7699, True),
+        ("0.76", "truncated", 0.77, False),
+        ("0.76", "truncated", 0.7599, False),
+        ("-2.8", "truncated", -2.86, True),
+        ("-2.8", "truncated", -2.75, False),
+        ("95", "at_least", 95.0, True),
+        ("95", "at_least", 94.99, False),
+        ("5", "at_most", 4.9, True),
+        ("180", "about:5", 184.9, True),
+        ("180", "about:5", 185.1, False),
+        ("5.1e-4", "rounded", 5.14e-4, True),
+        ("5.1e-4", "rounded", 5.16e-4, False),
+        ("28.6", "inputs:0.03", 28.63, True),
     ],
 )
 def test_rules_of_rounding(printed: str, rule: str, ours: float, met: bool) -> None:
@@ -49,9 +60,16 @@ def test_trailing_zeros_count_as_digits() -> None:
 @pytest.mark.parametrize(
     ("basis", "ours", "status"),
     [
-        ("", 1.0, AGREES), ("", 1.2, DIFFERS), ("input", 1.0, CALIBRATED), ("input", 1.2, DIFFERS),
-        ("fitted", 1.0, CALIBRATED), ("fitted", 1.2, CALIBRATED), ("contradiction", 1.2, CONTRADICTS),
-        ("contradiction", 1.0, AGREES), ("uncheckable", None, UNCHECKABLE), ("", None, UNCHECKABLE),
+        ("", 1.0, AGREES),
+        ("", 1.2, DIFFERS),
+        ("input", 1.0, CALIBRATED),
+        ("input", 1.2, DIFFERS),
+        ("fitted", 1.0, CALIBRATED),
+        ("fitted", 1.2, CALIBRATED),
+        ("contradiction", 1.2, CONTRADICTS),
+        ("contradiction", 1.0, AGREES),
+        ("uncheckable", None, UNCHECKABLE),
+        ("", None, UNCHECKABLE),
     ],
 )
 def test_statuses(basis: str, ours: float | None, status: str) -> None:
@@ -74,8 +92,10 @@ def test_ours_must_belong_to_a_printed_figure() -> None:
 
 
 SEEDS = {
-    "jaiem2021": "jaiem2021_pioneer3dx.txt", "parasuraman2012": "parasuraman2012_khepera3.txt",
-    "hou2019": "hou2019_mecanum.txt", "rover2025": "rover_tx2_2025.txt",
+    "jaiem2021": "jaiem2021_pioneer3dx.txt",
+    "parasuraman2012": "parasuraman2012_khepera3.txt",
+    "hou2019": "hou2019_mecanum.txt",
+    "rover2025": "rover_tx2_2025.txt",
 }
 # numbers with a unit, a percentage or decimals in the running text; what stands here is no figure of the work itself
 NUMBER = re.compile(r"(?<![\w.\[/-])(\d+\.\d+|\d+(?=\s*(?:%|W\b|Hz\b|mm/s|mAh|kg\b|batch)))(?![\w.]*\d)")
@@ -105,9 +125,17 @@ def test_no_printed_number_is_dropped(paper: str, shared: Path) -> None:
 
 @pytest.mark.parametrize(
     ("paper", "prefix", "count"),
-    [("jaiem2021", "table4.r", 26 * 14), ("jaiem2021", "table5.", 12 * 3 + 3), ("jaiem2021", "table3.", 7),
-     ("jaiem2021", "table2.", 3), ("hou2019", "table3.t", 14 * 3), ("hou2019", "table4.t", 14 * 3),
-     ("hou2019", "table1.", 12), ("parasuraman2012", "table1.", 15), ("rover2025", "table1.", 6)],
+    [
+        ("jaiem2021", "table4.r", 26 * 14),
+        ("jaiem2021", "table5.", 12 * 3 + 3),
+        ("jaiem2021", "table3.", 7),
+        ("jaiem2021", "table2.", 3),
+        ("hou2019", "table3.t", 14 * 3),
+        ("hou2019", "table4.t", 14 * 3),
+        ("hou2019", "table1.", 12),
+        ("parasuraman2012", "table1.", 15),
+        ("rover2025", "table1.", 6),
+    ],
 )
 def test_tables_are_whole(paper: str, prefix: str, count: int) -> None:
     assert sum(key.startswith(prefix) for key in load_figures(paper)) == count
@@ -119,8 +147,22 @@ def test_table_4_is_transcribed_cell_by_cell(shared: Path) -> None:
     rows = [re.findall(r"(?<=\t)-?\d+(?:\.\d+)?(?=\t|$)", "\t" + line.strip()) for line in text.splitlines()]
     rows = [row for row in rows if len(row) == 21]
     assert len(rows) == 26
-    columns = ["P_R", "P_L_kinect", "P_L_laser", "P_L_watt", "P_L_switch1", "P_L_switch2", "P_L_screen", "P_L_proc",
-               "P_L", "pct_screen", "P_total", "pct_P_R", "pct_P_L", "delta_P"]
+    columns = [
+        "P_R",
+        "P_L_kinect",
+        "P_L_laser",
+        "P_L_watt",
+        "P_L_switch1",
+        "P_L_switch2",
+        "P_L_screen",
+        "P_L_proc",
+        "P_L",
+        "pct_screen",
+        "P_total",
+        "pct_P_R",
+        "pct_P_L",
+        "delta_P",
+    ]
     data, configurations = load_figures("jaiem2021"), figures.load_table("jaiem2021_table4_rows")
     for number, (row, configuration) in enumerate(zip(rows, configurations, strict=True), start=1):
         assert row[:3] == [configuration[name] for name in ("sonar", "laser", "kinect")]

@@ -18,15 +18,7 @@ from missionsim.inputs import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import khepera
 from missionsim.published import fits, hou2019, jaiem2021, parasuraman2012, patrol, rover2025
-from missionsim.published.figures import (
-    AGREES,
-    CALIBRATED,
-    CONTRADICTS,
-    DIFFERS,
-    PAPERS,
-    Item,
-    load_figures,
-)
+from missionsim.published.figures import AGREES, CALIBRATED, CONTRADICTS, DIFFERS, PAPERS, Item, load_figures
 from missionsim.published.locate import mission, run
 from missionsim.published.reproduce import files, reproduce_paper, side_tables
 
@@ -141,8 +133,11 @@ def test_task_a_is_equation_12_and_its_record_equation_16() -> None:
     energy_j = result.batteries["robot"].energy_wh * 3600.0
     speed = float(mission(parasuraman2012.TASK_A["wifi"]).defaults.speed or 0.0)
     needed = khepera.energy_needed(
-        result.distance_m, speed, static_w=parasuraman2012.static_power("wifi"),
-        motion_w=parasuraman2012.motion_power(speed), standing_s=25.0,
+        result.distance_m,
+        speed,
+        static_w=parasuraman2012.static_power("wifi"),
+        motion_w=parasuraman2012.motion_power(speed),
+        standing_s=25.0,
     )
     assert energy_j == pytest.approx(float(needed), rel=1e-12)
     line = result.timeline
@@ -158,8 +153,12 @@ def test_mecanum_file_is_the_fit_and_beats_the_paper() -> None:
     figures = load_figures("hou2019")
     fit = fits.mecanum_fit(figures, profile="linear", duration_s=figures["time.max"].value)
     parameters = build_power_model(load_robot("mecanum4")).parameters
-    for name, value in (("wheel_friction", fit.friction_n), ("copper_resistance", fit.copper_w_n2),
-                        ("control_pulse", fit.pulse_w), ("electronics", fit.electronics_w)):
+    for name, value in (
+        ("wheel_friction", fit.friction_n),
+        ("copper_resistance", fit.copper_w_n2),
+        ("control_pulse", fit.pulse_w),
+        ("electronics", fit.electronics_w),
+    ):
         assert parameters[f"robot/{name}"].value == pytest.approx(value, rel=1e-5)
     assert float(load_robot("mecanum4").body.mass or 0) == pytest.approx(fit.mass_kg, rel=1e-5)
     paper, ours = hou2019.paper_errors(figures), hou2019.robot_errors(figures)
@@ -190,9 +189,7 @@ def test_rover_file_is_the_fit(by_key: dict[str, dict[str, Item]]) -> None:
     parameters = build_power_model(load_robot("rover_tx2")).parameters
     printed = figures["mech.speed"].value
     assert parameters["robot/drive_constant"].value == pytest.approx(rover2025.drive_constant(printed), rel=1e-5)
-    rest, more = rover2025.processing_work(
-        figures, fixed_s=parameters["robot/cpu.fixed_time"].value, share_at_rest=0.5
-    )
+    rest, more = rover2025.processing_work(figures, fixed_s=parameters["robot/cpu.fixed_time"].value, share_at_rest=0.5)
     assert parameters["robot/cpu.cycles"].value == pytest.approx(rest, rel=1e-6)
     assert parameters["robot/cpu.cycles_per_speed"].value == pytest.approx(more, rel=1e-6)
     assert by_key["rover2025"]["joint.speed"].status == CONTRADICTS

@@ -64,15 +64,22 @@ def run_with(folder: Path, robot: tuple[str, str] = ("", ""), mission: tuple[str
         ((MOTION, "model: expression, power: k*v*scheme, parameters: {k: 3}"), ("", ""), "holds words"),
         ((MOTION, "model: expression, power: 9**9**9**9"), ("", ""), "not a number in segment"),
         (("c2: 4", "c2: 1e308"), ("2 min", "2 h"), "not a number in segment"),
-        (("schemes:", "effects: [{name: own, battery: main, power: k/payload_kg, parameters: {k: 1}}]\nschemes:"),
-         ("", ""), "not a number in segment"),
+        (
+            ("schemes:", "effects: [{name: own, battery: main, power: k/payload_kg, parameters: {k: 1}}]\nschemes:"),
+            ("", ""),
+            "not a number in segment",
+        ),
         (("main: {capacity: 288 Wh}", CIRCUIT), ("", ""), "not a number in segment"),
         (("", ""), ("distance: 40 m", "distance: 1e308 m"), "1e+12 m"),
     ],
-)  # fmt: skip
+)
 def test_missions_that_cannot_be(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, robot: tuple[str, str],
-    mission: tuple[str, str], told: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    robot: tuple[str, str],
+    mission: tuple[str, str],
+    told: str,
 ) -> None:
     monkeypatch.setattr("missionsim.engine.world.MOST_BURSTS", 2000)
     assert run_with(tmp_path, robot, mission) == 2
@@ -100,7 +107,10 @@ def test_arithmetic_with_words_is_refused() -> None:
 def write_log(folder: Path, name: str = "run", rows: int = 60, **columns: object) -> Path:
     time = np.arange(rows, dtype=float)
     table: dict[str, object] = {
-        "time_s": time, "power_robot_w": 10 + np.sin(time), "speed_m_s": 0.3 + 0.1 * np.sin(0.2 * time), **columns,
+        "time_s": time,
+        "power_robot_w": 10 + np.sin(time),
+        "speed_m_s": 0.3 + 0.1 * np.sin(0.2 * time),
+        **columns,
     }
     lists = [np.broadcast_to(np.asarray(value), rows).tolist() for value in table.values()]
     path = folder / f"{name}.csv"
@@ -156,8 +166,7 @@ def test_formulas_that_leave_all_numbers(tmp_path: Path, capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize(
-    ("options", "rows", "told"),
-    [(("--battery", "robto"), 60, "did you mean: robot"), ((), 3, "no run has at least 8")],
+    ("options", "rows", "told"), [(("--battery", "robto"), 60, "did you mean: robot"), ((), 3, "no run has at least 8")]
 )
 def test_logs_that_hold_too_little(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], rows: int, told: str
@@ -170,12 +179,14 @@ def test_logs_that_hold_too_little(
 
 @pytest.mark.parametrize(
     ("power", "told"),
-    [(-10.0, "what it delivers is positive"), (0.0, "No energy was measured"), (1e4, "1,000 times of modelled"),
-     (1e-2, "1/1,000 of modelled")],
-)  # fmt: skip
-def test_doubtful_meters_are_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], power: float, told: str
-) -> None:
+    [
+        (-10.0, "what it delivers is positive"),
+        (0.0, "No energy was measured"),
+        (1e4, "1,000 times of modelled"),
+        (1e-2, "1/1,000 of modelled"),
+    ],
+)
+def test_doubtful_meters_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str], power: float, told: str) -> None:
     path = write_log(tmp_path, power_robot_w=power)
     assert run_command(["compare", "--robot", "pioneer3dx", str(path)]) == 0
     out = " ".join(capsys.readouterr().out.split())

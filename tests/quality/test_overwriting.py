@@ -85,7 +85,7 @@ def contents(folder: Path) -> dict[Path, bytes]:
         ("import logs --map map.yaml --out logs/r2.csv", "--out would overwrite an input"),
         ("import logs/r1.csv --map map.yaml --out new.csv --json map.yaml", "--json would overwrite an input"),
     ],
-)  # fmt: skip
+)
 def test_an_input_or_another_output_is_not_written_over(
     world: Path, capsys: pytest.CaptureFixture[str], command: str, told: str
 ) -> None:

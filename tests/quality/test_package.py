@@ -22,7 +22,10 @@ SLOW = ("pandas", "scipy", "matplotlib", "plotly", "sklearn", "pyarrow")
 def loaded_by(code: str) -> set[str]:
     done = subprocess.run(
         [sys.executable, "-c", f"import sys\n{code}\nprints = sys.modules\nprint(' '.join(sorted(sys.modules)))"],
-        capture_output=True, text=True, check=True, cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
     )
     return {name.split(".")[0] for name in done.stdout.splitlines()[-1].split()}
 
@@ -39,8 +42,11 @@ def test_import_loads_nothing_slow() -> None:
 
 @pytest.mark.parametrize(
     "arguments",
-    [["validate", "missions/pioneer3dx/valve_patrol.yaml"], ["run", "missions/pioneer3dx/valve_patrol.yaml", "--quiet"],
-     ["--help"]],
+    [
+        ["validate", "missions/pioneer3dx/valve_patrol.yaml"],
+        ["run", "missions/pioneer3dx/valve_patrol.yaml", "--quiet"],
+        ["--help"],
+    ],
     ids=["validate", "run", "help"],
 )
 def test_quick_commands_load_nothing_slow(arguments: list[str]) -> None:

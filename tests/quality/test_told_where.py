@@ -58,7 +58,7 @@ def files(folder: Path, robot: tuple[str, str] = ("", ""), mission: tuple[str, s
         (("k*1", "k*1 +"), "10:39", "formula cannot be read: invalid syntax", ""),
         (("k*1", "k/payload_kg"), "10:39", "is not a number in segment", ""),
     ],
-)  # fmt: skip
+)
 def test_formulas_are_told_with_their_place(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], robot: tuple[str, str], place: str, told: str, hint: str
 ) -> None:
@@ -91,7 +91,7 @@ def test_an_expression_keeps_its_place_through_pickle() -> None:
         (["calibrate", "--new", "x", "--base", "k*v", "log.csv", "--out=folder"], "--out is a folder"),
         (["improve", "--robot", "bot.yaml", "log.csv", "--out", "folder", "--yes"], "--out is a folder"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_written_is_told_before_anything_is_computed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: list[str], told: str
 ) -> None:
@@ -147,8 +147,9 @@ def test_effects_tell_columns_of_logs_alone(capsys: pytest.CaptureFixture[str]) 
 
 def test_paths_of_the_provenance_are_tidy(tmp_path: Path) -> None:
     (tmp_path / "missions").mkdir()
-    (tmp_path / "yard.yaml").write_text("kind: environment\nname: yard\nplaces: {a: {x: 0, y: 0}, b: {x: 9, y: 0}}\n"
-                                        "edges: [{from: a, to: b}]\n")
+    (tmp_path / "yard.yaml").write_text(
+        "kind: environment\nname: yard\nplaces: {a: {x: 0, y: 0}, b: {x: 9, y: 0}}\nedges: [{from: a, to: b}]\n"
+    )
     files(tmp_path / "missions", mission=("robot:", "environment: ../yard.yaml\nrobot:"))
     paths = provenance(load_mission(tmp_path / "missions" / "errand.yaml"))["files"]
     assert paths["environment"]["path"] == str(tmp_path / "yard.yaml")
@@ -173,7 +174,7 @@ def a_log(folder: Path) -> str:
         ({"--base": "k * nocolumn"}, "and columns: speed_m_s"),
         ({"--base": "k * v + c * sped_m_s"}, "did you mean: speed_m_s"),
     ],
-)  # fmt: skip
+)
 def test_a_new_robot_that_cannot_be_is_told_by_its_options(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], options: dict[str, str], told: str
 ) -> None:
@@ -195,14 +196,21 @@ def test_a_parameter_that_is_nearly_a_column_is_told(tmp_path: Path, capsys: pyt
 @pytest.mark.parametrize(
     ("robot", "mission", "told"),
     [
-        (("p1*1", "-30*p1"), ("", ""), "bot.yaml:8:48: warning: the power of 'lidar' is negative: it charges battery "
-         "'main' with 1.29 Wh in segment 'drive'; is the sign right?"),
+        (
+            ("p1*1", "-30*p1"),
+            ("", ""),
+            "bot.yaml:8:48: warning: the power of 'lidar' is negative: it charges battery "
+            "'main' with 1.29 Wh in segment 'drive'; is the sign right?",
+        ),
         (("power: k*1", "power: -60*k*v"), ("", ""), "bot.yaml:10:39: warning: the power of 'own' is negative"),
         (("c2*v + c4", "c2*v + c4 + 900*a*v"), ("", ""), "bot.yaml:6:51: warning: the power of 'motion' is negative"),
-        (("p1*1", "-30*p1"), ("", ""), "bot.yaml:5:9: warning: battery 'main' comes to 100.4 % of its capacity in "
-         "segment 'drive' and 1 more"),
+        (
+            ("p1*1", "-30*p1"),
+            ("", ""),
+            "bot.yaml:5:9: warning: battery 'main' comes to 100.4 % of its capacity in segment 'drive' and 1 more",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_charges_a_battery_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], robot: tuple[str, str], mission: tuple[str, str], told: str
 ) -> None:

@@ -48,7 +48,8 @@ def run_in_page(html: str, script: str, folder: Path, *, width: int = 1200) -> d
     folder : Path
         For the page and the browser's profile.
     """
-    driver = """<script>
+    driver = (
+        """<script>
     function pause(ms) { return new Promise(function (done) { setTimeout(done, ms); }); }
     function click(element) {
       var box = element.getBoundingClientRect();
@@ -65,7 +66,9 @@ def run_in_page(html: str, script: str, folder: Path, *, width: int = 1200) -> d
       out.textContent = btoa(unescape(encodeURIComponent(JSON.stringify(window.found))));
       document.body.appendChild(out);
     })();
-    </script>""" % script  # noqa: UP031
+    </script>"""
+        % script
+    )  # noqa: UP031
     page = folder / "page.html"
     page.write_text(html.replace("<style>", PROBE + "<style>", 1).replace("</body>", driver + "</body>"), "utf-8")
     dom = _call(["--dump-dom", "--virtual-time-budget=12000", f"--window-size={width},1400"], page, folder)
@@ -87,8 +90,15 @@ def print_to_pdf(html: str, folder: Path) -> Path:
 
 def _call(options: list[str], page: Path, folder: Path) -> str:
     command = [
-        browser(), "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
-        "--disable-dev-shm-usage", f"--user-data-dir={folder / 'profile'}", *options, page.as_uri(),
+        browser(),
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-background-networking",
+        "--disable-dev-shm-usage",
+        f"--user-data-dir={folder / 'profile'}",
+        *options,
+        page.as_uri(),
     ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     return done.stdout

@@ -57,12 +57,16 @@ def test_diagnosis_page(tmp_path: Path) -> None:
 def test_improve_page_has_the_waterfall(tmp_path: Path) -> None:
     done = improve(robot_text("pioneer3dx"), choose_split(LOGS), "robot", Settings(), lambda finding, diagnosis: True)
     assert done.added == ("turning_scrub",)
-    found = run_in_page(improve_page("pioneer3dx", [done]), """
+    found = run_in_page(
+        improve_page("pioneer3dx", [done]),
+        """
       var charts = Array.from(document.querySelectorAll(".chart")).filter(function (c) { return c.offsetParent; });
       window.found.drawn = charts.filter(function (c) { return c.querySelector(".main-svg"); }).length;
       window.found.bars = charts[0].querySelectorAll(".bars .point").length;
       window.found.first = document.querySelector("h2").textContent;
-    """, tmp_path)
+    """,
+        tmp_path,
+    )
     assert found["errors"] == []
     assert found["bars"] == len(done.steps) == 4
     assert found["drawn"] >= 4

@@ -68,11 +68,21 @@ def test_many_long_runs_still_make_a_small_page() -> None:
 
 
 def test_text_of_users_is_never_markup() -> None:
-    sections = [Section(EVIL, [
-        Verdict(EVIL), Paragraph(EVIL), Bullets([EVIL]), Tiles([(EVIL, EVIL, EVIL)]), Table([EVIL], [[EVIL]], EVIL),
-        Chart([{"type": "scatter", "x": [1], "y": [1], "name": label(EVIL)}], {}, EVIL),
-        Choice(EVIL, [(EVIL, [Paragraph(EVIL)])]), Details(EVIL, [Paragraph(EVIL)]),
-    ])]
+    sections = [
+        Section(
+            EVIL,
+            [
+                Verdict(EVIL),
+                Paragraph(EVIL),
+                Bullets([EVIL]),
+                Tiles([(EVIL, EVIL, EVIL)]),
+                Table([EVIL], [[EVIL]], EVIL),
+                Chart([{"type": "scatter", "x": [1], "y": [1], "name": label(EVIL)}], {}, EVIL),
+                Choice(EVIL, [(EVIL, [Paragraph(EVIL)])]),
+                Details(EVIL, [Paragraph(EVIL)]),
+            ],
+        )
+    ]
     html = page(EVIL, sections, subtitle=EVIL, footer=EVIL)
     assert "<img" not in html.split("<script>")[0]
     data = html.split('id="charts">')[1].split("</script>")[0]
@@ -82,13 +92,24 @@ def test_text_of_users_is_never_markup() -> None:
 
 def test_cells() -> None:
     assert [format_cell(v) for v in (None, True, 3, 1234567, 0.0, 12.34567, -0.5, 1e-9, float("nan"))] == [
-        "–", "yes", "3", "1,234,567", "0", "12.35", "−0.5000", "1.000e-09", "–"]
+        "–",
+        "yes",
+        "3",
+        "1,234,567",
+        "0",
+        "12.35",
+        "−0.5000",
+        "1.000e-09",
+        "–",
+    ]
 
 
-@given(st.recursive(
-    st.none() | st.floats() | st.integers(-9, 9) | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=3), inner, max_size=4),
-))
+@given(
+    st.recursive(
+        st.none() | st.floats() | st.integers(-9, 9) | st.text(max_size=5),
+        lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=3), inner, max_size=4),
+    )
+)
 def test_chart_data_is_always_json(data: object) -> None:
     import json
 
@@ -110,9 +131,12 @@ def test_downsampling_keeps_ends_and_extremes(size: int, points: int, seed: int)
 
 # ---------------------------------------------------------------- in a browser
 
+
 @pytest.mark.browser
 def test_every_chart_is_drawn_without_errors(comparison: Comparison, tmp_path: Path) -> None:
-    found = run_in_page(compare_page(comparison), """
+    found = run_in_page(
+        compare_page(comparison),
+        """
       var shown = Array.from(document.querySelectorAll(".chart")).filter(function (c) { return c.offsetParent; });
       window.found.shown = shown.length;
       window.found.drawn = shown.filter(function (c) { return c.querySelector(".main-svg"); }).length;
@@ -121,7 +145,9 @@ def test_every_chart_is_drawn_without_errors(comparison: Comparison, tmp_path: P
       window.found.wide = document.documentElement.scrollWidth - window.innerWidth;
       window.found.requests = performance.getEntriesByType("resource").filter(function (entry) {
         return !/^(data|blob):/.test(entry.name); }).map(function (entry) { return entry.name; });
-    """, tmp_path)
+    """,
+        tmp_path,
+    )
     assert found["errors"] == []
     assert found["requests"] == []
     assert found["ready"] == "yes"
@@ -132,7 +158,9 @@ def test_every_chart_is_drawn_without_errors(comparison: Comparison, tmp_path: P
 
 @pytest.mark.browser
 def test_a_click_on_the_legend_hides_a_series_and_another_shows_it(comparison: Comparison, tmp_path: Path) -> None:
-    found = run_in_page(compare_page(comparison), """
+    found = run_in_page(
+        compare_page(comparison),
+        """
       function over(trace) { return trace.name === "model minus measured"; }
       function power() { return Array.from(document.querySelectorAll(".chart")).filter(function (c) {
         return c.offsetParent && c.data && c.data.some(over); })[0]; }
@@ -146,7 +174,9 @@ def test_a_click_on_the_legend_hides_a_series_and_another_shows_it(comparison: C
       window.found.linesHidden = power().querySelectorAll(".js-line").length;
       click(toggle("model")); await pause(900);
       window.found.again = state();
-    """, tmp_path)
+    """,
+        tmp_path,
+    )
     assert found["errors"] == []
     assert found["before"] is True
     assert found["hidden"] == "legendonly"
@@ -156,7 +186,9 @@ def test_a_click_on_the_legend_hides_a_series_and_another_shows_it(comparison: C
 
 @pytest.mark.browser
 def test_choosing_a_run_zooming_and_unfolding(comparison: Comparison, tmp_path: Path) -> None:
-    found = run_in_page(compare_page(comparison), """
+    found = run_in_page(
+        compare_page(comparison),
+        """
       var select = Array.from(document.querySelectorAll("select")).filter(function (s) {
         return s.options[0].text === "run_00"; })[0];
       select.value = "2"; select.dispatchEvent(new Event("change")); await pause(300);
@@ -171,7 +203,9 @@ def test_choosing_a_run_zooming_and_unfolding(comparison: Comparison, tmp_path: 
       window.found.reset = chart._fullLayout.xaxis.range;
       var fold = document.querySelector("details"); fold.open = true; await pause(100);
       window.found.cells = fold.querySelectorAll("td").length;
-    """, tmp_path)
+    """,
+        tmp_path,
+    )
     assert found["errors"] == []
     assert found["hidden"] == [True, True, False]
     assert found["drawn"] >= 3
@@ -182,9 +216,14 @@ def test_choosing_a_run_zooming_and_unfolding(comparison: Comparison, tmp_path: 
 
 @pytest.mark.browser
 def test_the_page_fits_a_telephone(comparison: Comparison, tmp_path: Path) -> None:
-    found = run_in_page(compare_page(comparison), """
+    found = run_in_page(
+        compare_page(comparison),
+        """
       window.found.wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
-    """, tmp_path, width=500)
+    """,
+        tmp_path,
+        width=500,
+    )
     assert found["errors"] == []
     assert found["wide"] <= 0
 
@@ -193,11 +232,15 @@ def test_the_page_fits_a_telephone(comparison: Comparison, tmp_path: Path) -> No
 def test_users_text_stays_text_in_the_browser(tmp_path: Path) -> None:
     bar = {"type": "bar", "x": [label(EVIL)], "y": [1], "name": label(EVIL)}
     html = page("safe", [Section("s", [Paragraph(EVIL), Chart([bar], {"showlegend": True})])])
-    found = run_in_page(html, """
+    found = run_in_page(
+        html,
+        """
       await pause(300); window.found.title = document.title;
       window.found.images = document.querySelectorAll("img").length;
       window.found.legend = document.querySelector(".legendtext").textContent;
-    """, tmp_path)
+    """,
+        tmp_path,
+    )
     assert found["title"] == "safe"
     assert found["images"] == 0
     assert "<img" in found["legend"]

@@ -109,7 +109,7 @@ def test_auto_changes_while_the_mission_runs(rover: PowerPredictor) -> None:
         auto.observe(first, 5.0)  # the computer has become slow
     second, still_kept = auto.choose(1.0)
     assert second != first
-    assert auto.error_of(second, 1.0) > auto.error_pct or not still_kept or second in LEVELS[LEVELS.index(first):]
+    assert auto.error_of(second, 1.0) > auto.error_pct or not still_kept or second in LEVELS[LEVELS.index(first) :]
     auto.error_pct = 10.0
     third, kept = auto.choose(1.0)
     assert kept

@@ -102,8 +102,12 @@ def test_weak_battery_turns_round_in_time_to_come_home(tunnel: Path) -> None:
 
 
 def test_waiting_on_the_way_is_energy_without_progress() -> None:
-    expected = ExpectedRun(np.array([10.0, 5.0, 10.0]), np.array([5.0, 0.0, 5.0]), np.array([20.0, 5.0, 20.0]),
-                           np.array([0.0, 20.0, 20.0, 40.0]))
+    expected = ExpectedRun(
+        np.array([10.0, 5.0, 10.0]),
+        np.array([5.0, 0.0, 5.0]),
+        np.array([20.0, 5.0, 20.0]),
+        np.array([0.0, 20.0, 20.0, 40.0]),
+    )
     predictor = OnlinePredictor(expected, available_j=1000.0)
     times = np.arange(0.0, 5.01, 0.1)
     for t in times:
@@ -118,8 +122,12 @@ def test_waiting_on_the_way_is_energy_without_progress() -> None:
 
 
 def test_arrival_is_noticed_although_the_path_was_longer() -> None:
-    expected = ExpectedRun(np.array([10.0, 20.0, 10.0]), np.array([5.0, 0.0, 5.0]), np.array([20.0, 10.0, 20.0]),
-                           np.array([0.0, 20.0, 20.0, 40.0]))
+    expected = ExpectedRun(
+        np.array([10.0, 20.0, 10.0]),
+        np.array([5.0, 0.0, 5.0]),
+        np.array([20.0, 10.0, 20.0]),
+        np.array([0.0, 20.0, 20.0, 40.0]),
+    )
     predictor = OnlinePredictor(expected, available_j=1000.0)
     for t in np.arange(0.0, 12.0, 0.1):
         predictor.update(float(t), 2.0, 0.5)  # 6 m driven instead of 5
@@ -157,7 +165,11 @@ def test_wrong_use_is_told(root: Path, tunnel: Path) -> None:
 def test_voltage_and_current_serve_as_power(tunnel: Path) -> None:
     mission = load_mission(tunnel)
     columns = record(simulate(mission), 1.0)
-    split = {"time_s": columns["time_s"], "speed_m_s": columns["speed_m_s"],
-             "voltage_robot_v": np.full(len(columns["time_s"]), 7.4), "current_robot_a": columns["power_robot_w"] / 7.4}
+    split = {
+        "time_s": columns["time_s"],
+        "speed_m_s": columns["speed_m_s"],
+        "voltage_robot_v": np.full(len(columns["time_s"]), 7.4),
+        "current_robot_a": columns["power_robot_w"] / 7.4,
+    }
     ends = [list(OnlinePredictor.from_mission(mission).feed(c, every_s=600.0))[-1].drawn_j for c in (columns, split)]
     assert ends[0] == pytest.approx(ends[1], rel=1e-12)

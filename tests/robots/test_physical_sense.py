@@ -103,8 +103,13 @@ def test_kinetic_energy_is_paid_sideways_too(energy) -> None:  # type: ignore[no
 
 def test_complexity_and_clock_cost(tmp_path: Path, energy) -> None:  # type: ignore[no-untyped-def]
     def drive(complexity: float, clock: float) -> float:
-        return float(energy("rover_tx2", f"drive: {{distance: 100 m, scheme: perception, cpu_frequency: {clock} GHz, "
-                                         f"conditions: {{complexity: {complexity}}}}}"))
+        return float(
+            energy(
+                "rover_tx2",
+                f"drive: {{distance: 100 m, scheme: perception, cpu_frequency: {clock} GHz, "
+                f"conditions: {{complexity: {complexity}}}}}",
+            )
+        )
 
     assert drive(0.3, 1.2672) < drive(0.6, 1.2672) < drive(1.0, 1.2672)
     assert drive(0.3, 0.6528) < drive(0.3, 1.2672) < drive(0.3, 2.0352)
@@ -114,7 +119,9 @@ def test_complexity_and_clock_cost(tmp_path: Path, energy) -> None:  # type: ign
 
 def test_radios_and_sensors_add_up(energy) -> None:  # type: ignore[no-untyped-def]
     base = "korebot: 1, infrared: 11, ultrasonic: 5"
-    waits = [energy("khepera3", f"wait: {{duration: 1 h, sensors: {{{base}{radio}}}}}")
-             for radio in ("", ", bluetooth: 1", ", wifi: 1", ", wifi: 1, bluetooth: 1")]
+    waits = [
+        energy("khepera3", f"wait: {{duration: 1 h, sensors: {{{base}{radio}}}}}")
+        for radio in ("", ", bluetooth: 1", ", wifi: 1", ", wifi: 1, bluetooth: 1")
+    ]
     assert waits[0] < waits[1] < waits[2] < waits[3]
     assert waits[3] - waits[0] == pytest.approx((waits[1] - waits[0]) + (waits[2] - waits[0]), rel=1e-9)

@@ -16,8 +16,15 @@ angles = st.floats(-3.1, 3.1)
 
 def test_force_by_hand() -> None:
     force = traction.propulsive_force(
-        2.0, 0.5, 0.1, mass_kg=10.0, rolling_coefficient=0.03, viscous_coefficient_s_m=0.02, drag_coefficient=0.7,
-        frontal_area_m2=0.1, air_density_kg_m3=1.2,
+        2.0,
+        0.5,
+        0.1,
+        mass_kg=10.0,
+        rolling_coefficient=0.03,
+        viscous_coefficient_s_m=0.02,
+        drag_coefficient=0.7,
+        frontal_area_m2=0.1,
+        air_density_kg_m3=1.2,
     )
     weight = 10.0 * GRAVITY_M_S2
     by_hand = 5.0 + (0.03 + 0.04) * weight * np.cos(0.1) + 0.5 * 1.2 * 0.7 * 0.1 * 4.0 + weight * np.sin(0.1)
@@ -81,15 +88,35 @@ def test_starts_reach_their_speed() -> None:
 def test_clock_up_time_down_power_up(clock: float, more: float) -> None:
     work = {"fixed_s": 0.003, "cycles": 3e7, "cycles_per_speed": 4e6}
     assert processor.loop_time(clock + more, 2.0, 1.0, **work) < processor.loop_time(clock, 2.0, 1.0, **work)
-    board = {"board_idle_w": 3.0, "core_work_w": 1.2, "core_idle_w": 0.06, "core_idle_floor_w": 0.02, "cores": 6,
-             "cores_busy": 4, "low_hz": 0.3456e9, "high_hz": 2.0352e9, "low_v": 0.7, "high_v": 1.1}
+    board = {
+        "board_idle_w": 3.0,
+        "core_work_w": 1.2,
+        "core_idle_w": 0.06,
+        "core_idle_floor_w": 0.02,
+        "cores": 6,
+        "cores_busy": 4,
+        "low_hz": 0.3456e9,
+        "high_hz": 2.0352e9,
+        "low_v": 0.7,
+        "high_v": 1.1,
+    }
     assert processor.multicore_power(clock + more, 0.5, **board) > processor.multicore_power(clock, 0.5, **board)
 
 
 def test_multicore_power_by_hand() -> None:
     watts = processor.multicore_power(
-        2e9, 0.5, board_idle_w=3.0, core_work_w=1.2, core_idle_w=0.06, core_idle_floor_w=0.02, cores=6, cores_busy=4,
-        low_hz=0.5e9, high_hz=2e9, low_v=0.7, high_v=1.1,
+        2e9,
+        0.5,
+        board_idle_w=3.0,
+        core_work_w=1.2,
+        core_idle_w=0.06,
+        core_idle_floor_w=0.02,
+        cores=6,
+        cores_busy=4,
+        low_hz=0.5e9,
+        high_hz=2e9,
+        low_v=0.7,
+        high_v=1.1,
     )
     assert float(watts) == pytest.approx(3.0 + 6 * 0.06 + 4 * 1.2 * 0.5)
 

@@ -90,9 +90,7 @@ def test_ctrl_c_while_summing_up_leaves_a_resumable_batch(
 
 
 @pytest.mark.parametrize("arguments", [["--runs", "1000000000000"], ["--workers", "99999"], ["--runs", "1e12"]])
-def test_too_many_is_refused_at_once(
-    mission: str, arguments: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_too_many_is_refused_at_once(mission: str, arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command(["montecarlo", mission, *arguments]) == 2
     assert arguments[0] in capsys.readouterr().err
 

@@ -74,9 +74,7 @@ def test_intervals_of_batches_hold_the_truth(prepared: Prepared) -> None:
 def test_intervals_of_differences_hold_the_truth(prepared: Prepared, tmp_path: Path) -> None:
     other = prepare(task_of(tmp_path, ("segments.0.drive.speed", "0.45 m/s")))
     column = "energy_robot_wh"
-    large = paired_difference(
-        column, *(blocks(each, 10**6, 200_000, column)[column] for each in (prepared, other))
-    )
+    large = paired_difference(column, *(blocks(each, 10**6, 200_000, column)[column] for each in (prepared, other)))
     assert large is not None
     held = []
     for seed in range(REPETITIONS):

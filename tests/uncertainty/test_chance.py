@@ -90,7 +90,9 @@ def test_what_chance_did_is_stored_and_a_run_alone_repeats_it(prepared: Prepared
     whole = simulate_block(prepared.mission, prepared.model, prepared.sampler, 6, 0, 8)
     part = simulate_block(prepared.mission, prepared.model, prepared.sampler, 6, 5, 3)
     assert set(left_to_chance(prepared.mission)) == {
-        "chance.obstacles", "chance.relocalisations_failed", "chance.inspections_repeated"
+        "chance.obstacles",
+        "chance.relocalisations_failed",
+        "chance.inspections_repeated",
     }
     for name in left_to_chance(prepared.mission):
         assert np.array_equal(whole[f"drawn:{name}"][5:], part[f"drawn:{name}"])

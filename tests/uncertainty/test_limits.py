@@ -64,15 +64,25 @@ def test_cut_speeds_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 @pytest.mark.parametrize(
     ("text", "line", "told"),
     [
-        ("behaviour: {obstacle_spacing: 1e-9 m, obstacle_stop: 2 s}\nsegments: [{drive: {distance: 9 m}}]\n", 4,
-         "an obstacle every 1e-09 m"),
+        (
+            "behaviour: {obstacle_spacing: 1e-9 m, obstacle_stop: 2 s}\nsegments: [{drive: {distance: 9 m}}]\n",
+            4,
+            "an obstacle every 1e-09 m",
+        ),
         ("segments:\n  - inspect: {duration: 3 s, repeat_probability: 1}\n", 5, "0 to less than 1"),
-        ("behaviour: {relocalisation_failure: 100 %, relocalisation_time: 2 s}\nsegments: [{drive: {distance: 9 m}}]\n",
-         4, "0 to less than 1"),
-        ("segments:\n  - wait: {duration: 3 s}\n  - drive: {distance: 9 m, speed: {value: 0.3 m/s, distribution: "
-         "{kind: empirical, file: nofile.csv, column: v}}}\n", 6, "cannot read nofile.csv"),
+        (
+            "behaviour: {relocalisation_failure: 100 %, relocalisation_time: 2 s}\nsegments: [{drive: {distance: 9 m}}]\n",
+            4,
+            "0 to less than 1",
+        ),
+        (
+            "segments:\n  - wait: {duration: 3 s}\n  - drive: {distance: 9 m, speed: {value: 0.3 m/s, distribution: "
+            "{kind: empirical, file: nofile.csv, column: v}}}\n",
+            6,
+            "cannot read nofile.csv",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_can_not_be_is_refused_where_it_stands(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, line: int, told: str
 ) -> None:
@@ -179,6 +189,5 @@ def test_runs_with_a_kink_inside_an_interval_go_to_simpy(tmp_path: Path) -> None
     assert not again[draws["segments.0.drive.speed"] <= 0.54].any()
     assert 1 < again.sum() < 30
     assert_agree(
-        prepared.arrays.block(1, 0, 300),
-        simulate_block(prepared.mission, prepared.model, prepared.sampler, 1, 0, 300),
+        prepared.arrays.block(1, 0, 300), simulate_block(prepared.mission, prepared.model, prepared.sampler, 1, 0, 300)
     )
