@@ -131,8 +131,8 @@ class Meter:
                     place = next(term.effect.place for term in self.model.terms if term.key == key)
                     raise InputError(
                         place.fault(
-                            f"the power of '{key.name}' ({key.component}, battery '{battery}') is not a number in segment "
-                            f"'{segment}'",
+                            f"the power of '{key.name}' ({key.component}, battery '{battery}') is not a number in "
+                            f"segment '{segment}'",
                             got=", ".join(f"no {name}" for name in lacking) or "an expression without a value there",
                             allowed="every covariate that the robot's effects read, on every segment",
                         )

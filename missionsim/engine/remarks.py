@@ -86,8 +86,8 @@ def doubts(
                 .get(name, Place())
                 .warning(
                     f"battery '{name}' comes to {100.0 * most / full:.4g} % of its capacity in "
-                    f"{_named(line.segment[beyond], segments)}: more than it can hold, {most - full:.4g} Wh beyond full; "
-                    "the surplus is counted as if it were kept"
+                    f"{_named(line.segment[beyond], segments)}: more than it can hold, {most - full:.4g} Wh beyond "
+                    "full; the surplus is counted as if it were kept"
                 )
             )
     return tuple(found)

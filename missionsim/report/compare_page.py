@@ -122,8 +122,8 @@ def _where(one: BatteryComparison) -> list[Block]:
                     "hovermode": "closest",
                     "margin": {"l": 180, "r": 16, "t": 30, "b": 48},
                 },
-                "What the power error varies with, each quantity taken alone. Quantities that vary together share the same "
-                "part, so this shows where to look, not the cause.",
+                "What the power error varies with, each quantity taken alone. Quantities that vary together share the "
+                "same part, so this shows where to look, not the cause.",
                 60 + 30 * max(3, len(shown)),
             )
         )
@@ -367,8 +367,8 @@ def _map(one: BatteryComparison) -> list[Block]:
                 "yaxis": {"title": {"text": "y, m"}, "scaleanchor": "x", "constrain": "domain"},
                 "hovermode": "closest",
             },
-            "Mean power error by place: orange where the model is too high, blue where it is too low; colours end at the "
-            "98th percentile.",
+            "Mean power error by place: orange where the model is too high, blue where it is too low; colours end at "
+            "the 98th percentile.",
             int(np.clip(900 * ratio, 320, 760)),
         )
     ]

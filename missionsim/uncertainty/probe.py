@@ -239,7 +239,7 @@ def _same(a: Array, b: Array, absolute: float = 0.0, relative: float = 1e-14) ->
 def _form(
     base: Array, changed: list[Array], value: float, steps: list[float]
 ) -> tuple[NDArray[np.bool_], Array] | None:
-    """Which entries are products, and their exponents, the others being sums with a slope; None where some is neither."""
+    """Products and their exponents, the others being sums with a slope; None where some is neither."""
     product = np.full(base.shape, bool(value)) & (base != 0.0)
     known = base[product]
     wanted = [1.0 + step / (value or 1.0) for step in steps]

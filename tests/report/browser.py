@@ -48,8 +48,7 @@ def run_in_page(html: str, script: str, folder: Path, *, width: int = 1200) -> d
     folder : Path
         For the page and the browser's profile.
     """
-    driver = (
-        """<script>
+    driver = """<script>
     function pause(ms) { return new Promise(function (done) { setTimeout(done, ms); }); }
     function click(element) {
       var box = element.getBoundingClientRect();
@@ -60,15 +59,13 @@ def run_in_page(html: str, script: str, folder: Path, *, width: int = 1200) -> d
     }
     (async function () {
       await pause(500);
-      try { %s } catch (error) { window.found.errors.push(String(error)); }
+      try { SCRIPT } catch (error) { window.found.errors.push(String(error)); }
       var out = document.createElement("script");
       out.type = "application/json"; out.id = "found";
       out.textContent = btoa(unescape(encodeURIComponent(JSON.stringify(window.found))));
       document.body.appendChild(out);
     })();
-    </script>"""
-        % script
-    )  # noqa: UP031
+    </script>""".replace("SCRIPT", script)
     page = folder / "page.html"
     page.write_text(html.replace("<style>", PROBE + "<style>", 1).replace("</body>", driver + "</body>"), "utf-8")
     dom = _call(["--dump-dom", "--virtual-time-budget=12000", f"--window-size={width},1400"], page, folder)

@@ -71,7 +71,8 @@ def test_cut_speeds_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         ),
         ("segments:\n  - inspect: {duration: 3 s, repeat_probability: 1}\n", 5, "0 to less than 1"),
         (
-            "behaviour: {relocalisation_failure: 100 %, relocalisation_time: 2 s}\nsegments: [{drive: {distance: 9 m}}]\n",
+            "behaviour: {relocalisation_failure: 100 %, relocalisation_time: 2 s}\n"
+            "segments: [{drive: {distance: 9 m}}]\n",
             4,
             "0 to less than 1",
         ),
