@@ -33,8 +33,8 @@ class RouteCheck:
         self.labels: list[str] = []
         self.told: set[tuple[str, str]] = set()
 
-    def place(self, where: Where, name: str) -> bool:
-        """Whether a place is known (True where that cannot be told)."""
+    def place(self, where: Where, name: str, known: Sequence[str] | None = None) -> bool:
+        """Whether a place is known (True where that cannot be told); `known` holds names of edges as well."""
         if self.environment is None:
             if self.environment_broken:
                 return True
@@ -45,7 +45,7 @@ class RouteCheck:
                 allowed="environment: FILE in the mission, or drives by distance",
             )
             return False
-        return self.check.known(where, name, self.places, "place")
+        return self.check.known(where, name, self.places if known is None else known, "place")
 
     def once(self, where: Where, message: str) -> bool:
         """Whether this is the first time that this is told (blocks are walked twice)."""
@@ -86,11 +86,14 @@ class RouteCheck:
         else:
             stops = [((*where, "via", index), name) for index, name in enumerate(segment.via)]
             stops.append(((*where, "to"), segment.to))
+        known = self.places
+        if segment.along is not None and self.environment is not None:
+            known = [*known, *(edge.name for edge in self.environment.edges if edge.name is not None)]
         good = True
         for at, name in stops:
             if self.once(at, "place"):
-                good = self.place(at, name) and good
-        if not good or self.environment is None or any(name not in self.places for _, name in stops):
+                good = self.place(at, name, known) and good
+        if not good or self.environment is None or any(name not in known for _, name in stops):
             return None, True
         if here is None:
             if not unknown and self.once(where, "start"):
@@ -112,11 +115,16 @@ class RouteCheck:
                     allowed="drives between places only",
                 )
             return stops[-1][1], False
+        near = segment.along is not None
         for at, name in stops:
+            end: str | None = name
             if self.ways and here != name:
-                near = segment.along is not None
-                reached = name in self.ways.get(here, ()) if near else name in self.reachable(here)
-                if not reached and self.once(at, f"way from {here}"):
+                if near:
+                    found = self.environment.next_along(here, name)
+                    end = None if found is None else found[1]
+                elif name not in self.reachable(here):
+                    end = None
+                if end is None and self.once(at, f"way from {here}"):
                     neighbours = ", ".join(sorted(self.ways.get(here, ()) if near else self.reachable(here)))
                     self.check.add(
                         at,
@@ -124,8 +132,9 @@ class RouteCheck:
                         got=name,
                         allowed=neighbours[:200] or f"nothing can be reached from '{here}'",
                     )
-                    return name, False
-            here = name
+            if end not in self.places:  # which place an edge leads to is not known where the map has faults
+                return None, True
+            here = end
         return here, False
 
     def _lost_before(self, segment: Any) -> bool:

@@ -103,6 +103,27 @@ class EnvironmentSpec(FileModel):
             return edge.length.value
         return self.straight_m(edge.from_, edge.to)
 
+    def next_along(self, here: str, name: str) -> tuple[int, str] | None:
+        """The edge that `along` names at a place: its index and where it leads.
+
+        `name` is the place at its other end, or the edge's own name. Of parallel edges to a place, the shortest; the
+        others are driven by their names. None where no such edge leaves `here`.
+        """
+        to_place: list[tuple[float, int]] = []
+        by_name: tuple[int, str] | None = None
+        for index, edge in enumerate(self.edges):
+            if here == edge.from_:
+                end = edge.to
+            elif here == edge.to and edge.both_ways:
+                end = edge.from_
+            else:
+                continue
+            if end == name:
+                to_place.append((self.length_m(edge) or 0.0, index))
+            if edge.name == name and by_name is None:
+                by_name = index, end
+        return (min(to_place)[1], name) if to_place else by_name
+
     def straight_m(self, first: str, second: str) -> float | None:
         """Straight distance between two places, m."""
         ends = [self.places[name].position if name in self.places else None for name in (first, second)]

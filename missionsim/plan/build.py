@@ -12,7 +12,7 @@ from missionsim.expressions import Place
 from missionsim.inputs.mission import AnchorSpec, MissionSpec
 from missionsim.inputs.values import Parameter
 from missionsim.plan.chance import failures, stopped_by_obstacles, told_at
-from missionsim.plan.legs import Activity, Leg, Limits, Plan, Recharge, SegmentInfo, Settings, Trigger
+from missionsim.plan.legs import Activity, Leg, Limits, OnEdge, Plan, Recharge, SegmentInfo, Settings, Trigger
 from missionsim.plan.pace import Pace, pace_of
 from missionsim.plan.routes import Routes, Way, along
 from missionsim.plan.steps import group, slow_components
@@ -294,9 +294,14 @@ class _Builder:
             raise self.fault(segment, "a drive to a place needs an environment", "environment: FILE, or distance: 50 m")
         if not self.place:
             raise self.fault(segment, "the place from which this drive starts is not known", "start: a place")
-        stops = segment.along if segment.along is not None else (*segment.via, segment.to)
-        for stop in stops:
-            ways = self.routes.route(self.place, stop, str(self.mission.path)) if stop != self.place else []
+        file = str(self.mission.path)
+        for stop in segment.along or ():
+            if stop != self.place:
+                way = self.routes.along(self.place, stop, file)
+                self._way(segment, base, way)
+                self.place = way.end
+        for stop in (*segment.via, segment.to) if segment.to is not None else ():
+            ways = self.routes.route(self.place, stop, file) if stop != self.place else []
             self._routes.append((self.place, stop, tuple(way.edge for way in ways)))
             for way in ways:
                 self._way(segment, base, way)
@@ -319,7 +324,7 @@ class _Builder:
                     instant=instant,
                     pace=pace,
                     place=way.end if i + 1 == len(pieces) else "",
-                    edge=(way.begin, way.end, way.length_m * share_from, way.length_m * share_to),
+                    edge=OnEdge(way.begin, way.end, way.edge, way.length_m * share_from, way.length_m * share_to),
                 )
             )
 

@@ -102,7 +102,6 @@ def stopped_by_obstacles(
 def _piece(leg: Leg, from_m: float, to_m: float) -> Leg:
     edge = leg.edge
     if edge is not None:
-        begin, end, low, high = edge
-        scale = (high - low) / leg.distance_m
-        edge = (begin, end, low + from_m * scale, low + to_m * scale)
+        scale = (edge.to_m - edge.from_m) / leg.distance_m
+        edge = edge._replace(from_m=edge.from_m + from_m * scale, to_m=edge.from_m + to_m * scale)
     return leg._replace(distance_m=to_m - from_m, edge=edge)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from missionsim.inputs.mission import MissionSpec
-from missionsim.plan.legs import Leg, Limits, Settings, Step
+from missionsim.plan.legs import Leg, Limits, OnEdge, Settings, Step
 from missionsim.plan.routes import Routes, Way, along
 from missionsim.plan.steps import group
 
@@ -62,17 +62,12 @@ class Homing:
         """
         if leg.kind != "roll" or leg.edge is None or leg.distance_m <= 0.0:
             return self.from_place(leg.place, leg)
-        begin, end, low, high = leg.edge
-        here = min(low + (high - low) * (done_m + brake_m) / leg.distance_m, high)
+        edge = leg.edge
+        here = min(edge.from_m + (edge.to_m - edge.from_m) * (done_m + brake_m) / leg.distance_m, edge.to_m)
         if self.routes is None:
             return None
-        options = []
-        for way in self.routes.ways[begin]:
-            if way.end == end:
-                options.append((end, way, way.length_m - here))
-        for way in self.routes.ways[end]:
-            if way.end == begin:
-                options.append((begin, way, here))
+        ways = [way for place in (edge.begin, edge.end) for way in self.routes.ways[place] if way.edge == edge.edge]
+        options = [(way.end, way, way.length_m - here if way.end == edge.end else here) for way in ways]
         best: list[Leg] | None = None
         shortest = math.inf
         for place, way, metres in options:
@@ -119,7 +114,7 @@ def _leg(like: Leg, way: Way) -> Leg:
         speed,
         instant=like.instant,
         place=way.end,
-        edge=(way.begin, way.end, 0.0, way.length_m),
+        edge=OnEdge(way.begin, way.end, way.edge, 0.0, way.length_m),
     )
 
 

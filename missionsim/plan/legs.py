@@ -67,6 +67,16 @@ class Recharge(NamedTuple):
     slots: int = 1
 
 
+class OnEdge(NamedTuple):
+    """A part of an edge: its ends in the direction of travel, which edge, and how far along it [m] the part lies."""
+
+    begin: str
+    end: str
+    edge: int
+    from_m: float
+    to_m: float
+
+
 class Leg(NamedTuple):
     """The smallest part of a plan over which nothing but the motion itself changes.
 
@@ -89,8 +99,8 @@ class Leg(NamedTuple):
         Speeds are reached at once (``profile: constant_speed``).
     place : str
         Place reached, or held, at the end.
-    edge : tuple of (str, str, float, float) or None
-        Ends of the environment's edge in the direction of travel, and how far along it [m] the leg starts and ends.
+    edge : OnEdge or None
+        The part of an edge that is driven, where the mission has a map.
     first, last : bool
         Whether a segment begins or ends here.
     recharge : Recharge or None
@@ -109,7 +119,7 @@ class Leg(NamedTuple):
     duration_s: float = 0.0
     instant: bool = False
     place: str = ""
-    edge: tuple[str, str, float, float] | None = None
+    edge: OnEdge | None = None
     first: bool = False
     last: bool = False
     recharge: Recharge | None = None

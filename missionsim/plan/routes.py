@@ -169,6 +169,18 @@ class Routes:
             )
         return found
 
+    def along(self, here: str, name: str, where: str = "") -> Way:
+        """The edge that a drive `along` names, by its other end or its own name; a fault where none leaves `here`."""
+        found = self.environment.next_along(here, name)
+        if found is None:
+            raise InputError.single(
+                f"no edge from '{here}' to '{name}'",
+                file=where,
+                got=name,
+                allowed=", ".join(dict.fromkeys(way.end for way in self.ways.get(here, ()))),
+            )
+        return next(way for way in self.ways[here] if way.edge == found[0])
+
     def length(self, begin: str, end: str) -> float:
         """Length of the shortest route [m], infinite where there is none."""
         found = self.shortest(begin, end)

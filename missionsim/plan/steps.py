@@ -25,7 +25,7 @@ def continues(before: Leg, after: Leg) -> bool:
         return False
     if before.instant != after.instant or before.settings.payload_kg != after.settings.payload_kg:
         return False
-    if before.edge is not None and after.edge is not None and before.edge[:2] == after.edge[1::-1]:
+    if before.edge is not None and after.edge is not None and (before.edge.end, before.edge.begin) == after.edge[:2]:
         return False
     return before.kind == "roll" or before.direction_rad == after.direction_rad
 
