@@ -324,10 +324,11 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
         energy, capacity = battery["energy_wh"], battery["capacity_needed_wh"]
         if energy["mean"] is None:
             continue
-        cells = [energy[key] for key in ("mean", "sd", "q05", "q50", "q95")] + [capacity["value"]]
+        cells = [energy[key] for key in ("mean", "sd", "q05", "q50", "q95")]
+        need = "not known" if capacity["value"] is None else f"{capacity['value']:.4g}"
         low, high = battery["energy_wh"]["intervals"]["q95"]
         lies = " … ".join("?" if bound is None else f"{bound:.5g}" for bound in (low, high))
-        rows.append([name, *(f"{cell:.4g}" for cell in cells), lies])
+        rows.append([name, *(f"{cell:.4g}" for cell in cells), need, lies])
     terminal.print(
         simple_table(
             "Energy [Wh]",

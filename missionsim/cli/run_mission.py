@@ -57,7 +57,7 @@ def show(result: RunResult) -> None:
     verdict = "feasible" if result.feasible else f"NOT feasible: {result.reason}"
     terminal.print(
         f"[bold]{result.mission}[/bold] with {result.robot}: {verdict}\n"
-        f"{clock(result.duration_s)}, {result.distance_m:.1f} m, {len(result.segments)} segments"
+        f"{clock(result.duration_s)}, {result.distance_m:.1f} m, {_driven(result)}"
     )
     rows = [
         (
@@ -127,6 +127,19 @@ def show(result: RunResult) -> None:
     terminal.print(segment_rows(result))
 
 
+def _driven(result: RunResult) -> str:
+    """How many segments were driven; of a mission that was cut short also when and where."""
+    planned = len(result.segments) - result.returned
+    cut = result.interrupted
+    if cut is None:
+        return f"{planned} segments"
+    ended = "turned back" if result.returned else "stopped"
+    return (
+        f"{result.segments_driven} of {planned} segments\n"
+        f"{ended} after {clock(cut.time_s)} in segment {cut.segment + 1}, '{result.segments[cut.segment].name}'"
+    )
+
+
 def _no_way_home(result: RunResult) -> str:
     if "environment" not in result.provenance.get("files", {}):
         return "the mission has no environment, so that no way to a dock is known"
@@ -142,7 +155,9 @@ def segment_rows(result: RunResult, most: int = 14) -> Any:
     rows = []
     for label, members in index.items():
         parts = [float(energies[name][members].sum()) for name in result.batteries]
-        rows.append((sum(parts), label, result.segments[members[0]].kind, len(members), parts))
+        driven = sum(i < result.segments_driven or result.segments[i].kind == "return" for i in members)
+        if driven:
+            rows.append((sum(parts), label, result.segments[members[0]].kind, driven, parts))
     shown = rows
     title = "Energy by segment [Wh]"
     if len(rows) > most:

@@ -150,6 +150,8 @@ class ConstantEnergy:
             return state - level - loads.energy_until(interval, seconds) + extra_w * seconds
 
         at_start, at_end = left(0.0), left(horizon_s)
+        if at_start <= 0.0 < state - level:  # what a start takes at once leads past the level
+            return 0.0
         if at_start == 0.0 or (at_start > 0.0) == (at_end > 0.0):
             return 0.0 if at_start == 0.0 else None
         return root(left, 0.0, horizon_s, at_start, at_end)
@@ -312,8 +314,8 @@ class EquivalentCircuit:
     ) -> float | None:
         power = self._net(loads, interval)
         steps = self._walk(state, loads, interval, horizon_s)
-        rising = measure(steps[0][1], power(0.0)) < 0.0
-        if rising and measure == self.margin:
+        # below at the start, or led below by what a start takes at once
+        if measure(steps[0][1], power(0.0)) < 0.0 and (measure == self.margin or measure(state, power(0.0)) > 0.0):
             return 0.0
         for (t0, s0), (t1, s1) in itertools.pairwise(steps):
             before, after = measure(s0, power(t0)), measure(s1, power(t1))

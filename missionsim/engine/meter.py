@@ -18,6 +18,7 @@ from missionsim.effects.model import PowerModel, TermKey
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery, Loads
 from missionsim.engine.curves import Curves
+from missionsim.engine.outcome import Alarm
 from missionsim.engine.recorder import Recorder, Row, timeline
 from missionsim.errors import InputError
 from missionsim.plan.legs import Leg, SegmentInfo
@@ -35,16 +36,6 @@ class Batch:
     loads: dict[str, Loads]
     before: dict[str, float]
     states: dict[str, Array]
-
-
-@dataclass(frozen=True, order=True)
-class Alarm:
-    """A battery at a threshold: when, which, whether ``empty`` or at its ``reserve``, and in which segment."""
-
-    time_s: float
-    battery: str
-    kind: str
-    segment: int = 0
 
 
 class Meter:

@@ -16,6 +16,18 @@ from missionsim.errors import Fault
 from missionsim.plan.legs import SegmentInfo
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, order=True)
+class Alarm:
+    """A battery at a threshold: when, which, whether ``empty`` or at its ``reserve``, and in which segment."""
+
+    time_s: float
+    battery: str
+    kind: str
+    segment: int = 0
+
+
 J_PER_WH = 3600.0
 SCHEMA = "missionsim.run/1"
 
@@ -50,6 +62,9 @@ class BatteryResult:
     empty_in_segment : str
     deficit_wh : float
         By how much the whole mission, driven to its end, overdraws the battery; 0 where it does not.
+    needed_wh : float or None
+        What the whole mission, driven to its end as if batteries were bottomless, takes out at most before the next
+        charging; None where it does not come to its end even so.
     audit_relative_error : float
         Difference between the table's cells and the meter, relative to the energy.
     """
@@ -69,6 +84,7 @@ class BatteryResult:
     empty_at_s: float | None
     empty_in_segment: str
     deficit_wh: float
+    needed_wh: float | None
     audit_relative_error: float
 
 
@@ -103,6 +119,10 @@ class RunResult:
         What is strange but was computed: terms that charge a battery, charge beyond the capacity. Needs the trace.
     never_on : tuple of str
         Components that were never switched on. Needs the trace.
+    segments_driven : int
+        How many of the mission's segments were begun.
+    interrupted : Alarm or None
+        When, in which segment and by which battery the mission was cut short.
     """
 
     mission: str
@@ -122,6 +142,13 @@ class RunResult:
     home: Callable[[], list[dict[str, float | None]]] | None = field(default=None, repr=False, compare=False)
     warnings: tuple[Fault, ...] = ()
     never_on: tuple[str, ...] = ()
+    segments_driven: int = 0
+    interrupted: Alarm | None = None
+
+    @property
+    def returned(self) -> bool:
+        """Whether the mission was cut short and the robot went back to its dock."""
+        return bool(self.segments) and self.segments[-1].kind == "return"
 
     def home_energy(self) -> list[dict[str, float | None]]:
         """Energy in Wh to come home from the end of each segment, by battery; None where no way is known.
@@ -191,6 +218,7 @@ class RunResult:
                 "empty_at_s": battery.empty_at_s,
                 "empty_in_segment": battery.empty_in_segment or None,
                 "deficit_wh": battery.deficit_wh,
+                "needed_wh": battery.needed_wh,
                 "charged_wh": battery.charged_wh,
                 "capacity_wh": battery.capacity_wh,
                 "initial_wh": battery.initial_wh,
@@ -211,6 +239,16 @@ class RunResult:
             "duration_s": self.duration_s,
             "distance_m": self.distance_m,
             "segments": [segment.name for segment in self.segments],
+            "segments_driven": self.segments_driven,
+            "interrupted": None
+            if self.interrupted is None
+            else {
+                "at_s": self.interrupted.time_s,
+                "segment": self.segments[self.interrupted.segment].name,
+                "battery": self.interrupted.battery,
+                "kind": self.interrupted.kind,
+                "returned_to_dock": self.returned,
+            },
             "batteries": batteries,
             "warnings": [fault.message for fault in self.warnings],
             "never_on": list(self.never_on),

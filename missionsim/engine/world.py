@@ -11,7 +11,8 @@ from missionsim.effects.model import PowerModel
 from missionsim.engine.batteries import CHARGING, HELD, Battery
 from missionsim.engine.bursts import refuse_bursts, too_many_bursts
 from missionsim.engine.components import ComponentInfo, Switchboard
-from missionsim.engine.meter import Alarm, Meter
+from missionsim.engine.meter import Meter
+from missionsim.engine.outcome import Alarm
 from missionsim.engine.recorder import Recorder
 from missionsim.plan.legs import Activity, Leg, Phase, Plan, Recharge, SegmentInfo, Step, Trigger
 
@@ -85,8 +86,8 @@ class World:
         self.signals = Signals(env)
         self.docks: dict[str, simpy.Resource] = {}
         self.completed = False
-        self.returned = False
-        self.stopped_by: Alarm | None = None
+        self.begun = 0
+        self.interrupted: Alarm | None = None
         self.reason = ""
         self._bursts_done = 0
         self.ends_s: dict[int, float] = {}
@@ -115,7 +116,7 @@ class World:
         while True:
             try:
                 yield from self._execute(steps)
-                self.completed, self.returned = not home and not self.reason, home
+                self.completed = not home and not self.reason
                 return
             except ChargerTooWeak as problem:
                 self.reason = str(problem)
@@ -124,7 +125,7 @@ class World:
                 return
             except simpy.Interrupt as interrupt:
                 alarm = cast(Alarm, interrupt.cause)
-                self.stopped_by = alarm
+                self.interrupted = self.interrupted or alarm
                 self.reason = f"battery '{alarm.battery}' {'empty' if alarm.kind == 'empty' else 'at its reserve'}"
                 way = self._way_home() if alarm.kind == "reserve" and not home else None
                 if way is None:
@@ -143,6 +144,8 @@ class World:
                 if phase.leg != current:
                     current = phase.leg
                     if leg.first:
+                        if leg.settings.segment < len(self.plan.segments):
+                            self.begun = leg.settings.segment + 1
                         signals.fire("begin", self.segments[leg.settings.segment].label)
                     sensors = leg.settings.sensors
                     board.hold("segment", sensors)

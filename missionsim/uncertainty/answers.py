@@ -195,13 +195,28 @@ def _proportion(good: int, total: int) -> dict[str, Any]:
 
 
 def capacity_needed(parts: Parts, share: float = 0.99) -> dict[str, Any]:
-    """Energy that suffices for `share` of the runs, without any reserve, with its 95 % interval [Wh]."""
+    """Energy that suffices for `share` of the runs, without any reserve, with its 95 % interval [Wh].
+
+    The need of a run that fails, or that not even a bottomless battery brings to its end, is not known (NaN) and counts
+    as above all others: where the quantile would be one of these, it is not given.
+    """
     known = moments(parts)
-    if not known.count:
-        return {"share": share, "value": None, "low": None, "high": None}
-    found, intervals = quantiles(parts, {"at": share}, known)
-    low, high = intervals["at"]
-    return {"share": share, "value": found["at"], "low": _finite(low), "high": _finite(high)}
+    total = sum(len(part) for part in parts())
+    at = share * (total - 1)
+    low, high = quantile_ranks(total, share) if total else (-1, 0)
+    ranks = [math.floor(at), math.ceil(at), low, high] if total else []
+    found = order_statistics(parts, [rank for rank in ranks if 0 <= rank < known.count], known)
+    value = None
+    if total and ranks[1] in found:
+        below, above = found[ranks[0]], found[ranks[1]]
+        value = below + (above - below) * (at - ranks[0])
+    return {
+        "share": share,
+        "value": value,
+        "low": None if value is None else found.get(low),
+        "high": None if value is None else found.get(high),
+        "runs_without": total - known.count,
+    }
 
 
 def rank_importance(

@@ -139,8 +139,7 @@ def _row(result: RunResult) -> dict[str, Any]:
         for component, energy in result.by_component_wh(name).items():
             row[f"component_{name}_{component}_wh"] = energy
         charge = np.concatenate([[battery.initial_wh], np.asarray(result.charge_wh[name])])
-        # what was taken out at most before the next charging, and what was lacking
-        row[f"needed_{name}_wh"] = battery.initial_wh - float(charge.min()) + battery.deficit_wh
+        row[f"needed_{name}_wh"] = np.nan if battery.needed_wh is None else battery.needed_wh
         row[f"charge_{name}_wh"] = np.interp(grid, np.concatenate([[0.0], ends]), charge)
         if battery.empty_at_s is not None:
             failed.append((battery.empty_at_s, battery.empty_in_segment, name))

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from missionsim.cli.app import run_command
 from missionsim.engine.simulate import simulate
-from missionsim.uncertainty.answers import proportion_interval, quantile_interval
+from missionsim.uncertainty.answers import capacity_needed, proportion_interval, quantile_interval
 from missionsim.uncertainty.batch import Task, prepare
 from missionsim.uncertainty.paired import paired_difference
 from missionsim.uncertainty.probe import probe
@@ -291,6 +291,30 @@ def test_capacity_needed_is_the_deepest_discharge_between_chargings(tmp_path: Pa
     kept = block["charge_laptop_wh"][0]
     assert block["charge_left_laptop_wh"][0] > kept[0]
     assert 0.0 < kept[0] - kept.min() <= block["needed_laptop_wh"][0] + 1e-9 < block["energy_laptop_wh"][0]
+
+
+@pytest.mark.parametrize("policy", ["stop", "return_to_dock"])
+def test_capacity_needed_is_that_of_the_whole_mission_also_where_runs_are_cut_short(policy: str) -> None:
+    """Runs that end early say what the whole would have taken, as runs with a large battery do."""
+    needed = {}
+    for capacity in ("1 Wh", "4000 Wh"):
+        overrides = (("robot.batteries.robot.capacity", capacity), ("policy.on_empty", policy))
+        overrides += (("policy.dock", "dock"),) if policy == "return_to_dock" else ()
+        prepared = prepare(Task(PATROL, overrides, None, 5, "simpy"))
+        block = simulate_block(prepared.mission, prepared.model, prepared.sampler, 5, 0, 8)
+        assert block["feasible"].any() == (capacity == "4000 Wh")
+        needed[capacity] = {name: block[f"needed_{name}_wh"] for name in ("robot", "laptop")}
+    for name in ("robot", "laptop"):
+        np.testing.assert_allclose(needed["1 Wh"][name], needed["4000 Wh"][name], rtol=1e-9)
+
+
+def test_capacity_needed_is_not_given_where_too_many_runs_have_no_end() -> None:
+    needs = np.arange(1000.0)
+    assert capacity_needed(lambda: [needs])["value"] == pytest.approx(989.01)
+    needs[::200] = np.nan  # 5 of 1000: they count as above all others
+    assert capacity_needed(lambda: [needs])["value"] > 990.0
+    needs[::50] = np.nan
+    assert capacity_needed(lambda: [needs])["value"] is None
 
 
 @pytest.mark.parametrize(
