@@ -17,7 +17,7 @@ def schema(*kind: str, out: Path | None = None, json: JsonOption = None, quiet: 
     Parameters
     ----------
     kind
-        Kinds to write: robot, environment, mission, study, map. All of them by default.
+        Kinds to write: robot, environment, mission, study, map, task. All of them by default.
     out
         Folder for the files, made if need be. Without it, the schema of one kind goes to standard output.
     json

@@ -38,6 +38,19 @@ class ComponentInfo:
     startup_s: float = 0.0
 
 
+def closure(infos: Mapping[str, ComponentInfo], sensors: tuple[tuple[str, int], ...]) -> dict[str, int]:
+    """Components with everything that they require, one unit of each requirement at least."""
+    known: dict[str, int] = {}
+    waiting = [(name, units) for name, units in sensors if units > 0]
+    while waiting:
+        name, units = waiting.pop()
+        if known.get(name, 0) >= units:
+            continue
+        known[name] = units
+        waiting.extend((required, 1) for required in infos[name].requires)
+    return known
+
+
 class Late(simpy.Event):
     """An event that takes place after all other events of its instant."""
 
@@ -127,18 +140,10 @@ class Switchboard:
             self.hold("always on", tuple(always.items()))
 
     def closure(self, sensors: tuple[tuple[str, int], ...]) -> dict[str, int]:
-        """Components with everything that they require, one unit of each requirement at least."""
+        """Components with everything that they require; see `closure`."""
         known = self._closures.get(sensors)
         if known is None:
-            known = {}
-            waiting = [(name, units) for name, units in sensors if units > 0]
-            while waiting:
-                name, units = waiting.pop()
-                if known.get(name, 0) >= units:
-                    continue
-                known[name] = units
-                waiting.extend((required, 1) for required in self._infos[name].requires)
-            self._closures[sensors] = known
+            known = self._closures[sensors] = closure(self._infos, sensors)
         return known
 
     def hold(self, holder: Any, sensors: tuple[tuple[str, int], ...]) -> None:

@@ -8,30 +8,26 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
-from pydantic import ValidationError
-
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.inputs import overrides as override_rules
-from missionsim.inputs.base import FileModel, Model
+from missionsim.inputs.base import FileModel
 from missionsim.inputs.check_environment import check_environment
 from missionsim.inputs.check_mission import check_mission
 from missionsim.inputs.check_robot import check_robot
 from missionsim.inputs.environment import EnvironmentSpec
-from missionsim.inputs.faults import to_faults
 from missionsim.inputs.mission import MissionSpec, StudySpec
 from missionsim.inputs.robot import RobotSpec
-from missionsim.inputs.salvage import related, repaired, view_of
 from missionsim.inputs.tree import Document, as_written, parse_document, read_document
 from missionsim.inputs.unread import unread
-from missionsim.inputs.values import Parameter
+from missionsim.inputs.validation import validate_document
 
 if TYPE_CHECKING:
     from missionsim.inputs.log_map import MapSpec
+    from missionsim.inputs.task import TaskSpec
 
-KINDS = ("robot", "environment", "mission", "study", "map")
+KINDS = ("robot", "environment", "mission", "study", "map", "task")
 Override = tuple[str, Any]
 Loaded = TypeVar("Loaded", bound=FileModel)
-_ROUNDS = 30
 ROBOT_FOLDER = Path(__file__).resolve().parent.parent / "robots"
 
 
@@ -114,6 +110,14 @@ def load_map(path: str | os.PathLike[str]) -> MapSpec:
     return _finish(_load(Path(path), MapSpec, faults), faults)
 
 
+def load_task(
+    path: str | os.PathLike[str], overrides: Sequence[Override] = (), robot: str | os.PathLike[str] | None = None
+) -> TaskSpec:
+    """Load a task with its robot and environment; see `load_mission`."""
+    faults: list[Fault] = []
+    return _finish(_load_task(Path(path), faults, overrides, robot), faults)
+
+
 def model_of(kind: str) -> type[FileModel]:
     """Model of a kind of file, one of `KINDS`."""
     if kind == "map":
@@ -121,6 +125,10 @@ def model_of(kind: str) -> type[FileModel]:
         from missionsim.inputs.log_map import MapSpec
 
         return MapSpec
+    if kind == "task":
+        from missionsim.inputs.task import TaskSpec
+
+        return TaskSpec
     models: dict[str, type[FileModel]] = {
         "robot": RobotSpec,
         "environment": EnvironmentSpec,
@@ -140,6 +148,8 @@ def check_files(paths: Iterable[str | os.PathLike[str]]) -> list[Fault]:
         kind = document.data.get("kind") if isinstance(document.data, dict) else None
         if kind == "mission":
             _load_mission(Path(path), faults, document=document)
+        elif kind == "task":
+            _load_task(Path(path), faults, document=document)
         elif kind == "study":
             study = _load(Path(path), StudySpec, faults, document=document)
             if study is not None and study.whole:
@@ -231,73 +241,6 @@ def _load(
     return result
 
 
-def validate_document(document: Document, model: type[Loaded], faults: list[Fault]) -> Loaded | None:
-    """Validate; after faults, try again without the faulty parts, so that the other checks can still speak.
-
-    Returns
-    -------
-    FileModel or None
-        Perhaps without its faulty parts, or with stand-ins for them (`FileModel.whole` is False then); None where
-        nothing could be made of the file.
-    """
-    context = {"folder": Path(document.file).parent}
-    shape = document.data
-    faulty: set[tuple[str | int, ...]] = set()
-    tried: dict[tuple[str | int, ...], int] = {}
-    for _ in range(_ROUNDS):
-        view = view_of(document, shape, faulty) if faulty else document
-        try:
-            result = model.model_validate(shape, context=context)
-        except ValidationError as problem:
-            located = to_faults(problem, view, model, shape)
-            faults.extend(fault for path, fault in located if not related(view.original(path), faulty))
-            shape = repaired(view_of(document, shape, faulty), problem, tried)
-            faulty |= {view.original(path) for path, _ in located}
-            if shape is None:
-                return None
-        else:
-            seal(result, view)
-            result._whole = not faulty
-            return result
-    return None
-
-
-def seal(model: FileModel, document: Document) -> None:
-    """Give each object and number of a fresh model its path and line in the file."""
-    model._file = document.file
-    model._sha256 = document.sha256
-    model._document = document
-    _seal(model, document, ())
-
-
-def _seal(value: Any, document: Document, path: tuple[str | int, ...]) -> None:
-    if isinstance(value, Model):
-        body = path
-        kind = getattr(value, "kind", None)
-        if len(path) >= 2 and isinstance(path[-1], int) and kind is not None:
-            here = document.node(path)
-            if isinstance(here.children, dict) and "kind" not in here.children and kind in here.children:
-                body = (*path, kind)
-        value._line = document.position(body)[0]
-        value._where = body
-        fields = type(value).model_fields
-        for name in value.model_fields_set:
-            item = getattr(value, name)
-            if isinstance(item, (Parameter, Model, dict, tuple)):
-                _seal(item, document, (*body, fields[name].alias or name))
-    elif isinstance(value, Parameter):
-        object.__setattr__(value, "path", ".".join(map(str, path)))
-        object.__setattr__(value, "line", document.position(path)[0])
-    elif isinstance(value, dict):
-        for key, item in value.items():
-            if isinstance(item, (Parameter, Model, dict, tuple)):
-                _seal(item, document, (*path, key))
-    elif isinstance(value, tuple):
-        for index, item in enumerate(value):
-            if isinstance(item, (Parameter, Model, dict, tuple)):
-                _seal(item, document, (*path, index))
-
-
 def _unknown_robot(reference: str, document: Document | None, path: tuple[str | int, ...]) -> Fault:
     names = list(shipped_robots())
     hint = did_you_mean(reference, names)
@@ -307,18 +250,14 @@ def _unknown_robot(reference: str, document: Document | None, path: tuple[str | 
     return document.fault(path, f"no robot '{reference}'", got=as_written(reference), allowed=allowed, hint=hint)
 
 
-def _load_mission(
+def _companions(
     path: Path,
+    document: Document,
     faults: list[Fault],
-    overrides: Sequence[Override] = (),
-    robot: str | os.PathLike[str] | RobotSpec | None = None,
-    document: Document | None = None,
-) -> MissionSpec | None:
-    document = document or _read(path, faults)
-    if document is None:
-        return None
-    by_file = override_rules.route(overrides, document.data)
-    mission = _load(path, MissionSpec, faults, by_file[""], document=document)
+    by_file: dict[str, list[Override]],
+    robot: str | os.PathLike[str] | RobotSpec | None,
+) -> tuple[RobotSpec | None, EnvironmentSpec | None]:
+    """The robot and the environment that a mission or a task names."""
     data = document.data if isinstance(document.data, dict) else {}
     if isinstance(robot, RobotSpec):
         robot_spec: RobotSpec | None = robot
@@ -348,6 +287,45 @@ def _load_mission(
                     allowed="a path relative to this file",
                 )
             )
+    return robot_spec, environment
+
+
+def _load_task(
+    path: Path,
+    faults: list[Fault],
+    overrides: Sequence[Override] = (),
+    robot: str | os.PathLike[str] | None = None,
+    document: Document | None = None,
+) -> TaskSpec | None:
+    from missionsim.inputs.check_task import check_task
+    from missionsim.inputs.task import TaskSpec
+
+    document = document or _read(path, faults)
+    if document is None:
+        return None
+    by_file = override_rules.route(overrides, document.data)
+    task = _load(path, TaskSpec, faults, by_file[""], document=document)
+    robot_spec, environment = _companions(path, document, faults, by_file, robot)
+    if task is None:
+        return None
+    task._robot, task._environment = robot_spec, environment
+    faults.extend(check_task(task, task.document))
+    return task
+
+
+def _load_mission(
+    path: Path,
+    faults: list[Fault],
+    overrides: Sequence[Override] = (),
+    robot: str | os.PathLike[str] | RobotSpec | None = None,
+    document: Document | None = None,
+) -> MissionSpec | None:
+    document = document or _read(path, faults)
+    if document is None:
+        return None
+    by_file = override_rules.route(overrides, document.data)
+    mission = _load(path, MissionSpec, faults, by_file[""], document=document)
+    robot_spec, environment = _companions(path, document, faults, by_file, robot)
     if mission is None:
         return None
     mission._robot = robot_spec

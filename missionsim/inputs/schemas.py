@@ -26,7 +26,7 @@ def schema(kind: str) -> dict[str, Any]:
     Parameters
     ----------
     kind : str
-        ``robot``, ``environment``, ``mission``, ``study`` or ``map``.
+        ``robot``, ``environment``, ``mission``, ``study``, ``map`` or ``task``.
 
     Raises
     ------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import Fault, InputError
@@ -60,6 +60,24 @@ def make_plan(
     scheme, the mission's, the defaults', the robot's for that scheme.
     """
     return _Builder(mission, numbers or {}, rng).build()
+
+
+def legs_of(mission: MissionSpec, segments: Iterable[tuple[str, Any]]) -> Iterator[list[Leg]]:
+    """The legs of single segments of a mission, each begun at a place of its own.
+
+    Parameters
+    ----------
+    mission : MissionSpec
+        Gives robot, environment and defaults; its own segments are not used.
+    segments : iterable of (str, SegmentSpec)
+        Place where the segment begins, and the segment.
+    """
+    builder = _Builder(mission, {}, None)
+    for place, segment in segments:
+        builder.place, builder.heading = place, None
+        before = len(builder.legs)
+        builder._segment(segment)
+        yield builder.legs[before:]
 
 
 class _Builder:

@@ -36,8 +36,10 @@ class Phases:
         return np.asarray(self.duration_s.sum(axis=(-2, -1)))
 
 
-def junction_speeds(distance_m: Any, limit_m_s: Any, accel_m_s2: Any, decel_m_s2: Any) -> Array:
-    """Highest speeds at the borders of the pieces of a run that starts and ends at rest.
+def junction_speeds(
+    distance_m: Any, limit_m_s: Any, accel_m_s2: Any, decel_m_s2: Any, begin_m_s: Any = 0.0, end_m_s: Any = 0.0
+) -> Array:
+    """Highest speeds at the borders of the pieces of a run.
 
     Parameters
     ----------
@@ -45,17 +47,20 @@ def junction_speeds(distance_m: Any, limit_m_s: Any, accel_m_s2: Any, decel_m_s2
         Length and speed limit of each piece.
     accel_m_s2, decel_m_s2 : array_like, shape (...)
         Limits of speeding up and of braking, both positive.
+    begin_m_s, end_m_s : array_like, shape (...)
+        Speeds at both ends; at rest by default. They must be reachable from each other.
 
     Returns
     -------
     ndarray, shape (..., pieces + 1)
-        Speeds in m/s, zero at both ends (forward and backward pass with ``v² + 2 a d``).
+        Speeds in m/s (forward and backward pass with ``v² + 2 a d``).
     """
     distance, limit = np.broadcast_arrays(np.asarray(distance_m, float), np.asarray(limit_m_s, float))
     accel, decel = np.asarray(accel_m_s2, float), np.asarray(decel_m_s2, float)
     pieces = distance.shape[-1]
     squares = np.zeros((*np.broadcast_shapes(distance.shape[:-1], accel.shape, decel.shape), pieces + 1))
     ceiling = np.square(limit)
+    squares[..., 0], squares[..., -1] = np.square(begin_m_s), np.square(end_m_s)
     squares[..., 1:-1] = np.minimum(ceiling[..., :-1], ceiling[..., 1:])
     up = 2.0 * accel[..., None] * distance
     down = 2.0 * decel[..., None] * distance
@@ -66,14 +71,18 @@ def junction_speeds(distance_m: Any, limit_m_s: Any, accel_m_s2: Any, decel_m_s2
     return np.asarray(np.sqrt(squares))
 
 
-def ramp_phases(distance_m: Any, limit_m_s: Any, accel_m_s2: Any, decel_m_s2: Any) -> Phases:
-    """Trapezoids and triangles of a run from rest to rest.
+def ramp_phases(
+    distance_m: Any, limit_m_s: Any, accel_m_s2: Any, decel_m_s2: Any, begin_m_s: Any = 0.0, end_m_s: Any = 0.0
+) -> Phases:
+    """Trapezoids and triangles of a run, from rest to rest or between given speeds.
 
     Parameters
     ----------
     distance_m, limit_m_s : array_like, shape (..., pieces)
     accel_m_s2, decel_m_s2 : array_like, shape (...)
         Positive and finite.
+    begin_m_s, end_m_s : array_like, shape (...)
+        As for `junction_speeds`.
 
     Returns
     -------
@@ -86,7 +95,7 @@ def ramp_phases(distance_m: Any, limit_m_s: Any, accel_m_s2: Any, decel_m_s2: An
     limit; also for angles (rad, rad/s, rad/s²) of a turn on the spot.
     """
     distance, limit = np.broadcast_arrays(np.asarray(distance_m, float), np.asarray(limit_m_s, float))
-    border = junction_speeds(distance, limit, accel_m_s2, decel_m_s2)
+    border = junction_speeds(distance, limit, accel_m_s2, decel_m_s2, begin_m_s, end_m_s)
     accel = np.asarray(accel_m_s2, float)[..., None]
     decel = np.asarray(decel_m_s2, float)[..., None]
     before, after = border[..., :-1], border[..., 1:]

@@ -66,7 +66,8 @@ def test_schema_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert run_command(["schema", "--out", str(tmp_path / "new"), "--quiet"]) == 0
     assert capsys.readouterr().out == ""
     names = sorted(path.name for path in (tmp_path / "new").iterdir())
-    assert names == sorted(f"{kind}.schema.json" for kind in ("robot", "environment", "mission", "study", "map"))
+    kinds = ("robot", "environment", "mission", "study", "map", "task")
+    assert names == sorted(f"{kind}.schema.json" for kind in kinds)
     assert run_command(["schema", "robot"]) == 0
     assert json.loads(capsys.readouterr().out)["title"] == "missionsim robot file"
     assert run_command(["schema", "robt"]) == 2

@@ -1,0 +1,247 @@
+"""The task file: what is to be done and what may be chosen, from which `missionsim plan` makes a mission."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
+
+from missionsim.inputs.base import FileModel, Identifier, Model, Name, Text
+from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.inputs.names import Sensors, wrong
+from missionsim.inputs.robot import RobotSpec
+from missionsim.inputs.segments import DefaultSpec
+from missionsim.inputs.values import Angle, Chance, Duration, Fraction, Mass, Parameter, Period, Speed
+
+Weight = Annotated[float, Field(strict=False, ge=0.0, le=1e6)]
+Places = Annotated[tuple[Name, ...], BeforeValidator(lambda raw: [raw] if isinstance(raw, (str, int)) else raw)]
+
+
+class WindowSpec(Model):
+    """When what is done at a visit must begin, from the start of the mission."""
+
+    from_: Duration = Field(default=Parameter(0.0, unit="s"), alias="from")
+    until: Duration | None = None
+
+    @model_validator(mode="after")
+    def _order(self) -> WindowSpec:
+        if self.until is not None and self.until.value < self.from_.value:
+            raise wrong(
+                "a window that ends before it begins",
+                f"{self.until.value:g} s",
+                f"{self.from_.value:g} s or more",
+                "until",
+            )
+        return self
+
+
+class VisitSpec(Model):
+    """A place to go to, and what is done there: inspect or wait, take up or set down a load."""
+
+    place: Name
+    name: Name | None = None
+    inspect: Duration | None = None
+    wait: Duration | None = None
+    scheme: Identifier | None = None
+    navigation: Identifier | None = None
+    sensors: Sensors | None = None
+    take_up: Mass | None = None
+    set_down: Mass | None = None
+    before: Places = ()
+    after: Places = ()
+    window: WindowSpec | None = None
+    value: Weight | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> VisitSpec:
+        if self.inspect is not None and self.wait is not None:
+            raise wrong("a visit inspects or waits", "both", "inspect: 30 s, or wait: 30 s", "wait")
+        return self
+
+    @property
+    def label(self) -> str:
+        """Name of the visit; its place where it has none of its own."""
+        return self.name or self.place
+
+
+class SchemeChoice(Model):
+    """A control scheme that may be driven with, with its navigation and sensors."""
+
+    scheme: Identifier
+    navigation: Identifier | None = None
+    sensors: Sensors | None = None
+
+
+class SpeedRange(Model):
+    """Speeds from one to another, evenly spaced."""
+
+    from_: Speed = Field(alias="from")
+    to: Speed
+    steps: Annotated[int, Field(strict=True, ge=2, le=100)] = 5
+
+    @model_validator(mode="after")
+    def _rising(self) -> SpeedRange:
+        if self.to.value <= self.from_.value:
+            raise wrong(
+                "a range of speeds must rise", f"{self.to.value:g} m/s", f"above {self.from_.value:g} m/s", "to"
+            )
+        return self
+
+    def speeds(self) -> tuple[float, ...]:
+        """The speeds, m/s."""
+        low, high, last = self.from_.value, self.to.value, self.steps - 1
+        return tuple(low + (high - low) * i / last for i in range(self.steps))
+
+
+def _as_scheme(raw: Any) -> Any:
+    return {"scheme": raw} if isinstance(raw, str) else raw
+
+
+def _as_list(raw: Any) -> Any:
+    return raw if isinstance(raw, (dict, list, tuple)) else [raw]
+
+
+Choice = Annotated[SchemeChoice, BeforeValidator(_as_scheme, json_schema_input_type=str | SchemeChoice)]
+Schemes = Annotated[tuple[Choice, ...], BeforeValidator(_as_list), Field(min_length=1, max_length=100)]
+SpeedList = Annotated[tuple[Speed, ...], Field(min_length=1, max_length=100)]
+Speeds = Annotated[SpeedList | SpeedRange, BeforeValidator(_as_list)]
+
+
+def speeds_of(given: tuple[Parameter, ...] | SpeedRange | None) -> tuple[float, ...] | None:
+    """Speeds of a list or a range, rising, m/s; None where none are given."""
+    if given is None:
+        return None
+    values = given.speeds() if isinstance(given, SpeedRange) else tuple(speed.value for speed in given)
+    return tuple(sorted(set(values)))
+
+
+class ChooseSpec(Model):
+    """What may be chosen: speeds, control schemes, docks and levels of charge."""
+
+    speeds: Speeds | None = None
+    schemes: Schemes | None = None
+    docks: Literal["all", "none"] | tuple[Name, ...] = "none"
+    charge: Literal["any"] | Annotated[tuple[Fraction, ...], Field(min_length=1, max_length=50)] = "any"
+
+
+class EdgeChoice(Model):
+    """What differs on one edge: its own schemes or speeds, or that it is closed."""
+
+    speeds: Speeds | None = None
+    schemes: Schemes | None = None
+    closed: bool = False
+
+
+def _reserve(raw: Any) -> Any:
+    return raw if isinstance(raw, dict) and "value" not in raw else {"": raw}
+
+
+class WithinSpec(Model):
+    """What the plan must keep to."""
+
+    deadline: Period | None = None
+    reserve: Annotated[
+        dict[str, Fraction], BeforeValidator(_reserve, json_schema_input_type=Fraction | dict[str, Fraction])
+    ] = Field(default_factory=dict)
+    reserve_throughout: bool = False
+    max_payload: Mass | None = None
+    with_probability: Chance | None = None
+
+
+class LeastSpec(Model):
+    """The objective: energy in Wh, each battery with its weight, and time in s with its weight."""
+
+    energy: Weight | dict[Identifier, Weight] = 0.0
+    time: Weight = 0.0
+
+    @model_validator(mode="after")
+    def _some(self) -> LeastSpec:
+        weights = list(self.energy.values()) if isinstance(self.energy, dict) else [self.energy]
+        if not any([*weights, self.time]):
+            raise wrong("nothing to make least", "weights of 0", "energy, time, or {energy: 1, time: 0.01}")
+        return self
+
+
+def _least(raw: Any) -> Any:
+    return {"energy": {"energy": 1.0}, "time": {"time": 1.0}}.get(raw, raw) if isinstance(raw, str) else raw
+
+
+class RepeatSpec(Model):
+    """Rounds: a number of them, perhaps one every so often, or as many as can be done until some time."""
+
+    rounds: Literal["as_often_as_possible"] | Annotated[int, Field(strict=True, ge=1, le=1000)]
+    every: Period | None = None
+    until: Period | None = None
+
+    @model_validator(mode="after")
+    def _ends(self) -> RepeatSpec:
+        if self.rounds == "as_often_as_possible" and self.until is None:
+            raise wrong("as often as possible needs an end", "no until", "until: 8 h")
+        return self
+
+
+class TaskSpec(FileModel):
+    """A task file; `robot` and `environment` are the loaded ones."""
+
+    kind: Literal["task"]
+    name: Name
+    title: Text = ""
+    notes: Text = ""
+    sources: dict[Identifier, Text] = Field(default_factory=dict)
+    robot_ref: Annotated[Text, Field(min_length=1)] = Field(alias="robot")
+    environment_ref: Annotated[Text, Field(min_length=1)] = Field(alias="environment")
+    start: Name
+    end: Name | None = None
+    initial_charge: dict[Identifier, Fraction] = Field(default_factory=dict)
+    start_heading: Angle | None = None
+    defaults: DefaultSpec = DefaultSpec.model_construct()
+    visits: Annotated[tuple[VisitSpec, ...], Field(min_length=1, max_length=200)]
+    order: Literal["any", "given"] = "any"
+    choose: ChooseSpec = ChooseSpec.model_construct()
+    edges: dict[Name, EdgeChoice] = Field(default_factory=dict)
+    within: WithinSpec = WithinSpec.model_construct()
+    least: Annotated[LeastSpec, BeforeValidator(_least, json_schema_input_type=str | LeastSpec)] = (
+        LeastSpec.model_construct(energy=1.0)
+    )
+    repeat: RepeatSpec | None = None
+
+    _robot: Any = PrivateAttr(default=None)
+    _environment: Any = PrivateAttr(default=None)
+
+    @property
+    def robot(self) -> RobotSpec:
+        """The robot, loaded."""
+        robot: RobotSpec = self._robot
+        return robot
+
+    @property
+    def environment(self) -> EnvironmentSpec:
+        """The environment, loaded."""
+        environment: EnvironmentSpec = self._environment
+        return environment
+
+    @property
+    def goal(self) -> str:
+        """Where the mission ends: `end`, else where it starts."""
+        return self.end or self.start
+
+    @property
+    def docks(self) -> tuple[str, ...]:
+        """Places where the plan may charge."""
+        named = self.choose.docks
+        if named == "none":
+            return ()
+        chargers = tuple(name for name, place in self.environment.places.items() if place.charger is not None)
+        return chargers if named == "all" else tuple(named)
+
+    def reserve_of(self, battery: str) -> float:
+        """Fraction of a battery that must be left: of the task, else of the robot file."""
+        given = self.within.reserve.get(battery, self.within.reserve.get(""))
+        return self.robot.batteries[battery].reserve.value if given is None else given.value
+
+    def weights(self) -> tuple[dict[str, float], float]:
+        """Weight of each battery's energy [1/Wh] and of time [1/s] in the objective."""
+        energy = self.least.energy
+        if isinstance(energy, dict):
+            return {name: energy.get(name, 0.0) for name in self.robot.batteries}, self.least.time
+        return dict.fromkeys(self.robot.batteries, energy), self.least.time

@@ -1,0 +1,1 @@
+"""Plans: which way, which speed, which control scheme, where to charge, and how sure."""
