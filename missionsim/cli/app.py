@@ -30,6 +30,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "improve": ("improve:improve", "Compare, diagnose, add and compare again until nothing is left to find."),
     "effects": ("effects:app", "Show the library of effects."),
     "import": ("import_:import_", "Turn a bag, MCAP, ULog or CSV of any layout into a log."),
+    "import-site": ("import_site:import_site", "Turn a map, route graph, track or order of another tool into a site."),
     "validate": ("validate:validate", "Check YAML files and logs, all faults at once."),
     "schema": ("schema:schema", "Write the JSON Schema of each kind of YAML file."),
     "robots": ("robots:robots", "List the shipped robots."),

@@ -11,11 +11,13 @@ from missionsim.errors import Fault, InputError
 
 _FOLDER = {"run", "montecarlo", "compare", "reproduce", "schema"}
 """Commands whose ``--out`` is a folder."""
-_FILE = {"whatif", "calibrate", "add-effect", "improve"}
+_FILE = {"whatif", "calibrate", "add-effect", "improve", "import-site"}
 """Commands whose ``--out`` is a file; `import` takes either."""
 _ROBOT_FILE = {"calibrate", "add-effect", "improve"}
 """Commands whose ``--out`` is a robot file."""
 _TARGETS = ("--json", "--out", "--report")
+_MORE_TARGETS = {"import-site": ("--mission",)}
+"""Options that name an output in one command, and an input in others."""
 _READ_IN_FOLDERS = (".csv", ".parquet", ".txt", ".tsv", ".dat", ".bag", ".mcap", ".ulg", ".db3")
 """What is read of a folder that is given as input; other files in it are not."""
 _REFERENCE = re.compile(r"""(?:^|[\s{,])(?:robot|environment|mission)\s*:\s*["']?([^\s"'#,{}]+)""")
@@ -36,7 +38,7 @@ def check_targets(arguments: Sequence[str]) -> None:
         With every such path as the user wrote it.
     """
     command = next(iter(arguments), "")
-    targets, others = _sorted(arguments[1:])
+    targets, others = _sorted(arguments[1:], (*_TARGETS, *_MORE_TARGETS.get(command, ())))
     if not targets:
         return
     faults = list(_faults(command, targets)) or list(_clashes(command, targets, others))
@@ -44,7 +46,7 @@ def check_targets(arguments: Sequence[str]) -> None:
         raise InputError(faults)
 
 
-def _sorted(words: Sequence[str]) -> tuple[list[tuple[str, str]], list[str]]:
+def _sorted(words: Sequence[str], options: Sequence[str]) -> tuple[list[tuple[str, str]], list[str]]:
     """The (option, path) that are to be written, and all other words and values of options: inputs, if they are there.
 
     Standard output (``-``) is no path; a missing value is left to the parser.
@@ -56,7 +58,7 @@ def _sorted(words: Sequence[str]) -> tuple[list[tuple[str, str]], list[str]]:
         word = words[index]
         index += 1
         option, equals, value = word.partition("=")
-        if option in _TARGETS:
+        if option in options:
             if not equals:
                 value = words[index] if index < len(words) else "-"
                 index += not value.startswith("-")

@@ -1,0 +1,151 @@
+"""GPX 1.0 and 1.1: tracks and routes become chains of places; slopes come from the elevations, smoothed.
+
+Format: the GPX schema of Topografix. Tracks are cut into sections of about half the smoothing distance; the length of a
+section is that of the track in it, its slope that of a line fitted to the elevations around its ends (`smooth_slopes`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.errors import Fault
+from missionsim.exchange.geo import LocalPlane, smooth_slopes
+from missionsim.exchange.site import Site, SiteOptions, clean, says_charger
+from missionsim.exchange.source import Element, Faults
+
+_NEAR_M = 30.0
+"""A waypoint this near a track is a place of it."""
+Point = tuple[float, float, float, str, int]
+"""Latitude, longitude, elevation (nan where none), name, line."""
+
+
+def read(root: Element, site: Site, options: SiteOptions, faults: Faults) -> None:
+    """Fill the site; a mission drives the tracks and routes one after the other."""
+    ways: list[tuple[str, list[Point], bool]] = []
+    for index, track in enumerate(root.all("trk"), 1):
+        for segment in track.all("trkseg"):
+            if points := _points(segment, "trkpt", site, faults):
+                ways.append((track.first("name") or f"track_{index}", points, True))
+            else:
+                site.tell("left out: track segment without points", segment.line)
+    for index, route in enumerate(root.all("rte"), 1):
+        if points := _points(route, "rtept", site, faults):
+            ways.append((route.first("name") or f"route_{index}", points, False))
+    marks = _points(root, "wpt", site, faults)
+    every = [point for _, points, _ in ways for point in points] + marks
+    if not every and not faults.found:
+        faults.found.append(Fault(site.file, root.line, 0, "a GPX file without tracks, routes and waypoints"))
+    if faults.found:
+        return
+    plane = LocalPlane.around([point[:2] for point in every])
+    site.notes.append(f"metres east and north of {plane.latitude}, {plane.longitude} (WGS 84)")
+    chains = [
+        chain
+        for name, points, is_track in ways
+        if len(chain := _chain(name, points, is_track, plane, site, options)) > 1
+    ]
+    for latitude, longitude, _, name, line in marks:
+        _mark(name, plane.to_metres(latitude, longitude), line, site, options, bool(chains))
+    if chains:
+        site.tell("ways lead both ways: a track has no direction that would forbid the other")
+        site.start = chains[0][0]
+        for before, chain in zip([None, *chains], chains, strict=False):
+            if before is not None and before[-1] != chain[0]:
+                site.edge(before[-1], chain[0], both_ways=True)
+                gap = site.straight(before[-1], chain[0]) or 0.0
+                site.tell(f"a straight way of {gap:.0f} m from the end of a track to the start of the next is assumed")
+            site.segments.append({"drive": {"along": chain[1:] if before is None or before[-1] == chain[0] else chain}})
+
+
+def _points(parent: Element, tag: str, site: Site, faults: Faults) -> list[Point]:
+    result = []
+    for point in parent.all(tag):
+        numbers = []
+        for text, low, high in ((point.attributes.get("lat"), -90, 90), (point.attributes.get("lon"), -360, 360)):
+            number = _number(text)
+            if number is None or not low <= number <= high:
+                message = f"a {tag} needs lat and lon in degrees"
+                faults.found.append(Fault(site.file, point.line, 0, message, "", str(text), f"{low} to {high}"))
+            else:
+                numbers.append(number)
+        height = _number(point.first("ele"))
+        if len(numbers) == 2:
+            name = clean(point.first("name"))
+            result.append((numbers[0], numbers[1], math.nan if height is None else height, name, point.line))
+    return result
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        number = float(text or "")
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _chain(
+    name: str, points: Sequence[Point], is_track: bool, plane: LocalPlane, site: Site, options: SiteOptions
+) -> list[str]:
+    """Places and ways of one track segment or route; the names of its places in order."""
+    where = np.array([plane.to_metres(*point[:2]) for point in points])
+    steps = np.hypot(*np.diff(where, axis=0).T) if len(where) > 1 else np.zeros(0)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    if along[-1] <= 0.0:
+        site.tell("left out: track that goes nowhere", points[0][4])
+        return []
+    every = [0, *(int(i) + 1 for i in np.flatnonzero(steps > 0.0))]
+    chosen = _sections(along, options.smooth_m / 2) if is_track else every
+    height = np.array([point[2] for point in points])
+    known = np.isfinite(height)
+    slopes = np.zeros(len(chosen) - 1)
+    if known.sum() >= 2:
+        slopes = smooth_slopes(along[known], height[known], along[chosen], options.smooth_m)
+        site.tell(
+            f"slopes: elevations of the points smoothed by local lines over {options.smooth_m:g} m to each side, "
+            f"sections of about {options.smooth_m / 2:g} m"
+        )
+    if not known.all():
+        site.tell("point without elevation" if known.any() else "no elevations: all ways are level", points[0][4])
+    if is_track and len(chosen) < len(points):
+        site.tell(f"{len(points)} points of '{clean(name)[:40]}' become {len(chosen)} places", points[0][4])
+    names = []
+    for count, index in enumerate(chosen):
+        word = points[index][3] or f"{clean(name)[:80]} {count}"
+        charger = options.charger if says_charger(points[index][3]) else None
+        names.append(site.place(word, (where[index, 0], where[index, 1]), charger=charger))
+    lengths = np.diff(along[chosen])
+    for count, (length, slope) in enumerate(zip(lengths, np.clip(slopes, -1.2, 1.2), strict=True)):
+        line, rise = points[chosen[count]][4], float(slope) or None
+        site.edge(names[count], names[count + 1], line, both_ways=True, length=float(length), slope=rise)
+    return names
+
+
+def _sections(along: NDArray[np.float64], step_m: float) -> list[int]:
+    """Points nearest to equal distances along the track, the first and the last among them."""
+    wanted = np.linspace(0.0, along[-1], max(1, round(along[-1] / max(step_m, 1.0))) + 1)
+    chosen = np.unique(np.searchsorted(along, wanted).clip(0, len(along) - 1))
+    chosen[0], chosen[-1] = 0, len(along) - 1
+    return [int(i) for i in chosen[np.concatenate([[True], np.diff(along[chosen]) > 0.0])]]
+
+
+def _mark(name: str, where: tuple[float, float], line: int, site: Site, options: SiteOptions, joined: bool) -> None:
+    """A waypoint: the nearest place of a track, where one is near, is called by it; else a place by itself."""
+    charger = options.charger if says_charger(name) else None
+    near, distance = None, _NEAR_M
+    for key, place in site.places.items():
+        away = math.hypot(place["x"] - where[0], place["y"] - where[1])
+        if away < distance and "title" not in place:
+            near, distance = key, away
+    if near is None:
+        site.place(name or "waypoint", where, charger=charger)
+        if joined:
+            site.tell(f"waypoint further than {_NEAR_M:g} m from each track: a place without a way", line)
+        return
+    site.places[near]["title"] = name
+    site.tell(f"waypoint within {_NEAR_M:g} m of a track's place is that place's title", line)
+    if charger:
+        site.places[near]["charger"] = charger

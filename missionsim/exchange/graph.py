@@ -1,0 +1,227 @@
+"""Graphs of networkx: GraphML (OSMnx, yEd and others write it) and node-link JSON.
+
+Positions are ``x, y`` or ``pos`` in metres, or ``lat, lon`` (``x, y`` where the graph's ``crs`` is EPSG:4326);
+``length`` is in metres, ``max_speed`` in m/s (``maxspeed`` and ``speed_kph`` in km/h, as in OpenStreetMap), ``grade``
+is rise over run.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from missionsim.errors import Fault, InputError
+from missionsim.exchange.geo import LocalPlane
+from missionsim.exchange.site import Site, SiteOptions, clean, says_charger
+from missionsim.exchange.source import Element, Faults, Value
+
+_X, _Y = ("x",), ("y",)
+_LAT, _LON = ("lat", "latitude"), ("lon", "lng", "longitude")
+_HEIGHT = ("elevation", "z", "ele", "height")
+_LENGTH = ("length", "length_m", "distance", "dist")
+_SPEED = ("max_speed", "speed_limit", "max_speed_m_s", "maxSpeed", "speed")
+_KMH = ("speed_kph", "maxspeed")
+_TITLE = ("name", "label", "title")
+_NODE_USED = {*_X, *_Y, *_LAT, *_LON, *_HEIGHT, *_TITLE, "pos", "position", "id"}
+_EDGE_USED = {*_LENGTH, *_SPEED, *_KMH, "name", "label", "id", "grade", "slope", "weight", "source", "target", "key"}
+_NO = {"", "0", "false", "no", "none"}
+
+
+@dataclass(frozen=True)
+class Part:
+    """A node (`ends` is its name) or an edge, its attributes and its line."""
+
+    ends: tuple[str, ...]
+    attributes: Mapping[str, Any]
+    line: int
+
+
+def read_graphml(root: Element, text: str, site: Site, options: SiteOptions) -> None:
+    """Fill the site of a GraphML file, which networkx reads."""
+    import networkx
+
+    try:
+        graph = networkx.parse_graphml(text)
+    except Exception as problem:  # networkx raises what its parts raise
+        reason = " ".join(str(problem).split())[:200] or type(problem).__name__
+        raise InputError(Fault(site.file, root.line, 0, f"networkx cannot read this graph: {reason}")) from None
+    lines = {node.attributes.get("id", ""): node.line for part in root.all("graph") for node in part.all("node")}
+    between = {
+        (edge.attributes.get("source", ""), edge.attributes.get("target", "")): edge.line
+        for part in root.all("graph")
+        for edge in part.all("edge")
+    }
+    nodes = [Part((str(name),), data, lines.get(str(name), 0)) for name, data in graph.nodes(data=True)]
+    edges = []
+    for start, end, data in graph.edges(data=True):
+        line = between.get((str(start), str(end)), between.get((str(end), str(start)), 0))
+        edges.append(Part((str(start), str(end)), data, line))
+    missing = [(end, line) for ends, line in between.items() for end in ends if end not in lines]
+    faults = Faults(
+        [Fault(site.file, line, 0, "no node has this id", "", end, "the id of a node") for end, line in missing]
+    )
+    faults.stop()
+    _fill(nodes, edges, graph.graph, graph.is_directed(), site, options, faults)
+    faults.stop()
+
+
+def read_node_link(root: Value, site: Site, options: SiteOptions) -> None:
+    """Fill the site of a node-link file (d3, networkx.node_link_data)."""
+    nodes, edges, known = [], [], set()
+    for index, node in enumerate(root.entries("nodes")):
+        identity = node.data.get("id", node.data.get("name", index)) if isinstance(node.data, dict) else node.data
+        name = str(identity)
+        if name in known:
+            node.fault(f"node '{name[:60]}' stands twice", "an id of its own")
+        known.add(name)
+        nodes.append(Part((name,), node.data if isinstance(node.data, dict) else {}, node.line))
+    for edge in root.entries("links", "edges"):
+        ends = []
+        for key in ("source", "target"):
+            found = edge.need(key)
+            if found and str(found.data) not in known:
+                found.fault("no node has this id", "the id of a node")
+            elif found:
+                ends.append(str(found.data))
+        if len(ends) == 2:
+            edges.append(Part((ends[0], ends[1]), edge.data, edge.line))
+    if not nodes:
+        root.fault("a graph without nodes", "nodes: [{id: …}]")
+    graph = root.get("graph")
+    attributes = graph.data if graph and isinstance(graph.data, dict) else {}
+    site.name = clean(str(attributes.get("name") or "")) or site.name
+    if not root.faults.found:
+        _fill(nodes, edges, attributes, root.data.get("directed") is True, site, options, root.faults)
+
+
+def _fill(
+    nodes: Sequence[Part],
+    edges: Sequence[Part],
+    graph: Mapping[str, Any],
+    directed: bool,
+    site: Site,
+    options: SiteOptions,
+    faults: Faults,
+) -> None:
+    degrees = "4326" in str(graph.get("crs", ""))
+    positions = {node.ends[0]: _position(node, degrees) for node in nodes}
+    angles = [p for p in positions.values() if p and p[2]]
+    if any(abs(p[0]) > 90 or abs(p[1]) > 360 for p in angles):
+        faults.found.append(
+            Fault(site.file, nodes[0].line, 0, "no latitudes and longitudes", "", str(angles[0][:2]), "degrees")
+        )
+        return
+    plane = LocalPlane.around([(p[0], p[1]) for p in angles]) if angles else None
+    if plane:
+        site.notes.append(f"metres east and north of {plane.latitude}, {plane.longitude} (WGS 84)")
+    names: dict[str, str] = {}
+    for node in nodes:
+        found = positions[node.ends[0]]
+        where = None if found is None else plane.to_metres(found[0], found[1]) if plane and found[2] else found[:2]
+        title = next((clean(str(node.attributes[key])) for key in _TITLE if node.attributes.get(key)), "")
+        charger = options.charger if _is_charger(node.attributes) else None
+        title = "" if title == node.ends[0] else title
+        names[node.ends[0]] = site.place(node.ends[0], where, _number(node, _HEIGHT), title=title, charger=charger)
+        _left(node, _NODE_USED, "a node", site)
+    for edge in edges:
+        start, end = names[edge.ends[0]], names[edge.ends[1]]
+        length = _length(edge, site)
+        if length is None and site.straight(start, end) is None:
+            known = "length, or x and y of both nodes"
+            faults.found.append(
+                Fault(site.file, edge.line, 0, "how long this edge is, is unknown", "", " to ".join(edge.ends), known)
+            )
+            continue
+        name = next(
+            (
+                clean(str(edge.attributes[key]))
+                for key in ("name", "label", "id")
+                if edge.attributes.get(key) is not None
+            ),
+            "",
+        )
+        more = {"max_speed": _speed(edge, site), "slope": _slope(edge, site)}
+        site.edge(start, end, edge.line, name=name, both_ways=not directed, length=length, **more)
+        _left(edge, _EDGE_USED, "an edge", site)
+
+
+def _number(part: Part, keys: Sequence[str]) -> float | None:
+    for key in keys:
+        raw = part.attributes.get(key)
+        if isinstance(raw, (int, float, str)) and not isinstance(raw, bool):
+            try:
+                number = float(raw)
+            except ValueError:
+                continue
+            if math.isfinite(number):
+                return number
+    return None
+
+
+def _position(node: Part, degrees: bool) -> tuple[float, float, bool] | None:
+    """(x, y, False) in metres, or (latitude, longitude, True)."""
+    latitude, longitude = _number(node, _LAT), _number(node, _LON)
+    if latitude is not None and longitude is not None:
+        return latitude, longitude, True
+    x, y = _number(node, _X), _number(node, _Y)
+    raw = node.attributes.get("pos", node.attributes.get("position"))
+    if (x is None or y is None) and raw is not None:
+        words = raw if isinstance(raw, (list, tuple)) else re.findall(r"[-+.\deE]+", str(raw))
+        pair = [_number(Part((), {"x": word}, 0), _X) for word in words[:2]]
+        x, y = pair if len(pair) == 2 else (None, None)
+    if x is None or y is None or max(abs(x), abs(y)) > 1e12:
+        return None
+    return (y, x, True) if degrees else (x, y, False)
+
+
+def _is_charger(attributes: Mapping[str, Any]) -> bool:
+    for key, value in attributes.items():
+        if says_charger(key):
+            return str(value).lower() not in _NO
+        if isinstance(value, str) and says_charger(value):
+            return True
+    return False
+
+
+def _length(edge: Part, site: Site) -> float | None:
+    length = _number(edge, _LENGTH)
+    if length is None and (length := _number(edge, ("weight",))) is not None:
+        site.tell("weight of an edge is taken for its length in metres", edge.line)
+    if length is not None and not 0.0 < length < 1e9:
+        site.tell("left out: length of an edge that is not above 0", edge.line)
+        return None
+    return length
+
+
+def _speed(edge: Part, site: Site) -> float | None:
+    speed = _number(edge, _SPEED)
+    if speed is None:
+        raw = next((edge.attributes[key] for key in _KMH if edge.attributes.get(key) is not None), None)
+        if raw is None:
+            return None
+        match = re.search(r"(\d+(?:\.\d+)?)\s*(mph)?", str(raw))
+        speed = float(match.group(1)) * (0.44704 if match.group(2) else 1 / 3.6) if match else None
+    if speed is None or not 0.0 < speed <= 60.0:
+        site.tell("left out: speed of an edge that is not between 0 and 60 m/s", edge.line)
+        return None
+    return speed
+
+
+def _slope(edge: Part, site: Site) -> float | None:
+    rise = _number(edge, ("grade", "slope"))
+    if rise is None or rise == 0.0:
+        return None
+    if abs(rise) > 2.0:
+        site.tell("left out: slope of an edge above 200 % (rise over run is expected)", edge.line)
+        return None
+    site.tell("slope of an edge is rise over run", edge.line)
+    return math.atan(rise)
+
+
+def _left(part: Part, used: set[str], what: str, site: Site) -> None:
+    for key in part.attributes:
+        if key not in used and not says_charger(key):
+            site.tell(f"left out: '{clean(str(key))[:40]}' of {what}", part.line)

@@ -1,0 +1,136 @@
+"""Nav2 route graphs (GeoJSON): nodes are points, each edge leads one way.
+
+Format: the graph file loader of nav2_route. Edges are as long as the straight line between their nodes; their drawn
+geometry is for display. ``speed_limit`` is a share (or percentage) of the top speed, ``abs_speed_limit`` is in m/s.
+"""
+
+from __future__ import annotations
+
+from missionsim.exchange.geo import LocalPlane
+from missionsim.exchange.site import Site, SiteOptions, says_charger
+from missionsim.exchange.source import Value
+
+_TITLES = ("name", "label", "title")
+_SPEEDS = ("speed_limit", "abs_speed_limit")
+
+
+def read(root: Value, site: Site, options: SiteOptions) -> None:
+    """Fill the site."""
+    features = root.entries("features")
+    nodes: list[tuple[Value, Value]] = []
+    edges: list[Value] = []
+    for feature in features:
+        geometry = feature.get("geometry")
+        kind = geometry.word("type") if geometry else ""
+        properties = feature.need("properties")
+        if properties is None or geometry is None:
+            if geometry is None:
+                feature.fault("a feature without geometry", "Point, LineString or MultiLineString")
+        elif kind == "Point":
+            nodes.append((properties, geometry))
+        elif kind in ("LineString", "MultiLineString"):
+            edges.append(properties)
+        else:
+            site.tell(f"left out: {kind or 'a feature of no kind'}: a route graph has points and lines", feature.line)
+    names = _nodes(root, site, nodes, options)
+    for edge in edges:
+        _edge(edge, site, names, options)
+    if not nodes:
+        root.fault("a route graph without nodes", "features of the kind Point")
+
+
+def _nodes(root: Value, site: Site, nodes: list[tuple[Value, Value]], options: SiteOptions) -> dict[object, str]:
+    names: dict[object, str] = {}
+    positions = [_position(geometry) for _, geometry in nodes]
+    plane = None
+    crs = str(root.data.get("crs"))
+    if any(code in crs for code in ("4326", "CRS84")) and any(positions):
+        points = [(p[1], p[0]) for p in positions if p]
+        if all(abs(latitude) <= 90 and abs(longitude) <= 360 for latitude, longitude in points):
+            plane = LocalPlane.around(points)
+            site.notes.append(f"metres east and north of {plane.latitude}, {plane.longitude} (WGS 84)")
+    for (properties, _), position in zip(nodes, positions, strict=True):
+        number = _id(properties, "id")
+        if number is None or position is None:
+            continue
+        if number in names:
+            properties.fault(f"node {number} stands twice", "an id of its own")
+            continue
+        metadata = properties.get("metadata")
+        data = metadata.data if metadata else {}
+        title = next((str(data[key]) for key in _TITLES if isinstance(data, dict) and key in data), "")
+        _left(properties, site, "a node", _TITLES)
+        where = plane.to_metres(position[1], position[0]) if plane else position[:2]
+        height = position[2] if len(position) > 2 else None
+        charger = options.charger if says_charger(data) else None
+        if charger:
+            site.tell("node is taken for a charger, because its metadata says so", properties.line)
+        names[number] = site.place(str(number), (where[0], where[1]), height, title=title, charger=charger)
+    return names
+
+
+def _position(geometry: Value) -> tuple[float, ...] | None:
+    coordinates = geometry.entries("coordinates")
+    if len(coordinates) not in (2, 3):
+        geometry.fault("a point has coordinates [x, y]", "[x, y]")
+        return None
+    numbers = [value.number() for value in coordinates]
+    return None if None in numbers else tuple(number for number in numbers if number is not None)
+
+
+def _id(properties: Value, key: str) -> object:
+    found = properties.need(key)
+    if found is None:
+        return None
+    if type(found.data) not in (int, str) or (type(found.data) is int and found.data < 0):
+        found.fault("an id is a whole number from 0", "0, 1, 2 …")
+        return None
+    return found.data
+
+
+def _edge(edge: Value, site: Site, names: dict[object, str], options: SiteOptions) -> None:
+    number = _id(edge, "id")
+    ends = [_id(edge, key) for key in ("startid", "endid")]
+    for key, end in zip(("startid", "endid"), ends, strict=True):
+        if end is not None and end not in names and (found := edge.get(key)):
+            found.fault("no node has this id", "the id of a node")
+    if number is None or any(end is None or end not in names for end in ends):
+        return
+    _left(edge, site, "an edge", _SPEEDS)
+    if edge.has("cost"):
+        site.tell("left out: cost of an edge, which ours replaces (missionsim export nav2)", edge.line)
+    speed = _speed(edge, site, options)
+    site.edge(names[ends[0]], names[ends[1]], edge.line, name=str(number), max_speed=speed)
+
+
+def _speed(edge: Value, site: Site, options: SiteOptions) -> float | None:
+    metadata = edge.get("metadata")
+    if metadata is None or not isinstance(metadata.data, dict):
+        return None
+    if found := metadata.get("abs_speed_limit"):
+        return found.number(1e-3, 60.0)
+    found = metadata.get("speed_limit")
+    share = None if found is None else found.number(0.0, 100.0)
+    if found is None or not share:
+        return None
+    if share > 1.0:  # AdjustSpeedLimit publishes per cent, DistanceScorer divides by a share
+        site.tell("speed_limit above 1 is per cent of the top speed", found.line)
+        share /= 100.0
+    if options.robot is None:
+        site.tell(
+            "speed_limit is a share of the top speed: written for a top speed of 1 m/s; --robot tells", found.line
+        )
+        return share
+    site.tell(f"speed_limit is a share of the top speed of {options.robot.name}", found.line)
+    return share * options.robot.body.max_speed.value
+
+
+def _left(properties: Value, site: Site, what: str, used: tuple[str, ...]) -> None:
+    """Tell what of a node or edge has no place in an environment."""
+    for key, value in properties.items():
+        if key in ("operations", "overridable"):
+            site.tell(f"left out: {key} of {what}", value.line)
+        elif key == "metadata" and isinstance(value.data, dict):
+            for name, entry in value.items():
+                if name not in used:
+                    site.tell(f"left out: metadata '{name[:40]}' of {what}", entry.line)

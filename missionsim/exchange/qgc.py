@@ -1,0 +1,271 @@
+"""Plans of ground stations: QGroundControl ``.plan`` (and its older ``.mission``), and ``QGC WPL 110`` text.
+
+Format: QGroundControl's plan file format and MAVLink's common commands (MAV_CMD). A ground robot drives the waypoints
+on the ground: altitudes, take-off and landing do not move it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from missionsim.errors import Fault, InputError
+from missionsim.exchange.geo import LocalPlane
+from missionsim.exchange.site import Site, SiteOptions
+from missionsim.exchange.source import Value
+
+WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF, SPLINE = 16, 17, 18, 19, 20, 21, 22, 82
+DELAY, CONDITION_DELAY, JUMP, CHANGE_SPEED, SET_HOME = 93, 112, 177, 178, 179
+_MOVING = {WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, LAND, TAKEOFF, SPLINE, 84, 85}
+_NAMES = {LAND: "land", TAKEOFF: "take-off", 84: "take-off", 85: "land", SPLINE: "spline waypoint"}
+_LOCAL_FRAMES = {1, 4, 7, 9, 12, 13, 20, 21}
+_ROVERS = {10, 11}
+
+
+@dataclass
+class Item:
+    """One command: its seven parameters (None where null) and where it stands."""
+
+    command: int
+    parameters: list[float | None]
+    frame: int
+    number: int
+    line: int
+
+    @property
+    def latitude(self) -> float | None:
+        """Degrees, or metres in a local frame."""
+        return self.parameters[4]
+
+    @property
+    def longitude(self) -> float | None:
+        """The same."""
+        return self.parameters[5]
+
+
+def read(root: Value, site: Site, options: SiteOptions) -> None:
+    """Fill the site of a JSON plan."""
+    mission = root.get("mission") or root
+    items: list[Item] = []
+    for value in mission.entries("items"):
+        items += _items(value, site)
+    home = [value.number() for value in mission.entries("plannedHomePosition")[:2]]
+    if not home and (place := mission.get("plannedHomePosition")):
+        numbers = [value.number() for value in place.entries("coordinate")[:2]] if isinstance(place.data, dict) else []
+        home = numbers
+    for key in ("geoFence", "rallyPoints"):
+        part = root.get(key)
+        if (
+            part
+            and isinstance(part.data, dict)
+            and any(part.data.get(k) for k in ("circles", "polygons", "polygon", "points"))
+        ):
+            site.tell(f"left out: {key}", part.line)
+    if root.faults.found:
+        return
+    if not items:
+        mission.fault("a plan without items", "items: [{command: 16, …}]")
+        return
+    rover = mission.optional("vehicleType") in _ROVERS
+    speed = None
+    for key in ("hoverSpeed", "cruiseSpeed") if not rover else ("cruiseSpeed", "hoverSpeed"):
+        speed = speed or mission.optional(key, 0.0, 1000.0)
+    if not rover:
+        site.tell(
+            "the plan is not for a rover: waypoints are driven on the ground, hoverSpeed is the speed", mission.line
+        )
+    start = (home[0], home[1]) if len(home) == 2 and home[0] is not None and home[1] is not None else None
+    build(items, start, speed, site, options)
+
+
+def read_text(text: str, site: Site, options: SiteOptions) -> None:
+    """Fill the site of a ``QGC WPL`` file: index, current, frame, command, 7 parameters, autocontinue a line."""
+    items, faults = [], []
+    for line, row in enumerate(text.splitlines()[1:], 2):
+        words = row.split()
+        if not words:
+            continue
+        try:
+            numbers = [float(word) for word in words]
+            if len(numbers) != 12 or not all(math.isfinite(number) for number in numbers):
+                raise ValueError
+        except ValueError:
+            faults.append(Fault(site.file, line, 0, "not a waypoint", "", row[:60], "12 numbers"))
+            continue
+        items.append(Item(int(numbers[3]), [*numbers[4:11]], int(numbers[2]), int(numbers[0]), line))
+    if faults:
+        raise InputError(faults[:20])
+    if not items:
+        raise InputError(Fault(site.file, 1, 0, "a plan without waypoints"))
+    first = items[0]
+    home = None
+    if first.number == 0 and first.latitude is not None and first.longitude is not None:
+        home = (first.latitude, first.longitude)
+        items = items[1:]
+    build(items, home, None, site, options)
+
+
+def _items(value: Value, site: Site) -> list[Item]:
+    """A simple item, or those inside a survey or corridor scan."""
+    if value.word("type") == "ComplexItem" or value.has("complexItemType"):
+        kind = value.word("complexItemType") or "complex item"
+        inner = value.get("TransectStyleComplexItem") or value
+        found = [item for entry in inner.entries("Items") for item in _items(entry, site)]
+        site.tell(f"{kind}: {'its waypoints are driven' if found else 'left out, it holds no waypoints'}", value.line)
+        return found
+    command = value.need("command")
+    number = command.number(0, 65535) if command else None
+    given: list[float | None] = []
+    for entry in value.entries("params"):
+        given.append(None if entry.data is None or entry.data == "NaN" else entry.number())
+    coordinate = [entry.number() for entry in value.entries("coordinate")]
+    for index in range(1, 5):  # .mission files
+        if (one := value.get(f"param{index}")) is not None:
+            given.append(one.number())
+    parameters = (given[:4] + [None] * (4 - len(given[:4])) + coordinate if coordinate else given)[:7]
+    parameters += [None] * (7 - len(parameters))
+    frame = value.optional("frame") or 0.0
+    jump = value.optional("doJumpId") or 0.0
+    return [] if number is None else [Item(int(number), parameters, int(frame), int(jump), value.line)]
+
+
+def build(
+    items: list[Item], home: tuple[float, float] | None, speed: float | None, site: Site, options: SiteOptions
+) -> None:
+    """Places, ways and mission of the commands.
+
+    Parameters
+    ----------
+    items : list of Item
+    home : (float, float), optional
+        Latitude and longitude, degrees: where the robot starts.
+    speed : float, optional
+        m/s.
+    """
+    moving = [item for item in items if item.command in _MOVING and _has_place(item)]
+    world = [item for item in moving if item.frame not in _LOCAL_FRAMES]
+    faults = [
+        Fault(site.file, item.line, 0, "no latitude and longitude", "", f"{item.latitude}, {item.longitude}", "degrees")
+        for item in world
+        if abs(item.latitude or 0.0) > 90 or abs(item.longitude or 0.0) > 360
+    ]
+    if home is not None and (abs(home[0]) > 90 or abs(home[1]) > 360):
+        faults.append(
+            Fault(site.file, 0, 0, "plannedHomePosition is no latitude and longitude", "", str(home), "degrees")
+        )
+    if not moving and home is None:
+        faults.append(Fault(site.file, items[0].line, 0, "a plan without waypoints"))
+    if faults:
+        raise InputError(faults[:20])
+    points = [(item.latitude or 0.0, item.longitude or 0.0) for item in world] + ([home] if home else [])
+    plane = LocalPlane.around(points) if points else None
+    if plane:
+        site.notes.append(f"metres east and north of {plane.latitude}, {plane.longitude} (WGS 84)")
+    _Route(items, plane, speed, site, options, home).drive()
+
+
+def _has_place(item: Item) -> bool:
+    none = item.latitude is None or item.longitude is None
+    return not none and not (item.latitude == 0.0 and item.longitude == 0.0 and item.frame not in _LOCAL_FRAMES)
+
+
+class _Route:
+    """Follows the commands from place to place."""
+
+    def __init__(
+        self,
+        items: list[Item],
+        plane: LocalPlane | None,
+        speed: float | None,
+        site: Site,
+        options: SiteOptions,
+        home: tuple[float, float] | None,
+    ) -> None:
+        self.items, self.plane, self.site, self.options = items, plane, site, options
+        self.here = ""
+        self.home = ""
+        self.ways: set[tuple[str, str]] = set()
+        self.limit = options.robot.body.max_speed.value if options.robot else math.inf
+        site.speed = self.speed = self.allowed(speed)
+        if home is not None and plane is not None:
+            self.home = self.here = site.start = site.place("home", plane.to_metres(*home))
+
+    def allowed(self, speed: float | None) -> float | None:
+        """A speed of the plan, at most the robot's."""
+        if speed is not None and speed > self.limit:
+            self.site.tell(f"a speed of the plan is above the robot's {self.limit:g} m/s, which holds instead")
+        return None if not speed else min(speed, self.limit)
+
+    def drive(self) -> None:
+        """Build the site's places, ways and segments."""
+        begins: dict[int, int] = {}  # segment at which an item begins, for jumps
+        for item in self.items:
+            begins[item.number] = len(self.site.segments)
+            self.command(item, begins)
+        if not self.site.segments and self.here:
+            self.site.segments.append({"wait": {"duration": 0.0}})
+        self.site.tell("waypoints are joined by straight ways, which lead both ways")
+
+    def command(self, item: Item, begins: dict[int, int]) -> None:
+        site, first = self.site, item.parameters[0] or 0.0
+        if item.command in _MOVING and _has_place(item):
+            self.go(item)
+            if item.command in (WAYPOINT, LOITER_TIME) and first > 0:
+                site.segments.append({"wait": {"duration": first}})
+            elif item.command in (LOITER_UNLIMITED, LOITER_TURNS):
+                site.tell("loitering without a time: a stop, no wait", item.line)
+            elif item.command in _NAMES:
+                site.tell(f"{_NAMES[item.command]}: driven to as a waypoint", item.line)
+        elif item.command in _MOVING:
+            site.tell(f"left out: {_NAMES.get(item.command, 'waypoint')} without a position", item.line)
+        elif item.command == RETURN and self.home:
+            self.segment(self.home, item.line)
+        elif item.command in (DELAY, CONDITION_DELAY) and 0 < first < 1e7:
+            site.segments.append({"wait": {"duration": first}})
+        elif item.command == CHANGE_SPEED and (item.parameters[1] or 0.0) > 0:
+            self.speed = self.allowed(item.parameters[1])
+        elif item.command == JUMP:
+            self.jump(item, begins)
+        else:
+            site.tell(f"left out: command {item.command}", item.line)
+
+    def go(self, item: Item) -> None:
+        """Drive to a waypoint; a place that is reached again is the same place."""
+        a, b = item.latitude or 0.0, item.longitude or 0.0
+        local = item.frame in _LOCAL_FRAMES or self.plane is None
+        where = (b, a) if local else self.plane.to_metres(a, b) if self.plane else (0.0, 0.0)  # north, east
+        known = (n for n, p in self.site.places.items() if math.hypot(p["x"] - where[0], p["y"] - where[1]) < 0.01)
+        name = next(known, "") or self.site.place(f"waypoint_{item.number or len(self.site.places)}", where)
+        self.site.start = self.site.start or name
+        if any((item.parameters[6] or 0.0, item.command == SPLINE)):
+            self.site.tell("left out: altitude", item.line)
+        self.segment(name, item.line)
+
+    def way(self, to: str, line: int) -> None:
+        """The way from here, where there is none yet."""
+        if self.here != to and (self.here, to) not in self.ways:
+            self.ways |= {(self.here, to), (to, self.here)}
+            self.site.edge(self.here, to, line, both_ways=True)
+
+    def segment(self, to: str, line: int) -> None:
+        """Drive to a place, at the present speed."""
+        if self.here and self.here != to:
+            self.way(to, line)
+            drive: dict[str, Any] = {"to": to}
+            if self.speed is not None and self.speed != self.site.speed:
+                drive["speed"] = self.speed
+            self.site.segments.append({"drive": drive})
+        self.here = to
+
+    def jump(self, item: Item, begins: dict[int, int]) -> None:
+        """Repeat what lies between an earlier item and this one."""
+        target, times = int(item.parameters[0] or 0), int(item.parameters[1] or 0)
+        begin = begins.get(target)
+        block = self.site.segments[begin:] if begin is not None else []
+        drives = [segment["drive"]["to"] for segment in block if "drive" in segment]
+        if not drives or not 1 <= times <= 10_000 or any("repeat" in segment for segment in block):
+            self.site.tell(f"left out: jump to item {target}, {times} times (endless, forward or nested)", item.line)
+            return
+        self.way(drives[0], item.line)
+        self.site.segments[begin:] = [{"repeat": {"times": times + 1, "segments": block}}]

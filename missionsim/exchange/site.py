@@ -1,0 +1,287 @@
+"""A site read from another tool's file, and the environment and mission that are written of it."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from missionsim.errors import InputError
+from missionsim.files import atomic_write
+from missionsim.inputs.loading import load_environment, load_mission
+from missionsim.inputs.robot import RobotSpec
+
+CHARGER_W = 100.0
+"""Assumed where neither the file nor a robot tells: maps name chargers but not their power."""
+_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_/.-]*( [A-Za-z0-9_/.-]+)*")
+_RESERVED = {"true", "false", "null", "nan", "inf"}
+_UNITS = {"x": "m", "y": "m", "length": "m", "max_speed": "m/s", "slope": "rad", "heading": "rad"}
+_UNITS |= {"speed": "m/s", "duration": "s", "distance": "m"}
+_CHARGER = re.compile(r"(?<!dis)charg", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class SiteOptions:
+    """What a user may say beside the file.
+
+    Attributes
+    ----------
+    robot : RobotSpec, optional
+        Whose top speed shares of it mean, and whose charging power a charger has.
+    vehicle : str
+        Type of vehicle whose properties hold (layout interchange format).
+    graph : int, optional
+        Number of the lane graph (Open-RMF); all of them by default.
+    scale : float, optional
+        m per pixel of a drawing without measurements (Open-RMF).
+    smooth_m : float
+        Elevations of a track are smoothed over this distance to each side, m.
+    """
+
+    robot: RobotSpec | None = None
+    vehicle: str = ""
+    graph: int | None = None
+    scale: float | None = None
+    smooth_m: float = 50.0
+
+    @property
+    def charger(self) -> dict[str, Any]:
+        """The charger of a place that a file marks as one."""
+        powers = (
+            [b.max_charge_power.value for b in self.robot.batteries.values() if b.max_charge_power]
+            if self.robot
+            else []
+        )
+        if powers:
+            return {"power": {"value": f"{max(powers):g} W", "status": "assumed", "note": "what the robot takes"}}
+        return {"power": {"value": f"{CHARGER_W:g} W", "status": "assumed", "note": "the map does not tell"}}
+
+
+@dataclass
+class Remark:
+    """Something of a file that has no place in ours, or that was decided; how often, and where first."""
+
+    message: str
+    line: int
+    count: int = 1
+
+    def __str__(self) -> str:
+        often = f" ({self.count} times)" if self.count > 1 else ""
+        where = f" [{'from ' if self.count > 1 else ''}line {self.line}]" if self.line else ""
+        return f"{self.message}{often}{where}"
+
+
+@dataclass
+class Site:
+    """Places, ways and perhaps a mission of a file.
+
+    Attributes
+    ----------
+    file, format, name, title : str
+    notes : list of str
+        Where positions are measured from, and the like.
+    places, edges : mapping and list
+        As they stand in an environment file, numbers in SI.
+    segments : list
+        As they stand in a mission file; empty where the file holds no mission.
+    start : str
+    speed : float, optional
+        m/s, of the mission's segments that give none.
+    """
+
+    file: str
+    format: str
+    name: str
+    title: str = ""
+    notes: list[str] = field(default_factory=list)
+    places: dict[str, dict[str, Any]] = field(default_factory=dict)
+    edges: list[dict[str, Any]] = field(default_factory=list)
+    segments: list[dict[str, Any]] = field(default_factory=list)
+    start: str = ""
+    speed: float | None = None
+    heights: dict[str, float] = field(default_factory=dict)
+    remarks: dict[str, Remark] = field(default_factory=dict)
+    edge_names: set[str] = field(default_factory=set)
+
+    def tell(self, message: str, line: int = 0) -> None:
+        """Say once, with a count, what was left out or decided."""
+        if message in self.remarks:
+            self.remarks[message].count += 1
+        else:
+            self.remarks[message] = Remark(message, line)
+
+    def place(self, name: str, position: tuple[float, float] | None, height: float | None = None, **more: Any) -> str:
+        """Add a place under a name of its own (a taken one gets a number); gives that name."""
+        name = _unique(name, self.places)
+        where = {} if position is None else {"x": position[0], "y": position[1]}
+        self.places[name] = {**{key: value for key, value in more.items() if value not in (None, "")}, **where}
+        if height is not None:
+            self.heights[name] = height
+        return name
+
+    def edge(
+        self, start: str, end: str, line: int = 0, *, name: str = "", both_ways: bool = False, **more: Any
+    ) -> None:
+        """Add a way; one from a place to itself is left out and told."""
+        if start == end:
+            self.tell("left out: way from a place to itself", line)
+            return
+        given: dict[str, Any] = {}
+        if name:
+            name = _unique(name, self.edge_names)
+            self.edge_names.add(name)
+            given["name"] = name
+        given |= {"from": start, "to": end} | {key: value for key, value in more.items() if value is not None}
+        straight = self.straight(start, end)
+        length = given.get("length")
+        if straight is not None and length is not None and length < straight:
+            if length < straight * 0.999:
+                self.tell("length of a way is below the straight distance of its places, which holds instead", line)
+            del given["length"]
+        if straight == 0.0 and not given.get("length"):
+            self.tell("way between two places at one point: its length is written as 1 mm", line)
+            given["length"] = 0.001
+        rise = self.heights.get(end, math.nan) - self.heights.get(start, math.nan)
+        if "slope" not in given and rise and not math.isnan(rise) and straight:
+            given["slope"] = math.atan2(rise, straight)
+        if not both_ways:
+            given["both_ways"] = False
+        self.edges.append(given)
+
+    def straight(self, start: str, end: str) -> float | None:
+        """Straight distance of two places, m; None where one has no position."""
+        ends = [self.places[name] for name in (start, end)]
+        if any("x" not in place for place in ends):
+            return None
+        return math.hypot(ends[1]["x"] - ends[0]["x"], ends[1]["y"] - ends[0]["y"])
+
+    @property
+    def chargers(self) -> list[str]:
+        """Names of the places with a charger."""
+        return [name for name, place in self.places.items() if "charger" in place]
+
+    @property
+    def length_m(self) -> float:
+        """Length of all ways, each once, m."""
+        return sum(edge.get("length") or self.straight(edge["from"], edge["to"]) or 0.0 for edge in self.edges)
+
+    def summary(self) -> dict[str, Any]:
+        """What was read, for ``--json``."""
+        return {
+            "schema": "missionsim.site/1",
+            "source": self.file,
+            "format": self.format,
+            "name": self.name,
+            "places": len(self.places),
+            "edges": len(self.edges),
+            "one_way": sum(not edge.get("both_ways", True) for edge in self.edges),
+            "length_m": self.length_m,
+            "chargers": self.chargers,
+            "segments": len(self.segments),
+            "told": [{"message": r.message, "line": r.line, "count": r.count} for r in self.remarks.values()],
+        }
+
+    def environment_text(self) -> str:
+        """The environment file."""
+        head = [("kind", "environment"), ("name", self.name), ("title", self.title)]
+        lines = [f"# from {Path(self.file).name} ({self.format}) by missionsim import-site"]
+        lines += [f"{key}: {scalar(value)}" for key, value in head if value]
+        if self.notes:
+            lines.append(f"notes: {scalar('; '.join(self.notes))}")
+        lines += ["places:", *(f"  {scalar(name)}: {flow(place)}" for name, place in self.places.items())]
+        lines += ["edges:" if self.edges else "edges: []", *(f"  - {flow(edge)}" for edge in self.edges)]
+        return "\n".join(lines) + "\n"
+
+    def mission_text(self, robot: str, environment: str, scheme: str = "") -> str:
+        """The mission file, for a robot's name or path and the path of the environment file."""
+        head = {"kind": "mission", "name": self.name, "robot": robot, "environment": environment, "start": self.start}
+        lines = [f"# from {Path(self.file).name} ({self.format}) by missionsim import-site"]
+        lines += [f"{key}: {scalar(value)}" for key, value in head.items() if value]
+        defaults = {"speed": self.speed, "scheme": scheme}
+        lines.append(f"defaults: {flow({key: value for key, value in defaults.items() if value})}")
+        lines += ["segments:", *(f"  - {flow(segment)}" for segment in self.segments)]
+        return "\n".join(lines) + "\n"
+
+
+def write_site(site: Site, out: str | Path, mission: str | Path | None = None, robot: str = "") -> None:
+    """Write the environment, and perhaps the mission, after both have been loaded as a user would; all or nothing.
+
+    Parameters
+    ----------
+    site : Site
+    out, mission : path-like
+    robot : str
+        Shipped name, or path seen from the present folder.
+
+    Raises
+    ------
+    InputError
+        The file holds no mission, or what it asks for is not possible for the robot.
+    """
+    if mission is not None and not site.segments:
+        raise InputError.single(f"{site.format} holds no mission", file=site.file, allowed="--out alone")
+    with ExitStack() as stack:
+        place = stack.enter_context(atomic_write(out))
+        place.write_text(site.environment_text(), encoding="utf-8")
+        load_environment(place)
+        if mission is None:
+            return
+        draft = stack.enter_context(atomic_write(mission))
+        folder = Path(mission).resolve().parent
+        shown = os.path.relpath(Path(robot).resolve(), folder) if Path(robot).is_file() else robot
+        from missionsim.inputs.loading import load_robot
+
+        loaded = load_robot(robot)
+        scheme = next((name for name, spec in loaded.schemes.items() if spec.motion), "")
+        if scheme:
+            site.tell(f"control scheme '{scheme}' is assumed: the first of the robot that moves")
+        draft.write_text(site.mission_text(shown, os.path.relpath(place.resolve(), folder), scheme), encoding="utf-8")
+        load_mission(draft)
+        final = os.path.relpath(Path(out).resolve(), folder)
+        draft.write_text(site.mission_text(shown, final, scheme), encoding="utf-8")
+
+
+def says_charger(*words: object) -> bool:
+    """Whether names, descriptions or metadata speak of charging."""
+    return any(_CHARGER.search(json.dumps(word, ensure_ascii=False, default=str)) for word in words if word)
+
+
+def clean(text: str) -> str:
+    """A name as one line without control characters, at most 180 long."""
+    return "".join(c if c.isprintable() else " " for c in text).strip()[:180].strip()
+
+
+def _unique(name: str, taken: Mapping[str, Any] | set[str]) -> str:
+    name = clean(name) or "place"
+    candidate, number = name, 2
+    while candidate in taken:
+        candidate, number = f"{name}_{number}", number + 1
+    return candidate
+
+
+def scalar(value: Any, key: str = "") -> str:
+    """A value as YAML 1.2 in one line; numbers of known keys get their unit."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        number = f"{round(value, 6):.15g}"
+        return f"{number} {_UNITS[key]}" if key in _UNITS else number
+    text = str(value)
+    if _PLAIN.fullmatch(text) and text.lower() not in _RESERVED:
+        return text
+    return json.dumps(text, ensure_ascii=False)
+
+
+def flow(value: Any, key: str = "") -> str:
+    """Mappings and lists as YAML in one line."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{scalar(k)}: {flow(v, k)}" for k, v in value.items()) + "}"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return "[" + ", ".join(flow(item) for item in value) + "]"
+    return scalar(value, key)

@@ -1,0 +1,151 @@
+"""VDA 5050 orders (1.1 to 3.0): nodes and edges in the order of their sequenceId, with actions.
+
+Format: VDA 5050, "Interface for the communication between automated guided vehicles and a master control", and its
+JSON schema of the order. Speed limits are ``maxSpeed`` (to 2.x) or ``maximumSpeed`` (3.0), m/s.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+from missionsim.exchange.lif import trajectory_length
+from missionsim.exchange.site import Site, SiteOptions
+from missionsim.exchange.source import Value
+
+_CHARGING = {"startcharging"}
+_QUIET = {"stopcharging"}
+_NODE_USED = {"nodeId", "sequenceId", "nodePosition", "actions", "released", "nodeDescription", "nodeDescriptor"}
+_EDGE_USED = {"edgeId", "sequenceId", "actions", "released", "maxSpeed", "maximumSpeed", "trajectory", "length"}
+_EDGE_USED |= {"startNodeId", "endNodeId", "edgeDescription", "edgeDescriptor"}
+
+
+def read(root: Value, site: Site, options: SiteOptions) -> None:
+    """Fill the site; the order is its mission."""
+    site.name = root.word("orderId") or site.name
+    site.title = root.word("orderDescription")
+    nodes = _ordered(root, "nodes")
+    edges = dict(_ordered(root, "edges"))
+    if not nodes:
+        root.fault("an order without nodes", "at least one node")
+        return
+    names: dict[str, str] = {}
+    here = ""
+    for number, node in nodes:
+        name = _node(node, site, names, options)
+        if name is None:
+            continue
+        if not here:
+            site.start = name
+        else:
+            _edge(edges.pop(number - 1, None), node, here, name, site)
+        here = name
+        _actions(node, site, name, options)
+    for edge in edges.values():
+        edge.fault("an edge that leads to no node", "sequenceId one below that of a node")
+    if not site.segments and here:
+        site.segments.append({"wait": {"duration": 0.0}})
+    speeds = [speed for edge in site.edges if (speed := edge.get("max_speed"))]
+    fastest = options.robot.body.max_speed.value if options.robot else None
+    site.speed = fastest if fastest is not None else max(speeds, default=None)
+    if site.speed and any(edge.get("max_speed") is None or edge["max_speed"] > site.speed for edge in site.edges):
+        site.tell(f"an order gives limits and no speeds: driven at the limit, at most {site.speed:g} m/s")
+
+
+def _ordered(root: Value, key: str) -> list[tuple[int, Value]]:
+    result = []
+    for item in root.entries(key):
+        found = item.need("sequenceId")
+        number = found.number(0, 2**32) if found else None
+        if number is not None:
+            result.append((int(number), item))
+    result.sort(key=lambda pair: pair[0])
+    for (first, _), (second, item) in pairwise(result):
+        if first == second:
+            item.fault("a sequenceId stands twice", "a number of its own")
+    return result
+
+
+def _node(node: Value, site: Site, names: dict[str, str], options: SiteOptions) -> str | None:
+    identity = node.need("nodeId") and node.word("nodeId")
+    if not identity:
+        return None
+    if node.get("released") and node.data["released"] is False:
+        site.tell("horizon (released: false) is read like the base", node.line)
+    for key, value in node.items():
+        if key not in _NODE_USED:
+            site.tell(f"left out: {key[:40]} of a node", value.line)
+    if identity in names:
+        return names[identity]
+    position = node.get("nodePosition")
+    where = None
+    heading = None
+    if position:
+        x, y = position.optional("x"), position.optional("y")
+        where = None if x is None or y is None else (x, y)
+        heading = position.optional("theta", -6.3, 6.3)
+        for key, value in position.items():
+            if key not in ("x", "y", "theta"):
+                site.tell(f"left out: {key[:40]} of a position", value.line)
+    title = node.word("nodeDescription") or node.word("nodeDescriptor")
+    names[identity] = site.place(identity, where, heading=heading, title=title)
+    return names[identity]
+
+
+def _edge(edge: Value | None, node: Value, start: str, end: str, site: Site) -> None:
+    if edge is None:
+        node.fault("no edge leads to this node", "an edge with the sequenceId before the node's")
+        return
+    for key, ends in (("startNodeId", start), ("endNodeId", end)):
+        if (given := edge.get(key)) and site.places.get(str(given.data)) and str(given.data) != ends:
+            given.fault("the edge stands between other nodes", ends)
+    for key, value in edge.items():
+        if key not in _EDGE_USED:
+            site.tell(f"left out: {key[:40]} of an edge", value.line)
+    trajectory = edge.get("trajectory")
+    length = edge.optional("length", 0.0, 1e9)
+    if trajectory is not None:
+        length = trajectory_length(trajectory, site, 1) or length
+    if length is None and site.straight(start, end) is None:
+        edge.fault("how long this edge is, is unknown: its nodes have no position", "nodePosition of both, or length")
+        return
+    limit = edge.get("maxSpeed", "maximumSpeed")
+    speed = limit.number(1e-3, 60.0) if limit else None
+    if start != end:
+        known = any(e["from"] == start and e["to"] == end for e in site.edges)
+        if not known:
+            site.edge(start, end, edge.line, name=edge.word("edgeId"), length=length, max_speed=speed)
+        elif speed is not None:
+            site.tell("an edge is driven again: its first limit holds", edge.line)
+        site.segments.append({"drive": {"to": end} | ({"speed": speed} if speed and not site.speed else {})})
+    for action in edge.entries("actions"):
+        site.tell("left out: action on an edge", action.line)
+
+
+def _actions(node: Value, site: Site, name: str, options: SiteOptions) -> None:
+    for action in node.entries("actions"):
+        kind = action.word("actionType")
+        parameters = {
+            p.word("key"): p.data.get("value") for p in action.entries("actionParameters") if isinstance(p.data, dict)
+        }
+        duration = _duration(parameters)
+        if kind.lower() in _CHARGING:
+            site.places[name].setdefault("charger", options.charger)
+            site.segments.append({"dock": {"recharge": {"until": 1.0}}})
+            site.tell("startCharging: a charger and charging until full", action.line)
+        elif duration is not None:
+            site.segments.append({"wait": {"name": f"{kind} {len(site.segments)}", "duration": duration}})
+        elif kind.lower() not in _QUIET:
+            site.tell(f"left out: action '{kind[:40]}', which tells no duration", action.line)
+
+
+def _duration(parameters: dict[str, Any]) -> float | None:
+    for key in ("duration", "waitTime", "time"):
+        raw = parameters.get(key)
+        try:
+            number = float(raw) if isinstance(raw, (int, float, str)) and not isinstance(raw, bool) else -1.0
+        except ValueError:
+            continue
+        if 0.0 < number < 1e7:
+            return number
+    return None
