@@ -59,3 +59,7 @@ class Labels:
 
     def __getitem__(self, index: Any) -> Labels:
         return Labels(np.atleast_1d(self.codes[index]), self.names)
+
+
+ColumnData = NDArray[np.float64] | Labels
+"""A column of a run: numbers, or texts as codes."""

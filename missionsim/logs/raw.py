@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.glossary import column_of
+from missionsim.labels import ColumnData as ColumnData
 from missionsim.labels import Labels
 from missionsim.logs.remarks import Remark
 
-ColumnData = NDArray[np.float64] | Labels
 _SWITCH_WORDS = {"on": 1.0, "off": 0.0, "true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
 _MOSTLY_NUMBERS = 0.9
 

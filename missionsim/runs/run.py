@@ -1,10 +1,10 @@
-"""`LogTable`: one run's measured log under glossary names, checked and frozen."""
+"""`Run`: what happened, measured or simulated, under glossary names, checked and frozen."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -13,20 +13,23 @@ from numpy.typing import NDArray
 
 from missionsim.files import sha256
 from missionsim.glossary import column_of
-from missionsim.labels import Labels
-from missionsim.logs.raw import ColumnData
-from missionsim.logs.remarks import Remark
+from missionsim.labels import ColumnData, Labels
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from missionsim.logs.remarks import Remark
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class LogTable:
-    """A measured log of one run; all arrays have shape (n,) and are read-only.
+class Run:
+    """One run, or a block of a long one; all arrays have shape (n,) and are read-only.
+
+    A measured run has power; a planned one (`missionsim.runs.motion.planned_run`) has none, and the rates of what
+    changes within a row.
 
     Attributes
     ----------
@@ -47,6 +50,8 @@ class LogTable:
         The file as the user gave it.
     remarks : tuple of Remark
         What was wrong, and what was done.
+    rates : mapping
+        Change per second of a column within each row; nought where absent, as in a log.
     """
 
     run: str
@@ -57,11 +62,12 @@ class LogTable:
     power_from: Mapping[str, str]
     source: str = ""
     remarks: tuple[Remark, ...] = field(default=(), compare=False)
+    rates: Mapping[str, Floats] = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:
-        for name in ("columns", "power_w", "fresh", "power_from"):
+        for name in ("columns", "power_w", "fresh", "power_from", "rates"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
-        held = [*self.columns.values(), *self.power_w.values(), *self.fresh.values(), self.dt_s]
+        held = [*self.columns.values(), *self.power_w.values(), *self.fresh.values(), *self.rates.values(), self.dt_s]
         for data in held:
             array = data.codes if isinstance(data, Labels) else data
             if array is not None:
@@ -110,81 +116,15 @@ class LogTable:
         """Columns that a model may depend on: all but time and the batteries' power, current and energy."""
         return {name: data for name, data in self.columns.items() if not _is_measurement(name)}
 
-    def refresh_rows(self, battery: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Row ranges that each refresh of the power stands for: rows ``start[i]:stop[i]``, the last one is the refresh.
-
-        A value that appears in row k was measured over the time since the refresh before, so the range reaches from
-        the row after that to k. Where every row is fresh, each row is its own range.
-        """
-        fresh = self.fresh[battery]
-        if fresh is None:
-            return np.arange(self.rows), np.arange(1, self.rows + 1)
-        at = np.flatnonzero(fresh)
-        if len(at) and at[0] == 0 and len(at) > 1:
-            at = at[1:]
-            return np.r_[1, at[:-1] + 1], at + 1
-        return np.r_[0, at[:-1] + 1][: len(at)], at + 1
-
-    def at_refresh(self, battery: str) -> LogTable:
-        """One row per refresh of a battery's power, the other columns averaged over the time since the refresh before.
-
-        Text takes its last value. Other batteries are averaged as well. Without repeated values the log itself.
-        """
-        if self.fresh[battery] is None:
-            return self
-        start, stop = self.refresh_rows(battery)
-        if not len(start):
-            return self
-        keep = np.zeros(self.rows, dtype=bool)
-        keep[start[0] : stop[-1]] = True
-        edges = start - start[0]
-        weight = np.where(self.dt_s > 0, self.dt_s, 1e-12)[keep]
-        total = np.add.reduceat(weight, edges)
-
-        def mean(values: Floats) -> Floats:
-            return np.asarray(np.add.reduceat(values[keep] * weight, edges) / total)
-
-        columns: dict[str, ColumnData] = {
-            name: data[stop - 1] if isinstance(data, Labels) else mean(data) for name, data in self.columns.items()
-        }
-        power = {
-            name: self.power_w[name][stop - 1] if name == battery else mean(self.power_w[name])
-            for name in self.batteries
-        }
-        for name in self.batteries:
-            if f"power_{name}_w" in columns:
-                columns[f"power_{name}_w"] = power[name].copy()
-        note = Remark(
-            "repeated",
-            "",
-            f"{self.rows} rows, {len(start)} refreshes of battery {battery}",
-            "one row kept per refresh, motion averaged over the time before it",
-            "note",
-            0,
-            self.rows - len(start),
-        )
-        return LogTable(
-            self.run,
-            columns,
-            total,
-            power,
-            dict.fromkeys(self.batteries),
-            self.power_from,
-            self.source,
-            (*self.remarks, note),
-        )
-
-    def rows_where(self, keep: NDArray[np.bool_] | slice) -> LogTable:
-        """The same log with only the chosen rows; each keeps the time that it stood for."""
-        return LogTable(
-            self.run,
-            {name: data[keep] for name, data in self.columns.items()},
-            self.dt_s[keep],
-            {name: power[keep] for name, power in self.power_w.items()},
-            {name: None if fresh is None else fresh[keep] for name, fresh in self.fresh.items()},
-            self.power_from,
-            self.source,
-            self.remarks,
+    def rows_where(self, keep: NDArray[np.bool_] | slice) -> Run:
+        """The same run with only the chosen rows; each keeps the time that it stood for."""
+        return replace(
+            self,
+            columns={name: data[keep] for name, data in self.columns.items()},
+            dt_s=self.dt_s[keep],
+            power_w={name: power[keep] for name, power in self.power_w.items()},
+            fresh={name: None if fresh is None else fresh[keep] for name, fresh in self.fresh.items()},
+            rates={name: rate[keep] for name, rate in self.rates.items()},
         )
 
     def to_pandas(self) -> pd.DataFrame:
