@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import InputError, did_you_mean
+from missionsim.runs.motion import distances
 
 Array = NDArray[np.float64]
 
@@ -76,11 +77,7 @@ def expected_run(mission: Any, battery: str) -> ExpectedRun:
     line = result.timeline
     energy = np.asarray(np.sum(list(result.energies[battery].values()), axis=0), dtype=float)
     time = np.asarray(line.duration_s, dtype=float)
-    ahead, aside = (
-        np.asarray(line.columns[name]) * time + 0.5 * np.asarray(line.rates[name]) * time**2
-        for name in ("speed_m_s", "lateral_speed_m_s")
-    )
-    distance = np.hypot(ahead, aside)
+    distance = distances(line)
     homes = result.home_energy()
     if all(home.get(battery) is not None for home in homes):
         home_j = _homes_of_segments(mission, result, battery, homes)

@@ -2,18 +2,6 @@
 
 from missionsim.compare.comparison import BatteryComparison, Comparison, RunComparison
 from missionsim.compare.core import compare, compare_files
-from missionsim.compare.replay import ReplayBlock, plan_replay, replay_blocks
 from missionsim.compare.where import Dependence, Where
 
-__all__ = [
-    "BatteryComparison",
-    "Comparison",
-    "Dependence",
-    "ReplayBlock",
-    "RunComparison",
-    "Where",
-    "compare",
-    "compare_files",
-    "plan_replay",
-    "replay_blocks",
-]
+__all__ = ["BatteryComparison", "Comparison", "Dependence", "RunComparison", "Where", "compare", "compare_files"]

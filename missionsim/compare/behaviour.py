@@ -15,17 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.compare.stages import Driven, Stages, ratio, scheme_codes
-from missionsim.compare.statistics import ErrorStatistics
+from missionsim.compare.stages import Stages, ratio
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
+from missionsim.runs.error import ErrorStatistics
+from missionsim.runs.motion import Motion, mean_ratio, planned, scheme_codes, stretch, tracking
 
 PARTS = ("path_stretch", "speed_tracking", "dwell", "other")
 
 
 @dataclass(frozen=True)
 class SchemeGap:
-    """Plan and log of one control scheme; totals over all runs.
+    """Plan and log of one control scheme; totals over all runs, ratios as means over runs.
 
     Attributes
     ----------
@@ -33,7 +34,7 @@ class SchemeGap:
     path_stretch : float or None
         Distance driven over distance planned; None where nothing was planned.
     speed_tracking : float or None
-        Mean speed reached over mean speed planned, while driving.
+        Speed reached over speed planned, both means over the way, as `missionsim diagnose` has it.
     dwell_s : float
         Time at rest beyond the plan.
     planned_m, driven_m, planned_s, driven_s : float
@@ -126,7 +127,7 @@ class MissionGap:
 
 
 def split_behaviour(
-    model: PowerModel, timeline: Timeline, driven: Mapping[str, Driven], runs: int, batteries: Sequence[str]
+    model: PowerModel, timeline: Timeline, driven: Sequence[Mapping[str, Motion]], batteries: Sequence[str]
 ) -> tuple[SchemeGap, ...]:
     """Split replayed minus simulated energy of several runs of one mission.
 
@@ -135,29 +136,35 @@ def split_behaviour(
     model : PowerModel
     timeline : Timeline
         The simulated mission.
-    driven : mapping of scheme to Driven
-        Sums over all runs; a log without schemes has one entry under ``""``, which is held against the whole plan.
-    runs : int
-        Number of logged runs.
+    driven : sequence of mapping of scheme to Motion
+        One a run, with the energy of the model that it drove; logs without schemes have one entry under ``""``, which
+        is held against the whole plan.
     batteries : sequence of str
 
     Returns
     -------
     tuple of SchemeGap
-        The parts of all schemes add up to replayed minus ``runs`` times simulated energy.
+        The parts of all schemes add up to replayed minus ``len(driven)`` times simulated energy.
     """
-    codes, names = scheme_codes(timeline, ignore=set(driven) == {""})
-    present = [name for code, name in enumerate(names) if np.any(codes == code)]
-    gaps = []
+    names = dict.fromkeys(name for run in driven for name in run)
+    nameless = set(names) == {""}
+    codes, schemes = scheme_codes(timeline.columns, len(timeline), ignore=nameless)
+    plan = planned(timeline, by_scheme=not nameless)
     stages = Stages(model, timeline, batteries)
-    for name in [*present, *(name for name in driven if name not in present)]:
-        members = codes == names.index(name) if name in present else np.zeros(len(timeline), dtype=bool)
-        gaps.append(_scheme_gap(name, stages, members, driven.get(name, Driven()), runs))
+    gaps = []
+    for name in dict.fromkeys([*plan, *names]):
+        inside = codes == schemes.index(name) if name in plan else np.zeros(len(timeline), dtype=bool)
+        runs = [run.get(name, Motion()) for run in driven]
+        gaps.append(_scheme_gap(name, stages, inside, plan.get(name, Motion()), runs))
     return tuple(gaps)
 
 
-def _scheme_gap(name: str, stages: Stages, members: NDArray[np.bool_], done: Driven, runs: int) -> SchemeGap:
-    planned = stages.plan(members)
+def _scheme_gap(
+    name: str, stages: Stages, members: NDArray[np.bool_], plan: Motion, driven: Sequence[Motion]
+) -> SchemeGap:
+    done, runs = Motion(), len(driven)
+    for run in driven:
+        done.add(run)
     way, speed = done.distance_m / runs, ratio(done.distance_m, done.driving_s)
     steps = [stages.energy(members)]
     stretched = stages.stretched(members, way)
@@ -169,15 +176,15 @@ def _scheme_gap(name: str, stages: Stages, members: NDArray[np.bool_], done: Dri
     for battery in stages.batteries:
         at = [runs * step[battery] for step in steps] + [done.energy_j.get(battery, 0.0)]
         wh[battery] = {part: (at[i + 1] - at[i]) / 3600.0 for i, part in enumerate(PARTS)}
-    planned_speed = ratio(planned.distance_m, planned.driving_s)
+    drives = plan.distance_m > 0.0
     return SchemeGap(
         name,
-        way / planned.distance_m if planned.distance_m > 0.0 else None,
-        speed / planned_speed if planned_speed and speed else None,
-        done.standing_s - runs * planned.standing_s,
-        runs * planned.distance_m,
+        mean_ratio(stretch(plan, driven)) if drives else None,
+        mean_ratio(tracking(plan, driven)) if drives else None,
+        done.standing_s - runs * plan.standing_s,
+        runs * plan.distance_m,
         done.distance_m,
-        runs * (planned.driving_s + planned.turning_s + planned.standing_s),
-        done.driving_s + done.turning_s + done.standing_s,
+        runs * plan.seconds,
+        done.seconds,
         wh,
     )

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from missionsim.compare.behaviour import MissionGap
 from missionsim.compare.place import PlaceCell
 from missionsim.compare.recorder import Series
-from missionsim.compare.statistics import ErrorStatistics, relative_error_pct
 from missionsim.compare.where import Dependence, Where, in_words, ranked
 from missionsim.effects.model import TermKey
 from missionsim.files import sha256
+from missionsim.runs.error import Errors, ErrorStatistics, RunError
 
 SCHEMA = "missionsim.comparison/1"
 WHERE_IN_JSON = 200
@@ -29,12 +29,8 @@ class RunComparison:
 
     Attributes
     ----------
-    run, battery : str
-    seconds : float
-        Time that the rows stand for.
-    energy_measured_wh, energy_model_wh : float
-    power_rmse_w, power_bias_w : float
-        Root mean square and mean of model minus measured power, weighted by time.
+    battery : str
+    error : RunError
     error_statistics : ErrorStatistics
         Of the energy error over the run's progress (share of its time).
     progress, error_curve_pct : ndarray, shape (m,)
@@ -45,13 +41,8 @@ class RunComparison:
         Modelled energy.
     """
 
-    run: str
     battery: str
-    seconds: float
-    energy_measured_wh: float
-    energy_model_wh: float
-    power_rmse_w: float
-    power_bias_w: float
+    error: RunError
     error_statistics: ErrorStatistics
     progress: NDArray[np.float64] = field(repr=False)
     error_curve_pct: NDArray[np.float64] = field(repr=False)
@@ -59,9 +50,39 @@ class RunComparison:
     by_term_wh: Mapping[TermKey, float] = field(repr=False)
 
     @property
+    def run(self) -> str:
+        """Name of the run."""
+        return self.error.run
+
+    @property
+    def seconds(self) -> float:
+        """Time that the rows stand for [s]."""
+        return self.error.seconds
+
+    @property
+    def energy_measured_wh(self) -> float:
+        """Energy that the battery delivered [Wh]."""
+        return self.error.measured_j / 3600.0
+
+    @property
+    def energy_model_wh(self) -> float:
+        """Energy of the model driven by the log [Wh]."""
+        return self.error.model_j / 3600.0
+
+    @property
     def energy_error_pct(self) -> float:
         """``100 (model − measured) / measured`` [%]."""
-        return relative_error_pct(self.energy_model_wh, self.energy_measured_wh)
+        return self.error.energy_error_pct
+
+    @property
+    def power_rmse_w(self) -> float:
+        """Root mean square of the power error [W]."""
+        return self.error.power_rmse_w
+
+    @property
+    def power_bias_w(self) -> float:
+        """Mean of model minus measured power [W]."""
+        return self.error.power_bias_w
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields and ours beside them."""
@@ -116,34 +137,44 @@ class BatteryComparison:
     mission: MissionGap | None = None
 
     @property
+    def errors(self) -> Errors:
+        """The errors of all runs."""
+        return Errors(tuple(run.error for run in self.runs))
+
+    @property
     def seconds(self) -> float:
         """Time of all runs [s]."""
-        return sum(run.seconds for run in self.runs)
+        return self.errors.total.seconds
 
     @property
     def energy_measured_wh(self) -> float:
         """Measured energy of all runs [Wh]."""
-        return sum(run.energy_measured_wh for run in self.runs)
+        return self.errors.total.measured_j / 3600.0
 
     @property
     def energy_model_wh(self) -> float:
         """Energy of the model driven by the logs [Wh]."""
-        return sum(run.energy_model_wh for run in self.runs)
+        return self.errors.total.model_j / 3600.0
 
     @property
     def energy_error_pct(self) -> float:
         """``100 (model − measured) / measured`` over all runs [%]."""
-        return relative_error_pct(self.energy_model_wh, self.energy_measured_wh)
+        return self.errors.energy_error_pct
+
+    @property
+    def run_energy_error_pct(self) -> float:
+        """Mean over runs of the magnitude of the energy error [%], as `diagnose` and `improve` print it."""
+        return self.errors.run_energy_error_pct
 
     @property
     def power_rmse_w(self) -> float:
         """Root mean square of the power error, weighted by time [W]."""
-        return math.sqrt(sum(run.seconds * run.power_rmse_w**2 for run in self.runs) / self.seconds)
+        return self.errors.power_rmse_w
 
     @property
     def power_bias_w(self) -> float:
         """Mean of model minus measured power [W]."""
-        return sum(run.seconds * run.power_bias_w for run in self.runs) / self.seconds
+        return self.errors.total.power_bias_w
 
     @property
     def by_component_wh(self) -> dict[str, float]:
@@ -210,6 +241,7 @@ class BatteryComparison:
             "energy_measured_wh": self.energy_measured_wh,
             "energy_model_wh": self.energy_model_wh,
             "energy_error_pct": self.energy_error_pct,
+            "run_energy_error_pct": self.run_energy_error_pct,
             "power_rmse_w": self.power_rmse_w,
             "power_bias_w": self.power_bias_w,
             "gap_wh": self.gap_wh,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -16,13 +15,14 @@ from missionsim.compare.accumulate import Accumulator, RunSums
 from missionsim.compare.behaviour import MissionGap, split_behaviour
 from missionsim.compare.comparison import BatteryComparison, Comparison, RunComparison
 from missionsim.compare.progress import mission_progress, simulated_energy
-from missionsim.compare.replay import plan_replay, replay_blocks
-from missionsim.compare.statistics import cumulative_at, error_curve, error_statistics, progress_grid
 from missionsim.compare.where import dependences
 from missionsim.effects.model import PowerModel
 from missionsim.errors import Fault, InputError
 from missionsim.logs.remarks import Remark, merge
-from missionsim.logs.table import LogTable
+from missionsim.runs.drive import assume, drive_blocks
+from missionsim.runs.error import cumulative_at, error_curve, error_statistics, progress_grid
+from missionsim.runs.motion import still_of
+from missionsim.runs.run import Run
 
 if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
@@ -35,7 +35,7 @@ PathLike = str | os.PathLike[str]
 
 def compare(
     model: PowerModel,
-    logs: Iterable[LogTable | PathLike] | PathLike,
+    logs: Iterable[Run | PathLike] | PathLike,
     *,
     robot: Any = None,
     plan: Timeline | None = None,
@@ -49,7 +49,7 @@ def compare(
     Parameters
     ----------
     model : PowerModel
-    logs : LogTables, files or folders
+    logs : Runs, files or folders
         One run each; large files are read in blocks.
     robot : RobotSpec, optional
         Sharpens the checks of the logs and names the robot in the result.
@@ -73,7 +73,7 @@ def compare(
     missionsim.errors.InputError
         Faults of the logs, or nothing to compare.
     """
-    sums = Accumulator(by, behaviour=plan is not None)
+    sums = Accumulator(by, still=None if plan is None else still_of(plan))
     notes: dict[Any, tuple[str, list[str]]] = {}
     sources: list[tuple[str, str]] = []
     wanted = tuple(by)
@@ -82,11 +82,11 @@ def compare(
         if first is None:
             raise InputError.single("the log has no rows", file=source)
         _check_by(wanted, first)
-        replay = plan_replay(model, first.columns, first.batteries, source=source or run)
+        replay = assume(model, first.columns, first.batteries, source=source or run)
         for note in replay.notes:
             notes.setdefault(note, (note, []))[1].append(run)
         remarks: list[Remark] = []
-        for block in replay_blocks(replay, _noting(chain([first], blocks), remarks)):
+        for block in drive_blocks(replay, _noting(chain([first], blocks), remarks)):
             sums.add(run, block)
         for remark in merge(remarks):
             # the numbers in a remark differ from run to run, the finding does not
@@ -170,14 +170,14 @@ def _all_or_faults(loading: Sequence[Callable[[], Any]]) -> list[Any]:
     return [*found, *([None] * (3 - len(found)))]
 
 
-def _runs(logs: Iterable[LogTable | PathLike] | PathLike, robot: Any) -> Iterator[tuple[str, str, Iterator[LogTable]]]:
+def _runs(logs: Iterable[Run | PathLike] | PathLike, robot: Any) -> Iterator[tuple[str, str, Iterator[Run]]]:
     """Name, source and blocks of each run; small files are read, and their faults told, all at once."""
     from missionsim.logs import iter_blocks, read_logs
     from missionsim.logs.read import distinct_logs, same_content
 
     given: list[Any] = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)
-    paths = [item for item in given if not isinstance(item, LogTable)]
-    tables = [item for item in given if isinstance(item, LogTable)]
+    paths = [item for item in given if not isinstance(item, Run)]
+    tables = [item for item in given if isinstance(item, Run)]
     files = distinct_logs(paths) if paths or not given else {}
     large = [path for path in files if path.stat().st_size >= LARGE_FILE_BYTES]
     small = [file for path, twins in files.items() if path not in large for file in (path, *twins)]
@@ -191,7 +191,7 @@ def _runs(logs: Iterable[LogTable | PathLike] | PathLike, robot: Any) -> Iterato
         yield path.stem, str(path), blocks
 
 
-def _ahead(blocks: Iterator[LogTable]) -> Iterator[LogTable]:
+def _ahead(blocks: Iterator[Run]) -> Iterator[Run]:
     """The same blocks; the next one is read and checked in a thread while this one is compared."""
     from concurrent.futures import ThreadPoolExecutor
 
@@ -202,14 +202,14 @@ def _ahead(blocks: Iterator[LogTable]) -> Iterator[LogTable]:
             yield block
 
 
-def _noting(blocks: Iterable[LogTable], remarks: list[Remark]) -> Iterator[LogTable]:
+def _noting(blocks: Iterable[Run], remarks: list[Remark]) -> Iterator[Run]:
     """The same blocks; what the checks say of them is kept in `remarks`, the same finding once."""
     for block in blocks:
         remarks[:] = merge([*remarks, *block.remarks])
         yield block
 
 
-def _check_by(by: Sequence[str], log: LogTable) -> None:
+def _check_by(by: Sequence[str], log: Run) -> None:
     from missionsim.errors import did_you_mean
 
     for name in by:
@@ -244,7 +244,7 @@ def _battery(
     curve = error_curve(measured, predicted)
     return BatteryComparison(
         battery,
-        tuple(_run(run, battery, found[run], error_curve(*own)) for run, own in zip(found, curves, strict=True)),
+        tuple(_run(battery, one, error_curve(*own)) for one, own in zip(found.values(), curves, strict=True)),
         error_statistics(curve),
         error_statistics(error_curve(measured, predicted, "predicted"), "predicted"),
         grid,
@@ -262,15 +262,10 @@ def _cumulative(
     return cumulative_at(progress, columns["measured_j"], grid), cumulative_at(progress, columns["model_j"], grid)
 
 
-def _run(run: str, battery: str, one: RunSums, curve: NDArray[np.float64]) -> RunComparison:
+def _run(battery: str, one: RunSums, curve: NDArray[np.float64]) -> RunComparison:
     return RunComparison(
-        run,
         battery,
-        one.seconds,
-        one.measured_j / 3600.0,
-        one.model_j / 3600.0,
-        math.sqrt(max(one.square_w2s, 0.0) / one.seconds),
-        (one.model_j - one.measured_j) / one.seconds,
+        one.error,
         error_statistics(curve),
         progress_grid(),
         curve,
@@ -288,8 +283,8 @@ def _mission(
     found: dict[str, RunSums],
     batteries: Sequence[str],
 ) -> MissionGap:
-    driven = sums.driven or {}
-    schemes = split_behaviour(model, plan, driven, len(found), batteries)
+    driven = [sums.motion[run] for run in found]
+    schemes = split_behaviour(model, plan, driven, batteries)
     simulated = simulated_energy(model, plan, battery)
     grid, names = progress_grid(), sums.segment_names()
     spent = np.cumsum(plan.duration_s)
@@ -299,7 +294,7 @@ def _mission(
         progress = np.interp(grid, own, mission_progress(one.series, names, plan, segments))
         measured += cumulative_at(own, one.series.columns["measured_j"], grid)
         predicted += cumulative_at(spent / spent[-1], simulated, progress)
-    replayed = sum(one.model_j for one in found.values())
+    replayed = sum(one.error.model_j for one in found.values())
     total = len(found) * float(simulated.sum())
     return MissionGap(
         battery,

@@ -3,40 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import is_moving
 from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
 from missionsim.glossary import STILL_SPEED_M_S
-from missionsim.labels import Labels
+from missionsim.runs.motion import distances, middle_of, speed_of
 
 _SPEEDS = ("speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s")
 _RATES = ("accel_m_s2", "lateral_accel_m_s2", "yaw_accel_rad_s2")
-
-
-@dataclass
-class Driven:
-    """What the logs say of one control scheme, all runs together.
-
-    Attributes
-    ----------
-    distance_m, driving_s, turning_s, standing_s : float
-        Way and time with speed, time turning on the spot, time at rest.
-    energy_j : dict of battery to float
-        Energy of the model driven by the logs.
-    """
-
-    distance_m: float = 0.0
-    driving_s: float = 0.0
-    turning_s: float = 0.0
-    standing_s: float = 0.0
-    energy_j: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -55,21 +35,9 @@ class Stages:
             for battery in self.batteries
         }
 
-    def plan(self, members: NDArray[np.bool_]) -> Driven:
-        """Way and time of the intervals `members`."""
-        driving, standing = self._driving(), self._standing()
-        duration = np.where(members, self.timeline.duration_s, 0.0)
-        way = float(self._distance()[members].sum())
-        return Driven(
-            way,
-            float(duration[driving].sum()),
-            float(duration[~driving & ~standing].sum()),
-            float(duration[standing].sum()),
-        )
-
     def stretched(self, members: NDArray[np.bool_], way_m: float) -> Stages:
         """The same with the way `way_m`: the cruise gets longer or shorter, ramps stay."""
-        distance = self._distance()
+        distance = distances(self.timeline)
         chosen = members & self._driving()
         cruise = chosen & ~self._ramps()
         if not distance[cruise].sum() > 0.0:
@@ -84,7 +52,7 @@ class Stages:
         """The same way at another mean speed: time runs faster or slower while driving."""
         chosen = members & self._driving()
         duration = float(self.timeline.duration_s[chosen].sum())
-        now = ratio(float(self._distance()[chosen].sum()), duration)
+        now = ratio(float(distances(self.timeline)[chosen].sum()), duration)
         # no row counts as driving below this speed, so a mean below it means that nothing was driven
         if now <= 0.0 or speed_m_s < STILL_SPEED_M_S:
             return self
@@ -131,29 +99,15 @@ class Stages:
         start = np.cumsum(duration) - duration
         return replace(self, timeline=replace(line, start_s=start, duration_s=duration, columns=columns, rates=rates))
 
-    def _middle(self) -> dict[str, Any]:
-        """Covariates in the middle of each interval."""
-        half = 0.5 * self.timeline.duration_s
-        rates = self.timeline.rates
-        return {
-            name: column + rates[name] * half if name in rates else column
-            for name, column in self.timeline.columns.items()
-        }
-
     def _speed(self) -> NDArray[np.float64]:
-        middle = self._middle()
-        zero = np.zeros(len(self.timeline))
-        return np.asarray(np.hypot(middle.get("speed_m_s", zero), middle.get("lateral_speed_m_s", zero)))
-
-    def _distance(self) -> NDArray[np.float64]:
-        return np.asarray(self._speed() * self.timeline.duration_s)
+        return speed_of({"speed_m_s": np.zeros(len(self.timeline)), **middle_of(self.timeline)})
 
     def _driving(self) -> NDArray[np.bool_]:
-        return np.asarray(self._speed() >= STILL_SPEED_M_S)
+        return np.asarray(self._speed() > 0.0)
 
     def _standing(self) -> NDArray[np.bool_]:
-        middle = {"speed_m_s": np.zeros(len(self.timeline)), **self._middle()}
-        return np.asarray(~np.asarray(is_moving(middle)))
+        turning = middle_of(self.timeline).get("yaw_rate_rad_s", np.zeros(len(self.timeline)))
+        return np.asarray(~self._driving() & (np.asarray(turning) == 0.0))
 
     def _ramps(self) -> NDArray[np.bool_]:
         rate = np.asarray(self.timeline.rates.get("speed_m_s", np.zeros(len(self.timeline))))
@@ -167,15 +121,3 @@ def _is_clock(name: str) -> bool:
 def ratio(a: float, b: float) -> float:
     """``a / b``, 0 where b is not positive."""
     return a / b if b > 0.0 else 0.0
-
-
-def scheme_codes(timeline: Timeline, *, ignore: bool) -> tuple[NDArray[np.int64], list[str]]:
-    """Scheme of each interval as a code, and the names; one nameless scheme with `ignore`."""
-    scheme = timeline.columns.get("scheme")
-    if ignore or scheme is None:
-        return np.zeros(len(timeline), dtype=np.int64), [""]
-    labels = scheme if isinstance(scheme, Labels) else Labels.of(np.broadcast_to(scheme, len(timeline)))
-    names = list(labels.names)
-    if "" in names:
-        return labels.codes, names
-    return np.where(labels.codes < 0, len(names), labels.codes), [*names, ""]

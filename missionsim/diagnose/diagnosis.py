@@ -316,7 +316,7 @@ def diagnose_battery(
             clock,
         )
     effects = effects_of(found, features, tested)
-    driven = _execution(split, battery, timeline, settings, segments)
+    driven = _execution(split, battery, timeline, settings)
     execution = tuple(_as_finding(one) for one in driven if one.found)
     verdict = found.verdict
     if verdict == "nothing_missing" and execution:
@@ -385,15 +385,13 @@ def _renamed(log: Any, taken: set[str]) -> Any:
     return replace(log, run=f"held-out {log.run}") if log.run in taken else log
 
 
-def _execution(
-    split: Split, battery: str, timeline: Timeline | None, settings: Settings, segments: Sequence[str]
-) -> list[ExecutionEffect]:
+def _execution(split: Split, battery: str, timeline: Timeline | None, settings: Settings) -> list[ExecutionEffect]:
     if timeline is None:
         return []
     logs = [log for log in (*split.train, *split.heldout) if battery in log.power_w]
     if not all("speed_m_s" in log.columns for log in logs):
         return []
-    return execution_effects(timeline, logs, battery, settings.alpha, segments)
+    return execution_effects(timeline, logs, battery, settings.alpha)
 
 
 def _as_finding(one: ExecutionEffect) -> Finding:

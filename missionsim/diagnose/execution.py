@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.diagnose.findings import Judged
 from missionsim.effects.timeline import Timeline
-from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S
-from missionsim.labels import Labels
+from missionsim.runs.motion import Motion, Still, motions, planned, speed_of, still_of, stretch, told_apart, tracking
+from missionsim.runs.run import Run
 
 ODOMETRY_SCALE = 0.01
 """Ratios closer to 1 than this may be the odometry's scale, and are not called an effect (assumed)."""
@@ -29,19 +28,6 @@ TOLD = {
     "speed_tracking": "times the planned speed",
     "dwell": "s at rest a run that nothing plans",
 }
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Way and times of one scheme in one run (or in the plan)."""
-
-    distance_m: float
-    driving_s: float
-    standing_s: float
-    driving_w: float = 0.0
-    standing_w: float = 0.0
-    speed_m_s: float = float("nan")
-    """Mean over the way, not over time, so that ramps from and to rest hardly count; NaN where nothing was driven."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +65,7 @@ class ExecutionEffect:
 
 
 def execution_effects(
-    timeline: Timeline, logs: Sequence[Any], battery: str, alpha: float = 0.01, segments: Sequence[str] = ()
+    timeline: Timeline, logs: Sequence[Run], battery: str, alpha: float = 0.01
 ) -> list[ExecutionEffect]:
     """Path stretch, speed tracking and dwell of every scheme, from the plan's intervals and the motion in the logs.
 
@@ -87,42 +73,43 @@ def execution_effects(
     ----------
     timeline : Timeline
         The simulated mission; each log is one drive of it.
-    logs : sequence of LogTable
+    logs : sequence of Run
         With ``speed_m_s``; with ``scheme`` where the mission has more than one.
     battery : str
     alpha : float
         Family-wise rate of false alarms over all effects and schemes.
-    segments : sequence of str
-        Names of the mission's segments by their number; where the logs name them too, speeds are compared segment by
-        segment.
     """
-    planned = _planned(timeline, True)
-    still = _thresholds(timeline)
-    known = {name for name, motion in planned.items() if motion.distance_m > 0.0}
-    logged = [set(log.columns["scheme"].texts().tolist()) if "scheme" in log.columns else set() for log in logs]
-    # schemes are compared one by one only where the logs name every scheme that the plan drives
-    if len(known) < 2 or not all(known <= own for own in logged):
-        planned = _planned(timeline, False)
-        schemes = False
-    else:
-        schemes = True
-    driven = [_driven(log, battery, schemes, still) for log in logs]
-    cruises = _cruises(timeline, segments)
-    ratios = [_tracking(log, cruises, still[0]) for log in logs]
-    whole = [_driven(log, battery, False, still)[""] for log in logs]
-    measured_j = sum(float(np.nansum(log.power_w[battery] * log.dt_s)) for log in logs)
-    names = [name for name, motion in planned.items() if motion.distance_m > 0.0]
-    count = max(1, 3 * len(names))
+    still = still_of(timeline)
+    plan = planned(timeline)
+    driven = [_motions(log, battery, still, by_scheme=True) for log in logs]
+    whole = [_motions(log, battery, still, by_scheme=False)[""] for log in logs]
+    if not told_apart(plan, driven):
+        plan, driven = planned(timeline, by_scheme=False), [{"": run} for run in whole]
+    measured_j = sum(run.energy_j["all"] for run in whole)
+    names = [name for name, motion in plan.items() if motion.distance_m > 0.0]
+    level = alpha / max(1, 3 * len(names))
     found: list[ExecutionEffect] = []
     for name in names:
-        plan = planned[name]
         runs = [run[name] for run in driven if name in run and run[name].distance_m > 0.0]
         if runs:
-            by_segment = [r for r in ratios if r is not None] if not schemes else []
-            found += _of_scheme(name, plan, runs, measured_j, alpha / count, by_segment)
+            found += _of_scheme(name, plan[name], runs, measured_j, level)
     # a log says its scheme while it waits, a plan need not: standing still is compared over the whole mission
-    found.append(_dwell(_planned(timeline, False)[""], whole, measured_j, alpha / count))
+    found.append(_dwell(planned(timeline, by_scheme=False)[""], whole, measured_j, level))
     return found
+
+
+def _motions(log: Run, battery: str, still: Still, *, by_scheme: bool) -> dict[str, Motion]:
+    """Sums of one run, with the measured energy of all rows, of those driven and of those at rest."""
+    power = np.nan_to_num(log.power_w[battery])
+    speed = speed_of(log.columns)
+    driving = speed >= still[0]
+    turning = np.abs(log.columns.get("yaw_rate_rad_s", np.zeros(log.rows))) >= still[1]
+    parts = {
+        "all": power,
+        "driving": np.where(driving, power, 0.0),
+        "standing": np.where(driving | turning, 0.0, power),
+    }
+    return motions(log.columns, log.dt_s, parts, still, by_scheme=by_scheme)
 
 
 def told_of(effects: Sequence[ExecutionEffect]) -> list[Judged]:
@@ -155,27 +142,24 @@ def seen_once(effects: Sequence[ExecutionEffect]) -> list[str]:
 
 
 def _of_scheme(
-    name: str, plan: Motion, runs: Sequence[Motion], measured_j: float, level: float, by_segment: Sequence[float]
+    name: str, plan: Motion, runs: Sequence[Motion], measured_j: float, level: float
 ) -> list[ExecutionEffect]:
-    power = float(np.mean([run.driving_w for run in runs]))
-    stretch = np.array([run.distance_m / plan.distance_m for run in runs])
-    tracking = np.array([run.speed_m_s / plan.speed_m_s for run in runs])
-    if len(by_segment) == len(runs):
-        tracking = np.asarray(by_segment)
-    extra_m = float(np.sum(stretch - 1.0)) * plan.distance_m
-    way_j = power * extra_m / plan.speed_m_s
+    power = float(np.mean([run.energy_j["driving"] / run.driving_s for run in runs]))
+    ways, speeds = stretch(plan, runs), tracking(plan, runs)
+    way_j = power * float(np.sum(ways - 1.0)) * plan.distance_m / plan.speed_m_s
     # the slower way takes longer at the power that was drawn while driving
-    longer_s = sum(run.driving_s * (1.0 - float(r)) for run, r in zip(runs, tracking, strict=True))
+    longer_s = sum(run.driving_s * (1.0 - float(r)) for run, r in zip(runs, speeds, strict=True))
     return [
-        _ratio("path_stretch", name, stretch, way_j / measured_j, level),
-        _ratio("speed_tracking", name, tracking, power * longer_s / measured_j, level),
+        _ratio("path_stretch", name, ways, way_j / measured_j, level),
+        _ratio("speed_tracking", name, speeds, power * longer_s / measured_j, level),
     ]
 
 
 def _dwell(plan: Motion, runs: Sequence[Motion], measured_j: float, level: float) -> ExecutionEffect:
     seconds = np.array([run.standing_s - plan.standing_s for run in runs])
-    drawn = [run.standing_w for run in runs if run.standing_s > 0.0]
-    still_w = float(np.mean(drawn)) if drawn else 0.5 * float(np.mean([run.driving_w for run in runs]))
+    drawn = [run.energy_j["standing"] / run.standing_s for run in runs if run.standing_s > 0.0]
+    driving = [run.energy_j["driving"] / run.driving_s for run in runs if run.driving_s > 0.0]
+    still_w = float(np.mean(drawn)) if drawn else 0.5 * float(np.mean(driving or [0.0]))
     return _seconds("", seconds, still_w * float(seconds.sum()) / measured_j, level)
 
 
@@ -221,114 +205,6 @@ def _student(values: NDArray[np.float64]) -> tuple[float, float, float, float]:
     error = max(float(np.std(values, ddof=1)) / np.sqrt(count), 1e-4 * max(abs(middle), 1e-3))
     reach = float(t.ppf(0.975, count - 1)) * error
     return middle, middle - reach, middle + reach, float(2.0 * t.sf(abs(middle) / error, count - 1))
-
-
-def _planned(timeline: Timeline, by_scheme: bool) -> dict[str, Motion]:
-    length = np.asarray(timeline.duration_s, dtype=float)
-    speed = np.abs(_mean_of(timeline, "speed_m_s"))
-    if "lateral_speed_m_s" in timeline.columns:
-        speed = np.hypot(speed, _mean_of(timeline, "lateral_speed_m_s"))
-    turning = np.abs(_mean_of(timeline, "yaw_rate_rad_s")) > 0.0
-    driving = speed > 0.0
-    standing = ~driving & ~turning
-    names = _names(timeline.columns.get("scheme"), len(length)) if by_scheme else np.full(len(length), "", dtype=object)
-    return {
-        str(name): Motion(
-            float(np.sum((speed * length)[names == name])),
-            float(np.sum(length[driving & (names == name)])),
-            float(np.sum(length[standing & (names == name)])),
-            speed_m_s=_over_way(speed[names == name], length[names == name]),
-        )
-        for name in dict.fromkeys(names.tolist())
-    }
-
-
-def _over_way(speed: NDArray[np.float64], seconds: NDArray[np.float64]) -> float:
-    way = float(np.sum(speed * seconds))
-    return float(np.sum(speed**2 * seconds)) / way if way > 0.0 else float("nan")
-
-
-def _cruises(timeline: Timeline, segments: Sequence[str]) -> dict[str, float]:
-    """Highest planned speed of each named segment that drives; names that come twice are left out."""
-    top = np.abs(_mean_of(timeline, "speed_m_s"))
-    steady = np.abs(np.asarray(timeline.rates.get("speed_m_s", np.zeros_like(top)))) == 0.0
-    found: dict[str, float] = {}
-    for number, name in enumerate(segments):
-        own = (np.asarray(timeline.segment) == number) & steady
-        if name and list(segments).count(name) == 1 and own.any() and top[own].max() > 0.0:
-            found[name] = float(top[own].max())
-    return found
-
-
-def _tracking(log: Any, cruises: Mapping[str, float], still_m_s: float) -> float | None:
-    """Speed reached over speed planned, mean over the way of the segments that log and plan both name."""
-    segment = log.columns.get("segment")
-    if not isinstance(segment, Labels) or not cruises:
-        return None
-    speed = np.abs(np.asarray(log.columns["speed_m_s"], dtype=float))
-    weights, ratios = [], []
-    for name, planned in cruises.items():
-        rows = segment.equals(name) & (speed > max(still_m_s, 0.3 * planned))
-        if int(rows.sum()) >= 5:
-            weights.append(float(np.sum(speed[rows] * log.dt_s[rows])))
-            ratios.append(float(np.median(speed[rows])) / planned)
-    return float(np.average(ratios, weights=weights)) if ratios else None
-
-
-def _mean_of(timeline: Timeline, name: str) -> NDArray[np.float64]:
-    """Mean of a covariate over each interval; linear in time inside it."""
-    length = np.asarray(timeline.duration_s, dtype=float)
-    if name not in timeline.columns:
-        return np.zeros_like(length)
-    start = np.asarray(timeline.columns[name], dtype=float)
-    return np.asarray(start + 0.5 * np.asarray(timeline.rates.get(name, 0.0)) * length)
-
-
-def _thresholds(timeline: Timeline) -> tuple[float, float]:
-    """Speed and yaw rate below which a noisy log counts as standing: a tenth of the slowest that the plan drives."""
-    slowest = []
-    for name, floor in (("speed_m_s", STILL_SPEED_M_S), ("yaw_rate_rad_s", STILL_YAW_RATE_RAD_S)):
-        level = np.abs(_mean_of(timeline, name))
-        steady = level[(level > 0.0) & (np.abs(np.asarray(timeline.rates.get(name, np.zeros_like(level)))) == 0.0)]
-        slowest.append(max(floor, 0.1 * float(steady.min())) if len(steady) else floor)
-    return slowest[0], slowest[1]
-
-
-def _driven(log: Any, battery: str, by_scheme: bool, still: tuple[float, float]) -> dict[str, Motion]:
-    seconds = np.asarray(log.dt_s, dtype=float)
-    speed = np.abs(np.asarray(log.columns["speed_m_s"], dtype=float))
-    if "lateral_speed_m_s" in log.columns:
-        speed = np.hypot(speed, log.columns["lateral_speed_m_s"])
-    power = np.asarray(log.power_w[battery], dtype=float)
-    turn = np.abs(np.asarray(log.columns["yaw_rate_rad_s"], dtype=float)) if "yaw_rate_rad_s" in log.columns else 0.0
-    driving = speed >= still[0]
-    standing = ~driving & (turn < still[1])
-    names = _names(log.columns["scheme"], len(seconds)) if by_scheme else np.full(len(seconds), "", dtype=object)
-    found = {}
-    for name in dict.fromkeys(names.tolist()):
-        own = names == name
-        found[str(name)] = Motion(
-            float(np.sum((speed * seconds)[own & driving])),
-            float(np.sum(seconds[own & driving])),
-            float(np.sum(seconds[own & standing])),
-            _mean(power, seconds, own & driving),
-            _mean(power, seconds, own & standing),
-            _over_way(speed[own & driving], seconds[own & driving]),
-        )
-    return found
-
-
-def _mean(power: NDArray[np.float64], seconds: NDArray[np.float64], rows: NDArray[np.bool_]) -> float:
-    total = float(np.sum(seconds[rows]))
-    return float(np.nansum(power[rows] * seconds[rows]) / total) if total > 0.0 else 0.0
-
-
-def _names(value: Any, count: int) -> NDArray[np.object_]:
-    if value is None:
-        return np.full(count, "", dtype=object)
-    if isinstance(value, Labels):
-        return np.asarray(value.texts(), dtype=object)
-    return np.asarray(value, dtype=object)
 
 
 def by_effect(effects: Sequence[ExecutionEffect]) -> Mapping[str, list[ExecutionEffect]]:

@@ -12,13 +12,13 @@ from missionsim.diagnose.findings import Experiment
 from missionsim.diagnose.manoeuvres import Manoeuvre, Site, library, script, shortened
 from missionsim.effects.derive import derive
 from missionsim.effects.model import PowerModel
-from missionsim.fit.gradient import gradient
 from missionsim.identify.choose import Choice
 from missionsim.identify.data import RunData, Settings
 from missionsim.identify.design import make_source
 from missionsim.identify.gram import Gram, make_gram
 from missionsim.identify.model import Model
 from missionsim.identify.search import Rules, single_gains
+from missionsim.runs.drive import gradient
 
 ENOUGH_NATS = 12.0
 """Expected lead at which a manoeuvre need not be longer."""

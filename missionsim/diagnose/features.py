@@ -15,16 +15,15 @@ from numpy.typing import NDArray
 from missionsim.effects.base import Effect
 from missionsim.effects.library import all_effects, execution_effects, get_effect
 from missionsim.effects.model import ModelParameter, PowerModel
-from missionsim.fit.covariates import Run
 from missionsim.fit.prepare import prepare
 from missionsim.identify.data import Candidate, RunData
+from missionsim.runs.covariates import is_switch, logged_name
 
 Array = NDArray[np.float64]
 SURFACE = "surface_rolling_resistance"
 MOST_SURFACES = 40
 """More names than that are no floors but numbers or places, and a column each would take for ever."""
 _TWIN_FAMILIES = ("rolling_friction", "viscous_friction", "standby_load", "component_power")
-_DERIVED_FROM = {"moving_time_s": "speed_m_s", "starts": "speed_m_s", "accel_m_s2": "speed_m_s"}
 
 
 @dataclass(frozen=True)
@@ -103,16 +102,16 @@ def make_features(
     """
     ready = prepare(model, logs, battery)
     surfaces = ready.texts.get("surface", ())
-    names = set(ready.names)
+    names, covariates = {*ready.names, "load_w", "drive_w"}, ready.covariates
     components = _components(names, switchable)
     held = {*skip, *_held(model, battery)}
     effects, untestable = _testable(names, surfaces, components, own, held, ready.remarks)
     columns: list[dict[str, Array]] = [{} for _ in ready.runs]
     candidates: list[Candidate] = []
     for effect in effects.values():
-        candidate = _add_columns(effect, ready.runs, columns)
+        candidate = _add_columns(effect, covariates, columns)
         if candidate.covariate not in names or candidate.covariate.startswith(("on_time_", "starts")):
-            candidate = replace(candidate, covariate=_logged_name(candidate.covariate))
+            candidate = replace(candidate, covariate=logged_name(candidate.covariate))
         candidates.append(_with_twin(candidate, columns, ready.gradients))
     data = ready.data(columns)
     return Features(
@@ -124,7 +123,7 @@ def make_features(
         effects,
         untestable,
         tuple(dict.fromkeys(ready.remarks)),
-        tuple(run.cov for run in ready.runs),
+        tuple(covariates),
     )
 
 
@@ -170,7 +169,7 @@ def _held(model: PowerModel, battery: str) -> set[str]:
 
 def _components(names: set[str], switchable: Sequence[str]) -> dict[str, bool]:
     """Components to test and whether their ``on_`` column is logged."""
-    logged = sorted(name[3:] for name in names if name.startswith("on_") and not name.startswith("on_time_"))
+    logged = sorted(name[3:] for name in names if is_switch(name))
     return {**dict.fromkeys(switchable, False), **dict.fromkeys(logged, True)}
 
 
@@ -193,7 +192,7 @@ def _testable(
     for effect in (*all_effects(tuple(components)), *surface_effects, *own):
         if effect.id in skip or effect.execution:
             continue
-        lacking = tuple(dict.fromkeys(_logged_name(name) for name in effect.needs if name not in names))
+        lacking = tuple(dict.fromkeys(logged_name(name) for name in effect.needs if name not in names))
         if lacking:
             untestable[effect.id] = lacking
         else:
@@ -205,13 +204,7 @@ def _testable(
     return effects, untestable
 
 
-def _logged_name(name: str) -> str:
-    if name.startswith("on_time_"):
-        return f"on_{name.removeprefix('on_time_').removesuffix('_s')}"
-    return _DERIVED_FROM.get(name, name)
-
-
-def _add_columns(effect: Effect, runs: Sequence[Run], columns: list[dict[str, Array]]) -> Candidate:
+def _add_columns(effect: Effect, runs: Sequence[Mapping[str, Any]], columns: list[dict[str, Array]]) -> Candidate:
     """Evaluate an effect on every run; a grid of shape values or of surfaces gives one column each."""
     shape: tuple[dict[str, float], ...] = ()
     levels: tuple[str, ...] = ()
@@ -223,15 +216,14 @@ def _add_columns(effect: Effect, runs: Sequence[Run], columns: list[dict[str, Ar
         names = tuple(f"{effect.id}|{i}" for i in range(len(shape)))
     else:
         names = (effect.id,)
-    for run, held in zip(runs, columns, strict=True):
+    for cov, held in zip(runs, columns, strict=True):
         for i, name in enumerate(names):
-            held[name] = _column(effect, run.cov, shape[i] if shape else {}, levels[i] if levels else "")
+            held[name] = _column(effect, cov, shape[i] if shape else {}, levels[i] if levels else "")
     refit: Callable[[Mapping[str, float]], list[Array]] | None = None
     if shape:
-        covariates = [run.cov for run in runs]
 
         def refit(values: Mapping[str, float]) -> list[Array]:
-            return [_column(effect, cov, values, "") for cov in covariates]
+            return [_column(effect, cov, values, "") for cov in runs]
 
     return Candidate(
         effect.id,

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.compare.accumulate import MOTIONS, kinds_of_motion
 from missionsim.diagnose.heldout import prediction
 from missionsim.diagnose.numbers import watts
 from missionsim.identify.result import Identification
+from missionsim.runs.motion import MOTIONS, kinds_of_motion
 
 Array = NDArray[np.float64]
 MOST_OF_SQUARE = 0.5
@@ -42,7 +42,7 @@ class Leftover:
     Attributes
     ----------
     motion : str
-        One of `missionsim.compare.accumulate.MOTIONS`.
+        One of `missionsim.runs.motion.MOTIONS`.
     bias_w : float
         Mean of model minus measured power there [W].
     square_share, time_share : float

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.labels import Labels
+from missionsim.runs.motion import approach
 
 Array = NDArray[np.float64]
 STEP_S = 0.5
@@ -331,11 +332,7 @@ def _drive(part: Part, site: Site) -> dict[str, Array]:
         target[-2:] = 0.0
         for rest in np.array_split(np.arange(count), part.stops + 1)[:-1] if part.stops else ():
             target[rest[-6:]] = 0.0
-    speed: Array = np.zeros(count)
-    now, step = 0.0, site.acceleration_m_s2 * STEP_S
-    for i in range(count):
-        now += float(np.clip(target[i] - now, -step, step))
-        speed[i] = now
+    speed = approach(target, STEP_S, site.acceleration_m_s2)
     yaw: Array = np.zeros(count)
     if part.yaw_rates_rad_s:
         for rate, rows in zip(

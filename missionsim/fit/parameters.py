@@ -10,7 +10,7 @@ import numpy as np
 
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
-from missionsim.fit.plain import BLOCK_S, Plain, free_priors, row_seconds, settled, told_apart
+from missionsim.fit.plain import BLOCK_S, Plain, free_priors, settled, told_apart
 from missionsim.fit.prepare import Prepared, prepare
 from missionsim.identify.data import Settings
 from missionsim.identify.design import make_source
@@ -111,10 +111,10 @@ def fit_parameters(
     """
     settings = settings or Settings()
     ready = prepare(model, logs, battery)
-    if all(float(np.ptp(run.measured_w)) == 0.0 for run in ready.runs):
+    if all(float(np.ptp(run.run.power_w[battery])) == 0.0 for run in ready.runs):
         raise InputError.single(
             f"battery '{battery}': the measured power never changes in any run, so that nothing can be fitted to it",
-            got=f"{ready.runs[0].measured_w[0]:g} W in every row",
+            got=f"{ready.measured_w()[0]:g} W in every row",
             allowed="a meter that is not frozen",
         )
     before = ready
@@ -171,7 +171,7 @@ def fit_parameters(
         fitted.clock.lag_s,
         fitted.noise.total_sd_w,
         *errors,
-        tuple(run.name for run in ready.runs),
+        tuple(run.run.run for run in ready.runs),
         float(sum(np.sum(run.dt_s) for run in ready.runs)),
         tuple(dict.fromkeys(before.remarks)),
     )
@@ -227,8 +227,8 @@ def _plain_fit(battery: str, plain: Plain, before: Prepared, told: frozenset[str
         rmse_before_w,
         plain.rmse_w,
         plain.explained,
-        tuple(run.name for run in before.runs),
-        float(np.sum(row_seconds(before))),
+        tuple(run.run.run for run in before.runs),
+        float(np.sum(before.seconds())),
         tuple(dict.fromkeys([*before.remarks, remark])),
     )
 

@@ -46,10 +46,10 @@ def settled(model: PowerModel, ready: Prepared, logs: Sequence[Any]) -> tuple[Po
     names, x, y, seconds = _stacked(ready)
     mean = float(np.average(y, weights=seconds))
     square = float(np.average(y**2, weights=seconds)) if len(y) else 0.0
-    measured = np.concatenate([run.measured_w for run in ready.runs])
+    measured, every = ready.measured_w(), ready.seconds()
     usable = np.isfinite(measured)
-    level = float(np.average(measured[usable], weights=row_seconds(ready)[usable]))
-    spread = float(np.average((measured[usable] - level) ** 2, weights=row_seconds(ready)[usable]))
+    level = float(np.average(measured[usable], weights=every[usable]))
+    spread = float(np.average((measured[usable] - level) ** 2, weights=every[usable]))
     inverse = np.linalg.pinv((x * seconds[:, None]).T @ x, rcond=1e-12)
     block = _blocks(ready)
     score = np.zeros((int(block.max()) + 1, len(names)))
@@ -81,22 +81,19 @@ def _square(ready: Prepared) -> float:
     """Squared error over time; infinite where the model has no value."""
     total = 0.0
     for run, base in zip(ready.runs, ready.base_w, strict=True):
-        usable = np.isfinite(run.measured_w)
-        total += float(np.sum((run.measured_w - base)[usable] ** 2 * run.dt_s[usable]))
+        measured = run.run.power_w[ready.battery]
+        usable = np.isfinite(measured)
+        total += float(np.sum((measured - base)[usable] ** 2 * run.dt_s[usable]))
     return total if np.isfinite(total) else float("inf")
-
-
-def row_seconds(ready: Prepared) -> NDArray[np.float64]:
-    return np.concatenate([run.dt_s for run in ready.runs])
 
 
 def _stacked(ready: Prepared) -> tuple[tuple[str, ...], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Names, gradient rows, residual and seconds of all rows; rows without a measurement weigh nothing."""
     names = tuple(name for name in ready.gradients[0] if any(np.any(g[name]) for g in ready.gradients))
     x = np.column_stack([np.concatenate([g[name] for g in ready.gradients]) for name in names])
-    y = np.concatenate([run.measured_w - base for run, base in zip(ready.runs, ready.base_w, strict=True)])
+    y = ready.measured_w() - np.concatenate(ready.base_w)
     usable = np.isfinite(y) & np.all(np.isfinite(x), axis=1)
-    return names, np.where(usable[:, None], x, 0.0), np.where(usable, y, 0.0), np.where(usable, row_seconds(ready), 0.0)
+    return names, np.where(usable[:, None], x, 0.0), np.where(usable, y, 0.0), np.where(usable, ready.seconds(), 0.0)
 
 
 def _blocks(ready: Prepared) -> NDArray[np.intp]:
@@ -111,7 +108,7 @@ def _blocks(ready: Prepared) -> NDArray[np.intp]:
 
 def free_priors(ready: Prepared, known: Mapping[str, ModelParameter]) -> dict[str, float]:
     """Priors so wide that they say nothing: many times the value, and many times what would make all the power."""
-    power = float(np.mean([np.nanmean(np.abs(run.measured_w)) for run in ready.runs]))
+    power = float(np.nanmean(np.abs(ready.measured_w())))
     wide = {}
     for name in known:
         size = float(np.mean([float(np.mean(np.abs(g[name]))) for g in ready.gradients if name in g] or [0.0]))
@@ -138,7 +135,7 @@ def _least_squares_start(model: PowerModel, ready: Prepared) -> PowerModel:
     if not names:
         return model
     weight = np.concatenate([np.sqrt(run.dt_s) for run in ready.runs])
-    y = np.concatenate([run.measured_w - base for run, base in zip(ready.runs, ready.base_w, strict=True)])
+    y = ready.measured_w() - np.concatenate(ready.base_w)
     x = np.column_stack([np.concatenate([g[name] for g in ready.gradients]) for name in names])
     usable = np.isfinite(y) & np.all(np.isfinite(x), axis=1)
     if not usable.any():

@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.errors import InputError
-from missionsim.fit.covariates import Run, run_covariates, shared_names, texts, watched
-from missionsim.fit.gradient import gradient
 from missionsim.identify.data import RunData
+from missionsim.labels import Labels
+from missionsim.runs.covariates import clock_of, is_switch, may_be_cause
+from missionsim.runs.drive import Driven, assume, drive_blocks, filled
+from missionsim.runs.run import Run
 
 Array = NDArray[np.float64]
+MOST_TEXTS = 12
 
 
 @dataclass(frozen=True)
@@ -25,9 +28,9 @@ class Prepared:
     Attributes
     ----------
     battery : str
-    runs : tuple of Run
+    runs : tuple of Driven
     names : frozenset of str
-        Covariates that every run has.
+        Covariates that every run has; what was assumed is not among them.
     texts : mapping
         Distinct texts of each text column over all runs.
     base_w : tuple of ndarray
@@ -41,7 +44,7 @@ class Prepared:
     """
 
     battery: str
-    runs: tuple[Run, ...]
+    runs: tuple[Driven, ...]
     names: frozenset[str]
     texts: Mapping[str, tuple[str, ...]]
     base_w: tuple[Array, ...]
@@ -49,80 +52,138 @@ class Prepared:
     parameters: Mapping[str, ModelParameter]
     remarks: list[str]
 
+    @property
+    def covariates(self) -> list[dict[str, Any]]:
+        """Covariates of each run, with the base model's loads."""
+        return [{**run.covariates, **run.loads(self.battery)} for run in self.runs]
+
+    def measured_w(self) -> Array:
+        """Measured power of all rows of all runs [W]."""
+        return np.concatenate([run.run.power_w[self.battery] for run in self.runs])
+
+    def seconds(self) -> Array:
+        """Time that each row of all runs stands for [s]."""
+        return np.concatenate([run.dt_s for run in self.runs])
+
     def data(self, columns: Sequence[Mapping[str, Array]] | None = None) -> tuple[RunData, ...]:
         """The runs as the identification reads them, with candidate columns where given."""
         own: Sequence[Mapping[str, Array]] = columns if columns is not None else [{} for _ in self.runs]
         return tuple(self._one(i, own[i]) for i in range(len(self.runs)))
 
     def _one(self, number: int, columns: Mapping[str, Array]) -> RunData:
-        run, base_w, slopes = self.runs[number], self.base_w[number], self.gradients[number]
+        driven, base_w, slopes = self.runs[number], self.base_w[number], self.gradients[number]
+        run = driven.run
         broken = ~np.isfinite(base_w)
         for values in slopes.values():
             broken |= ~np.isfinite(values)
-        measured = run.measured_w
+        measured = run.power_w[self.battery]
         if broken.any():
             self.remarks.append(
-                f"{run.name}: the base model has no value in {int(broken.sum())} rows; they are left out"
+                f"{run.run}: the base model has no value in {int(broken.sum())} rows; they are left out"
             )
             measured = np.where(broken, np.nan, measured)
             base_w = np.where(broken, 0.0, base_w)
             slopes = {name: np.where(broken, 0.0, values) for name, values in slopes.items()}
-        return RunData(
-            run.name,
-            run.time_s,
-            run.dt_s,
-            measured,
-            base_w,
-            slopes,
-            columns,
-            watched(run, set(self.names), self.texts),
-            run.fresh,
-        )
+        watched = _watched(driven, self.names, self.texts)
+        fresh = run.fresh.get(self.battery)
+        return RunData(run.run, run.time_s, run.dt_s, measured, base_w, slopes, columns, watched, fresh)
 
 
-def prepare(model: PowerModel, logs: Sequence[Any], battery: str) -> Prepared:
+def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
     """Covariates, base power and gradient of every run that measures a battery.
-
-    Parameters
-    ----------
-    model : PowerModel
-    logs : sequence of LogTable
-    battery : str
 
     Raises
     ------
     missionsim.errors.InputError
-        Where the base model needs a column that the logs lack, or no log measures the battery.
+        Where no log measures the battery, or the base model needs a column that a log lacks and that has no plain
+        meaning (see `missionsim.runs.drive.assume`).
     """
     tables = [log for log in logs if battery in log.power_w]
     if not tables:
         raise InputError.single(f"no log measures the battery '{battery}'", allowed=f"power_{battery}_w")
     remarks: list[str] = []
-    runs = [run_covariates(model, log, battery, remarks) for log in tables]
-    names = shared_names(runs, remarks)
-    lacking = model.missing(dict.fromkeys(names, 0.0), battery)
-    if lacking:
-        needed = sorted({name for columns in lacking.values() for name in columns})
-        raise InputError.single(
-            f"the model of battery '{battery}' needs columns that the logs lack",
-            got=", ".join(sorted(set.intersection(*(set(log.columns) for log in tables)))),
-            allowed=", ".join(needed),
-        )
+    told: dict[str, list[str]] = {}
+    runs = []
+    for log in tables:
+        columns = filled(log, model.batteries, remarks)
+        plan = assume(model, columns, [battery], source=log.source or log.run)
+        for note in plan.notes:
+            told.setdefault(note, []).append(log.run)
+        runs += drive_blocks(plan, [log])
+    remarks += [note if len(of) == len(tables) else f"{_named(of)}: {note}" for note, of in told.items()]
     parameters = {
         term.name_of(name): parameter for term in model.of(battery) for name, parameter in term.parameters.items()
     }
+    gradients = [run.gradient(battery) for run in runs]
+    # a term that one run cannot drive has no power there
+    every = dict.fromkeys(name for slopes in gradients for name in slopes)
+    gradients = [
+        {name: slopes.get(name, np.zeros(len(run.time_s))) for name in every}
+        for run, slopes in zip(runs, gradients, strict=True)
+    ]
+    names = _shared_names(runs, remarks)
     return Prepared(
         battery,
         tuple(runs),
         frozenset(names),
-        texts(runs, names),
-        tuple(_base(model, run, battery) for run in runs),
-        tuple(gradient(model, run.cov, battery) for run in runs),
+        _texts(runs, names),
+        tuple(np.ascontiguousarray(run.row_w(battery)) for run in runs),
+        tuple(gradients),
         parameters,
         remarks,
     )
 
 
-def _base(model: PowerModel, run: Run, battery: str) -> Array:
-    total = np.asarray(model.total(run.cov, battery), dtype=float)
-    return np.ascontiguousarray(np.broadcast_to(total, run.time_s.shape))
+def _named(runs: Sequence[str]) -> str:
+    return ", ".join(runs[:3]) + (" …" if len(runs) > 3 else "")
+
+
+def _shared_names(runs: Sequence[Driven], remarks: list[str]) -> set[str]:
+    """Covariates that every run has, logged and not assumed; a missing ``on_…`` counts as switched off."""
+    known = [set(run.covariates) - run.assumed for run in runs]
+    every = set.union(*known)
+    found = set.intersection(*known)
+    for name in sorted(every - found):
+        lacking = [run for run, own in zip(runs, known, strict=True) if name not in own]
+        if is_switch(name):
+            for run in lacking:
+                assert isinstance(run.covariates, dict)
+                run.covariates.setdefault(name, np.zeros(len(run.time_s)))
+                run.covariates.setdefault(clock_of(name), np.zeros(len(run.time_s)))
+            found |= {name, clock_of(name)}
+            remarks.append(
+                f"{name} is not logged in {_named([r.run.run for r in lacking])}: counted as switched off there"
+            )
+        elif may_be_cause(name):
+            remarks.append(
+                f"{name} is not logged in {_named([r.run.run for r in lacking])}: effects that need it are not tested"
+            )
+    return found
+
+
+def _texts(runs: Sequence[Driven], names: set[str]) -> dict[str, tuple[str, ...]]:
+    """The distinct texts of each text column over all runs, in order of the alphabet."""
+    found: dict[str, tuple[str, ...]] = {}
+    for name in sorted(names):
+        values = [run.covariates[name] for run in runs]
+        if all(isinstance(value, Labels) for value in values):
+            used = {value.names[int(code)] for value in values for code in np.unique(value.codes) if code >= 0}
+            found[name] = tuple(sorted(used))
+    return found
+
+
+def _watched(run: Driven, names: frozenset[str], known: Mapping[str, tuple[str, ...]]) -> dict[str, Array]:
+    """Covariates that the remaining error may depend on; text columns as their number in `known`."""
+    found: dict[str, Array] = {}
+    for name in sorted(names):
+        if not may_be_cause(name):
+            continue
+        value = run.covariates[name]
+        if isinstance(value, Labels):
+            order = {text: i for i, text in enumerate(known[name])}
+            if 1 < len(order) <= MOST_TEXTS:
+                codes = np.array([*(order.get(text, -1) for text in value.names), -1])
+                found[name] = codes[value.codes].astype(float)
+        elif np.shape(value) == run.time_s.shape:
+            found[name] = np.asarray(value, dtype=float)
+    return found

@@ -1,0 +1,370 @@
+"""A run drives the power model: modelled beside measured power, row by row, whatever is missing assumed and said.
+
+This is the only way to drive a model with a run, for compare, fits and the diagnosis alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.covariates import is_moving
+from missionsim.effects.derive import SMOOTHING_S, acceleration, derive
+from missionsim.effects.model import PowerModel, TermKey
+from missionsim.errors import InputError
+from missionsim.labels import Labels
+from missionsim.runs.covariates import ASSUMED, clock_of, is_switch
+from missionsim.runs.run import Run
+
+Array = NDArray[np.float64]
+MOST_MISSING = 0.2
+"""Part of a column's rows that may be missing and are filled from their neighbours."""
+_STEP = 1e-4
+_DERIVED = ("mass_kg", "moving_time_s", "starts", "starts_per_s", "time_s")
+
+
+@dataclass(frozen=True)
+class Assumed:
+    """What of a model a run with certain columns can drive, and what is assumed for it.
+
+    Attributes
+    ----------
+    model : PowerModel
+        The terms that can be evaluated.
+    batteries : tuple of str
+        Measured and modelled.
+    assumed : mapping of str to float
+        Columns filled in.
+    notes : tuple of str
+        What was assumed, left out or skipped, in words.
+    """
+
+    model: PowerModel
+    batteries: tuple[str, ...]
+    assumed: Mapping[str, float]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A run, or a block of one, with modelled power.
+
+    Attributes
+    ----------
+    run : Run
+    time_s : ndarray, shape (n,)
+        Time since the start of the run.
+    model : PowerModel
+        The terms that could be evaluated.
+    covariates : mapping
+        Columns of the run, what follows from them, and the robot's constants.
+    measured_w, model_w : mapping of battery to ndarray, shape (n,)
+        Where the meter is slower than the rows, the model is averaged over each reading, which then counts once.
+    terms : mapping of battery to mapping of TermKey to ndarray or float
+        Modelled power by term, at the rate of the rows.
+    assumed : frozenset of str
+        Covariates that were filled in, not logged.
+    """
+
+    run: Run
+    time_s: NDArray[np.float64]
+    model: PowerModel
+    covariates: Mapping[str, Any]
+    measured_w: Mapping[str, NDArray[np.float64]]
+    model_w: Mapping[str, NDArray[np.float64]]
+    terms: Mapping[str, Mapping[TermKey, Any]]
+    assumed: frozenset[str] = frozenset()
+
+    @property
+    def dt_s(self) -> Array:
+        """Time that each row stands for [s], shape (n,)."""
+        return self.run.dt_s
+
+    def row_w(self, battery: str) -> Array:
+        """Modelled power of each row, not averaged over readings of the meter [W], shape (n,)."""
+        total = sum(self.terms[battery].values(), start=np.zeros(len(self.time_s)))
+        return np.asarray(total, dtype=float)
+
+    def loads(self, battery: str) -> dict[str, Array]:
+        """``drive_w`` and ``load_w``, which some effects read: power of the drive, and of everything [W]."""
+        drive = {term.key for term in self.model.of(battery) if term.effect.drive}
+        rows = np.zeros(len(self.time_s))
+        own = (power for key, power in self.terms[battery].items() if key in drive)
+        return {"drive_w": sum(own, start=rows), "load_w": self.row_w(battery)}
+
+    def gradient(self, battery: str) -> dict[str, Array]:
+        """``∂P/∂ln θ`` of each parameter of the terms that were evaluated; see `gradient`."""
+        return gradient(self.model, self.covariates, battery)
+
+
+def assume(model: PowerModel, columns: Iterable[str], measured: Iterable[str], *, source: str = "") -> Assumed:
+    """Decide what a run can drive: fill what has a plain meaning, leave out or skip the rest, and say so.
+
+    Parameters
+    ----------
+    model : PowerModel
+    columns : iterable of str
+        Columns of the run.
+    measured : iterable of str
+        Batteries that are wanted; those whose power was measured.
+    source : str
+        Name of the log for the message.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where no battery is both measured and modelled.
+    """
+    have = {*columns, *_DERIVED}
+    if "speed_m_s" in have:
+        have.add("accel_m_s2")
+    have |= {clock_of(name) for name in have if is_switch(name)}
+    notes: list[str] = []
+    assumed: dict[str, float] = {}
+    kept = model.terms
+    batteries: list[str] = []
+    reasons: list[str] = []
+    measured = list(measured)
+    for battery in measured:
+        if battery not in model.batteries:
+            reasons.append(f"battery '{battery}' was measured but the robot has none of that name")
+            continue
+        own_assumed: dict[str, float] = {}
+        skip = ""
+        for term in model.of(battery):
+            lacking = [name for name in term.effect.needs if name not in have]
+            own_assumed |= {name: 0.0 for name in lacking if name in ASSUMED or is_switch(name)}
+            unknown = [name for name in lacking if name not in own_assumed and not _follows(name, own_assumed)]
+            if unknown and term.base:
+                skip = f"its {term.key.component} ({term.key.name}) needs the column {_listed(unknown)}"
+                break
+            if unknown:
+                kept = tuple(other for other in kept if other.key != term.key)
+                notes.append(f"{battery}: the effect {term.key.name} is left out: the log has no {_listed(unknown)}")
+        if skip:
+            reasons.append(f"battery '{battery}' is skipped: {skip}, which the log lacks")
+        else:
+            batteries.append(battery)
+            assumed |= own_assumed
+    if not batteries:
+        raise InputError.single(
+            "the log cannot drive the model: " + ("; ".join(reasons) or "no power was measured"),
+            file=source,
+            got=", ".join(measured),
+            allowed=", ".join(model.batteries),
+        )
+    # a term whose only numbers are zero (acceleration in a model without it) costs time and says nothing
+    kept = tuple(term for term in kept if any(p.value != 0.0 for p in term.parameters.values()) or not term.parameters)
+    used = {name for battery in batteries for term in model.of(battery) for name in (term.effect.covariate,)}
+    for name in sorted(name for name in used if name.startswith("on_") and name not in have):
+        notes.append(f"no column {name}: {name[3:]} counts as switched off")
+    notes += [f"no column {name}: {ASSUMED[name]}" for name in assumed if name in ASSUMED]
+    clocks = {clock_of(name): 0.0 for name in assumed if is_switch(name)}
+    return Assumed(replace(model, terms=kept), tuple(batteries), {**assumed, **clocks}, (*reasons, *notes))
+
+
+def drive(model: PowerModel, run: Run, battery: str) -> Driven:
+    """Drive one battery's model with a whole run; `assume` and `drive_blocks` for runs that come in blocks.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where the base model of the battery needs a column that the run lacks and that has no plain meaning.
+    """
+    (driven,) = drive_blocks(
+        assume(model, filled(run, model.batteries), [battery], source=run.source or run.run), [run]
+    )
+    return driven
+
+
+def drive_blocks(plan: Assumed, blocks: Iterable[Run]) -> Iterator[Driven]:
+    """Drive a model with a run in consecutive blocks, the memory of the model carried from block to block."""
+    carry = _Carry(plan)
+    for block, before, after in _with_neighbours(blocks):
+        yield _driven(plan, block, carry.derive(block, before, after))
+
+
+def _driven(plan: Assumed, block: Run, cov: dict[str, Any]) -> Driven:
+    measured, modelled, terms = {}, {}, {}
+    cov = plan.model.complete(cov)
+    for battery in plan.batteries:
+        parts = plan.model.evaluate(cov, battery=battery)[battery]
+        total = np.broadcast_to(np.asarray(sum(parts.values(), start=0.0), dtype=float), block.time_s.shape)
+        modelled[battery], terms[battery] = total, parts
+        if battery not in block.power_w:
+            continue
+        measured[battery] = block.power_w[battery]
+        fresh = block.fresh.get(battery)
+        if fresh is not None:
+            measured[battery], modelled[battery] = _per_reading(block.power_w[battery], total, block.dt_s, fresh)
+    filled = frozenset(plan.assumed) - set(block.columns)
+    return Driven(block, cov["time_s"], plan.model, cov, measured, modelled, terms, filled)
+
+
+def _per_reading(
+    measured_w: NDArray[np.float64], model_w: NDArray[np.float64], dt_s: NDArray[np.float64], fresh: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Measured and modelled power where the meter is slower than the rows, each of shape (n,).
+
+    A value that appears in a row was measured over the time since the one before, so it belongs to the rows since
+    then; the model is averaged over them. Rows after the last reading keep it.
+    """
+    readings = np.flatnonzero(fresh)
+    reading: NDArray[np.int64] = np.cumsum(fresh) - fresh.astype(np.int64)
+    last = np.append(readings, len(fresh) - 1)[reading]
+    seconds = np.bincount(reading, dt_s)
+    joules = np.bincount(reading, model_w * dt_s)
+    return measured_w[last], np.asarray((joules / np.maximum(seconds, 1e-12))[reading])
+
+
+def filled(run: Run, batteries: Sequence[str], remarks: list[str] | None = None) -> dict[str, Any]:
+    """Covariates of a run without gaps: filled from their neighbours, left out where more than `MOST_MISSING` is gone.
+
+    Both are said in `remarks`.
+    """
+    found: dict[str, Any] = {}
+    for name, values in run.covariates(batteries).items():
+        known = None if isinstance(values, Labels) else np.isfinite(values)
+        if known is None or known.all():
+            found[name] = values
+            continue
+        missing = 1.0 - float(known.mean())
+        if missing > MOST_MISSING:
+            told = f"column {name} is empty in {missing:.0%} of the rows and is left out"
+        else:
+            found[name] = np.interp(run.time_s, run.time_s[known], values[known])
+            told = f"{int((~known).sum())} missing values of {name} filled from their neighbours"
+        if remarks is not None:
+            remarks.append(f"{run.run}: {told}")
+    return found
+
+
+class _Carry:
+    """What a block must know of the rows before it: clocks, whether the robot moved, the start of the run."""
+
+    def __init__(self, plan: Assumed) -> None:
+        self._plan = plan
+        self._start_s: float | None = None
+        self._clocks: dict[str, float] = {}
+        self._on: dict[str, bool] = {}
+        self._moving = True
+
+    def derive(self, block: Run, before: Run | None, after: Run | None) -> dict[str, Any]:
+        """Covariates of `block`; its neighbours only serve to smooth the speed across the seams."""
+        if self._start_s is None:
+            self._start_s = float(block.time_s[0])
+        columns = filled(block, self._plan.model.batteries)
+        if "speed_m_s" in columns and "accel_m_s2" not in columns:
+            columns["accel_m_s2"] = _acceleration(block, before, after)
+        for name, value in self._plan.assumed.items():
+            columns.setdefault(name, np.full(block.time_s.shape, value))
+        if "speed_m_s" in columns:
+            # asked for by every term of the drive
+            columns.setdefault("moving", np.asarray(is_moving(columns)))
+        cov = derive(columns, block.time_s, block.dt_s)
+        cov["time_s"] = block.time_s - self._start_s
+        if "moving_time_s" in cov:
+            moving = (_moves(cov, 0), _moves(cov, -1))
+            cov["moving_time_s"] = cov["moving_time_s"] + self._clocks.get("moving_time_s", 0.0)
+            rest = 0.5 * float(block.dt_s[-1]) if moving[1] else 0.0
+            self._clocks["moving_time_s"] = float(cov["moving_time_s"][-1]) + rest
+            if moving[0] and not self._moving:
+                cov["starts"][0] = 1.0
+                cov["starts_per_s"][0] = 1.0 / max(float(block.dt_s[0]), 1e-9)
+            self._moving = moving[1]
+        for name in [name for name in block.columns if is_switch(name)]:
+            self._carry_component(name, cov, block)
+        return cov
+
+    def _carry_component(self, name: str, cov: dict[str, Any], block: Run) -> None:
+        clock = clock_of(name)
+        on = np.asarray(block.columns[name]) > 0.0
+        if clock in block.columns or clock not in cov:
+            return
+        if on[0] and self._on.get(name, False):
+            stretch = int(np.argmin(on)) if not on.all() else len(on)
+            cov[clock][:stretch] += self._clocks[clock]
+        self._on[name] = bool(on[-1])
+        self._clocks[clock] = float(cov[clock][-1] + 0.5 * block.dt_s[-1]) if on[-1] else 0.0
+
+
+def _moves(cov: Mapping[str, Any], row: int) -> bool:
+    """Whether the robot moves in one row."""
+    motion = ("moving", "speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s")
+    return bool(is_moving({name: np.asarray(cov[name])[row] for name in motion if name in cov}))
+
+
+def _acceleration(block: Run, before: Run | None, after: Run | None) -> NDArray[np.float64]:
+    rows = 2 * max(2, int(SMOOTHING_S / max(float(np.median(block.dt_s)), 1e-6)) + 1)
+    tables = [(before, slice(-rows, None)), (block, slice(None)), (after, slice(0, rows))]
+    parts = [(table.time_s[cut], table.columns["speed_m_s"][cut]) for table, cut in tables if table is not None]
+    time_s = np.concatenate([part[0] for part in parts])
+    speed_m_s = np.concatenate([np.asarray(part[1], dtype=float) for part in parts])
+    skipped = 0 if before is None else len(before.time_s[-rows:])
+    return acceleration(speed_m_s, time_s)[skipped : skipped + len(block.time_s)]
+
+
+def _with_neighbours(blocks: Iterable[Run]) -> Iterator[tuple[Run, Run | None, Run | None]]:
+    previous: Run | None = None
+    current: Run | None = None
+    for block in blocks:
+        if len(block.time_s) == 0:
+            continue
+        if current is not None:
+            yield current, previous, block
+            previous = current
+        current = block
+    if current is not None:
+        yield current, previous, None
+
+
+def _follows(name: str, assumed: Mapping[str, float]) -> bool:
+    """Whether a clock follows from a component that counts as off."""
+    return name.startswith("on_time_") and f"on_{name[8:-2]}" in assumed
+
+
+def _listed(names: list[str]) -> str:
+    return " and ".join(names)
+
+
+def gradient(model: PowerModel, cov: Mapping[str, Any], battery: str) -> dict[str, Array]:
+    """``∂P/∂ln θ`` of every parameter of a battery [W], arrays of shape (n,).
+
+    Where no term reads the power of others only the parameter's own term is evaluated, by central differences of 1e-4,
+    exact for parameters in which it is linear or quadratic. Parameters that are zero have no logarithm and are left
+    out, and so are those without any influence.
+
+    Parameters
+    ----------
+    model : PowerModel
+    cov : mapping
+        Covariates of one run, complete.
+    battery : str
+    """
+    rows = len(cov["time_s"])
+    coupled = any(
+        (term.effect.recovers or term.effect.of_load) and any(p.value != 0.0 for p in term.parameters.values())
+        for term in model.of(battery)
+    )
+    whole = model.gradient(cov, battery, base_only=False) if coupled else {}
+    found: dict[str, Array] = {
+        name: np.ascontiguousarray(np.broadcast_to(np.asarray(values, dtype=float), (rows,)))
+        for name, values in whole.items()
+    }
+    for term in () if coupled else model.of(battery):
+        nominal = {name: parameter.value for name, parameter in term.parameters.items()}
+        for name, value in nominal.items():
+            if value == 0.0:
+                continue
+            up, down = (
+                np.asarray(term.effect.power(cov, {**nominal, name: value * (1.0 + sign * _STEP)}), dtype=float)
+                for sign in (1.0, -1.0)
+            )
+            slope = np.broadcast_to(term.scale * (up - down) / (2.0 * _STEP), (rows,))
+            short = term.name_of(name)
+            found[short] = np.ascontiguousarray(found[short] + slope if short in found else slope)
+    return found

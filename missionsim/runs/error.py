@@ -1,0 +1,215 @@
+"""Every error that is printed: energy, power, statistics over progress.
+
+One definition for all commands: clocks as logged, rows as logged, each weighing the time that it stands for; where the
+meter is slower than the rows, the model is averaged over each of its readings (`missionsim.runs.drive.drive`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.model import PowerModel
+from missionsim.runs.drive import drive
+from missionsim.runs.run import Run
+
+FIRST_PROGRESS = 0.01
+"""Progress at which the error curve begins: before it a few joules stand above and below the fraction bar."""
+PROGRESS_POINTS = 397
+
+
+@dataclass(frozen=True)
+class RunError:
+    """Model against meter over one run.
+
+    Attributes
+    ----------
+    run : str
+    seconds, measured_j, model_j, square_w2s : float
+        Time, measured and modelled energy, integral of the squared power error.
+    """
+
+    run: str
+    seconds: float
+    measured_j: float
+    model_j: float
+    square_w2s: float
+
+    @classmethod
+    def of(
+        cls, run: str, measured_w: NDArray[np.float64], model_w: NDArray[np.float64], dt_s: NDArray[np.float64]
+    ) -> RunError:
+        """The error of rows, arrays of shape (n,)."""
+        gap = (measured_w - model_w) * dt_s
+        square = float(((measured_w - model_w) * gap).sum())
+        measured = float(np.einsum("i,i->", measured_w, dt_s))
+        return cls(run, float(dt_s.sum()), measured, measured - float(gap.sum()), square)
+
+    def __add__(self, other: RunError) -> RunError:
+        return replace(
+            self,
+            seconds=self.seconds + other.seconds,
+            measured_j=self.measured_j + other.measured_j,
+            model_j=self.model_j + other.model_j,
+            square_w2s=self.square_w2s + other.square_w2s,
+        )
+
+    @property
+    def energy_error_pct(self) -> float:
+        """``100 (model − measured) / measured`` [%]."""
+        return relative_error_pct(self.model_j, self.measured_j)
+
+    @property
+    def power_rmse_w(self) -> float:
+        """Root mean square of the power error, weighted by time [W]."""
+        return math.sqrt(max(self.square_w2s, 0.0) / self.seconds)
+
+    @property
+    def power_bias_w(self) -> float:
+        """Mean of model minus measured power [W]."""
+        return (self.model_j - self.measured_j) / self.seconds
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Model against meter over several runs."""
+
+    runs: tuple[RunError, ...]
+
+    @property
+    def total(self) -> RunError:
+        """All runs as one."""
+        first, *rest = self.runs
+        return sum(rest, start=replace(first, run=""))
+
+    @property
+    def energy_error_pct(self) -> float:
+        """``100 (model − measured) / measured`` over all runs [%]; errors of opposite sign cancel out."""
+        return self.total.energy_error_pct
+
+    @property
+    def run_energy_error_pct(self) -> float:
+        """Mean over runs of the magnitude of each run's energy error [%]."""
+        return float(np.mean([abs(run.energy_error_pct) for run in self.runs]))
+
+    @property
+    def power_rmse_w(self) -> float:
+        """Root mean square of the power error over all rows, weighted by time [W]."""
+        return self.total.power_rmse_w
+
+    def to_json(self) -> dict[str, float]:
+        """The three numbers that are compared between models."""
+        return {
+            "energy_error_pct": self.energy_error_pct,
+            "run_energy_error_pct": self.run_energy_error_pct,
+            "power_rmse_w": self.power_rmse_w,
+        }
+
+
+def errors_of(model: PowerModel, runs: Iterable[Run], battery: str) -> Errors:
+    """Errors of a model on runs that measured a battery; what a run lacks is assumed as `missionsim.runs.drive` says.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where a run cannot drive the base model.
+    """
+    found = []
+    for run in runs:
+        driven = drive(model, run, battery)
+        found.append(RunError.of(run.run, driven.measured_w[battery], driven.model_w[battery], run.dt_s))
+    return Errors(tuple(found))
+
+
+@dataclass(frozen=True)
+class ErrorStatistics:
+    """Statistics of the magnitude of a relative error over progress, as robot papers print them [%].
+
+    Attributes
+    ----------
+    peak_pct, final_pct, mean_pct, std_pct : float
+        Largest, last, mean and standard deviation of ``|error|``.
+    relative_to : str
+        ``measured`` or ``predicted``.
+    """
+
+    peak_pct: float
+    final_pct: float
+    mean_pct: float
+    std_pct: float
+    relative_to: str = "measured"
+
+    def to_json(self) -> dict[str, float]:
+        """The four numbers."""
+        return {
+            "peak_pct": self.peak_pct,
+            "final_pct": self.final_pct,
+            "mean_pct": self.mean_pct,
+            "std_pct": self.std_pct,
+        }
+
+
+def progress_grid() -> NDArray[np.float64]:
+    """Equally spaced progress from `FIRST_PROGRESS` to 1, shape (`PROGRESS_POINTS`,)."""
+    return np.linspace(FIRST_PROGRESS, 1.0, PROGRESS_POINTS)
+
+
+def cumulative_at(
+    progress: NDArray[np.float64], energy: NDArray[np.float64], grid: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Cumulative energy at the progress values `grid`.
+
+    Parameters
+    ----------
+    progress : ndarray, shape (n,)
+        Progress at the *end* of each interval, from above 0 to 1, not decreasing.
+    energy : ndarray, shape (n,)
+        Energy of each interval, any unit.
+    grid : ndarray, shape (m,)
+
+    Returns
+    -------
+    ndarray, shape (m,)
+    """
+    total = np.interp(grid, np.concatenate([[0.0], progress]), np.concatenate([[0.0], np.cumsum(energy)]))
+    return np.asarray(total, dtype=np.float64)
+
+
+def error_curve(
+    measured: NDArray[np.float64], predicted: NDArray[np.float64], relative_to: str = "measured"
+) -> NDArray[np.float64]:
+    """Relative error ``100 (predicted − measured) / reference`` of two cumulative energies [%], shape (n,).
+
+    NaN where the reference is not positive.
+    """
+    reference = measured if relative_to == "measured" else predicted
+    positive = reference > 0.0
+    safe = np.where(positive, reference, 1.0)
+    return np.asarray(np.where(positive, 100.0 * (predicted - measured) / safe, np.nan))
+
+
+def error_statistics(curve: NDArray[np.float64], relative_to: str = "measured") -> ErrorStatistics:
+    """Peak, final, mean and standard deviation (of the population) of the magnitude of an error curve.
+
+    Parameters
+    ----------
+    curve : ndarray, shape (n,)
+        Signed error over equally spaced progress [%]; NaN are left out.
+
+    Notes
+    -----
+    Jaiem et al. 2021, section 3.4.2, print these four for an underestimate as positive numbers, hence the magnitude.
+    """
+    known = np.abs(curve[np.isfinite(curve)])
+    if known.size == 0:
+        return ErrorStatistics(float("nan"), float("nan"), float("nan"), float("nan"), relative_to)
+    return ErrorStatistics(float(known.max()), float(known[-1]), float(known.mean()), float(known.std()), relative_to)
+
+
+def relative_error_pct(model: float, measured: float) -> float:
+    """``100 (model − measured) / measured`` [%]; NaN where nothing was measured."""
+    return 100.0 * (model - measured) / measured if measured != 0.0 else float("nan")

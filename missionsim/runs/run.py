@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+_MEASURED = ("time_s", "power_<battery>_w", "current_<battery>_a", "energy_<battery>_wh")
 
 
 @dataclass(frozen=True)
@@ -112,9 +113,9 @@ class Run:
         """Energy that a battery delivered over the rows of the log [Wh]."""
         return float(self.power_w[battery] @ self.dt_s) / 3600.0
 
-    def covariates(self) -> dict[str, ColumnData]:
-        """Columns that a model may depend on: all but time and the batteries' power, current and energy."""
-        return {name: data for name, data in self.columns.items() if not _is_measurement(name)}
+    def covariates(self, batteries: Collection[str] | None = None) -> dict[str, ColumnData]:
+        """Columns that a model may depend on: all but time and the power, current and energy of its batteries."""
+        return {name: data for name, data in self.columns.items() if not _is_measurement(name, batteries)}
 
     def rows_where(self, keep: NDArray[np.bool_] | slice) -> Run:
         """The same run with only the chosen rows; each keeps the time that it stood for."""
@@ -136,14 +137,11 @@ class Run:
         )
 
 
-def _is_measurement(name: str) -> bool:
+def _is_measurement(name: str, batteries: Collection[str] | None) -> bool:
     found = column_of(name)
-    return found is not None and found[0].name in {
-        "time_s",
-        "power_<battery>_w",
-        "current_<battery>_a",
-        "energy_<battery>_wh",
-    }
+    if found is None or found[0].name not in _MEASURED:
+        return False
+    return name == "time_s" or batteries is None or found[1] in batteries
 
 
 def row_durations(time_s: Floats) -> Floats:

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from missionsim.compare import Comparison, compare, compare_files
 from missionsim.compare.behaviour import PARTS, split_behaviour
-from missionsim.compare.stages import Driven
 from missionsim.effects.timeline import Timeline
 from missionsim.labels import Labels
+from missionsim.runs.motion import Motion
 from tests.compare.worlds import drive, friction_model, log_of, true_power
 
 
@@ -180,17 +180,25 @@ def cruise_plan(speed: float = 0.5, seconds: float = 100.0, rest_s: float = 20.0
     )
 
 
+def done_(
+    distance_m: float, driving_s: float, turning_s: float = 0.0, standing_s: float = 0.0, energy_j: float = 0.0
+) -> Motion:
+    """Sums of a run at one speed."""
+    square = distance_m**2 / driving_s if driving_s > 0.0 else 0.0
+    return Motion(distance_m, driving_s, turning_s, standing_s, square, {"robot": energy_j})
+
+
 def steady(speed: float) -> float:
     return 6.25 * speed**2 + 9.79 * speed + 3.66
 
 
 def test_a_longer_way_is_path_stretch_alone() -> None:
     extra_m, plan = 10.0, cruise_plan()
-    done = {"a": Driven(50.5 + extra_m, 102.0 + extra_m / 0.5, 0.0, 20.0), "b": Driven(15.0, 50.0)}
+    done = {"a": done_(50.5 + extra_m, 102.0 + extra_m / 0.5, 0.0, 20.0), "b": done_(15.0, 50.0)}
     base = split_behaviour(
-        friction_model(), plan, {"a": Driven(50.5, 102.0, 0.0, 20.0), "b": Driven(15.0, 50.0)}, 1, ["robot"]
+        friction_model(), plan, [{"a": done_(50.5, 102.0, 0.0, 20.0), "b": done_(15.0, 50.0)}], ["robot"]
     )
-    found = split_behaviour(friction_model(), plan, done, 1, ["robot"])
+    found = split_behaviour(friction_model(), plan, [done], ["robot"])
     assert found[0].path_stretch == pytest.approx((50.5 + extra_m) / 50.5)
     assert found[0].wh["robot"]["path_stretch"] == pytest.approx(steady(0.5) * extra_m / 0.5 / 3600, rel=1e-9)
     assert base[0].wh["robot"]["path_stretch"] == pytest.approx(0.0, abs=1e-12)
@@ -198,7 +206,7 @@ def test_a_longer_way_is_path_stretch_alone() -> None:
 
 
 def test_a_slower_robot_is_speed_tracking() -> None:
-    found = split_behaviour(friction_model(), cruise_plan(), {"b": Driven(15.0, 60.0)}, 1, ["robot"])
+    found = split_behaviour(friction_model(), cruise_plan(), [{"b": done_(15.0, 60.0)}], ["robot"])
     scheme = next(one for one in found if one.scheme == "b")
     assert scheme.speed_tracking == pytest.approx(50.0 / 60.0)
     expected = steady(0.25) * 60.0 - steady(0.3) * 50.0
@@ -207,8 +215,8 @@ def test_a_slower_robot_is_speed_tracking() -> None:
 
 
 def test_waiting_is_dwell_also_where_no_rest_was_planned() -> None:
-    done = {"a": Driven(50.5, 102.0, 0.0, 50.0), "b": Driven(15.0, 50.0, 0.0, 12.0)}
-    found = split_behaviour(friction_model(), cruise_plan(), done, 1, ["robot"])
+    done = {"a": done_(50.5, 102.0, 0.0, 50.0), "b": done_(15.0, 50.0, 0.0, 12.0)}
+    found = split_behaviour(friction_model(), cruise_plan(), [done], ["robot"])
     assert [one.dwell_s for one in found] == [30.0, 12.0]
     assert found[0].wh["robot"]["dwell"] == pytest.approx(30.0 * 2.67 / 3600, rel=1e-9)
     assert found[1].wh["robot"]["dwell"] == pytest.approx(12.0 * 2.67 / 3600, rel=1e-9)
@@ -225,11 +233,11 @@ def test_waiting_is_dwell_also_where_no_rest_was_planned() -> None:
 @settings(max_examples=60, deadline=None)
 def test_parts_always_add_up_exactly(driven: dict[str, tuple[float, ...]], runs: int) -> None:
     done = {
-        name: Driven(speed * driving, driving, turning, standing, {"robot": energy})
+        name: done_(speed * driving, driving, turning, standing, energy)
         for name, (speed, driving, turning, standing, energy) in driven.items()
     }
     plan = cruise_plan()
-    schemes = split_behaviour(friction_model(), plan, done, runs, ["robot"])
+    schemes = split_behaviour(friction_model(), plan, [done, *[{}] * (runs - 1)], ["robot"])
     simulated = steady(0.3) * 50.0 + steady(0.5) * 100.0 + 20.0 * 2.67
     # both ramps: the mean of v² is a third of its end value, that of v a half
     simulated += 2.0 * (6.25 * 0.25 / 3.0 + 9.79 * 0.25 + 3.66)

@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from missionsim.compare.statistics import (
-    cumulative_at,
-    error_curve,
-    error_statistics,
-    progress_grid,
-    relative_error_pct,
-)
+from missionsim.runs.error import cumulative_at, error_curve, error_statistics, progress_grid, relative_error_pct
 
 
 def test_statistics_of_a_curve_worked_out_by_hand() -> None:

@@ -58,14 +58,13 @@ def log(seed: int, *, stretch: float = 1.0, tracking: float = 1.0, dwell_s: floa
     return LogTable(f"run_{seed}", columns, np.ones(count), {"robot": power}, {"robot": None}, {"robot": "power"})
 
 
-def found(plan: Timeline, logs: list[LogTable], segments: tuple[str, ...] = ()) -> dict[str, ExecutionEffect]:
-    effects = execution_effects(plan, logs, "robot", 0.01, segments)
+def found(plan: Timeline, logs: list[LogTable]) -> dict[str, ExecutionEffect]:
+    effects = execution_effects(plan, logs, "robot", 0.01)
     return {one.effect: one for one in effects if one.found}
 
 
-@pytest.mark.parametrize("segments", [(), ("out", "pause", "back")])
-def test_driven_as_planned_names_nothing(plan: Timeline, segments: tuple[str, ...]) -> None:
-    assert found(plan, [log(seed) for seed in range(6)], segments) == {}
+def test_driven_as_planned_names_nothing(plan: Timeline) -> None:
+    assert found(plan, [log(seed) for seed in range(6)]) == {}
 
 
 @pytest.mark.parametrize(
@@ -79,7 +78,7 @@ def test_driven_as_planned_names_nothing(plan: Timeline, segments: tuple[str, ..
 def test_each_effect_is_named_alone_with_its_size(
     plan: Timeline, more: dict[str, float], effect: str, value: float
 ) -> None:
-    named = found(plan, [log(seed, **more) for seed in range(6)], ("out", "pause", "back"))
+    named = found(plan, [log(seed, **more) for seed in range(6)])
     assert set(named) == {effect}
     one = named[effect]
     assert one.low < one.value < one.high

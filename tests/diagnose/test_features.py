@@ -130,7 +130,7 @@ def test_a_switch_that_some_runs_do_not_log_counts_as_off(model: PowerModel) -> 
 def test_a_battery_that_needs_more_columns_is_a_fault_of_the_input(model: PowerModel) -> None:
     log = drive(13)
     log = replace(log, power_w={"laptop": log.power_w["robot"]}, fresh={"laptop": None})
-    with pytest.raises(InputError, match="needs columns that the logs lack"):
+    with pytest.raises(InputError, match="needs the column scheme, which the log lacks"):
         make_features(model, [log], "laptop")
     with pytest.raises(InputError, match="no log measures the battery 'robot'"):
         make_features(model, [log], "robot")

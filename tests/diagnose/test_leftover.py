@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from missionsim.compare.accumulate import MOTIONS
 from missionsim.diagnose import Diagnosis, Subject, diagnose, words
 from missionsim.diagnose.leftover import Leftover, standing_out
 from missionsim.inputs.loading import load_robot
 from missionsim.logs import LogTable
 from missionsim.report.diagnosis_page import diagnosis_page
+from missionsim.runs.motion import MOTIONS
 
 from .logs import drive
 
