@@ -103,7 +103,8 @@ def _motions(log: Run, battery: str, still: Still, *, by_scheme: bool) -> dict[s
     power = np.nan_to_num(log.power_w[battery])
     speed = speed_of(log.columns)
     driving = speed >= still[0]
-    turning = np.abs(log.columns.get("yaw_rate_rad_s", np.zeros(log.rows))) >= still[1]
+    turn = np.abs(log.number("yaw_rate_rad_s")) if "yaw_rate_rad_s" in log.columns else np.zeros(log.rows)
+    turning = turn >= still[1]
     parts = {
         "all": power,
         "driving": np.where(driving, power, 0.0),

@@ -103,7 +103,7 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
         raise InputError.single(f"no log measures the battery '{battery}'", allowed=f"power_{battery}_w")
     remarks: list[str] = []
     told: dict[str, list[str]] = {}
-    runs = []
+    runs: list[Driven] = []
     for log in tables:
         columns = filled(log, model.batteries, remarks)
         plan = assume(model, columns, [battery], source=log.source or log.run)

@@ -236,7 +236,7 @@ def filled(run: Run, batteries: Sequence[str], remarks: list[str] | None = None)
         if missing > MOST_MISSING:
             told = f"column {name} is empty in {missing:.0%} of the rows and is left out"
         else:
-            found[name] = np.interp(run.time_s, run.time_s[known], values[known])
+            found[name] = np.interp(run.time_s, run.time_s[known], run.number(name)[known])
             told = f"{int((~known).sum())} missing values of {name} filled from their neighbours"
         if remarks is not None:
             remarks.append(f"{run.run}: {told}")

@@ -70,7 +70,7 @@ class Motion:
 def speed_of(cov: Mapping[str, Any]) -> Array:
     """Speed over the ground, sideways motion included [m/s]."""
     ahead = np.abs(np.asarray(cov["speed_m_s"], dtype=float))
-    return np.hypot(ahead, cov["lateral_speed_m_s"]) if "lateral_speed_m_s" in cov else ahead
+    return np.asarray(np.hypot(ahead, cov["lateral_speed_m_s"])) if "lateral_speed_m_s" in cov else ahead
 
 
 def middle_of(line: Timeline) -> dict[str, Any]:
