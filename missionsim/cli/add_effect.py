@@ -66,7 +66,7 @@ def add_effect(
     from missionsim.diagnose.adopt import NotSignificant, adopt
     from missionsim.diagnose.split import choose_split
     from missionsim.files import write_text
-    from missionsim.identify.data import Settings
+    from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import for_folder, robot_text
     from missionsim.inputs.loading import load_robot
     from missionsim.logs import read_logs
@@ -94,9 +94,7 @@ def add_effect(
         print(f"{error}\n    nothing was written; --force writes it all the same", file=sys.stderr)
         return 1
     write_text(out, for_folder(made.text, out.parent))
-    parameters = {
-        p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit} for p in made.effect.parameters
-    }
+    parameters = {name: estimate.to_json() for name, estimate in made.effect.parameters.items()}
     emit_json(
         {
             "schema": "missionsim.add_effect/1",
@@ -123,8 +121,8 @@ def add_effect(
     if shows_text(json, quiet):
         terminal = console()
         told = ", ".join(
-            f"{p.name} = {p.value:.4g}{'' if p.unit in ('', '1') else ' ' + p.unit} (95 % {p.low:.4g} to {p.high:.4g})"
-            for p in made.effect.parameters
+            f"{name} = {p.value:.4g}{'' if p.unit in ('', '1') else ' ' + p.unit} (95 % {p.low:.4g} to {p.high:.4g})"
+            for name, p in made.effect.parameters.items()
         )
         terminal.print(
             f"{effect} on battery {chosen}: {100 * made.effect.energy_share:.1f} % of the energy; {told}; "

@@ -11,7 +11,7 @@ from missionsim.cli.common import check_search, console, emit_json, shows_text
 from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
 
 if TYPE_CHECKING:
-    from missionsim.diagnose.findings import Diagnosis
+    from missionsim.identify.findings import Diagnosis
 
 RobotOption = Annotated[str, Parameter(name="--robot")]
 HoldoutOption = Annotated[list[str] | None, Parameter(name="--holdout")]

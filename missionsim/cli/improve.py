@@ -13,8 +13,8 @@ from missionsim.cli.diagnose import HoldoutOption, ReportOption, RobotOption
 from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
 
 if TYPE_CHECKING:
-    from missionsim.diagnose.findings import BatteryDiagnosis, Finding
     from missionsim.diagnose.improve import Improved
+    from missionsim.identify.findings import BatteryDiagnosis, Finding
 
 
 def improve(
@@ -63,7 +63,7 @@ def improve(
     from missionsim.diagnose.split import choose_split
     from missionsim.errors import InputError
     from missionsim.files import write_text
-    from missionsim.identify.data import Settings
+    from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import for_folder, robot_text
     from missionsim.inputs.loading import load_robot
     from missionsim.logs import read_logs

@@ -7,7 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 FALSE_ALARM_RATE = 0.002
-"""`missionsim.identify.data.ALPHA`, which would load NumPy here."""
+"""`missionsim.identify.settings.ALPHA`, which would load NumPy here."""
 JsonOption = Annotated[str | None, Parameter(name="--json", allow_leading_hyphen=True)]
 """Where to write the result as JSON: a file, or - for standard output."""
 QuietOption = Annotated[bool, Parameter(name="--quiet", negative="")]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from missionsim.diagnose.diagnosis import Subject, diagnose, diagnose_files
-    from missionsim.diagnose.findings import Diagnosis
+    from missionsim.identify.findings import Diagnosis
 
 __all__ = ["Diagnosis", "Subject", "diagnose", "diagnose_files"]
 
@@ -15,6 +15,7 @@ def __getattr__(name: str) -> Any:
     """Load the public names when they are asked for."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from missionsim.diagnose import diagnosis, findings
+    from missionsim.diagnose import diagnosis
+    from missionsim.identify import findings
 
     return getattr(findings if name == "Diagnosis" else diagnosis, name)

@@ -15,9 +15,9 @@ from missionsim.diagnose.priors import of_formula
 from missionsim.diagnose.split import Split
 from missionsim.errors import InputError, MissionsimError, did_you_mean
 from missionsim.fit.provenance import CALIBRATION, data_tag, log_hash
-from missionsim.identify.data import Settings
-from missionsim.identify.identify import fit_effects
-from missionsim.identify.result import FoundEffect, Identification
+from missionsim.identify.findings import Estimate, Finding
+from missionsim.identify.identification import Identification, fit_effects
+from missionsim.identify.settings import Settings
 
 if TYPE_CHECKING:
     from missionsim.effects.model import ModelParameter
@@ -39,7 +39,7 @@ class Adopted:
     ----------
     text : str
         The new file.
-    effect : FoundEffect
+    effect : Finding
         What was fitted.
     significant : bool
     reason : str
@@ -51,7 +51,7 @@ class Adopted:
     """
 
     text: str
-    effect: FoundEffect
+    effect: Finding
     significant: bool
     reason: str
     rivals: tuple[str, ...]
@@ -166,7 +166,7 @@ def _refuse(subject: Subject, robot: RobotSpec, effect: str, battery: str) -> No
         )
 
 
-def _fit(seen: Examined, effect: str, settings: Settings) -> tuple[FoundEffect, Identification]:
+def _fit(seen: Examined, effect: str, settings: Settings) -> tuple[Finding, Identification]:
     """The effect fitted beside whatever else the logs ask for."""
     inside = next((e for e in seen.found.effects if e.effect == effect), None)
     if inside is not None:
@@ -181,8 +181,8 @@ def _fit(seen: Examined, effect: str, settings: Settings) -> tuple[FoundEffect, 
 
 
 def _alone(
-    features: Features, found: FoundEffect, fitted: Identification, beside: Sequence[str], settings: Settings
-) -> tuple[FoundEffect, Identification]:
+    features: Features, found: Finding, fitted: Identification, beside: Sequence[str], settings: Settings
+) -> tuple[Finding, Identification]:
     """Effect, those beside it and base fitted to each other, without what else is missing: the file holds just these.
 
     A base that was fitted beside a second effect is wrong in a file that lacks it.
@@ -194,10 +194,16 @@ def _alone(
         return found, fitted
     again = fit_effects(features.runs, features.candidates, [*beside, found.effect], features.prior_sd, settings)
     own = next(e for e in again.effects if e.effect == found.effect)
-    turned = any(a.value * b.value < 0.0 for a, b in zip(own.parameters[:1], found.parameters[:1], strict=False))
+    turned = _first(own).value * _first(found).value < 0.0
     if not beside and (turned or len(own.parameters) != len(found.parameters)):
         return found, fitted
-    size = replace(found, parameters=own.parameters, energy_share=own.energy_share, energy_share_sd=own.energy_share_sd)
+    size = replace(
+        found,
+        parameters=own.parameters,
+        energy_share=own.energy_share,
+        share_low=own.share_low,
+        share_high=own.share_high,
+    )
     return size, again
 
 
@@ -219,9 +225,14 @@ def _supported(seen: Examined, fitted: Identification, effect: str) -> tuple[boo
     told = f"{effect} is not supported by these logs: {searched.reason}"
     if not right_sign:
         told += "; its coefficient comes out with the wrong sign"
-    if np.isfinite(limit) and effect not in seen.found.demoted:
+    if limit is not None and effect not in seen.found.demoted:
         told += f"; less than {100 * limit:.1f} % of the energy would not be seen"
     return False, told
+
+
+def _first(found: Finding) -> Estimate:
+    """The coefficient of an effect, or that of its first level."""
+    return next(iter(found.parameters.values()))
 
 
 def _base(features: Features, fitted: Identification) -> dict[str, tuple[float, float]]:
@@ -232,8 +243,8 @@ def _base(features: Features, fitted: Identification) -> dict[str, tuple[float, 
         value = parameter.value * (1.0 + shift.shift)
         if parameter.value > 0.0 and not of_formula(parameter):
             value = max(value, 0.0)  # what is drawn at rest or by a component may be unknown, not negative
-        if parameter.path and shift.sd < 0.95 * features.prior_sd.get(shift.parameter, np.inf):
-            base[shift.parameter] = (value, abs(parameter.value) * float(np.hypot(shift.sd, METER_ALLOWANCE)))
+        if parameter.path and shift.shift_sd < 0.95 * features.prior_sd.get(shift.parameter, np.inf):
+            base[shift.parameter] = (value, abs(parameter.value) * float(np.hypot(shift.shift_sd, METER_ALLOWANCE)))
     return base
 
 
@@ -253,7 +264,7 @@ def _with(
     text: str,
     robot: RobotSpec,
     features: Features,
-    found: FoundEffect,
+    found: Finding,
     split: Split,
     battery: str,
     base: Mapping[str, tuple[float, float]],
@@ -265,7 +276,7 @@ def _with(
     from missionsim.inputs.loading import robot_from_text
 
     candidate = next(c for c in features.candidates if c.effect == found.effect)
-    if candidate.prior is not None and any(p.value < 0.0 for p in found.parameters[:1]):
+    if candidate.prior is not None and _first(found).value < 0.0:
         # less of something than the file says: the base itself is smaller, there is no effect to add
         return edit.set_values(text, _lowered(features, candidate.prior, candidate.columns[0], found, base))
     for i, spec in reversed(list(enumerate(robot_from_text(text).effects))):
@@ -275,13 +286,13 @@ def _with(
 
 
 def _lowered(
-    features: Features, parameter: str, column: str, found: FoundEffect, base: Mapping[str, tuple[float, float]]
+    features: Features, parameter: str, column: str, found: Finding, base: Mapping[str, tuple[float, float]]
 ) -> dict[str, dict[str, Any]]:
     x = np.concatenate([run.gradient[parameter] for run in features.runs])
     y = np.concatenate([run.columns[column] for run in features.runs])
     old = features.parameters[parameter]
     value, sd = base.get(parameter, (old.value, abs(old.value) * features.prior_sd[parameter]))
-    value += old.value * float(x @ y) / float(x @ x) * found.parameters[0].value
+    value += old.value * float(x @ y) / float(x @ x) * _first(found).value
     return {old.path: _of_file(old, max(value, 0.0), sd)}
 
 
@@ -291,17 +302,17 @@ def _of_file(parameter: ModelParameter, value: float, sd: float) -> dict[str, An
 
 
 def _entry(
-    robot: RobotSpec, found: FoundEffect, split: Split, battery: str, significant: bool, rivals: Sequence[str]
+    robot: RobotSpec, found: Finding, split: Split, battery: str, significant: bool, rivals: Sequence[str]
 ) -> dict[str, Any]:
     parameters = {
-        p.name: {
+        name: {
             "value": p.value,
             "sd": max((p.high - p.low) / 3.92, 1e-9),
             "unit": p.unit,
             "status": "fitted",
             "source": CALIBRATION,
         }
-        for p in found.parameters
+        for name, p in found.parameters.items()
     }
     origin: dict[str, Any] = {
         "by": "missionsim add-effect",

@@ -9,35 +9,43 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.diagnose.adapter import confounding, effects_of, judged, noise_of, recalibrated
 from missionsim.diagnose.execution import ExecutionEffect, execution_effects, seen_once, told_of
 from missionsim.diagnose.experiments import Bench, propose, to_learn
-from missionsim.diagnose.factor import level_difference, without_factor
 from missionsim.diagnose.features import Features, at_size, make_features
-from missionsim.diagnose.findings import (
+from missionsim.diagnose.heldout import Tested, on_heldout, on_left_out
+from missionsim.diagnose.leftover import leftover
+from missionsim.diagnose.manoeuvres import site_of
+from missionsim.diagnose.priors import priors_of
+from missionsim.diagnose.split import Split, choose_split
+from missionsim.diagnose.waterfall import noted
+from missionsim.effects.base import Effect
+from missionsim.effects.model import PowerModel
+from missionsim.errors import InputError
+from missionsim.identify.align import Clock
+from missionsim.identify.findings import (
     BatteryDiagnosis,
     Diagnosis,
     Estimate,
     Experiment,
     Finding,
     HeldOut,
+    Recalibrated,
     RunSeries,
-    Unexplained,
     Where,
 )
-from missionsim.diagnose.heldout import Tested, on_heldout, on_left_out, prediction
-from missionsim.diagnose.leftover import leftover
-from missionsim.diagnose.manoeuvres import site_of
-from missionsim.diagnose.priors import priors_of
-from missionsim.diagnose.split import Split, choose_split
-from missionsim.effects.base import Effect
-from missionsim.effects.model import PowerModel
-from missionsim.errors import InputError
-from missionsim.identify.align import Clock
-from missionsim.identify.data import ALPHA, Settings
-from missionsim.identify.identify import identify
-from missionsim.identify.result import Identification
-from missionsim.identify.shape import at_shapes
+from missionsim.identify.identification import Identification, identify
+from missionsim.identify.model import prediction
+from missionsim.identify.profile import at_shapes
+from missionsim.identify.settings import (
+    ALPHA,
+    MOST_PASSES,
+    SAME_SIZE,
+    SHIFTED_MEAN_RATIO,
+    SHIFTED_RATIO,
+    SHIFTED_RUNS,
+    Settings,
+)
+from missionsim.identify.verdict import decide
 from missionsim.labels import Labels
 from missionsim.logs import describe
 
@@ -45,9 +53,6 @@ if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
     from missionsim.inputs.robot import RobotSpec
 
-MOST_PASSES = 3
-SAME_SIZE = 0.05
-"""A column is evaluated anew when the size found differs by more than this from the one that it was made for."""
 MOST_WHERE = 4
 WORTH_SAYING = 0.03
 
@@ -220,13 +225,11 @@ def diagnose(
 
 @dataclass(frozen=True)
 class Examined:
-    """Features of fitted and held-out runs, what the identification found in the fitted ones, and whether one factor on
-    the whole model took the place of the effects."""
+    """Features of fitted and held-out runs, and what the identification found in the fitted ones."""
 
     features: Features
     heldout: Features | None
     found: Identification
-    factor: bool = False
 
 
 def examine(subject: Subject, split: Split, battery: str, settings: Settings) -> Examined:
@@ -261,8 +264,7 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings) ->
             found = identify(features.runs, features.candidates, features.prior_sd, settings)
     except ValueError as error:
         raise InputError.single(f"battery '{battery}': {error}") from error
-    plain = without_factor(found, features.runs, features.prior_sd)
-    return Examined(features, tested, plain, plain is not found)
+    return Examined(features, tested, found)
 
 
 def _limited(found: Identification, features: Features) -> dict[str, float]:
@@ -315,21 +317,21 @@ def diagnose_battery(
             [e.effect for e in found.effects],
             clock,
         )
-    effects = effects_of(found, features, tested)
+    effects = tuple(_tested(effect, tested) for effect in found.effects)
     driven = _execution(split, battery, timeline, settings)
     execution = tuple(_as_finding(one) for one in driven if one.found)
-    verdict = found.verdict
-    if verdict == "nothing_missing" and execution:
-        verdict = "effects_found"
-    level = "" if seen.factor else level_difference(found, features.runs, features.prior_sd)
-    if level and verdict == "nothing_missing":
-        verdict = "unexplained_structure"  # the meter's offset of each run would take it up in silence
-    own, left = found.clock, found.unexplained
-    depends_on, shapes = tuple(left.depends_on), [level, left.shape]
-    over = None if seen.factor or level else leftover(found, features.covariates)
-    if over is not None and not set(over.depends_on) & set(depends_on):
-        depends_on, shapes = (*depends_on, *over.depends_on), [*shapes, over.told]
-        verdict = "unexplained_structure" if verdict == "nothing_missing" else verdict
+    left, averages = found.unexplained, found.averages
+    if found.factor is None and not averages:
+        over = leftover(found, features.covariates)
+        structure = None if over is None else over.structure(found.mean_power_w)
+        if structure is not None and structure.covariate not in left.depends_on:
+            averages = (structure,)
+            left = replace(
+                left,
+                depends_on=(*left.depends_on, *filter(None, (structure.covariate,))),
+                shape="; ".join(filter(None, (left.shape, structure.shape))),
+                structures=(*left.structures, structure),
+            )
     untestable = dict(features.untestable)
     if timeline is not None:
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
@@ -340,32 +342,56 @@ def diagnose_battery(
         *found.remarks,
         *seen_once(driven),
     ]
-    return BatteryDiagnosis(
-        battery,
-        verdict,
-        effects,
-        (*judged(found), *told_of(driven)),
-        recalibrated(found, features),
-        own.delay_s,
-        own.lag_s,
-        own.at_edge,
-        noise_of(found),
-        untestable,
-        Unexplained(left.share_of_residual, depends_on, "; ".join(text for text in shapes if text)),
-        _next(subject, seen, effects, settings),
-        None if tested is None else tested.summary,
-        _shifted(seen),
-        execution,
-        found.mean_power_w,
-        tuple(run.run for run in features.runs),
-        float(sum(np.sum(run.dt_s) for run in features.runs)),
-        tuple(dict.fromkeys(remarks)),
-        confounding(found),
-        _where(subject, split, battery),
-        _series(found, clock),
-        found.choice.model.clock,
-        found.choice.model.source.aligned,
+    remains = [s for s in found.unexplained.structures if s not in found.averages]
+    return noted(
+        BatteryDiagnosis(
+            verdict=decide(effects, remains, found.demoted, execution=execution, averages=averages),
+            effects=effects,
+            candidates=(*found.candidates, *told_of(driven)),
+            recalibration=_recalibrated(found, features),
+            delay_s=found.delay_s,
+            lag_s=found.lag_s,
+            clock_at_edge=found.clock_at_edge,
+            noise=found.noise,
+            unexplained=left,
+            remarks=tuple(dict.fromkeys(remarks)),
+            mean_power_w=found.mean_power_w,
+            confounding=found.confounding,
+            battery=battery,
+            untestable=untestable,
+            next_experiments=_next(subject, seen, effects, settings),
+            heldout=None if tested is None else tested.summary,
+            shifted=_shifted(seen),
+            execution=execution,
+            runs=tuple(run.run for run in features.runs),
+            seconds=float(sum(np.sum(run.dt_s) for run in features.runs)),
+            where=_where(subject, split, battery),
+            series=_series(found, clock),
+            clock=found.choice.model.clock,
+            aligned=found.choice.model.source.aligned,
+        )
     )
+
+
+def _tested(effect: Finding, tested: Tested | None) -> Finding:
+    """An effect with the error on held-out runs without it and with it, where runs were held out."""
+    if tested is None:
+        return effect
+    return replace(
+        effect,
+        heldout_rmse_before_w=tested.rmse_without_w.get(effect.effect),
+        heldout_rmse_after_w=tested.summary.power_rmse_w["with_effects"],
+    )
+
+
+def _recalibrated(found: Identification, features: Features) -> tuple[Recalibrated, ...]:
+    """Shifts of the base parameters with their values, largest first in prior standard deviations."""
+    rows = []
+    for shift in found.recalibration:
+        own = features.parameters[shift.parameter]
+        value, sd = own.value * (1.0 + shift.shift), abs(own.value) * shift.shift_sd
+        rows.append(replace(shift, value=value, sd=sd, unit=own.unit))
+    return tuple(sorted(rows, key=lambda row: -abs(row.shift_in_prior_sd)))
 
 
 def _counted_off(subject: Subject, split: Split, battery: str) -> list[str]:
@@ -396,10 +422,10 @@ def _execution(split: Split, battery: str, timeline: Timeline | None, settings: 
 
 def _as_finding(one: ExecutionEffect) -> Finding:
     return Finding(
-        one.effect,
-        {"k": Estimate(one.value, one.low, one.high, one.unit)},
-        one.energy_share,
-        one.p_value,
+        effect=one.effect,
+        parameters={"k": Estimate(one.value, one.low, one.high, one.unit)},
+        energy_share=one.energy_share,
+        p_value=one.p_value,
         scheme=one.scheme,
         level="identified",
         remark=one.reason,
@@ -436,7 +462,7 @@ def _shifted(seen: Examined) -> HeldOut | None:
     Only where enough runs differ in it; the size of effects and base is fitted again on the others.
     """
     found, features = seen.found, seen.features
-    if not found.effects or len(features.runs) < 4:
+    if not found.effects or len(features.runs) < SHIFTED_RUNS:
         return None
     main = found.effects[0].effect
     covariate = next((c.covariate for c in features.candidates if c.effect == main), "")
@@ -448,7 +474,10 @@ def _shifted(seen: Examined) -> HeldOut | None:
     count = max(1, len(level) // 3)
     order = np.argsort(level, kind="stable")
     held, kept = order[-count:], order[:-count]
-    if level[held].min() < 1.2 * level[kept].max() and level[held].mean() < 1.5 * level[kept].mean():
+    if (
+        level[held].min() < SHIFTED_RATIO * level[kept].max()
+        and level[held].mean() < SHIFTED_MEAN_RATIO * level[kept].mean()
+    ):
         return None
     how = f"the {count} run{'s' * (count > 1)} with most {covariate} left out and predicted"
     names = [effect.effect for effect in found.effects]

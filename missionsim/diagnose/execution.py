@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.diagnose.findings import Judged
 from missionsim.effects.timeline import Timeline
+from missionsim.identify.findings import Judged
 from missionsim.runs.motion import Motion, Still, motions, planned, speed_of, still_of, stretch, told_apart, tracking
 from missionsim.runs.run import Run
 

@@ -8,24 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from missionsim.diagnose.features import Features, effect_columns
-from missionsim.diagnose.findings import Experiment
 from missionsim.diagnose.manoeuvres import Manoeuvre, Site, library, script, shortened
 from missionsim.effects.derive import derive
 from missionsim.effects.model import PowerModel
-from missionsim.identify.choose import Choice
-from missionsim.identify.data import RunData, Settings
+from missionsim.identify.data import RunData
 from missionsim.identify.design import make_source
+from missionsim.identify.evidence import Choice
+from missionsim.identify.findings import Experiment
 from missionsim.identify.gram import Gram, make_gram
 from missionsim.identify.model import Model
-from missionsim.identify.search import Rules, single_gains
+from missionsim.identify.search import Constraints, single_gains
+from missionsim.identify.settings import BETTER_NATS, DECIDED_NATS, ENOUGH_NATS, LENGTHS, MOST_PROPOSED, Settings
 from missionsim.runs.drive import gradient
-
-ENOUGH_NATS = 12.0
-"""Expected lead at which a manoeuvre need not be longer."""
-LENGTHS = (1, 2, 4)
-DECIDED_NATS = 2.944
-"""ln 19: lead at which the credible set of two has one member."""
-MOST_PROPOSED = 2
 
 
 @dataclass(frozen=True)
@@ -95,33 +89,33 @@ def propose(bench: Bench, names: Sequence[str]) -> list[Experiment]:
     Score: the smallest expected lead over all ordered pairs of the set, each effect as strong as the logs say it would
     be if it were the one, with the imagined run among the data (a T-optimal design).
     """
-    rules = Rules.of(bench.model.design.layout, bench.features.candidates)
+    constraints = Constraints.of(bench.model.design.layout, bench.features.candidates)
     names = [name for name in names if _columns(bench, name)]
     if len(names) < 2:
         return []
-    now = worst_lead(bench, rules, bench.model.gram, names)
+    now = worst_lead(bench, constraints, bench.model.gram, names)
     about = {c.covariate for c in bench.features.candidates if c.effect in names} - {"speed_m_s", ""}
     scored = []
     for manoeuvre in library(bench.site):
         gram = bench.imagined(manoeuvre)
-        scored.append((worst_lead(bench, rules, gram, names), manoeuvre))
+        scored.append((worst_lead(bench, constraints, gram, names), manoeuvre))
     # among those that will do, one that varies a single cause of the set speaks for itself
     scored.sort(key=lambda pair: (-min(pair[0], ENOUGH_NATS), len(pair[1].varies & about) != 1, -pair[0]))
     found = []
     for lead, manoeuvre in scored[:MOST_PROPOSED]:
-        if lead < now + 1.0:
+        if lead < now + BETTER_NATS:
             continue
-        found.append(_experiment(bench, rules, names, now, lead, manoeuvre))
+        found.append(_experiment(bench, constraints, names, now, lead, manoeuvre))
     return found
 
 
 def _experiment(
-    bench: Bench, rules: Rules, names: Sequence[str], now: float, lead: float, manoeuvre: Manoeuvre
+    bench: Bench, constraints: Constraints, names: Sequence[str], now: float, lead: float, manoeuvre: Manoeuvre
 ) -> Experiment:
     chosen, times = manoeuvre, 1
     for times in LENGTHS:
         chosen = manoeuvre if times == 1 else shortened(manoeuvre, float(times))
-        lead = lead if times == 1 else worst_lead(bench, rules, bench.imagined(chosen), names)
+        lead = lead if times == 1 else worst_lead(bench, constraints, bench.imagined(chosen), names)
         if lead >= ENOUGH_NATS:
             break
     do = manoeuvre.do if times == 1 else f"{manoeuvre.do}; {times} times as long"
@@ -141,11 +135,11 @@ def power_of(lead_nats: float) -> float:
     return float(norm.cdf((lead_nats - DECIDED_NATS) / np.sqrt(2.0 * lead_nats)))
 
 
-def worst_lead(bench: Bench, rules: Rules, gram: Gram, names: Sequence[str]) -> float:
+def worst_lead(bench: Bench, constraints: Constraints, gram: Gram, names: Sequence[str]) -> float:
     """Smallest expected lead of one effect of a set over the best imitation by another [nats]."""
     every = {column for name in names for column in _columns(bench, name)}
     rest = [k for k in bench.model.chosen if k not in every]
-    leads = [_lead(bench, rules, gram, rest, a, b) for a in names for b in names if a != b]
+    leads = [_lead(bench, constraints, gram, rest, a, b) for a in names for b in names if a != b]
     return min(leads, default=0.0)
 
 
@@ -156,9 +150,9 @@ def _columns(bench: Bench, effect: str) -> list[int]:
     ]
 
 
-def _lead(bench: Bench, rules: Rules, gram: Gram, rest: Sequence[int], a: str, b: str) -> float:
+def _lead(bench: Bench, constraints: Constraints, gram: Gram, rest: Sequence[int], a: str, b: str) -> float:
     now = bench.model.gram
-    gains = single_gains(now, rules, rest)
+    gains = single_gains(now, constraints, rest)
     own = max(_columns(bench, a), key=lambda k: gains[k])
     value = float(now.coefficients([*rest, own])[0][-1])
     left = gram.conditional(rest)
@@ -169,7 +163,7 @@ def _lead(bench: Bench, rules: Rules, gram: Gram, rest: Sequence[int], a: str, b
         if size <= 1e-9 * float(gram.full[1 + k, 1 + k]):
             continue
         r = float(left[1 + own, 1 + k]) / np.sqrt(own_size * size)
-        if rules.sign[k] * r * value >= 0.0:
+        if constraints.sign[k] * r * value >= 0.0:
             best = max(best, min(1.0, r * r))
     return 0.5 * value**2 * own_size * (1.0 - best)
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.diagnose.findings import HeldOut
 from missionsim.identify.align import Clock
-from missionsim.identify.choose import Choice
-from missionsim.identify.data import Candidate, RunData, Settings
+from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.design import Design, make_source
-from missionsim.identify.gram import Gram
-from missionsim.identify.model import Model
+from missionsim.identify.evidence import Choice
+from missionsim.identify.findings import HeldOut
+from missionsim.identify.model import Model, prediction
+from missionsim.identify.settings import Settings
 
 Array = NDArray[np.float64]
 
@@ -119,23 +119,6 @@ def on_left_out(
     energy = {name: energy_error_pct(design, power, rows) for name, power in powers.items()}
     rmse = {name: power_rmse_w(design, power, rows) for name, power in powers.items()}
     return HeldOut(how, tuple(held), energy, rmse, True)
-
-
-def prediction(model: Model, chosen: Sequence[int], design: Design, fitted: NDArray[np.bool_] | None = None) -> Array:
-    """Power that a model with some of its effects predicts at the rows of a design [W], shape (n,).
-
-    Base parameters at their most probable values with these effects in; what a robot file cannot hold is left out:
-    offsets and gains of single runs, and the nuisances of clock, curvature and switching. With `fitted`, from these
-    runs of the model only.
-    """
-    gram = model.gram if fitted is None else Gram(model.gram.per_run[fitted], model.gram.prior_precision)
-    shifts, _ = gram.shifts(chosen)
-    count = len(design.layout.parameters)
-    power = design.base + shifts[:count] @ design.gradient[:count]
-    if len(chosen):
-        shares, _ = gram.coefficients(chosen)
-        power = power + shares @ design.phi[list(chosen)]
-    return np.asarray(power)
 
 
 def _leaving_out(

@@ -10,11 +10,11 @@ import numpy as np
 
 from missionsim.diagnose.adopt import adopt
 from missionsim.diagnose.diagnosis import Subject, diagnose_battery
-from missionsim.diagnose.findings import BatteryDiagnosis, Finding
 from missionsim.diagnose.priors import NO_PRIOR_SD, prior_before
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.waterfall import noise_floor
-from missionsim.identify.data import Settings
+from missionsim.identify.findings import BatteryDiagnosis, Finding
+from missionsim.identify.settings import Settings
 
 MOST_ROUNDS = 8
 

@@ -10,21 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.diagnose.heldout import prediction
 from missionsim.diagnose.numbers import watts
-from missionsim.identify.result import Identification
+from missionsim.identify.findings import Structure
+from missionsim.identify.identification import Identification
+from missionsim.identify.model import prediction
+from missionsim.identify.settings import (
+    CLEAR_OF_NOISE,
+    CLEAR_T,
+    MOST_OF_SQUARE,
+    MOTION_SECONDS,
+    SEVERAL_RUNS,
+    SMALL_TIME,
+)
 from missionsim.runs.motion import MOTIONS, kinds_of_motion
 
 Array = NDArray[np.float64]
-MOST_OF_SQUARE = 0.5
-SMALL_TIME = 0.25
-FEWEST_RUNS = 3
-LEAST_SECONDS = 5.0
-"""Time in a kind of motion below which a run says nothing of it [s]."""
-CLEAR_T = 5.0
-"""Mean over runs in its own standard errors; with three runs p = 0.04, beside everything else that is asked."""
-CLEAR_OF_NOISE = 2.0
-"""Mean error in standard deviations of a single row's noise; the mean of many rows strays far less."""
 RAMPS = (MOTIONS.index("speeding up"), MOTIONS.index("slowing down"))
 VARIES: Mapping[str, str] = {
     "driving straight": "speed_m_s",
@@ -54,10 +54,10 @@ class Leftover:
     square_share: float
     time_share: float
 
-    @property
-    def depends_on(self) -> tuple[str, ...]:
-        """The covariate that tells this kind of motion from others."""
-        return (VARIES[self.motion],) if self.motion in VARIES else ()
+    def structure(self, mean_power_w: float) -> Structure:
+        """The same as a structure of the residual, which depends on what tells this kind of motion from others."""
+        size = abs(self.bias_w) * self.time_share / mean_power_w
+        return Structure(VARIES.get(self.motion, ""), 0.0, 0.0, size, self.told)
 
     @property
     def told(self) -> str:
@@ -93,7 +93,7 @@ def leftover(found: Identification, covariates: Sequence[Mapping[str, Any]]) -> 
     count = len(MOTIONS)
     part = source.averaged([(kind[None, :] == np.arange(count)[:, None]).astype(float) for kind in kinds], model.clock)
     rows = part > 0.5  # rows that lie in this kind of motion for the most part
-    return standing_out(error_w, design.duration_s, design.run_index(), rows, found.noise.sd_share * found.mean_power_w)
+    return standing_out(error_w, design.duration_s, design.run_index(), rows, found.noise["sd_w"])
 
 
 def _kinds(cov: Mapping[str, Any]) -> NDArray[np.int64]:
@@ -129,8 +129,8 @@ def standing_out(
     if shares[kind] < MOST_OF_SQUARE or time_share > SMALL_TIME:
         return None
     each = [here & (run == j) for j in np.unique(run)]
-    means = np.array([np.average(error_w[m], weights=seconds[m]) for m in each if seconds[m].sum() >= LEAST_SECONDS])
-    if len(means) < FEWEST_RUNS or abs(float(np.sum(np.sign(means)))) < len(means):
+    means = np.array([np.average(error_w[m], weights=seconds[m]) for m in each if seconds[m].sum() >= MOTION_SECONDS])
+    if len(means) < SEVERAL_RUNS or abs(float(np.sum(np.sign(means)))) < len(means):
         return None
     mean = float(means.mean())
     if abs(mean) < CLEAR_OF_NOISE * noise_w or abs(mean) < CLEAR_T * float(means.std(ddof=1)) / math.sqrt(len(means)):

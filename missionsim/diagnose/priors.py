@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from missionsim.fit.provenance import fitted_to, sd_on_other_logs
+from missionsim.identify.settings import LEAST_FREE_SD
 
 if TYPE_CHECKING:
     from missionsim.diagnose.diagnosis import Subject
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
 
 NO_PRIOR_SD = float("inf")
 """Prior of a parameter that was fitted to these very logs: they may not count twice."""
-LEAST_FREE_SD = 1.0
-"""Relative standard deviation that stands for no prior at least."""
 
 
 def priors_of(subject: Subject, features: Features, logs: Sequence[Any]) -> dict[str, float]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from missionsim.diagnose.findings import BatteryDiagnosis
     from missionsim.diagnose.improve import Improved
+    from missionsim.identify.findings import BatteryDiagnosis
 
 SEEN = 0.5
 """A rise by less than this part of the noise floor is not worth a note."""
@@ -112,6 +113,12 @@ def heldout_note(battery: BatteryDiagnosis) -> str:
         len(battery.heldout.runs),
         len(battery.runs),
     )
+
+
+def noted(battery: BatteryDiagnosis) -> BatteryDiagnosis:
+    """The same diagnosis with why its energy error rose, where it did, before its other remarks."""
+    note = heldout_note(battery)
+    return replace(battery, remarks=(note, *battery.remarks)) if note else battery
 
 
 def measured_note(done: Improved) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from missionsim.diagnose.execution import TOLD
-from missionsim.diagnose.findings import BatteryDiagnosis, Experiment, Finding, HeldOut, Judged
 from missionsim.diagnose.numbers import watts
+from missionsim.identify.findings import BatteryDiagnosis, Experiment, Finding, HeldOut, Judged
 
 MOST_NOT_SEEN = 8
 RECALIBRATION_SD = 4.0
@@ -97,7 +97,7 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
                 "that were not used is not shown",
             )
         )
-    lines += [("NOTE", remark) for remark in battery.told]
+    lines += [("NOTE", remark) for remark in battery.remarks]
     if battery.untestable:
         lines.append(("UNTESTABLE", _untestable(battery)))
     return lines
@@ -146,9 +146,6 @@ def _base(battery: BatteryDiagnosis) -> list[str]:
 def unsure_line(effect: Finding) -> str:
     """A set of effects that the data cannot tell apart."""
     names = (effect.effect, *effect.indistinguishable_from)
-    weights = ""
-    if effect.weights:
-        weights = " (" + " / ".join(f"{100 * effect.weights.get(name, 0.0):.0f}" for name in names) + " %)"
     more = ""
     if math.isfinite(effect.separation_nats):
         d = effect.separation_nats
@@ -159,7 +156,7 @@ def unsure_line(effect: Finding) -> str:
                 f"; expected lead {d:.1f} nats, about {5.0 / d:.1f} times these data would settle it" if d < 5.0 else ""
             )
         )
-    return f"{' OR '.join(names)}{weights}, {100 * effect.energy_share:.1f} % of energy: these data cannot tell{more}"
+    return f"{' OR '.join(names)}, {100 * effect.energy_share:.1f} % of energy: these data cannot tell{more}"
 
 
 def next_line(experiment: Experiment) -> str:

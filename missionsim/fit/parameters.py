@@ -12,9 +12,9 @@ from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.fit.plain import BLOCK_S, Plain, free_priors, settled, told_apart
 from missionsim.fit.prepare import Prepared, prepare
-from missionsim.identify.data import Settings
 from missionsim.identify.design import make_source
 from missionsim.identify.model import Model, fit_model
+from missionsim.identify.settings import Settings
 
 WORSE = 0.01
 """Share of the variance by which generalised least squares may explain less than ordinary ones before it is doubted."""

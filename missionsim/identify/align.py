@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 
 from missionsim.identify.averaging import Intervals, integral_curves
 from missionsim.identify.data import Array, RunData
+from missionsim.identify.settings import CLOCK_RUNS, FINEST_STEP_S, GAP_ROWS
 
-FINEST_STEP_S = 0.1
-MANY_RUNS = 8
-GAP_ROWS = 4.0
 CONSTANT = 1e-16
 """What is left of a column's square without its mean, when it is rounding only: scaled up it would be pure chance."""
 
@@ -176,7 +174,7 @@ def find_clock(runs: Sequence[RunColumns], step_s: float) -> Clock:
     Row 0 of each run's columns is the base model; keeping every candidate in leaves a real inertia effect alone.
     """
     reach = max(1.0, 1.0 * step_s)
-    if len(runs) > MANY_RUNS:
+    if len(runs) > CLOCK_RUNS:
         runs = runs[:: -(-len(runs) // 4)]  # a start is all that is wanted; the model refines it with every run
     best: dict[tuple[float, float], float] = {}
     trial = _Alignment.of(runs, step_s)

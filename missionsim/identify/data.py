@@ -1,4 +1,4 @@
-"""What goes into the identification: runs as plain arrays, candidate effects, settings."""
+"""What goes into the identification: runs as plain arrays, candidate effects."""
 
 from __future__ import annotations
 
@@ -10,12 +10,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Refit = Callable[[Mapping[str, float]], Sequence[Array]]
-
-ALPHA = 0.002
-"""At 0.01, effects that make 1 or 2 % of the energy brought a wrong name beside them or in their place in some 2 % of
-the synthetic worlds; most of these stood between the two levels, hardly any of the right ones."""
-DEFAULT_PRIOR_SD = 0.03
-"""Relative standard deviation of a base parameter where the robot file gives none (assumed)."""
 
 
 @dataclass(frozen=True)
@@ -91,39 +85,3 @@ class Candidate:
     covariate: str = ""
     levels: tuple[str, ...] = ()
     shape_bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Choices of the method; the defaults are those of the published comparison or stricter.
-
-    Parameters
-    ----------
-    alpha : family-wise false alarm rate of an effect that enters the model
-    period_s : analysis period [s]; slower logs keep their own
-    min_share : effects below this share of the energy are called negligible
-    max_effects : most effects that enter
-    recalibration_limit : shifts of a base parameter up to this many prior sd are recalibration
-    block_s : length of the blocks of the robust standard errors [s]
-    form_ratio : an effect explaining less than this part of what a free curve over its covariate explains has
-        the wrong form
-    rival_loss : a rival of the same covariate within this part of the effect's own gain is not told apart, because
-        forms are never exact
-    noisy_rival_loss : the same for a rival of another covariate, whose noise weakens what it explains
-    systematic : relative systematic allowance of a coefficient (covariate noise), measured on synthetic worlds
-    form_error : relative error of an effect's form; weighs more the more of the effect hides in recalibration
-    align : estimate delay and lag of the power meter
-    """
-
-    alpha: float = ALPHA
-    period_s: float = 1.0
-    min_share: float = 0.004
-    max_effects: int = 6
-    recalibration_limit: float = 4.0
-    block_s: float = 20.0
-    form_ratio: float = 0.85
-    rival_loss: float = 0.03
-    noisy_rival_loss: float = 0.12
-    systematic: float = 0.07
-    form_error: float = 0.03
-    align: bool = True

@@ -10,16 +10,18 @@ from numpy.typing import NDArray
 
 from missionsim.identify.align import Bins, Clock, EvenGrid, RunColumns, find_clock, intervals_of, make_bins
 from missionsim.identify.averaging import Intervals, Weights, integral_curves
-from missionsim.identify.data import DEFAULT_PRIOR_SD, Array, Candidate, RunData, Settings
+from missionsim.identify.data import Array, Candidate, RunData
+from missionsim.identify.settings import (
+    CLOCK_SD_S,
+    CLOCK_SD_S2,
+    CURVATURE_SD,
+    DEFAULT_PRIOR_SD,
+    DERIVATIVE_STEP_S,
+    FEWEST_INTERVALS,
+    SWITCH_SD,
+    Settings,
+)
 
-DERIVATIVE_STEP_S = 0.2
-CLOCK_SD_S = 0.15
-CLOCK_SD_S2 = 0.05
-"""What is left of the common delay and lag after they were found [s, s2]."""
-SWITCH_SD = 0.5
-"""Part of a row that counts as switched on though the switch fell inside it (row values hold whole rows)."""
-CURVATURE_SD = 0.8
-"""Curvature of power over speed, in units of mean power over mean square speed."""
 SLOW_ROWS_S = 0.4
 """Faster logs average the noise of their covariates within an analysis interval."""
 JITTER_ROWS = 2
@@ -29,7 +31,6 @@ AGREE = 4.5
 KEPT_CURVES = 4
 HEAD_ROWS = 4
 """Rows before the gradient in a run's columns: base, motion, switching, speed change inside a row."""
-RANDOM_NAMES = ("meter offset", "meter gain", "motion gain", "clock jitter", "lag jitter")
 
 
 @dataclass(frozen=True)
@@ -334,10 +335,10 @@ def make_source(
     if not runs:
         raise ValueError("identify needs at least one run")
     bins = [make_bins(run, settings.period_s) for run in runs]
-    kept = tuple(i for i, b in enumerate(bins) if len(b.measured_w) >= 8)
+    kept = tuple(i for i, b in enumerate(bins) if len(b.measured_w) >= FEWEST_INTERVALS)
     runs, bins = [runs[i] for i in kept], [bins[i] for i in kept]
     if not runs:
-        raise ValueError("no run has at least 8 analysis intervals with measured power")
+        raise ValueError(f"no run has at least {FEWEST_INTERVALS} analysis intervals with measured power")
     layout = like.layout if like else _layout(runs, candidates, prior_sd, settings)
     columns: list[RunColumns] = []
     for run, b in zip(runs, bins, strict=True):

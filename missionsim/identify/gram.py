@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from missionsim.identify.data import Array
 from missionsim.identify.design import Design
 from missionsim.identify.noise import Noise, packed
+from missionsim.identify.settings import SHARE_PRIOR
 from missionsim.identify.whitening import Packed, Shape
 
 RANDOM_COUNT = 5
 CLOCK_IN_GRADIENT = (-4, -3)
 """Rows of the gradient that are the last random effects as well: first and second derivative after the delay."""
-SHARE_PRIOR = 4.0
-"""Precision of the weak prior on a candidate's share of energy (sd 50 %): keeps runs without the effect harmless."""
 
 
 @dataclass(frozen=True)

@@ -7,20 +7,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Array
-from missionsim.identify.design import SLOW_ROWS_S, Design, Source
+from missionsim.identify.design import Design, Source
 from missionsim.identify.gram import Gram, eliminate_random, make_gram, project, random_effects, raw_blocks
 from missionsim.identify.noise import Noise, fit_noise, start_noise
+from missionsim.identify.settings import CLOCK_RISE_NATS, LARGEST_RUN_DELAY_S, RUN_DELAY_SD_S, UNUSUAL_GAIN, USUAL_GAIN
 from missionsim.identify.whitening import start_factor
-
-LARGEST_RUN_DELAY_S = 0.6
-BLUNTED = 0.08
-"""Most of a steep curve's gain that the noise of slow rows takes from it beyond what a flatter one loses (measured)."""
-UNUSUAL_GAIN = 0.03
-USUAL_GAIN = 0.015
-"""Where the fit begins once single runs differ by more than meters and drives do."""
 
 
 @dataclass(frozen=True)
@@ -45,27 +40,15 @@ class Model:
         return make_gram(self.design, self.noise)
 
     @cached_property
-    def innovations(self) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    def innovations(self) -> Array:
         """Whitened residual, shape (n,)."""
         return np.asarray(project(self.design, self.noise, self.design.residual[None, :], self.chosen).rows[0])
-
-
-def blunted(model: Model, column: int, other: int) -> bool:
-    """Whether the noise of the log takes more from `column` than from `other`, a flatter curve over the same quantity.
-
-    Slow rows do not average the noise of their speed; it pulls v3 down more than v2 (errors in variables).
-    """
-    if min(run.step_s for run in model.source.columns) < SLOW_ROWS_S:
-        return False
-    rows = np.abs(model.design.phi[[column, other]])
-    steep = np.mean(rows**2, axis=1) / np.maximum(np.mean(rows, axis=1), 1e-300) ** 2
-    return bool(steep[0] > steep[1])
 
 
 def score(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> float:
     """Log-likelihood of the chosen columns at a clock, noise given; base parameters and run effects integrated out."""
     gram, log_det = _reduced(source, clock, noise, chosen)
-    spread = sum((d / 0.2) ** 2 for d in clock.run_delay_s)
+    spread = sum((d / RUN_DELAY_SD_S) ** 2 for d in clock.run_delay_s)
     return gram.evidence(range(len(chosen))) - 0.5 * log_det - 0.5 * spread
 
 
@@ -111,7 +94,7 @@ def _search_common(source: Source, clock: Clock, noise: Noise, chosen: Sequence[
             around = [(centre[0] + i * width, max(0.0, centre[1] + j * width)) for i, j in steps]
             top = max(around, key=lambda k: value(*k))
             top = (round(top[0], 3), round(top[1], 3))
-            if top == centre or value(*top) < value(*centre) + 0.05:
+            if top == centre or value(*top) < value(*centre) + CLOCK_RISE_NATS:
                 break
             centre = top
     edge = 1.0 * reach
@@ -169,3 +152,20 @@ def log_likelihood(model: Model) -> float:
     start = 0.5 * len(design.stretches) * start_factor(*noise.shape)[2]
     level = float(np.sum(np.log(noise.sigma_w * noise.scale / np.sqrt(noise.weight)))) + start
     return gram.evidence(range(len(model.chosen))) - 0.5 * float(log_det.sum()) - level
+
+
+def prediction(model: Model, chosen: Sequence[int], design: Design, fitted: NDArray[np.bool_] | None = None) -> Array:
+    """Power that a model with some of its effects predicts at the rows of a design [W], shape (n,).
+
+    Base parameters at their most probable values with these effects in; what a robot file cannot hold is left out:
+    offsets and gains of single runs, and the nuisances of clock, curvature and switching. With `fitted`, from these
+    runs of the model only.
+    """
+    gram = model.gram if fitted is None else Gram(model.gram.per_run[fitted], model.gram.prior_precision)
+    shifts, _ = gram.shifts(chosen)
+    count = len(design.layout.parameters)
+    power = design.base + shifts[:count] @ design.gradient[:count]
+    if len(chosen):
+        shares, _ = gram.coefficients(chosen)
+        power = power + shares @ design.phi[list(chosen)]
+    return np.asarray(power)

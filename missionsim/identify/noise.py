@@ -15,20 +15,11 @@ import numpy as np
 
 from missionsim.identify.data import Array
 from missionsim.identify.design import Design
+from missionsim.identify.settings import HUBER, JITTER_SD_S, LAG_JITTER_SD_S2, LARGEST_GAIN, NOISE_FLOOR, NOISE_SPLIT_S
 from missionsim.identify.whitening import Packed, Shape, arma_of, start_factor
 
 if TYPE_CHECKING:
     from missionsim.identify.gram import Blocks
-
-JITTER_SD_S = 0.10
-LAG_JITTER_SD_S2 = 0.05
-HUBER = 2.5
-LARGEST_GAIN = 0.05
-"""Runs that differ by more than this in gain differ by something that should be named."""
-FLOOR = 0.3
-"""The noise no longer falls below this part of the mean power (a rest that draws next to nothing)."""
-SPLIT_S = 25.0
-"""Border between the correlation times of the fast and of the slow part [s]."""
 
 
 @dataclass(frozen=True)
@@ -75,11 +66,6 @@ class Noise:
 def packed(design: Design, noise: Noise, rows: Array) -> Packed:
     """Rows (k, n), divided by the scale of the noise, ready to be whitened with any shape of the noise."""
     return Packed.of(rows, noise.scale, noise.weight, design.stretches, design.runs)
-
-
-def whiten(design: Design, noise: Noise, rows: Array) -> Array:
-    """Rows (k, n) divided by scale, filtered to white noise of unit variance, outliers down-weighted."""
-    return packed(design, noise, rows).white(noise.shape) / noise.sigma_w
 
 
 def start_noise(design: Design) -> Noise:
@@ -169,7 +155,7 @@ def _fit_filter(design: Design, noise: Noise, rows: Blocks, chosen: int, evaluat
     from scipy.optimize import minimize
 
     count = len(design.y)
-    border = max(SPLIT_S, 10 * noise.step_s)
+    border = max(NOISE_SPLIT_S, 10 * noise.step_s)
 
     def at(x: Array) -> Noise:
         odds = np.exp(np.clip(x[2:4], -12, 12))
@@ -271,7 +257,7 @@ def _fit_scale(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:
 
 def _log_level(design: Design) -> Array:
     mean = design.layout.mean_power_w
-    return np.log(np.maximum(design.base, FLOOR * mean) / mean)
+    return np.log(np.maximum(design.base, NOISE_FLOOR * mean) / mean)
 
 
 def for_rows(design: Design, noise: Noise) -> Noise:

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from missionsim.identify.data import Array, Candidate
 from missionsim.identify.design import Layout
 from missionsim.identify.gram import Gram
-
-MOST_TRIPLES = 20_000
+from missionsim.identify.settings import MOST_TRIPLES
 
 
 @dataclass(frozen=True)
-class Rules:
+class Constraints:
     """What a set of columns must obey: signs, and one column of a grid at a time.
 
     ``sign`` (p,) and ``effect`` (p,) by column; ``joint`` (p,) is True for levels of one label, which may be in
@@ -29,8 +28,8 @@ class Rules:
     joint: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, layout: Layout, candidates: Sequence[Candidate]) -> Rules:
-        """Rules of the columns of a layout."""
+    def of(cls, layout: Layout, candidates: Sequence[Candidate]) -> Constraints:
+        """Constraints of the columns of a layout."""
         own = [candidates[c.candidate] for c in layout.columns]
         return cls(
             np.array([c.sign if c.prior is None or c.sign else 1 for c in own], dtype=np.intp),
@@ -52,25 +51,25 @@ class Rules:
         return bool(np.all(self.sign[list(chosen)] * coefficients >= 0))
 
 
-def single_gains(gram: Gram, rules: Rules, chosen: Sequence[int]) -> Array:
+def single_gains(gram: Gram, constraints: Constraints, chosen: Sequence[int]) -> Array:
     """Log-likelihood gain of each column beyond the chosen ones; -inf where signs or grids forbid, shape (p,)."""
     rest = gram.conditional(chosen)
     b, info = rest[0, 1:], np.maximum(np.diag(rest)[1:], 0.0)
     floor = 1e-8 * np.maximum(np.diag(gram.full)[1:], 1e-300)
     usable = info > floor
     gain = np.where(usable, 0.5 * b * b / np.where(usable, info, 1.0), 0.0)
-    gain = np.where(rules.sign * b < 0, -np.inf, gain)
+    gain = np.where(constraints.sign * b < 0, -np.inf, gain)
     for k in range(len(gain)):
-        if not rules.compatible(k, chosen):
+        if not constraints.compatible(k, chosen):
             gain[k] = -np.inf
         elif len(chosen) and np.isfinite(gain[k]):
             values, _ = gram.coefficients([*chosen, k])
-            if not rules.signs_hold([*chosen, k], values):
+            if not constraints.signs_hold([*chosen, k], values):
                 gain[k] = -np.inf
     return gain
 
 
-def set_gains(gram: Gram, rules: Rules, sets: NDArray[np.intp]) -> Array:
+def set_gains(gram: Gram, constraints: Constraints, sets: NDArray[np.intp]) -> Array:
     """Gain of many sets of one size, shape (sets,); sign-infeasible ones get -inf.
 
     The best sign-feasible unconstrained set is the non-negative least squares optimum, because each face of the
@@ -84,31 +83,31 @@ def set_gains(gram: Gram, rules: Rules, sets: NDArray[np.intp]) -> Array:
     b = gram.full[index, 0]
     x = np.linalg.solve(blocks, b[:, :, None])[:, :, 0]
     gain = 0.5 * np.sum(b * x, axis=1)
-    return np.where(np.all(rules.sign[sets] * x >= 0, axis=1), gain, -np.inf)
+    return np.where(np.all(constraints.sign[sets] * x >= 0, axis=1), gain, -np.inf)
 
 
-def all_sets(rules: Rules, size: int, base: Sequence[int] = ()) -> NDArray[np.intp]:
+def all_sets(constraints: Constraints, size: int, base: Sequence[int] = ()) -> NDArray[np.intp]:
     """All allowed sets of up to three columns; beyond that, sets that differ from `base` in one column."""
-    p = len(rules.sign)
+    p = len(constraints.sign)
     if size <= 2 or (size == 3 and p**3 / 6 < MOST_TRIPLES):
-        sets = [c for c in combinations(range(p), size) if _allowed(rules, c)]
+        sets = [c for c in combinations(range(p), size) if _allowed(constraints, c)]
     else:
         sets = []
         for out in range(len(base)):
             kept = [b for i, b in enumerate(base) if i != out]
-            sets += [(*kept, k) for k in range(p) if rules.compatible(k, kept)]
+            sets += [(*kept, k) for k in range(p) if constraints.compatible(k, kept)]
     return np.asarray(sets, dtype=np.intp).reshape(-1, size)
 
 
-def _allowed(rules: Rules, columns: Sequence[int]) -> bool:
-    return all(rules.compatible(c, columns[:i]) for i, c in enumerate(columns))
+def _allowed(constraints: Constraints, columns: Sequence[int]) -> bool:
+    return all(constraints.compatible(c, columns[:i]) for i, c in enumerate(columns))
 
 
-def best_set(gram: Gram, rules: Rules, size: int, base: Sequence[int]) -> tuple[tuple[int, ...], float]:
+def best_set(gram: Gram, constraints: Constraints, size: int, base: Sequence[int]) -> tuple[tuple[int, ...], float]:
     """Best allowed set of a size and its gain."""
-    sets = all_sets(rules, size, base)
+    sets = all_sets(constraints, size, base)
     if not len(sets):
         return tuple(base), -np.inf
-    gains = set_gains(gram, rules, sets)
+    gains = set_gains(gram, constraints, sets)
     top = int(np.argmax(gains))
     return tuple(int(k) for k in sets[top]), float(gains[top])

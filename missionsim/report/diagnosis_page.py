@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from missionsim.diagnose import words
-from missionsim.diagnose.findings import BatteryDiagnosis, Diagnosis, RunSeries
+from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
 from missionsim.report.blocks import Block, Bullets, Chart, Choice, Details, Paragraph, Section, Table, Tiles, Verdict
 from missionsim.report.downsample import shared_indices
 from missionsim.report.page import COLOURS, format_cell, label, page
@@ -276,8 +276,8 @@ def _details(battery: BatteryDiagnosis) -> list[Block]:
         blocks.append(_alike(battery))
     if battery.heldout is not None:
         blocks.append(_heldout_table(battery))
-    if battery.told:
-        blocks.append(Bullets(list(battery.told)))
+    if battery.remarks:
+        blocks.append(Bullets(list(battery.remarks)))
     return blocks
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from missionsim.diagnose.findings import Diagnosis
 from missionsim.diagnose.improve import Improved
 from missionsim.diagnose.waterfall import energy_note, measured_note
+from missionsim.identify.findings import Diagnosis
 from missionsim.report.blocks import Block, Chart, Section, Table, Tiles, Verdict
 from missionsim.report.diagnosis_page import diagnosis_sections
 from missionsim.report.page import COLOURS, format_cell, label, page

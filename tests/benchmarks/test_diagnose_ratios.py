@@ -20,8 +20,8 @@ import pytest
 from missionsim.diagnose import Subject, diagnose_files
 from missionsim.diagnose.diagnosis import examine
 from missionsim.diagnose.split import choose_split
-from missionsim.identify.data import Settings
-from missionsim.identify.identify import identify
+from missionsim.identify.identification import identify
+from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import load_robot
 from missionsim.logs import read_logs
 from tests.hidden_effects import features, peers

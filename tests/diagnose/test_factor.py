@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from missionsim.diagnose import Subject, diagnose, words
 from missionsim.diagnose.diagnosis import examine
-from missionsim.diagnose.factor import common_factor, level_difference, may_differ, plain_ratio, without_factor
 from missionsim.diagnose.split import Split
-from missionsim.identify.data import Settings
+from missionsim.identify.design import Source
+from missionsim.identify.factor import common_factor, instead_of_effects, level_difference, may_differ, plain_ratio
+from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import load_robot
 from missionsim.logs import LogTable
 
@@ -43,29 +45,33 @@ def test_an_effect_is_no_factor(scrub_w_s_rad: float) -> None:
     logs = tuple(drive(seed, seconds=240.0, scrub_w_s_rad=scrub_w_s_rad) for seed in range(4))
     seen = examine(Subject.of(load_robot(ROBOT)), Split(logs, (), ""), "robot", Settings())
     assert [e.effect for e in seen.found.effects] == ["turning_scrub"]
-    assert not seen.factor
-    assert common_factor(seen.found)[1] < 0.3
+    assert seen.found.factor is None
+    assert common_factor(seen.found.choice.model)[1] < 0.3
 
 
 def test_no_factor_is_told_of_a_file_that_gives_the_measured_energy_or_follows_the_meter() -> None:
     logs = tuple(drive(seed, seconds=240.0, scrub_w_s_rad=6.0) for seed in range(4))
-    features = examine(Subject.of(load_robot(ROBOT)), Split(logs, (), ""), "robot", Settings()).features
-    known = dict(features.prior_sd)
-    ratio = plain_ratio(features.runs)
+    source = examine(Subject.of(load_robot(ROBOT)), Split(logs, (), ""), "robot", Settings()).found.choice.model.source
+    ratio = plain_ratio(source)
     assert 1.05 < ratio < 1.5
-    assert may_differ(features.runs, known)
-    assert not may_differ(features.runs, {**known, "c3": 1.0})  # fitted to these very logs: it follows the meter
+    assert may_differ(source)
+    assert not may_differ(without_priors(source))  # fitted to these very logs: it follows the meter
     for off in (0.96, 1.04, 1.10):
-        at_level = [replace(run, base_w=run.base_w * ratio * off) for run in features.runs]
-        assert may_differ(at_level, known) == (off == 1.10)
+        at_level = replace(source, runs=tuple(replace(run, base_w=run.base_w * ratio * off) for run in source.runs))
+        assert may_differ(at_level) == (off == 1.10)
+
+
+def without_priors(source: Source) -> Source:
+    return replace(source, layout=replace(source.layout, prior_sd=np.ones_like(source.layout.prior_sd)))
 
 
 def test_a_level_is_told_only_where_the_plain_energies_differ() -> None:
     logs = tuple(scaled(drive(seed, seconds=240.0), 3.0) for seed in range(2))
     seen = examine(Subject.of(load_robot(ROBOT)), Split(logs, (), ""), "robot", Settings())
-    bare = replace(seen.found, choice=replace(seen.found.choice, model=seen.found.choice.empty))
-    runs, known = seen.features.runs, seen.features.prior_sd
-    assert "times what the model gives in every run" in level_difference(bare, runs, known)
-    free = dict.fromkeys(known, 1.0)
-    assert level_difference(bare, runs, free) == ""
-    assert without_factor(seen.found, runs, free) is seen.found
+    found, empty = seen.found.choice.model, seen.found.choice.empty
+    level = level_difference(empty)
+    assert level is not None
+    assert "times what the model gives in every run" in level.shape
+    assert instead_of_effects(found) is not None
+    assert level_difference(replace(empty, source=without_priors(empty.source))) is None
+    assert instead_of_effects(replace(found, source=without_priors(found.source))) is None

@@ -38,7 +38,7 @@ def left_over(
 def test_most_of_the_error_in_little_time_is_told() -> None:
     found = left_over(12.0)
     assert found is not None
-    assert found.depends_on == ("accel_m_s2",)
+    assert found.structure(20.0).covariate == "accel_m_s2"
     assert found.told == (
         "a systematic error while slowing down, model 12 W too high: 94 % of the squared "
         "error in 9 % of the time; no effect of the library describes it"

@@ -18,7 +18,7 @@ from missionsim.diagnose.split import Split
 from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.fit.provenance import data_tag
 from missionsim.fit.refit import refit_robot
-from missionsim.identify.data import Settings
+from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import robot_from_text
 from missionsim.logs import LogTable, read_logs
@@ -126,7 +126,7 @@ def test_two_effects_are_fitted_together_whatever_their_order() -> None:
     text, split = robot_text("pioneer3dx"), Split(tuple(logs), (), "")
     robot = robot_from_text(text)
     seen = examine(Subject.of(robot), split, BATTERY, Settings())
-    together = {e.effect: e.parameters[0].value for e in seen.found.effects}
+    together = {e.effect: e.parameters["k"].value for e in seen.found.effects}
     assert set(together) == {"turning_scrub", "payload"}
     made = adopt(text, robot, split, "payload", BATTERY, Settings(), beside=("turning_scrub",))
     for name, expected in base_values(seen.features, seen.found).items():

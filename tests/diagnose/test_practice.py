@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from missionsim.diagnose import diagnose_files, words
-from missionsim.diagnose.findings import BatteryDiagnosis
+from missionsim.identify.findings import BatteryDiagnosis
 
 
 def diagnosis(shared: Path, case: str) -> BatteryDiagnosis:

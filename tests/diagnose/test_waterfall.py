@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from missionsim.diagnose import words
-from missionsim.diagnose.findings import Diagnosis, HeldOut, Unexplained
 from missionsim.diagnose.improve import Improved, Step, _why, improve
 from missionsim.diagnose.split import choose_split
-from missionsim.diagnose.waterfall import energy_note, heldout_note, mean_variance, measured_note, noise_floor
-from missionsim.identify.data import Settings
+from missionsim.diagnose.waterfall import energy_note, heldout_note, mean_variance, measured_note, noise_floor, noted
+from missionsim.identify.findings import Diagnosis, HeldOut, Unexplained
+from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import shipped_robots
 from missionsim.logs import read_logs
 from missionsim.report.diagnosis_page import diagnosis_page
@@ -101,13 +101,13 @@ def test_next_does_not_call_what_remains_nothing() -> None:
 def test_a_diagnosis_tells_why_the_energy_error_rises_too() -> None:
     energy = {"nominal": 2.3, "recalibrated": 0.2, "with_effects": 2.3}
     rmse = {"nominal": 1.3, "recalibrated": 1.2, "with_effects": 0.6}
-    rising = replace(BATTERY, heldout=HeldOut("the last run", ("run_05",), energy, rmse))
+    rising = noted(replace(BATTERY, heldout=HeldOut("the last run", ("run_05",), energy, rmse)))
     note = heldout_note(rising)
     assert note.startswith("With the effect the energy error rises from 0.20 to 2.30 % while the power error falls")
     assert ("NOTE", note) in words.report(rising)
     assert note in rising.to_json()["remarks"]
     assert note in unescape(diagnosis_page(Diagnosis("r", {"robot": rising})))
-    assert heldout_note(BATTERY) == ""
+    assert noted(BATTERY) is BATTERY
     assert heldout_note(replace(rising, effects=())) == ""
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from missionsim.cli.common import to_json
 from missionsim.diagnose import words
-from missionsim.diagnose.findings import (
+from missionsim.identify.findings import (
     BatteryDiagnosis,
     Diagnosis,
     Estimate,
@@ -25,38 +25,45 @@ from missionsim.report.blocks import Chart
 from missionsim.report.diagnosis_page import diagnosis_page, diagnosis_sections
 
 GRADE = Finding(
-    "grade",
-    {"k": Estimate(0.98, 0.95, 1.01)},
-    0.033,
-    1e-9,
-    0.030,
-    0.036,
-    2e-9,
-    "identified, repeated across runs",
-    1.8,
-    0.5,
+    effect="grade",
+    parameters={"k": Estimate(0.98, 0.95, 1.01)},
+    energy_share=0.033,
+    p_value=1e-9,
+    share_low=0.030,
+    share_high=0.036,
+    p_runs=2e-9,
+    level="identified, repeated across runs",
+    heldout_rmse_before_w=1.8,
+    heldout_rmse_after_w=0.5,
 )
 PAYLOAD = Finding(
-    "payload",
-    {"k": Estimate(0.7, 0.6, 0.8, "m/s^2")},
-    0.05,
-    1e-7,
-    0.04,
-    0.06,
+    effect="payload",
+    parameters={"k": Estimate(0.7, 0.6, 0.8, "m/s^2")},
+    energy_share=0.05,
+    p_value=1e-7,
+    share_low=0.04,
+    share_high=0.06,
     indistinguishable_from=("surface_rolling_resistance",),
     separation_nats=0.0,
 )
 HELD = {"nominal": 4.6, "recalibrated": 2.7, "with_effects": 1.2}
 BATTERY = BatteryDiagnosis(
-    "robot",
-    "effects_found",
-    (GRADE,),
-    (Judged("aerodynamic_drag", False, "adds nothing", 0.011), Judged("conversion_loss", False, "adds nothing", 1.4)),
-    (Recalibrated("c3", 4.2, 1.4, 10.2, 0.2, "W s/m"),),
-    0.3,
-    0.3,
-    False,
-    {
+    battery="robot",
+    verdict="effects_found",
+    effects=(GRADE,),
+    candidates=(
+        Judged("aerodynamic_drag", False, "adds nothing", 0.011),
+        Judged("conversion_loss", False, "adds nothing", 1.4),
+    ),
+    recalibration=(
+        Recalibrated(
+            parameter="c3", shift=0.042, shift_sd=0.02, shift_in_prior_sd=1.4, value=10.2, sd=0.2, unit="W s/m"
+        ),
+    ),
+    delay_s=0.3,
+    lag_s=0.3,
+    clock_at_edge=False,
+    noise={
         "sd_w": 0.4,
         "sd_share": 0.03,
         "fast_s": 4.0,
@@ -67,18 +74,17 @@ BATTERY = BatteryDiagnosis(
         "gain": 0.01,
         "motion_gain": 0.008,
     },
-    {"radio_range": ("access_point_distance_m",)},
-    Unexplained(0.0, (), ""),
-    (),
-    HeldOut("the last 2 runs of 8", ("run_06", "run_07"), HELD, HELD),
-    None,
-    (),
-    13.0,
-    ("run_00",),
-    420.0,
-    (),
-    {},
-    (Where("slope", "2 to 4 °", 0.4, -1.5),),
+    untestable={"radio_range": ("access_point_distance_m",)},
+    unexplained=Unexplained(0.0, (), ""),
+    next_experiments=(),
+    heldout=HeldOut("the last 2 runs of 8", ("run_06", "run_07"), HELD, HELD),
+    shifted=None,
+    execution=(),
+    mean_power_w=13.0,
+    runs=("run_00",),
+    seconds=420.0,
+    remarks=(),
+    where=(Where("slope", "2 to 4 °", 0.4, -1.5),),
 )
 
 
@@ -117,7 +123,7 @@ def test_without_effects_there_is_no_error_with_them() -> None:
 
 
 def test_a_base_that_is_far_off_is_no_mere_recalibration() -> None:
-    far = replace(BATTERY.recalibration[0], parameter="kinect.power", shift_pct=-21.0, shift_in_prior_sd=-7.0)
+    far = replace(BATTERY.recalibration[0], parameter="kinect.power", shift=-21.0 / 100.0, shift_in_prior_sd=-7.0)
     lines = [
         line
         for heading, line in words.report(replace(BATTERY, recalibration=(far, *BATTERY.recalibration)))

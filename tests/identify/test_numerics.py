@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from missionsim.identify.align import RunColumns, make_bins
-from missionsim.identify.data import RunData, Settings
+from missionsim.identify.data import RunData
 from missionsim.identify.design import make_source, switch_jumps
 from missionsim.identify.gram import make_gram, project
-from missionsim.identify.noise import start_noise, whiten
-from missionsim.identify.remainder import hats, knots_of
-from missionsim.identify.search import Rules, all_sets, set_gains
+from missionsim.identify.noise import packed, start_noise
+from missionsim.identify.residual import hats, knots_of
+from missionsim.identify.search import Constraints, all_sets, set_gains
+from missionsim.identify.settings import Settings
 from missionsim.identify.whitening import arma_of
 
 from .world import library, make_runs, with_gap
@@ -53,7 +54,7 @@ def test_whitening_is_the_inverse_cholesky_factor(source):
     design = source.design(source.clock)
     noise = start_noise(design)
     rows = np.random.default_rng(0).standard_normal((2, len(design.y)))
-    white = whiten(design, noise, rows)
+    white = packed(design, noise, rows).white(noise.shape) / noise.sigma_w
     part = design.runs[1]
     factor = np.linalg.cholesky(_dense(noise, part.stop - part.start))
     exact = np.linalg.solve(factor, rows[:, part].T).T
@@ -96,7 +97,7 @@ def test_best_feasible_set_is_non_negative_least_squares(source):
 
     design = source.design(source.clock)
     gram = make_gram(design, start_noise(design))
-    rules = Rules.of(design.layout, library())
+    rules = Constraints.of(design.layout, library())
     columns = [0, 1, 2]
     info = gram.full[1:4, 1:4]
     factor = np.linalg.cholesky(info).T

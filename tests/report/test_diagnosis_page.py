@@ -9,7 +9,7 @@ import pytest
 from missionsim.diagnose.diagnosis import Subject, diagnose
 from missionsim.diagnose.improve import improve
 from missionsim.diagnose.split import choose_split
-from missionsim.identify.data import Settings
+from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import load_robot
 from missionsim.report.diagnosis_page import diagnosis_page

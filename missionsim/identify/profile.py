@@ -1,35 +1,23 @@
-"""Exact fit of shape parameters (time constants, reference temperatures) by profile likelihood (step 8)."""
+"""Exact fit of shape parameters (time constants, reference temperatures) by profile likelihood (docs/method.md)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from missionsim.identify.data import Array, Candidate, RunData, Settings
+from missionsim.identify.data import Array, Candidate, RunData
 from missionsim.identify.design import Column, Source
-from missionsim.identify.gates import nats_needed, tails, weigh
-from missionsim.identify.model import Model, fit_model, score, shares
-from missionsim.identify.search import Rules
-
-if TYPE_CHECKING:
-    from missionsim.identify.choose import Choice
-
-EVALUATIONS = 24
-SHAPE_SD = 0.15
-"""Width of the weak prior on a shape parameter, relative to its bounds (assumed)."""
-ALIKE = 0.3
-TAKEN_OVER = 0.5
-"""Part of an effect's gain that another effect's shape makes up for, from which on the two are one."""
-FORM_PART = 0.1
-"""Beside an effect with a shape, one that looks somewhat like it counts from this part of its gain on: a line fitted to
-what bends with temperature leaves the bend over."""
+from missionsim.identify.evidence import Choice
+from missionsim.identify.model import Model, score, shares
+from missionsim.identify.rules import weigh
+from missionsim.identify.search import Constraints
+from missionsim.identify.settings import LIMIT_NATS, SHAPE_EVALUATIONS, SHAPE_SD, Settings
 
 
 def refit_shapes(
-    choice: Choice, candidates: Sequence[Candidate], rules: Rules, settings: Settings
+    choice: Choice, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings
 ) -> tuple[Choice, dict[str, dict[str, float]]]:
     """Refit the shape of every chosen effect that has one; returns the new choice and the shapes with 95 % limits.
 
@@ -40,21 +28,25 @@ def refit_shapes(
         here = choice.model.source.layout.columns[column]
         candidate = candidates[here.candidate]
         if _has_shape(candidate, here):
-            choice, shapes[candidate.effect] = _refit(choice, column, candidate, candidates, rules, settings)
+            choice, shapes[candidate.effect] = _refit(choice, column, candidate, candidates, constraints, settings)
         elif candidate.shape and not candidate.levels and candidate.shape[here.position]:
             shapes[candidate.effect] = dict(candidate.shape[here.position])
     return choice, shapes
 
 
-def bend(
-    choice: Choice, candidates: Sequence[Candidate], rules: Rules, settings: Settings, columns: Iterable[int]
+def refit_shapes_of(
+    choice: Choice,
+    columns: Iterable[int],
+    candidates: Sequence[Candidate],
+    constraints: Constraints,
+    settings: Settings,
 ) -> Choice:
     """The choice with the shapes of the given columns at their best, without limits."""
     for column in columns:
         here = choice.model.source.layout.columns[column]
         candidate = candidates[here.candidate]
         if _has_shape(candidate, here):
-            choice, _ = _refit(choice, column, candidate, candidates, rules, settings, limited=False)
+            choice, _ = _refit(choice, column, candidate, candidates, constraints, settings, limited=False)
     return choice
 
 
@@ -63,48 +55,12 @@ def _has_shape(candidate: Candidate, column: Column) -> bool:
     return candidate.refit is not None and not candidate.levels and bool(candidate.shape[column.position])
 
 
-def without_shadows(choice: Choice, candidates: Sequence[Candidate], rules: Rules, settings: Settings) -> Choice:
-    """Leave out what is only there because a shape in the model was not yet fitted, or was fitted beside it.
-
-    Friction below a reference temperature, with that temperature 5 K off, leaves a constant rolling friction over.
-    """
-    effects = max(1, len({int(e) for e in rules.effect}))
-    columns = choice.model.source.layout.columns
-
-    def shaped(column: int) -> bool:
-        return _has_shape(candidates[columns[column].candidate], columns[column])
-
-    for column in sorted(choice.model.chosen, key=lambda k: choice.evidence[k].gain):
-        model = choice.model
-        partners = [k for k in model.chosen if k != column and shaped(k)]
-        if shaped(column) or not partners:
-            continue
-        rest = tuple(k for k in model.chosen if k != column)
-        with_it = score(model.source, model.clock, model.noise, model.chosen)
-        less = fit_model(model.source, rest, model, thorough=False)
-        kept = {k: weigh(less, k, rules, settings, choice.spread, effects) for k in rest}
-        for k, e in kept.items():
-            e.passed.update({g: v for g, v in choice.evidence[k].passed.items() if g not in e.passed})
-        smaller = replace(choice, model=less, evidence=kept)
-        bent = bend(smaller, candidates, rules, settings, partners)
-        needed = nats_needed(tails(rules, settings, effects, True)[column]) * choice.spread
-        enough = max(needed, FORM_PART * max(choice.evidence[k].gain for k in partners))
-        straight, curved = (score(s, model.clock, model.noise, rest) for s in (model.source, bent.model.source))
-        alike = max(abs(model.gram.correlation(column, k, model.chosen)) for k in partners)
-        taken = max(0.0, curved - straight) / max(with_it - straight, 1e-9)
-        if with_it - curved < enough and (alike > ALIKE or taken > TAKEN_OVER):
-            shadow = choice.evidence[column]
-            shadow.passed["beyond form"] = False
-            choice = replace(smaller, refused={**choice.refused, column: shadow})
-    return choice
-
-
 def _refit(
     choice: Choice,
     column: int,
     candidate: Candidate,
     candidates: Sequence[Candidate],
-    rules: Rules,
+    constraints: Constraints,
     settings: Settings,
     limited: bool = True,
 ) -> tuple[Choice, dict[str, float]]:
@@ -145,19 +101,16 @@ def _refit(
         cost,
         x0,
         method="Nelder-Mead",
-        options={"maxfev": EVALUATIONS * len(names), "initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05},
+        options={"maxfev": SHAPE_EVALUATIONS * len(names), "initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05},
     )
     best = outer(found.x)
     source = with_shape(best)
     design = source.design(model.clock)
     refitted = Model(source, model.chosen, model.clock, design, model.noise)
-    effects = max(1, len({int(e) for e in rules.effect}))
-    evidence = {c: weigh(refitted, c, rules, settings, choice.spread, effects) for c in model.chosen}
-    for c, e in evidence.items():
-        e.passed.update({k: v for k, v in choice.evidence[c].passed.items() if k not in e.passed})
+    evidence = {c: weigh(refitted, c, constraints, candidates, settings) for c in model.chosen}
     limits: dict[str, float] = {}
     if limited:
-        limits = _limits(cost, found.x, float(found.fun), 1.92 * choice.spread, (low, high), outer, names)
+        limits = _limits(cost, found.x, float(found.fun), LIMIT_NATS, (low, high), outer, names)
 
         def size(shape: Mapping[str, float]) -> tuple[float, float]:
             trial = with_shape(shape)

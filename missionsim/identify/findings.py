@@ -1,4 +1,4 @@
-"""What a diagnosis says: plain frozen data with the contract's JSON, free of arrays."""
+"""What is said of a battery, as one tree of plain frozen records with the contract's JSON."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ if TYPE_CHECKING:
     from missionsim.identify.align import Clock
 
 SCHEMA = "missionsim.diagnosis/1"
-VERDICTS = ("effects_found", "nothing_missing", "ambiguous", "unexplained_structure")
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its 95 % interval."""
+    """A coefficient or shape parameter with its 95 % interval, systematic allowance included."""
 
     value: float
     low: float
@@ -30,7 +29,7 @@ class Estimate:
         return {"value": self.value, "low": self.low, "high": self.high, "unit": self.unit}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Finding:
     """One missing effect.
 
@@ -38,20 +37,21 @@ class Finding:
     ----------
     effect : str
     parameters : mapping of str to Estimate
-        Coefficients and shape parameters.
+        Coefficients first, then shape parameters.
     energy_share : float
         Part of the measured energy of the battery.
     share_low, share_high : float
         Its 95 % interval.
     p_value, p_runs : float
         Of no effect, from blocks of time, and from whole runs (NaN with fewer than three).
+    gain_nats : float
+        Log-likelihood that is lost without it.
     level : str
-        ``identified, repeated across runs``, ``identified`` or ``indicated``.
+        ``identified, repeated across runs`` or ``identified``.
     heldout_rmse_before_w, heldout_rmse_after_w : float or None
         Power error on held-out runs without this effect and with it, base parameters recalibrated both times.
     indistinguishable_from : tuple of str
-    weights : mapping of str to float
-        How probable each member of the set is.
+        Effects that these data cannot tell from it.
     separation_nats : float
         Expected lead over the best imitation.
     absorbed : float
@@ -68,11 +68,11 @@ class Finding:
     share_low: float = float("nan")
     share_high: float = float("nan")
     p_runs: float = float("nan")
+    gain_nats: float = float("nan")
     level: str = "identified"
     heldout_rmse_before_w: float | None = None
     heldout_rmse_after_w: float | None = None
     indistinguishable_from: tuple[str, ...] = ()
-    weights: Mapping[str, float] = field(default_factory=dict)
     separation_nats: float = float("nan")
     absorbed: float = float("nan")
     scheme: str = ""
@@ -91,7 +91,6 @@ class Finding:
             "heldout_rmse_before_w": self.heldout_rmse_before_w,
             "heldout_rmse_after_w": self.heldout_rmse_after_w,
             "indistinguishable_from": list(self.indistinguishable_from),
-            "weights": dict(self.weights),
             "separation_nats": self.separation_nats,
             "absorbed_share": self.absorbed,
         }
@@ -106,8 +105,17 @@ class Finding:
 class Judged:
     """A candidate and why it was taken or not.
 
-    ``open``: not taken, but part of what was found or remains may be its work, so that nothing is excluded.
-    ``doubtful_share``: energy share of one that helps but is not named, because of its form or what else remains.
+    Attributes
+    ----------
+    effect : str
+    accepted : bool
+    reason : str
+    smallest_detectable_share : float or None
+        Energy share that would be found in four of five cases; None where these data show none.
+    open : bool
+        Not taken, but part of what was found or remains may be its work, so that nothing is excluded.
+    doubtful_share : float or None
+        Energy share of one that helps but is not named, because of its form or what else remains.
     """
 
     effect: str
@@ -127,16 +135,32 @@ class Judged:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Recalibrated:
-    """Shift of a base parameter that these logs ask for."""
+    """Shift of a base parameter that these logs ask for.
+
+    Attributes
+    ----------
+    parameter : str
+    shift, shift_sd : float
+        Relative to the parameter's value, and its standard error.
+    shift_in_prior_sd : float
+    value, sd : float
+        The new value with its standard deviation, in ``unit``; NaN where the parameter is known by its gradient only.
+    """
 
     parameter: str
-    shift_pct: float
+    shift: float
+    shift_sd: float
     shift_in_prior_sd: float
-    value: float
-    sd: float
+    value: float = float("nan")
+    sd: float = float("nan")
     unit: str = ""
+
+    @property
+    def shift_pct(self) -> float:
+        """The shift in per cent."""
+        return 100.0 * self.shift
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields, and the new value with its standard deviation."""
@@ -223,12 +247,40 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
+class Structure:
+    """Something that remains in the residual and depends on a covariate (or is periodic, or a level).
+
+    Attributes
+    ----------
+    covariate : str
+        Empty where it depends on nothing.
+    p_value, gain_nats : float
+    size_share : float
+        Its mean size as share of the mean power.
+    shape : str
+        In words.
+    knots, curve_w : tuple of float
+        Its curve [W] (multiplied by the covariate ``times``, if any).
+    """
+
+    covariate: str
+    p_value: float
+    gain_nats: float
+    size_share: float
+    shape: str
+    knots: tuple[float, ...] = ()
+    curve_w: tuple[float, ...] = ()
+    times: str = ""
+
+
+@dataclass(frozen=True)
 class Unexplained:
     """What remains after everything that was found."""
 
     share_of_residual: float
     depends_on: tuple[str, ...]
     shape: str
+    structures: tuple[Structure, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields."""
@@ -257,11 +309,26 @@ class RunSeries:
     fitted_w: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class BatteryDiagnosis:
-    """Everything said about one battery."""
+@dataclass(frozen=True, kw_only=True)
+class Findings:
+    """What the numbers of one battery say.
 
-    battery: str
+    Attributes
+    ----------
+    verdict : str
+        See `missionsim.identify.verdict.decide`, which sets it.
+    effects : tuple of Finding
+        Most important first.
+    delay_s, lag_s : float
+        Of the meter behind the motion, found and applied.
+    clock_at_edge : bool
+        Whether they lie at the edge of what is searched.
+    noise : mapping of str to float
+        Standard deviation, correlation times and shares, differences between runs.
+    confounding : mapping
+        Correlation of each effect found with others, recalibration projected out.
+    """
+
     verdict: str
     effects: tuple[Finding, ...]
     candidates: tuple[Judged, ...]
@@ -270,30 +337,44 @@ class BatteryDiagnosis:
     lag_s: float
     clock_at_edge: bool
     noise: Mapping[str, float]
-    untestable: Mapping[str, tuple[str, ...]]
     unexplained: Unexplained
+    remarks: tuple[str, ...]
+    mean_power_w: float
+    confounding: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatteryDiagnosis(Findings):
+    """Everything said about one battery.
+
+    Attributes
+    ----------
+    untestable : mapping of str to tuple of str
+        Effects that these logs cannot test and what they lack.
+    execution : tuple of Finding
+        How the robot drove otherwise than planned.
+    runs : tuple of str
+        Fitted runs.
+    seconds : float
+        Their time together [s].
+    clock : Clock, optional
+        Clock of meter and motion that was found, for comparing other models at the same one.
+    aligned : bool
+        Whether the clocks were looked at; else they are as logged.
+    """
+
+    battery: str
+    untestable: Mapping[str, tuple[str, ...]]
     next_experiments: tuple[Experiment, ...]
     heldout: HeldOut | None
     shifted: HeldOut | None
     execution: tuple[Finding, ...]
-    mean_power_w: float
     runs: tuple[str, ...]
     seconds: float
-    remarks: tuple[str, ...]
-    confounding: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     where: tuple[Where, ...] = ()
     series: tuple[RunSeries, ...] = field(default=(), repr=False, compare=False)
     clock: Clock | None = field(default=None, repr=False, compare=False)
-    """Clock of meter and motion that was found, for comparing other models at the same one."""
     aligned: bool = True
-    """Whether the clocks were looked at; else they are as logged."""
-
-    @property
-    def told(self) -> tuple[str, ...]:
-        """Everything worth a note: why an energy error rose with the effects, and the remarks."""
-        from missionsim.diagnose.waterfall import heldout_note
-
-        return tuple(text for text in (heldout_note(self), *self.remarks) if text)
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields, and ours beside them."""
@@ -313,7 +394,7 @@ class BatteryDiagnosis:
             "mean_power_w": self.mean_power_w,
             "runs": list(self.runs),
             "seconds": self.seconds,
-            "remarks": list(self.told),
+            "remarks": list(self.remarks),
         }
 
 

@@ -1,29 +1,32 @@
-"""Which effects these data cannot tell apart (step 5)."""
+"""Identifiability: which effects these data cannot tell apart, and by how much the others are told (docs/method.md)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from missionsim.identify.data import Candidate, Settings
+from missionsim.identify.data import Candidate
 from missionsim.identify.gram import Gram
-from missionsim.identify.model import BLUNTED, Model, blunted
-from missionsim.identify.remainder import ramps, steady
-from missionsim.identify.result import Pair
-from missionsim.identify.search import Rules, all_sets, set_gains, single_gains
+from missionsim.identify.model import Model
+from missionsim.identify.residual import ramps, steady
+from missionsim.identify.search import Constraints, all_sets, set_gains, single_gains
+from missionsim.identify.settings import EXTRA_EFFECT_NATS, NOISY_SLOPE, ODDS_NATS, SAME_COLUMN, Settings
 
-ODDS_NATS = 3.0
-"""A rival 3 nats behind has one twentieth of the weight."""
-SAME_COLUMN = 0.995
-NOISY_SLOPE = 1.5
-"""A slope from an inertial sensor has noise and a bias of its own, which weakens a slope effect more than others."""
-EXTRA_EFFECT_NATS = 4.0
-"""Price of an explanation that needs one effect more."""
+
+@dataclass(frozen=True)
+class Pair:
+    """How well effect ``a`` can be told from effect ``b``: correlation and expected log-likelihood lead [nats]."""
+
+    a: str
+    b: str
+    r: float
+    separation_nats: float
 
 
 def rivals(
-    model: Model, effect: int, rules: Rules, candidates: Sequence[Candidate], settings: Settings, spread: float
+    model: Model, effect: int, constraints: Constraints, candidates: Sequence[Candidate], settings: Settings
 ) -> tuple[str, ...]:
     """Effects that could stand in the place of `effect` (a candidate number) in the model.
 
@@ -31,19 +34,23 @@ def rivals(
     exact, so a rival is kept also when it loses only a small part of the effect's own gain. What only rows beside
     ramps can tell apart is not told apart, unless the effect itself lives there.
     """
-    full = _close_ones(model.gram, model, effect, rules, candidates, settings, spread)
+    full = _close_ones(model.gram, model, effect, constraints, candidates, settings)
     flat = steady(model, free_base=False)
-    rest = [k for k in model.chosen if rules.effect[k] != effect]
+    rest = [k for k in model.chosen if constraints.effect[k] != effect]
     own = flat.gram.gain(model.chosen) - flat.gram.gain(rest)
     if own > 0.5 * (model.gram.gain(model.chosen) - model.gram.gain(rest)):
-        for other, behind in _close_ones(flat.gram, flat, effect, rules, candidates, settings, spread).items():
+        for other, behind in _close_ones(flat.gram, flat, effect, constraints, candidates, settings).items():
             full[other] = min(full.get(other, np.inf), behind)
     ordered = sorted(full, key=lambda o: full[o])
-    ordered += [o for o in _proportional(model, [effect, *ordered], rules, candidates) if o not in (effect, *ordered)]
+    ordered += [
+        o for o in _proportional(model, [effect, *ordered], constraints, candidates) if o not in (effect, *ordered)
+    ]
     return tuple(candidates[o].effect for o in ordered)
 
 
-def _proportional(model: Model, named: Sequence[int], rules: Rules, candidates: Sequence[Candidate]) -> list[int]:
+def _proportional(
+    model: Model, named: Sequence[int], constraints: Constraints, candidates: Sequence[Candidate]
+) -> list[int]:
     """Effects of the same covariate whose power is proportional to that of a named one away from ramps.
 
     At one cruise speed v, v2 and v3 are the same column; what then prefers one of them is noise.
@@ -52,12 +59,12 @@ def _proportional(model: Model, named: Sequence[int], rules: Rules, candidates: 
     rows = model.design.phi[:, ~ramps(model)]
     size = np.linalg.norm(rows, axis=1)
     found: list[int] = []
-    for a in (k for k in range(len(rows)) if rules.effect[k] in named):
+    for a in (k for k in range(len(rows)) if constraints.effect[k] in named):
         for b in range(len(rows)):
-            other = int(rules.effect[b])
+            other = int(constraints.effect[b])
             if other in named or other in found or candidates[other].covariate not in covariates:
                 continue
-            if candidates[other].covariate != candidates[int(rules.effect[a])].covariate or rules.joint[b]:
+            if candidates[other].covariate != candidates[int(constraints.effect[a])].covariate or constraints.joint[b]:
                 continue
             if rows[a] @ rows[b] > SAME_COLUMN * size[a] * size[b] > 0:
                 found.append(other)
@@ -65,52 +72,45 @@ def _proportional(model: Model, named: Sequence[int], rules: Rules, candidates: 
 
 
 def _close_ones(
-    gram: Gram,
-    model: Model,
-    effect: int,
-    rules: Rules,
-    candidates: Sequence[Candidate],
-    settings: Settings,
-    spread: float,
+    gram: Gram, model: Model, effect: int, constraints: Constraints, candidates: Sequence[Candidate], settings: Settings
 ) -> dict[int, float]:
     """Rivals and how many nats they are behind."""
-    own = [k for k in model.chosen if rules.effect[k] == effect]
-    rest = [k for k in model.chosen if rules.effect[k] != effect]
+    own = [k for k in model.chosen if constraints.effect[k] == effect]
+    rest = [k for k in model.chosen if constraints.effect[k] != effect]
     base = gram.gain(rest)
     gain = gram.gain(model.chosen) - base
     found: dict[int, float] = {}
-    column_of: dict[int, int] = {}
-    singles = single_gains(gram, rules, rest)
+    singles = single_gains(gram, constraints, rest)
     for k, value in enumerate(singles):
-        other = int(rules.effect[k])
+        other = int(constraints.effect[k])
         if other != effect and np.isfinite(value) and value > found.get(other, 0.0):
-            found[other], column_of[other] = float(value), k
+            found[other] = float(value)
     if len(own) == 1 and len(rest) <= 1:
-        for other, value in _pairs_without(gram, rules, rest, effect, settings).items():
-            found[other] = max(found.get(other, -np.inf), value - base - EXTRA_EFFECT_NATS * spread)
+        for other, value in _pairs_without(gram, constraints, rest, effect, settings).items():
+            found[other] = max(found.get(other, -np.inf), value - base - EXTRA_EFFECT_NATS)
     close: dict[int, float] = {}
     for other, value in found.items():
         same = candidates[other].covariate == candidates[effect].covariate
         loss = (settings.rival_loss if same else settings.noisy_rival_loss) * gain
         if candidates[other].covariate == "slope_rad" and not same:
             loss *= NOISY_SLOPE
-        if same and other in column_of and blunted(model, column_of[other], own[0]):
-            loss += BLUNTED * gain
-        if gain - value < max(ODDS_NATS * spread, loss):
+        if gain - value < max(ODDS_NATS, loss):
             close[other] = gain - value
     return close
 
 
-def _pairs_without(gram: Gram, rules: Rules, rest: Sequence[int], effect: int, settings: Settings) -> dict[int, float]:
+def _pairs_without(
+    gram: Gram, constraints: Constraints, rest: Sequence[int], effect: int, settings: Settings
+) -> dict[int, float]:
     """Best total gain of rest plus two effects other than `effect`, credited to those that are not negligible."""
-    sets = all_sets(rules, 2 + len(rest))
-    keep = np.all(rules.effect[sets] != effect, axis=1)
+    sets = all_sets(constraints, 2 + len(rest))
+    keep = np.all(constraints.effect[sets] != effect, axis=1)
     for k in rest:
         keep &= np.any(sets == k, axis=1)
     sets = sets[keep]
     if not len(sets):
         return {}
-    gains = set_gains(gram, rules, sets)
+    gains = set_gains(gram, constraints, sets)
     out: dict[int, float] = {}
     singles = 0.5 * gram.full[0, 1:] ** 2 / np.maximum(np.diag(gram.full)[1:], 1e-300)
     for row in np.argsort(-gains)[:40]:
@@ -121,12 +121,14 @@ def _pairs_without(gram: Gram, rules: Rules, rest: Sequence[int], effect: int, s
         new = [k for k in share if k not in rest and share[k] > settings.min_share]
         for k in new:
             if singles[k] >= 0.5 * max(singles[j] for j in new):
-                other = int(rules.effect[k])
+                other = int(constraints.effect[k])
                 out[other] = max(out.get(other, -np.inf), float(gains[row]))
     return out
 
 
-def pairs(model: Model, rules: Rules, candidates: Sequence[Candidate], gram: Gram | None = None) -> tuple[Pair, ...]:
+def pairs(
+    model: Model, constraints: Constraints, candidates: Sequence[Candidate], gram: Gram | None = None
+) -> tuple[Pair, ...]:
     """Correlation and separation of each effect in the model from every other effect.
 
     Columns are whitened, with base parameters, run effects and the rest of the model projected out; r is 0 where
@@ -140,15 +142,15 @@ def pairs(model: Model, rules: Rules, candidates: Sequence[Candidate], gram: Gra
         value = float(model.gram.coefficients(model.chosen)[0][list(model.chosen).index(a)])
         best: dict[int, float] = {}
         for b in range(gram.p):
-            other = int(rules.effect[b])
-            if other == rules.effect[a] or b in rest or left[1 + b, 1 + b] <= 1e-9 * gram.full[1 + b, 1 + b]:
+            other = int(constraints.effect[b])
+            if other == constraints.effect[a] or b in rest or left[1 + b, 1 + b] <= 1e-9 * gram.full[1 + b, 1 + b]:
                 continue
             r = float(left[1 + a, 1 + b] / np.sqrt(left[1 + a, 1 + a] * left[1 + b, 1 + b]))
-            if rules.sign[b] * r * value < 0:
+            if constraints.sign[b] * r * value < 0:
                 r = 0.0
             if abs(r) > abs(best.get(other, -1e-9)) or other not in best:
                 best[other] = r
         strength = 0.5 * value**2 * float(left[1 + a, 1 + a])
-        name = candidates[int(rules.effect[a])].effect
+        name = candidates[int(constraints.effect[a])].effect
         out += [Pair(name, candidates[o].effect, r, strength * (1 - min(1.0, r * r))) for o, r in best.items()]
     return tuple(out)

@@ -1,4 +1,4 @@
-"""What remains in the residual: dependence on a covariate, wrong form of an effect, periodic load (step 7)."""
+"""Structure of the residual: dependence on a covariate, wrong form of an effect, periodic load, low-frequency noise."""
 
 from __future__ import annotations
 
@@ -8,41 +8,43 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.data import Array, Settings
-from missionsim.identify.gates import block_numbers
+from missionsim.identify.data import Array
+from missionsim.identify.evidence import block_numbers
+from missionsim.identify.findings import Structure
 from missionsim.identify.gram import project
 from missionsim.identify.model import Model
-from missionsim.identify.result import Structure
+from missionsim.identify.settings import (
+    CURVE_LEVEL,
+    CURVE_NATS,
+    CURVE_NATS_ON_RAMPS,
+    FEWEST_HATS,
+    FORM_FAINT,
+    FORM_LEVEL,
+    FORM_NATS,
+    FORM_SURE,
+    FREER,
+    GROSS,
+    KNOTS,
+    LARGEST_GAIN,
+    LINE_RATIO,
+    LONG_BLOCK_S,
+    ONE_SPEED,
+    PERIODIC_LEVEL,
+    RAMP,
+    RAMP_FORM_RATIO,
+    RAMP_TAIL_ROWS,
+    RAMP_WEIGHT,
+    SEVERAL_RUNS,
+    SLOW_NOISE,
+    SLOW_NOISE_S,
+    STANDS,
+    SUPPORT_S,
+    UNUSUAL_GAIN,
+    Settings,
+)
 
-KNOTS = 6
-LONG_BLOCK_S = 60.0
-LOUD = 1e-4
-VERY_LOUD_NATS = 50.0
-"""Rows beside ramps bend curves: with them in, only this much counts."""
-RAMP = 0.03
-RAMP_TAIL_ROWS = 2
-SUPPORT_S = 8.0
-ONE_SPEED = 0.25
-FEWEST_HATS = 3
-FORM_LEVEL = 1e-3
-"""Level of the one test of an effect's form; a misfit must be large as well."""
-FORM_FAINT = 0.02
-FORM_SURE = 1e-5
-GROSS = 0.45
-"""An effect that explains less than this part of what a free curve explains is wrong even where the misfit is faint."""
 NOISY_FORM = {"slope_rad"}
 """Noise and bias of an inclinometer on level floors bend the curve into a dead zone, however right the form is."""
-WANDER_S = 30.0
-WANDER = 0.03
-"""Standard deviation of half-minute means of the noise, in parts of the power. Meters and drives show 1 to 2 % (all
-synthetic worlds and the practice logs without a hidden effect: 0.9 to 1.9 %)."""
-RAMP_WEIGHT = 0.002
-FREER = 3.0
-RAMP_FORM_RATIO = 0.5
-"""Rows beside ramps bend curves, so with them in only a gross misfit counts."""
-PERIODIC = 1e-6
-LINE_RATIO = 8.0
-"""Imperfect whitening makes small bumps; a line stands out this much at least."""
 MAGNITUDE_OF = {"yaw_rate_rad_s", "speed_m_s", "lateral_speed_m_s"}
 ABOUT_RAMPS = {"accel_m_s2"}
 TIMES_SPEED = {"slope_rad", "payload_kg", "temp_ambient_c", "temp_motor_c"}
@@ -136,7 +138,7 @@ def curve_rows(model: Model, covariate: str, times: str = "") -> tuple[Array, Ar
     return averaged[seconds > limit], knots
 
 
-def test_curve(model: Model, rows: Array, spread: float, chosen: Sequence[int]) -> tuple[float, float, Array]:
+def test_curve(model: Model, rows: Array, chosen: Sequence[int]) -> tuple[float, float, Array]:
     """Gain of a group of columns [nats], p-value (the more careful of likelihood and sandwich), coefficients."""
     from scipy.stats import chi2
     from scipy.stats import f as f_distribution
@@ -157,7 +159,7 @@ def test_curve(model: Model, rows: Array, spread: float, chosen: Sequence[int]) 
     values[keep] = np.linalg.solve(inner, b[keep])
     gain = 0.5 * float(b[keep] @ values[keep])
     freedom = int(keep.sum())
-    p_like = float(chi2.sf(2 * gain / spread, freedom))
+    p_like = float(chi2.sf(2 * gain, freedom))
     residual = y - values @ x
     blocks = block_numbers(model, max(LONG_BLOCK_S, 15 * model.design.layout.step_s))
     count = int(blocks.max()) + 1
@@ -172,7 +174,7 @@ def test_curve(model: Model, rows: Array, spread: float, chosen: Sequence[int]) 
     return gain, max(p_like, p_robust), values
 
 
-def dependences(model: Model, spread: float, settings: Settings, chosen: Sequence[int]) -> list[Structure]:
+def dependences(model: Model, settings: Settings, chosen: Sequence[int]) -> list[Structure]:
     """Covariates on which the residual still depends, loudest first."""
     flat = steady(model)
     names = [n for n in model.source.covariates if n not in ABOUT_RAMPS]
@@ -185,11 +187,11 @@ def dependences(model: Model, spread: float, settings: Settings, chosen: Sequenc
         if not varies(model, name) or (len(knots) > 3 and rows.shape[0] < FEWEST_HATS):
             continue
         best: tuple[float, float, Array, float] | None = None
-        for judge, least, level in ((flat, 8.0, LOUD), (model, VERY_LOUD_NATS, 0.1 * LOUD)):
-            gain, p_value, values = test_curve(judge, rows, spread, chosen)
+        for judge, least, level in ((flat, CURVE_NATS, CURVE_LEVEL), (model, CURVE_NATS_ON_RAMPS, 0.1 * CURVE_LEVEL)):
+            gain, p_value, values = test_curve(judge, rows, chosen)
             fitted = values @ rows
             size = float(np.mean(np.abs(fitted - np.average(fitted)))) / model.design.layout.mean_power_w
-            loud = p_value * max(1, len(tests)) < level and gain > least * spread
+            loud = p_value * max(1, len(tests)) < level and gain > least
             if loud and size > 2 * settings.min_share:
                 best = (gain, p_value, values, size)
                 break
@@ -242,7 +244,7 @@ def periodic(model: Model, chosen_rows: Array) -> Structure | None:
     p_value = float(gamma.sf(ratio[top] * 0.97, 1.3 * len(parts), scale=1 / (1.3 * len(parts)))) * int(
         usable_mask.sum()
     )
-    if p_value > PERIODIC or ratio[top] < LINE_RATIO:
+    if p_value > PERIODIC_LEVEL or ratio[top] < LINE_RATIO:
         return None
     period, sd = _refined(parts, (top + 1) / length)
     words = f"periodic load, period {period * step:.0f} ± {max(1.0, sd * step):.0f} s"
@@ -262,7 +264,7 @@ def _refined(parts: Sequence[Array], frequency: float) -> tuple[float, float]:
     return period, 0.5 * period**2 / (longest * np.sqrt(len(parts)))
 
 
-def wander(model: Model) -> Structure | None:
+def low_frequency_noise(model: Model) -> Structure | None:
     """Noise that is too slow and too loud for a meter: a load that comes and goes, or a state that no column shows.
 
     Without this, the correlated noise of the model would take up in silence whatever is unknown.
@@ -270,10 +272,10 @@ def wander(model: Model) -> Structure | None:
     noise = model.noise
     variance = 0.0
     for time_s, share in ((noise.fast_s, noise.fast_share), (noise.slow_s, noise.slow_share)):
-        x = WANDER_S / time_s
+        x = SLOW_NOISE_S / time_s
         variance += share * 2.0 / x * (1.0 - (1.0 - np.exp(-x)) / x)
     size = float(noise.total_sd_w * np.sqrt(variance) / model.design.layout.mean_power_w)
-    if size < WANDER:
+    if size < SLOW_NOISE:
         return None
     words = (
         f"the residual wanders by {100 * size:.2g} % of the power from one half minute to the next, more than a meter "
@@ -282,7 +284,7 @@ def wander(model: Model) -> Structure | None:
     return Structure("time_s", 0.0, 0.0, size, words)
 
 
-def wrong_form(model: Model, column: int, covariate: str, spread: float, settings: Settings) -> Structure | None:
+def wrong_form(model: Model, column: int, covariate: str, settings: Settings) -> Structure | None:
     """Whether a free curve over an effect's covariate explains so much more that the effect's form is not right."""
     if covariate not in model.source.covariates:
         return None
@@ -295,13 +297,13 @@ def wrong_form(model: Model, column: int, covariate: str, spread: float, setting
     if covariate not in ABOUT_RAMPS:
         judges.insert(0, (steady(model), settings.form_ratio))
     for judge, ratio in judges:
-        beyond, p_value, values = test_curve(judge, rows, spread, model.chosen)
-        if p_value > FORM_FAINT or beyond < 8 * spread or (p_value > FORM_LEVEL and beyond < 20 * spread):
+        beyond, p_value, values = test_curve(judge, rows, model.chosen)
+        if p_value > FORM_FAINT or beyond < CURVE_NATS or (p_value > FORM_LEVEL and beyond < FORM_NATS):
             continue
-        own, _, _ = test_curve(judge, model.design.phi[[column]], spread, rest)
-        free, _, _ = test_curve(judge, np.vstack([rows, model.design.phi[column]]), spread, rest)
+        own, _, _ = test_curve(judge, model.design.phi[[column]], rest)
+        free, _, _ = test_curve(judge, np.vstack([rows, model.design.phi[column]]), rest)
         # five free values follow slow noise by some 10 nats; a small effect is not unnamed by that
-        sure = p_value < FORM_SURE and beyond > 20 * spread and covariate not in NOISY_FORM
+        sure = p_value < FORM_SURE and beyond > FORM_NATS and covariate not in NOISY_FORM
         if own < GROSS * free or (own < ratio * free and sure):
             break
     else:
@@ -314,7 +316,7 @@ def wrong_form(model: Model, column: int, covariate: str, spread: float, setting
     )
 
 
-def stands_without(model: Model, column: int, structure: Structure, spread: float) -> bool:
+def stands_without(model: Model, column: int, structure: Structure) -> bool:
     """Whether an effect keeps at least half of its gain when a structure's free curve is in as well.
 
     If not, the effect may be no more than the shadow of the structure.
@@ -323,7 +325,20 @@ def stands_without(model: Model, column: int, structure: Structure, spread: floa
         return True
     rest = [k for k in model.chosen if k != column]
     rows, _ = curve_rows(model, structure.covariate, structure.times)
-    own, _, _ = test_curve(model, model.design.phi[[column]], spread, rest)
-    curve, _, _ = test_curve(model, rows, spread, rest)
-    both, _, _ = test_curve(model, np.vstack([rows, model.design.phi[column]]), spread, rest)
-    return both - curve >= 0.5 * own
+    own, _, _ = test_curve(model, model.design.phi[[column]], rest)
+    curve, _, _ = test_curve(model, rows, rest)
+    both, _, _ = test_curve(model, np.vstack([rows, model.design.phi[column]]), rest)
+    return both - curve >= STANDS * own
+
+
+def runs_apart(model: Model) -> Structure | None:
+    """Runs that differ in what the same motion costs, by several times what meters and drives usually do."""
+    size = max(model.noise.gain, model.noise.motion_gain)
+    if len(model.design.runs) < SEVERAL_RUNS or size < UNUSUAL_GAIN:
+        return None
+    at_least = "at least " if size > 0.99 * LARGEST_GAIN else ""
+    words = (
+        f"the runs differ by {at_least}{100 * size:.2g} % in what the same motion costs, several times what meters and "
+        "drives usually do: something that changes from run to run is missing"
+    )
+    return Structure("run", 0.0, 0.0, size, words)

@@ -1,0 +1,232 @@
+"""What speaks for one effect: gain of the likelihood, errors clustered by blocks and by runs, detection limit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.identify.data import Array, Candidate
+from missionsim.identify.gram import Gram, project
+from missionsim.identify.model import Model
+from missionsim.identify.search import Constraints, single_gains
+from missionsim.identify.settings import (
+    BETWEEN_PART,
+    LEADING_BLOCK,
+    ONE_RUN_NATS,
+    ONE_RUN_PART,
+    POWER_Z,
+    SEVERAL_RUNS,
+    Settings,
+)
+
+Numbers = NDArray[np.intp]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """What speaks for one column, given the others in the model.
+
+    Attributes
+    ----------
+    gain : rise of the log-likelihood [nats]
+    share, share_sd : coefficient as share of energy, and its robust standard error
+    p_robust, p_runs : two-sided p-values from blocks and from whole runs (NaN with fewer than 3 runs)
+    passed : name of each gate that was asked (`missionsim.identify.rules`) and its answer
+    shape_sd : further standard error of the share, from the uncertain shape of the effect
+    unit_shape_sd : the same of the coefficient in its own unit, relative to the coefficient
+    """
+
+    column: int
+    gain: float
+    share: float
+    share_sd: float
+    p_robust: float
+    p_runs: float
+    passed: dict[str, bool]
+    shape_sd: float = 0.0
+    unit_shape_sd: float = 0.0
+
+    @property
+    def accepted(self) -> bool:
+        """Whether all gates are passed."""
+        return all(self.passed.values())
+
+    @property
+    def p_value(self) -> float:
+        """The more careful of the likelihood and the robust p-value."""
+        from scipy.stats import chi2
+
+        return float(max(chi2.sf(2 * max(self.gain, 0.0), 1), self.p_robust))
+
+
+@dataclass
+class Choice:
+    """A fitted model, what spoke for each column in it, and what was tried and refused."""
+
+    model: Model
+    empty: Model
+    evidence: dict[int, Evidence]
+    refused: dict[int, Evidence] = field(default_factory=dict)
+
+
+def evidence_of(model: Model, column: int, constraints: Constraints, settings: Settings) -> Evidence:
+    """Evidence for `column`, which is in `model`, given the rest of the model; no gate is asked yet."""
+    others = [c for c in model.chosen if c != column]
+    gain = float(single_gains(model.gram, constraints, others)[column])
+    share, sd, p_robust, p_runs = _robust(model, column, others, settings)
+    return Evidence(column=column, gain=gain, share=share, share_sd=sd, p_robust=p_robust, p_runs=p_runs, passed={})
+
+
+def at_a_glance(model: Model, column: int, gain: float) -> Evidence:
+    """Evidence for a candidate too small to matter, without a refit of the noise."""
+    from scipy.stats import chi2
+
+    rest = model.gram.conditional(model.chosen)
+    share = float(rest[0, 1 + column] / rest[1 + column, 1 + column])
+    sd = float(np.sqrt(1.0 / rest[1 + column, 1 + column]))
+    return Evidence(
+        column=column,
+        gain=gain,
+        share=share,
+        share_sd=sd,
+        p_robust=float(chi2.sf(2 * gain, 1)),
+        p_runs=float("nan"),
+        passed={"practical": False},
+    )
+
+
+def tails(constraints: Constraints, settings: Settings, beside: bool) -> Array:
+    """Probability of a false alarm that each column is allowed, in one tail, shape (p,).
+
+    The level is shared by all effects (Bonferroni). Where physics gives the sign, only that tail can alarm; not so
+    `beside` an effect in the model, whose misfit goes either way. A grid of time constants is tried at several places
+    that look alike: the root of their number counts.
+    """
+    effects = max(1, len(np.unique(constraints.effect)))
+    number = np.bincount(constraints.effect)[constraints.effect]
+    sides = np.where((constraints.sign == 0) | beside, 2.0, 1.0)
+    return np.asarray(settings.alpha / effects / np.sqrt(number) / sides)
+
+
+def nats_needed(tail: float) -> float:
+    """Rise of the log-likelihood that chance exceeds with probability `tail` on one side."""
+    from scipy.stats import norm
+
+    return 0.5 * float(norm.isf(tail)) ** 2
+
+
+def block_numbers(model: Model, length_s: float) -> Numbers:
+    """Number of the time block of each row, shape (n,); blocks never span two runs."""
+    design = model.design
+    out = np.empty(len(design.y), dtype=np.intp)
+    total = 0
+    for rows in design.runs:
+        time_s = design.time_s[rows]
+        own = np.floor((time_s - time_s[0]) / length_s).astype(np.intp)
+        out[rows] = total + np.unique(own, return_inverse=True)[1]
+        total = int(out[rows].max()) + 1
+    return out
+
+
+def _robust(model: Model, column: int, others: Sequence[int], settings: Settings) -> tuple[float, float, float, float]:
+    """Share, cluster-robust standard error (CRV3) and p-values by blocks and by runs.
+
+    The priors' pseudo-rows enter as known variance, not as jackknife blocks: left out one at a time they would count
+    as if the prior could be wrong by all of itself.
+    """
+    design = model.design
+    rows = np.vstack([design.residual, design.phi[column]])
+    p = project(design, model.noise, rows, others)
+    x, x_pseudo = p.rows[1], p.pseudo[1]
+    info = float(x @ x + x_pseudo @ x_pseudo)
+    if info <= 0:
+        return 0.0, np.inf, 1.0, float("nan")
+    share = float(x @ p.rows[0] + x_pseudo @ p.pseudo[0]) / info
+    e = p.rows[0] - share * x
+    known = float(x_pseudo @ x_pseudo)
+    # slow logs need longer blocks: ten rows at least, else neighbours are not independent
+    blocks = block_numbers(model, max(settings.block_s, 10.0 * design.layout.step_s))
+    block_sd, block_p = _clustered(x, e, blocks, share, info, known)
+    block_p = min(block_p, 2.0 * _beside_the_leading(x, p.rows[0], blocks))
+    run_p = float("nan")
+    if len(design.runs) >= SEVERAL_RUNS:
+        _, run_p = _clustered(x, e, design.run_index(), share, info, known)
+    return share, max(block_sd, float(np.sqrt(1.0 / info))), block_p, run_p
+
+
+def _clustered(x: Array, e: Array, cluster: Numbers, share: float, info: float, known: float) -> tuple[float, float]:
+    """Standard error of the jackknife over clusters and its p-value, with Satterthwaite's degrees of freedom."""
+    from scipy.stats import t
+
+    score = np.bincount(cluster, weights=x * e)
+    leverage = np.minimum(np.bincount(cluster, weights=x * x) / info, 0.95)
+    variance = float(np.sum((score / (1 - leverage)) ** 2)) + known
+    weight = np.append(leverage, 0.0)
+    freedom = max(1.5, float(np.sum(weight)) ** 2 / float(np.sum(weight**2)) - 1.0)
+    sd = float(np.sqrt(variance)) / info
+    return sd, float(2 * t.sf(abs(share) / max(sd, 1e-300), freedom))
+
+
+def _beside_the_leading(x: Array, left: Array, blocks: Numbers) -> float:
+    """p-value without the block that holds most of the information, where it holds so much that few degrees of
+    freedom are left; 1 elsewhere."""
+    leverage = np.bincount(blocks, weights=x * x)
+    leading = int(np.argmax(leverage))
+    rest = blocks != leading
+    info = float(leverage.sum() - leverage[leading])
+    if leverage[leading] < LEADING_BLOCK * leverage.sum() or info <= 0:
+        return 1.0
+    x, left = x[rest], left[rest]
+    share = float(x @ left) / info
+    numbers = np.unique(blocks[rest], return_inverse=True)[1]
+    return _clustered(x, left - share * x, numbers, share, info, 0.0)[1]
+
+
+def between_runs(model: Model, column: int) -> bool:
+    """Whether a column hardly changes within runs, so that only differences between runs speak for it."""
+    return differs_between([model.design.phi[column, rows] for rows in model.design.runs])
+
+
+def cause_is_constant(model: Model, column: int, candidates: Sequence[Candidate]) -> bool:
+    """Whether what an effect depends on hardly changes within the runs, so that each run is a single observation."""
+    name = candidates[model.design.layout.columns[column].candidate].covariate
+    values = [np.asarray(run.covariates[name]) for run in model.source.runs if name in run.covariates]
+    return bool(values) and differs_between(values)
+
+
+def differs_between(parts: Sequence[Array]) -> bool:
+    """Whether values, one array for each run, differ between the runs and hardly within them; NaN is left out."""
+    within = sum(float(np.nansum((v - np.nanmean(v)) ** 2)) for v in parts)
+    every = np.concatenate(parts)
+    return within < BETWEEN_PART * float(np.nansum((every - np.nanmean(every)) ** 2))
+
+
+def rests_on_one_run(model: Model, column: int) -> bool:
+    """Whether hardly anything speaks for a column once the run that says most for it is left out."""
+    gram = model.gram
+    others = [k for k in model.chosen if k != column]
+    count = gram.per_run.shape[0]
+    kept = [Gram(np.delete(gram.per_run, j, axis=0), gram.prior_precision) for j in range(count)]
+    least = min(part.gain(model.chosen) - part.gain(others) for part in kept)
+    whole = gram.gain(model.chosen) - gram.gain(others)
+    return bool(least < max(ONE_RUN_NATS, ONE_RUN_PART * whole))
+
+
+def smallest_detectable(model: Model, constraints: Constraints, settings: Settings) -> Array:
+    """Smallest share of energy of each column that would be found in four of five cases, shape (p,)."""
+    from scipy.stats import norm
+
+    info = np.diag(model.gram.conditional([]))[1:].copy()
+    outside = [k for k in range(model.gram.p) if k not in model.chosen]
+    if model.chosen:
+        info[outside] = np.diag(model.gram.conditional(model.chosen))[1:][outside]
+        for k in model.chosen:
+            info[k] = model.gram.conditional([c for c in model.chosen if c != k])[1 + k, 1 + k]
+    needed = norm.isf(tails(constraints, settings, bool(model.chosen))) + POWER_Z
+    out = np.full(len(info), np.inf)
+    usable = info > 1e-8 * np.maximum(np.diag(model.gram.full)[1:], 1e-300)
+    out[usable] = np.maximum(needed[usable] / np.sqrt(info[usable]), settings.min_share)
+    return out

@@ -1,0 +1,295 @@
+"""Which physical effect is missing? The whole identification of one battery, as docs/method.md describes it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from missionsim.identify.data import Candidate, RunData
+from missionsim.identify.design import make_source
+from missionsim.identify.estimates import estimated
+from missionsim.identify.evidence import Choice, smallest_detectable
+from missionsim.identify.factor import instead_of_effects, level_difference
+from missionsim.identify.findings import Finding, Findings, Judged, Recalibrated, Structure, Unexplained
+from missionsim.identify.identifiability import Pair, pairs
+from missionsim.identify.model import Model
+from missionsim.identify.profile import refit_shapes
+from missionsim.identify.residual import dependences, low_frequency_noise, periodic, runs_apart, wrong_form
+from missionsim.identify.rules import Question, Remains, demoted, refusal
+from missionsim.identify.search import Constraints
+from missionsim.identify.settings import SEVERAL_RUNS, Settings
+from missionsim.identify.stepwise import choose, forced
+from missionsim.identify.verdict import decide
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identification(Findings):
+    """All findings of one battery, and the fit that they rest on, for later questions.
+
+    Attributes
+    ----------
+    choice : Choice
+        The fitted model with what speaks for each effect in it, and the model without effects.
+    library : tuple of Candidate
+    settings : Settings
+    shapes : mapping
+        Refitted shape parameters of each effect, with their limits.
+    demoted : tuple of str
+        Effects that the model keeps and does not name.
+    factor : float or None
+        The one factor on the whole model that took the place of all effects.
+    averages : tuple of Structure
+        A level by which all runs differ.
+    """
+
+    choice: Choice
+    library: tuple[Candidate, ...]
+    settings: Settings
+    shapes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    demoted: tuple[str, ...] = ()
+    factor: float | None = None
+    averages: tuple[Structure, ...] = ()
+
+
+def identify(
+    runs: Sequence[RunData],
+    candidates: Sequence[Candidate],
+    prior_sd: Mapping[str, float],
+    settings: Settings = Settings(),  # noqa: B008 (frozen)
+) -> Identification:
+    """Find the effects that the base model misses.
+
+    Parameters
+    ----------
+    runs : measured runs of one battery with base model, its gradient and the candidate columns
+    candidates : effects of the library
+    prior_sd : relative standard deviation of each base parameter (3 % where absent)
+    settings : choices of the method
+
+    Raises
+    ------
+    ValueError
+        Without a run of at least eight analysis intervals, or with arrays of different lengths.
+    """
+    source = make_source(runs, candidates, prior_sd, settings)
+    return _told(choose(source, candidates, settings), candidates, settings, len(runs))
+
+
+def fit_effects(
+    runs: Sequence[RunData],
+    candidates: Sequence[Candidate],
+    effects: Sequence[str],
+    prior_sd: Mapping[str, float],
+    settings: Settings = Settings(),  # noqa: B008 (frozen)
+) -> Identification:
+    """Fit a given set of effects (no search, none demoted); of a grid of shapes the best column is taken and refitted.
+
+    Raises
+    ------
+    ValueError
+        If an effect is not among the candidates or never acts in these runs.
+    """
+    source = make_source(runs, candidates, prior_sd, settings)
+    return _told(forced(source, candidates, effects, settings), candidates, settings, len(runs), given=True)
+
+
+def _told(
+    choice: Choice, candidates: Sequence[Candidate], settings: Settings, given_runs: int, given: bool = False
+) -> Identification:
+    """Everything that is said of a choice; with `given` effects, all of them are named."""
+    constraints = Constraints.of(choice.model.source.layout, candidates)
+    choice, shapes = refit_shapes(choice, candidates, constraints, settings)
+    model = choice.model
+    remains = _remains(model, candidates, constraints, settings)
+    structures = _structures(model, remains)
+    unnamed: tuple[str, ...] = ()
+    factor: float | None = None
+    averages: tuple[Structure, ...] = ()
+    if not given:
+        unnamed = _unnamed(choice, candidates, constraints, settings, remains)
+        chosen = tuple(dict.fromkeys(candidates[int(constraints.effect[k])].effect for k in model.chosen))
+        factor = instead_of_effects(model) if set(chosen) - set(unnamed) else None
+        if factor is not None:
+            named = [name for name in chosen if name not in unnamed]
+            structures, unnamed = (_factor_told(factor, named), *structures), tuple(sorted(chosen))
+        elif (level := level_difference(model)) is not None:
+            averages = (level,)
+    alike = pairs(model, constraints, candidates)
+    effects = estimated(choice, candidates, constraints, settings, shapes, alike, set(unnamed))
+    names = {effect.effect for effect in effects}
+    noise = model.noise
+    return Identification(
+        verdict=decide(effects, structures, unnamed, averages=averages),
+        effects=effects,
+        candidates=_judged(choice, candidates, constraints, settings, effects, unnamed, factor),
+        recalibration=_recalibration(model),
+        delay_s=model.clock.delay_s,
+        lag_s=model.clock.lag_s,
+        clock_at_edge=model.clock.at_edge,
+        noise={
+            "sd_w": noise.total_sd_w,
+            "sd_share": noise.total_sd_w / model.design.layout.mean_power_w,
+            "fast_s": noise.fast_s,
+            "slow_s": noise.slow_s,
+            "fast_share": noise.fast_share,
+            "slow_share": noise.slow_share,
+            "offset_w": noise.offset_w,
+            "gain": noise.gain,
+            "motion_gain": noise.motion_gain,
+        },
+        unexplained=unexplained(model, structures, averages, depends=factor is None),
+        remarks=_remarks(model, given_runs),
+        mean_power_w=model.design.layout.mean_power_w,
+        confounding=_confounding(alike, names),
+        choice=choice,
+        library=tuple(candidates),
+        settings=settings,
+        shapes=shapes,
+        demoted=unnamed,
+        factor=factor,
+        averages=averages,
+    )
+
+
+def _remains(model: Model, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings) -> Remains:
+    forms = {}
+    for column in model.chosen:
+        covariate = candidates[int(constraints.effect[column])].covariate
+        wrong = wrong_form(model, column, covariate, settings)
+        if wrong is not None:
+            forms[column] = wrong
+    seen = {s.covariate for s in forms.values()}
+    rest = tuple(s for s in dependences(model, settings, model.chosen) if s.covariate not in seen)
+    loose = (periodic(model, model.innovations), low_frequency_noise(model))
+    return Remains(forms, rest, tuple(s for s in loose if s is not None))
+
+
+def _structures(model: Model, remains: Remains) -> tuple[Structure, ...]:
+    """All that remains, in the order in which it is told."""
+    apart = runs_apart(model)
+    last = () if apart is None else (apart,)
+    return (*remains.forms.values(), *remains.dependences, *remains.loose, *last)
+
+
+def _unnamed(
+    choice: Choice, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings, remains: Remains
+) -> tuple[str, ...]:
+    """Effects in the model that a demotion keeps from being named."""
+    found = []
+    for column in choice.model.chosen:
+        question = Question(choice.model, choice.evidence[column], constraints, candidates, settings)
+        if demoted(question, remains):
+            found.append(candidates[int(constraints.effect[column])].effect)
+    return tuple(dict.fromkeys(found))
+
+
+def _factor_told(factor: float, effects: Sequence[str]) -> Structure:
+    words = (
+        f"the meter reads {factor:.3g} times what the model gives, whatever the robot does, which explains as much as "
+        f"{' and '.join(effects)} would: check the units of the log, the meter and the robot file"
+    )
+    return Structure("", 0.0, 0.0, abs(factor - 1.0), words)
+
+
+def _judged(
+    choice: Choice,
+    candidates: Sequence[Candidate],
+    constraints: Constraints,
+    settings: Settings,
+    effects: Sequence[Finding],
+    unnamed: Sequence[str],
+    factor: float | None,
+) -> tuple[Judged, ...]:
+    """Every candidate with its reason and its detection limit."""
+    limits = smallest_detectable(choice.model, constraints, settings)
+    rival_of = {rival: one.effect for one in effects for rival in one.indistinguishable_from}
+    out = []
+    for number, candidate in enumerate(candidates):
+        name = candidate.effect
+        own = [k for k in range(len(constraints.effect)) if constraints.effect[k] == number]
+        inside = [k for k in own if k in choice.model.chosen]
+        share = sum(choice.evidence[k].share for k in inside)
+        tried = [choice.refused[k] for k in own if k in choice.refused]
+        if name in rival_of:
+            reason = f"these data cannot tell it from {rival_of[name]}"
+        elif not own:
+            reason = "never acts in these runs" if candidate.columns else "its columns are missing"
+        elif inside and name not in unnamed:
+            reason = f"explains {100 * share:.2g} % of the energy"
+        elif inside and factor is not None:
+            reason = f"a factor of {factor:.3g} on the whole model explains as much"
+        elif inside:
+            reason = "helps, but its form is not right or a louder structure remains"
+        else:
+            best = max(tried, key=lambda e: e.gain, default=None)
+            reason = "adds nothing beyond what is in the model" if best is None else refusal(best)
+        limit = min((float(limits[k]) for k in own), default=math.inf)
+        out.append(
+            Judged(
+                name,
+                bool(inside) and name not in unnamed,
+                reason,
+                limit if math.isfinite(limit) else None,
+                name in rival_of or name in unnamed,
+                share if inside and name in unnamed else None,
+            )
+        )
+    return tuple(out)
+
+
+def _recalibration(model: Model) -> tuple[Recalibrated, ...]:
+    layout = model.design.layout
+    shifts, covariance = model.gram.shifts(model.chosen)
+    return tuple(
+        Recalibrated(
+            parameter=name,
+            shift=float(shifts[i]),
+            shift_sd=float(np.sqrt(covariance[i, i])),
+            shift_in_prior_sd=float(shifts[i] / layout.prior_sd[i]),
+        )
+        for i, name in enumerate(layout.parameters)
+    )
+
+
+def _confounding(alike: Sequence[Pair], names: set[str]) -> dict[str, dict[str, float]]:
+    """How alike each effect found is to others, as correlations."""
+    rows: dict[str, dict[str, float]] = {}
+    for pair in alike:
+        if pair.a in names and math.isfinite(pair.r):
+            rows.setdefault(pair.a, {})[pair.b] = pair.r
+    return rows
+
+
+def unexplained(
+    model: Model, structures: Sequence[Structure], averages: Sequence[Structure] = (), depends: bool = True
+) -> Unexplained:
+    """What is left, with the share of the squared error that the structures make; `averages` are told, not counted."""
+    left = model.design.residual
+    if model.chosen:
+        left = left - model.gram.coefficients(model.chosen)[0] @ model.design.phi[list(model.chosen)]
+    variance = float(np.average(left**2, weights=model.design.duration_s))
+    made = sum((s.size_share * model.design.layout.mean_power_w) ** 2 for s in structures)
+    share = min(1.0, made / max(variance, 1e-300))
+    on = tuple(dict.fromkeys(s.covariate for s in structures if s.covariate)) if depends else ()
+    told = "; ".join(s.shape for s in (*averages, *structures))
+    return Unexplained(float(share), on, told, (*averages, *structures))
+
+
+def _remarks(model: Model, given_runs: int) -> tuple[str, ...]:
+    out = []
+    used = len(model.design.runs)
+    if used < given_runs:
+        out.append(f"{given_runs - used} of {given_runs} runs are too short and were left out")
+    if used == 1:
+        out.append(
+            "one run only: whether a finding repeats cannot be shown, and what is constant during the run (payload, "
+            "temperature, floor) cannot be told from a shift of the base model"
+        )
+    elif used < SEVERAL_RUNS:
+        out.append("two runs only: no p-value across runs; differences between runs rest on two values")
+    if model.clock.at_edge:
+        out.append("the delay or lag of the power meter lies at the edge of what was searched; check the clocks")
+    return tuple(out)

@@ -1,0 +1,269 @@
+"""Every number that decides something in identification and diagnosis, each with its reason.
+
+"Assumed" stands beside values that neither physics nor statistics gives; docs/method.md shows each in its formula.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+ALPHA = 0.002
+"""Family-wise false alarms of an effect that enters the model: between 0.002 and 0.01 the study found hardly any right
+names and most of the wrong ones."""
+DEFAULT_PRIOR_SD = 0.03
+"""Relative standard deviation of a base parameter where the robot file gives none (assumed: a careful bench fit)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Choices of the method that a caller may change.
+
+    Parameters
+    ----------
+    alpha : family-wise false alarm rate of an effect that enters the model
+    period_s : analysis period [s]; slower logs keep their own
+    min_share : effects below this share of the energy are called negligible
+    max_effects : most effects that enter
+    recalibration_limit : shifts of a base parameter up to this many prior sd are recalibration (four: one in 16,000)
+    block_s : length of the blocks of the robust standard errors [s], several correlation times of a meter's noise
+    form_ratio : an effect explaining less than this part of what a free curve over its covariate explains has
+        the wrong form
+    rival_loss : a rival of the same covariate within this part of the effect's own gain is not told apart, because
+        forms are never exact
+    noisy_rival_loss : the same for a rival of another covariate, whose noise weakens what it explains
+    systematic : relative systematic allowance of a coefficient (covariate noise), measured on synthetic worlds
+    form_error : relative error of an effect's form; weighs more the more of the effect hides in recalibration
+    align : estimate delay and lag of the power meter
+    """
+
+    alpha: float = ALPHA
+    period_s: float = 1.0
+    min_share: float = 0.004
+    max_effects: int = 6
+    recalibration_limit: float = 4.0
+    block_s: float = 20.0
+    form_ratio: float = 0.85
+    rival_loss: float = 0.03
+    noisy_rival_loss: float = 0.12
+    systematic: float = 0.07
+    form_error: float = 0.03
+    align: bool = True
+
+
+# Runs and analysis intervals
+
+FEWEST_INTERVALS = 8
+"""A run with fewer analysis intervals says nothing beside its own offset and gain, and is left out."""
+FINEST_STEP_S = 0.1
+"""Faster rows are averaged to this step: motion and power of a robot hardly change within it."""
+GAP_ROWS = 4.0
+"""Rows further apart than this many usual steps have a gap between them: noise is filtered anew behind it."""
+SEVERAL_RUNS = 3
+"""From here on runs test each other; two values have no scatter to speak of."""
+
+# Clock of meter and motion
+
+CLOCK_SD_S = 0.15
+"""What is left of the common delay after it was found [s] (assumed: a tenth of a row or two)."""
+CLOCK_SD_S2 = 0.05
+"""What is left of the common lag [s2] (assumed, as `CLOCK_SD_S`)."""
+JITTER_SD_S = 0.10
+"""Delay of a single run's meter against the common one [s] (assumed: time stamps of a common network)."""
+LAG_JITTER_SD_S2 = 0.05
+"""The same of its lag [s2] (assumed)."""
+LARGEST_RUN_DELAY_S = 0.6
+"""Delays of single runs beyond this are no jitter, and are cut off."""
+RUN_DELAY_SD_S = 0.2
+"""Prior of the delays of single runs in the search of the clock [s] (assumed)."""
+DERIVATIVE_STEP_S = 0.2
+"""Step of the derivatives after the delay [s], about what is left of the clock."""
+CLOCK_RISE_NATS = 0.05
+"""A step of the clock that gains less ends its search."""
+CLOCK_RUNS = 8
+"""Of more runs than this a quarter starts the clock; the model refines it with every run."""
+
+# Nuisances of the base model
+
+SWITCH_SD = 0.5
+"""Part of a row that counts as switched on though the switch fell inside it: anything from none to all of the row."""
+CURVATURE_SD = 0.8
+"""Curvature of power over speed, in mean power over mean square speed (assumed: drag of a fast robot)."""
+
+# Noise
+
+HUBER = 2.5
+"""Innovations beyond this many standard deviations count less (Huber 1981: 1 % lost where noise is normal)."""
+LARGEST_GAIN = 0.05
+"""Runs that differ by more than this in gain differ by something that should be named."""
+NOISE_FLOOR = 0.3
+"""The noise no longer falls below this part of the mean power: a meter has a floor of its own (assumed)."""
+NOISE_SPLIT_S = 25.0
+"""Border between the correlation times of the fast and of the slow part [s] (assumed)."""
+SHARE_PRIOR = 4.0
+"""Precision of the weak prior on a share of energy (sd 50 %): keeps runs without the effect harmless."""
+UNUSUAL_GAIN = 0.03
+"""Runs that differ by this much differ by more than meters (0.5 to 1 %) and drives do; 3 % is told as a finding."""
+USUAL_GAIN = 0.015
+"""Where the fit of the noise begins again once runs differed by an unusual gain."""
+
+# Search
+
+TRIED = 2
+"""So many candidates are fitted with a noise of their own in each step; the third was never the best in the study."""
+PROMISING = 0.5
+"""A candidate is fitted when its gain before the refit of the noise reaches this part of what is needed: the noise of
+the model without it has swallowed some of its gain."""
+GLANCE = 0.6
+"""A candidate below this part of the least share is not fitted at all: its share hardly changes by a refit."""
+CLOSE = 0.6
+"""The second best is fitted too when it reaches this part of the best, for the same reason."""
+CLOSE_NATS = 8.0
+"""Sets no further behind the best are compared under common noise: noise that is fitted apart differs by some nats."""
+JOINT_NATS = 0.5
+"""Levels of a label enter a forced fit when they gain this much: about what chance gains."""
+MOST_TRIPLES = 20_000
+"""Up to so many triples of columns are compared in full (5 ms); beyond, sets that differ in one column."""
+
+# Gates
+
+ONE_RUN_NATS = 3.0
+"""What must be left of an effect's gain without the run that shows it best: one in twenty by likelihood."""
+ONE_RUN_PART = 0.05
+"""The same in parts of its gain: a run that says 95 % of it is a single observation of what is constant in runs."""
+LEADING_BLOCK = 0.3
+"""A block with this part of the information leaves too few degrees of freedom for a test with it."""
+RUN_LEVEL = 0.05
+"""Level at which an effect counts as repeated across runs in words."""
+POWER_Z = 0.84
+"""Normal quantile of a power of 80 %, at which detection limits are told."""
+BETWEEN_PART = 0.1
+"""A covariate with less than this part of its variance within runs is one observation a run."""
+
+# Refit of shapes
+
+SHAPE_SD = 0.15
+"""Width of the weak prior on a shape parameter, relative to its bounds (assumed)."""
+SHAPE_EVALUATIONS = 24
+"""Evaluations of the profile likelihood for each shape parameter."""
+LIMIT_NATS = 1.92
+"""Half the 95 % quantile of chi-square with one degree of freedom: profile-likelihood limits."""
+
+# Credible set
+
+ODDS_NATS = 3.0
+"""A rival 3 nats behind has one twentieth of the weight: 95 % sets."""
+SAME_COLUMN = 0.995
+"""Columns this much alike away from ramps are one: what then prefers one of them is noise."""
+NOISY_SLOPE = 1.5
+"""A slope from an inertial sensor has noise and a bias of its own, which weakens a slope effect more than others."""
+EXTRA_EFFECT_NATS = 4.0
+"""Price of an explanation that needs one effect more (its choice among some fifty columns)."""
+SEPARABLE_NATS = 5.0
+"""Expected lead from which two effects are called separable (odds of 150)."""
+WEAK_NATS = 2.0
+"""Expected lead below which these data cannot tell."""
+
+# Intervals
+
+RAMP_SYSTEMATIC = 0.3
+"""Further relative allowance of a coefficient that rests on ramps, which the meter's lag and the averaging blur."""
+
+# Structure of the residual
+
+KNOTS = 6
+"""Knots of a free curve over a covariate: five free values bend as friction and drag do, and hardly follow noise."""
+LONG_BLOCK_S = 60.0
+"""Blocks of the sandwich of a curve's test [s], longer than the slow noise usually lasts."""
+CURVE_LEVEL = 1e-4
+"""Level, shared by all covariates, at which the residual depends on one."""
+CURVE_NATS = 8.0
+"""Least gain of a curve [nats], about what slow noise gives five free values."""
+CURVE_NATS_ON_RAMPS = 50.0
+"""The same with rows beside ramps in, which bend curves."""
+RAMP = 0.03
+"""Rows beside a change of the base model by this part of the mean power lie on a ramp."""
+RAMP_TAIL_ROWS = 2
+"""Rows behind a ramp that still count as such: the meter's lag."""
+RAMP_WEIGHT = 0.002
+"""Weight of such rows in tests of form: next to none, but enough to keep the matrices regular."""
+FREER = 3.0
+"""In tests of form base parameters are freer than their priors by this factor: no shift may look like a form."""
+SUPPORT_S = 8.0
+"""A knot that less time away from ramps supports says nothing of the curve [s]."""
+ONE_SPEED = 0.25
+"""Speeds within this part of their median are one cruise speed, over which no form can be judged."""
+FEWEST_HATS = 3
+"""Fewer supported knots than this are no curve."""
+FORM_LEVEL = 1e-3
+"""Level of the one test of an effect's form; a misfit must be large as well."""
+FORM_FAINT = 0.02
+"""Where the gain beyond the form is large, this level suffices: few blocks carry the test."""
+FORM_NATS = 20.0
+"""Gain beyond the form that is large."""
+FORM_SURE = 1e-5
+"""A misfit below the gross one must be this sure."""
+GROSS = 0.45
+"""An effect that explains less than this part of what a free curve explains is wrong even where the misfit is faint."""
+RAMP_FORM_RATIO = 0.5
+"""The same with rows beside ramps in, where only a gross misfit counts."""
+STANDS = 0.5
+"""An effect that keeps less of its gain beside the free curve of another structure may be the shadow of that."""
+SLOW_NOISE_S = 30.0
+"""Time over which the noise is averaged to tell low-frequency noise from a meter's [s]."""
+SLOW_NOISE = 0.03
+"""Standard deviation of such means, in parts of the power, that no meter makes (worlds: 0.9 to 1.9 %)."""
+PERIODIC_LEVEL = 1e-6
+"""Level of a periodic load; imperfect whitening reaches 2e-4 on nothing."""
+LINE_RATIO = 8.0
+"""A line in the periodogram stands out of its neighbourhood this much: imperfect whitening makes small bumps."""
+FAINT_NATS = 50.0
+"""Beside low-frequency noise or a periodic load, an effect with less gain within runs is not named."""
+FAINT_SHARE = 0.2
+"""Nor one below this part of the size of that noise."""
+
+# One factor between meter and model
+
+LEVEL_SHARE = 0.10
+"""A difference of the energies in all runs, beyond recalibration and effects, that no good meter makes."""
+AT_LEVEL = 0.05
+"""Where the file as it stands gives the measured energy within this, no factor lies between meter and model."""
+AS_MUCH = 0.9
+"""A single factor that explains this part of what the effects explain is the simpler answer."""
+LEAST_FREE_SD = 1.0
+"""Relative standard deviation that stands for no prior at least; such parameters follow the meter."""
+
+# A systematic error in one kind of motion
+
+MOST_OF_SQUARE = 0.5
+"""Part of the squared error that a kind of motion must hold to be told."""
+SMALL_TIME = 0.25
+"""Part of the time that it may take at most: more is the ordinary error of the model."""
+MOTION_SECONDS = 5.0
+"""Time in a kind of motion below which a run says nothing of it [s]."""
+CLEAR_T = 5.0
+"""Mean over runs in its own standard errors; with three runs p = 0.04, beside everything else that is asked."""
+CLEAR_OF_NOISE = 2.0
+"""Mean error in standard deviations of a single row's noise; the mean of many rows strays far less."""
+
+# Passes of the diagnosis and experiments
+
+MOST_PASSES = 3
+"""Times that columns are evaluated anew at the size found; the second changes it by less than a per cent."""
+SAME_SIZE = 0.05
+"""A column is evaluated anew when the size found differs by more than this from the one that it was made for."""
+SHIFTED_RUNS = 4
+"""Fewer runs than this are not split by condition."""
+SHIFTED_RATIO = 1.2
+"""Runs left out by condition lie beyond the others' largest value of it by this factor, or by the next in the mean."""
+SHIFTED_MEAN_RATIO = 1.5
+"""See `SHIFTED_RATIO`."""
+ENOUGH_NATS = 12.0
+"""Expected lead at which a manoeuvre need not be longer: it resolves the question in 97 of 100 cases."""
+DECIDED_NATS = 2.944
+"""ln 19: lead at which the credible set of two has one member."""
+BETTER_NATS = 1.0
+"""A manoeuvre that raises the lead by less is not proposed."""
+LENGTHS = (1, 2, 4)
+"""Times its usual length that a manoeuvre may be driven."""
+MOST_PROPOSED = 2
+"""Manoeuvres proposed: the best and one to choose in its place."""

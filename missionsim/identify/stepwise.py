@@ -1,0 +1,135 @@
+"""Stepwise search: add the best effect, refit clock and noise, ask the gates, swap, until nothing passes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from missionsim.identify.data import Candidate
+from missionsim.identify.design import Source
+from missionsim.identify.evidence import Choice, Evidence, at_a_glance, nats_needed, tails
+from missionsim.identify.model import Model, fit_model, log_likelihood
+from missionsim.identify.profile import refit_shapes_of
+from missionsim.identify.rules import weigh
+from missionsim.identify.search import Constraints, best_set, single_gains
+from missionsim.identify.settings import CLOSE, CLOSE_NATS, GLANCE, JOINT_NATS, PROMISING, TRIED, Settings
+
+
+def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) -> Choice:
+    """Search for the missing effects."""
+    constraints = Constraints.of(source.layout, candidates)
+    empty = fit_model(source, ())
+    found = Choice(empty, empty, {})
+    while len(found.model.chosen) < settings.max_effects and source.layout.columns:
+        step = _next_step(source, candidates, constraints, settings, found)
+        if step is None:
+            break
+        new = set(step.model.chosen) - set(found.model.chosen)
+        # what is left beside an effect is judged with that effect at its best: a reference temperature 5 K off leaves
+        # a constant friction over
+        found = refit_shapes_of(step, new, candidates, constraints, settings)
+        source = found.model.source
+    return found
+
+
+def _next_step(
+    source: Source, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings, found: Choice
+) -> Choice | None:
+    """The model with one effect more, or another set of that size; None where no set passes the gates."""
+    model = found.model
+    refused = dict(found.refused)
+    trials = _trials(model, constraints, settings, refused)
+    before = log_likelihood(model) if trials else 0.0
+    options: list[tuple[float, Choice]] = []
+    for trial in trials:
+        fitted = fit_model(source, trial, model, thorough=False)
+        weighed = {c: weigh(fitted, c, constraints, candidates, settings) for c in trial}
+        if all(e.accepted for e in weighed.values()):
+            options.append((log_likelihood(fitted) - before, Choice(fitted, found.empty, weighed)))
+        else:
+            refused.update({c: e for c, e in weighed.items() if c not in model.chosen and not e.accepted})
+    found.refused.update(refused)
+    if not options:
+        return None
+    best = _best(options, constraints)
+    best.refused.update(refused)
+    return best
+
+
+def _trials(
+    model: Model, constraints: Constraints, settings: Settings, refused: dict[int, Evidence]
+) -> list[tuple[int, ...]]:
+    """Sets that are worth a fit with a noise of their own: the best single additions, and the best set of that size."""
+    gains = single_gains(model.gram, constraints, model.chosen)
+    needed = nats_needed(float(np.max(tails(constraints, settings, bool(model.chosen)))))
+    order = [int(k) for k in np.argsort(-gains) if np.isfinite(gains[k]) and gains[k] > PROMISING * needed]
+    rest = model.gram.conditional(model.chosen)
+    best: list[int] = []
+    for k in order:
+        if any(constraints.effect[k] == constraints.effect[o] for o in best):
+            continue
+        if abs(rest[0, 1 + k]) / rest[1 + k, 1 + k] < GLANCE * settings.min_share:
+            refused.setdefault(k, at_a_glance(model, k, float(gains[k])))
+            continue
+        if best and gains[k] < CLOSE * gains[best[0]]:
+            break
+        best.append(k)
+    trials: list[tuple[int, ...]] = [(*model.chosen, k) for k in best[:TRIED]]
+    if trials and model.chosen:
+        swapped, _ = best_set(model.gram, constraints, len(model.chosen) + 1, trials[0])
+        if set(swapped) not in [set(t) for t in trials]:
+            trials.append(swapped)
+    return trials
+
+
+def _best(options: Sequence[tuple[float, Choice]], constraints: Constraints) -> Choice:
+    """The option with the highest likelihood; those that come close are compared with the noise of each in turn."""
+    top = max(rise for rise, _ in options)
+    close = [choice for rise, choice in options if rise > top - CLOSE_NATS]
+    best = close[0]
+    for other in close[1:]:
+        lead = 2.0 * (_grids(best, constraints) - _grids(other, constraints))
+        lead += sum(m.gram.gain(other.model.chosen) - m.gram.gain(best.model.chosen) for m in (best.model, other.model))
+        if lead > 0:
+            best = other
+    return best
+
+
+def _grids(choice: Choice, constraints: Constraints) -> float:
+    """Nats that a set owes to the grids its columns were picked from: each grid is one effect, not several."""
+    sizes = [
+        np.sum(constraints.effect == constraints.effect[k]) for k in choice.model.chosen if not constraints.joint[k]
+    ]
+    return float(np.sum(np.log(sizes)))
+
+
+def forced(source: Source, candidates: Sequence[Candidate], effects: Sequence[str], settings: Settings) -> Choice:
+    """Fit given effects without a search: the best column of each grid, all levels of a label that act.
+
+    Raises
+    ------
+    ValueError
+        If an effect is unknown or has no column that acts in these runs.
+    """
+    layout = source.layout
+    constraints = Constraints.of(layout, candidates)
+    empty = fit_model(source, ())
+    model = empty
+    for name in effects:
+        own = [k for k, c in enumerate(layout.columns) if candidates[c.candidate].effect == name]
+        if not own:
+            raise ValueError(f"effect {name} has no column that acts in these runs")
+        if constraints.joint[own[0]]:
+            gains = single_gains(model.gram, constraints, model.chosen)
+            new = [k for k in own if np.isfinite(gains[k]) and gains[k] > JOINT_NATS]
+            new = new or [own[int(np.argmax(gains[own]))]]
+        else:
+            new = [own[int(np.argmax(_unsigned_gains(model, own)))]]
+        model = fit_model(source, (*model.chosen, *new), model, thorough=False)
+    return Choice(model, empty, {c: weigh(model, c, constraints, candidates, settings) for c in model.chosen})
+
+
+def _unsigned_gains(model: Model, columns: Sequence[int]) -> list[float]:
+    rest = model.gram.conditional(model.chosen)
+    return [float(0.5 * rest[0, 1 + k] ** 2 / max(rest[1 + k, 1 + k], 1e-300)) for k in columns]
