@@ -1,0 +1,111 @@
+"""What the search for a law needs of an identification, in one place: rows, noise, and what is already explained."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.identify.data import Array
+from missionsim.identify.design import Column, Design
+from missionsim.identify.model import Model, log_likelihood
+from missionsim.identify.noise import Noise, fit_noise, for_rows, start_noise
+from missionsim.identify.result import Identification
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The model that a law would be added to.
+
+    Attributes
+    ----------
+    model : Model
+        With the effects that were found, and nothing that is in doubt.
+    covariates : tuple of mapping
+        Of each run of the model, at its raw rate.
+    held : tuple of (str, tuple of int)
+        Effects found and their columns.
+    """
+
+    model: Model
+    covariates: tuple[Mapping[str, Any], ...]
+    held: tuple[tuple[str, tuple[int, ...]], ...]
+
+    @property
+    def design(self) -> Design:
+        """Rows of all runs at the analysis rate."""
+        return self.model.design
+
+    @property
+    def chosen(self) -> tuple[int, ...]:
+        """Columns of the effects found."""
+        return self.model.chosen
+
+    @property
+    def mean_power_w(self) -> float:
+        """Mean measured power."""
+        return self.design.layout.mean_power_w
+
+    def plain(self, noise: Noise) -> Noise:
+        """A noise whose weights were not read off the residual: where an unknown law acts, rows look like outliers."""
+        return for_rows(self.design, noise)
+
+    def usual(self) -> Noise:
+        """Noise as meters and drives usually have it, whatever this residual looks like."""
+        return start_noise(self.design)
+
+    def averaged(self, raw: Sequence[Array]) -> Array:
+        """Columns (k, rows) of each run at the raw rate as rows of the design, shape (k, n)."""
+        return self.model.source.averaged(raw, self.model.clock)
+
+    def with_law(self, watts: Array, start: Noise | None = None, thorough: bool = False) -> tuple[Model, int]:
+        """The model with one more column (power for a coefficient of 1, averaged, shape (n,)) and noise of its own.
+
+        Returns the model and the number of the new column.
+        """
+        design, column = self.extended(watts)
+        chosen = (*self.chosen, column)
+        noise = fit_noise(design, chosen, start or self.model.noise, thorough=thorough)
+        return Model(self.model.source, chosen, self.model.clock, design, noise), column
+
+    def extended(self, watts: Array) -> tuple[Design, int]:
+        """The design with one more column, in shares of energy, and its number."""
+        layout = self.design.layout
+        mean = float(np.average(np.abs(watts), weights=self.design.duration_s))
+        more = replace(layout, columns=(*layout.columns, Column(-1, 0, "law", mean)))
+        phi = np.vstack([self.design.phi, watts * (layout.mean_power_w / max(mean, 1e-300))])
+        return replace(self.design, layout=more, phi=phi), len(layout.columns)
+
+
+def ground_of(found: Identification, covariates: Sequence[Mapping[str, Any]]) -> Ground:
+    """The ground of an identification: effects that it names stay in, those that it puts in doubt do not.
+
+    Parameters
+    ----------
+    found : Identification
+    covariates : sequence of mapping
+        Of every run that was given to it, at the raw rate.
+    """
+    model = found.choice.model
+    columns = model.design.layout.columns
+    names = [e.effect for e in found.effects]
+    held = tuple(
+        (name, tuple(k for k in model.chosen if found.library[columns[k].candidate].effect == name)) for name in names
+    )
+    inside = tuple(k for k in model.chosen if any(k in own for _, own in held))
+    if inside != model.chosen:
+        model = replace(model, chosen=inside, noise=fit_noise(model.design, inside, model.noise, thorough=False))
+    return Ground(model, tuple(covariates[i] for i in model.source.kept), held)
+
+
+def evidence(model: Model) -> float:
+    """Log evidence with the model's own noise."""
+    return log_likelihood(model)
+
+
+def library_columns(ground: Ground) -> tuple[Array, NDArray[np.intp]]:
+    """Columns of the library, shape (p, n), and the number of the candidate of each."""
+    return ground.design.phi, np.array([c.candidate for c in ground.design.layout.columns], dtype=np.intp)

@@ -1,0 +1,395 @@
+"""The grammar of laws: factors over logged quantities, each with its unit, multiplied up to three at a time.
+
+Every law that can be simulated is written as the ``power:`` of an ``effects:`` entry. Thresholds, time constants and
+reference values are read off the logs (quantiles of what was driven), so they say where the logs lie, not what is true.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.covariates import is_text
+from missionsim.glossary import column_of
+from missionsim.labels import Labels
+
+Array = NDArray[np.float64]
+Units = tuple[tuple[str, int], ...]
+MOST_FACTORS = 3
+MOST_LEVELS = 6
+MOST_FURTHER = 6
+"""Columns beyond the glossary that enter; more would make chance finds of any share."""
+LAGS_S = (5.0, 30.0)
+WARM_S = (30.0, 120.0)
+VARIES = 1e-9
+_SKIPPED = re.compile(
+    r"(^|_)(power|voltage|volts?|current|amps?|energy|soc|charge)(_|$)"
+    r"|^(x_m|y_m|heading_rad|segment|starts|starts_per_s|body_mass_kg|mass_kg|regeneration|drive_w|load_w|moving)$"
+    r"|^(on_time_|starting_)"
+)
+SYMBOLS = {
+    "speed_m_s": "v",
+    "yaw_rate_rad_s": "ω",
+    "lateral_speed_m_s": "u",
+    "accel_m_s2": "a",
+    "slope_rad": "θ",
+    "payload_kg": "payload",
+    "temp_ambient_c": "T",
+    "temp_motor_c": "T_motor",
+    "cpu_load": "load",
+    "cpu_freq_hz": "f",
+    "access_point_distance_m": "d",
+    "time_s": "t",
+    "moving_time_s": "t_moving",
+}
+_PLAIN_UNITS: dict[str, Units] = {
+    "speed_m_s": (("m", 1), ("s", -1)),
+    "yaw_rate_rad_s": (("rad", 1), ("s", -1)),
+    "lateral_speed_m_s": (("m", 1), ("s", -1)),
+    "accel_m_s2": (("m", 1), ("s", -2)),
+    "slope_rad": (("rad", 1),),
+    "payload_kg": (("kg", 1),),
+    "temp_ambient_c": (("K", 1),),
+    "temp_motor_c": (("K", 1),),
+    "cpu_freq_hz": (("Hz", 1),),
+    "access_point_distance_m": (("m", 1),),
+    "time_s": (("s", 1),),
+}
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One factor of a law.
+
+    Attributes
+    ----------
+    variable : str
+        The logged quantity that it is about; a law holds one factor of a variable.
+    text : str
+        As the robot file writes it.
+    symbol : str
+        For people.
+    unit : tuple of (str, int)
+        Base units and exponents of the factor.
+    rank : int
+        0 for the plain quantity; higher for forms that bend it. Of forms that fit alike the plainest is shown first.
+    gives_back : bool
+        Whether power may be negative with it (braking, descending).
+    simulated : bool
+        Whether `run` can evaluate it; a first-order memory of a signal is no state of the engine yet.
+    """
+
+    variable: str
+    text: str
+    symbol: str
+    unit: Units = ()
+    rank: int = 0
+    gives_back: bool = False
+    simulated: bool = True
+
+
+@dataclass(frozen=True)
+class Grammar:
+    """All factors that the logs allow, and their values in each run at its raw rate, arrays (factors, rows)."""
+
+    factors: tuple[Factor, ...]
+    values: tuple[Array, ...]
+
+    def forms(self) -> list[NDArray[np.intp]]:
+        """Every product by its number of factors: arrays of shape (forms, 1), (forms, 2), (forms, 3)."""
+        number = {name: i for i, name in enumerate(dict.fromkeys(f.variable for f in self.factors))}
+        of = np.array([number[f.variable] for f in self.factors], dtype=np.intp)
+        found = []
+        for size in range(1, MOST_FACTORS + 1):
+            rows = np.array(list(combinations(range(len(self.factors)), size)), dtype=np.intp).reshape(-1, size)
+            variables = of[rows]
+            apart = np.ones(len(rows), dtype=bool)
+            for i, j in combinations(range(size), 2):
+                apart &= variables[:, i] != variables[:, j]
+            found.append(rows[apart])
+        return found
+
+    def text(self, form: Sequence[int]) -> str:
+        """The law as the robot file writes it: ``k * abs(yaw_rate_rad_s) * payload_kg``."""
+        return " * ".join(["k", *(self.factors[i].text for i in form)])
+
+    def symbol(self, form: Sequence[int]) -> str:
+        """The same for people: ``k·|ω|·payload``."""
+        return "·".join(["k", *(self.factors[i].symbol for i in form)])
+
+    def unit(self, form: Sequence[int]) -> str:
+        """Unit of the coefficient, such as ``W s/rad/kg``."""
+        total: dict[str, int] = {}
+        for i in form:
+            for name, power in self.factors[i].unit:
+                total[name] = total.get(name, 0) - power
+        over = [f"{n}^{p}" if p > 1 else n for n, p in total.items() if p > 0]
+        under = [f"/{n}^{-p}" if p < -1 else f"/{n}" for n, p in total.items() if p < 0]
+        return " ".join(["W", *over]) + "".join(under)
+
+    def variables(self, form: Sequence[int]) -> tuple[str, ...]:
+        """Quantities that a law is about; a memory of a quantity counts as the quantity."""
+        return tuple(dict.fromkeys(self.factors[i].variable.partition(" ")[0] for i in form))
+
+    def rank(self, form: Sequence[int]) -> int:
+        """How far a law is from a product of plain quantities."""
+        return sum(self.factors[i].rank for i in form)
+
+    def gives_back(self, form: Sequence[int]) -> bool:
+        """Whether its coefficient may be negative."""
+        return any(self.factors[i].gives_back for i in form)
+
+    def simulated(self, form: Sequence[int]) -> bool:
+        """Whether `run` can evaluate it."""
+        return all(self.factors[i].simulated for i in form)
+
+
+class _Builder:
+    """Collects factors that vary in the runs, with their values."""
+
+    def __init__(self, covariates: Sequence[Mapping[str, Any]]) -> None:
+        self.runs = covariates
+        self.factors: list[Factor] = []
+        self.values: list[list[Array]] = []
+
+    def has(self, name: str) -> bool:
+        return all(name in run for run in self.runs)
+
+    def raw(self, name: str) -> list[Array]:
+        return [np.broadcast_to(np.asarray(run[name], dtype=float), np.shape(run["time_s"])) for run in self.runs]
+
+    def add(self, factor: Factor, values: Sequence[Array]) -> None:
+        clean = [np.nan_to_num(np.asarray(v, dtype=float), nan=0.0, posinf=0.0, neginf=0.0) for v in values]
+        size = max((float(np.max(np.abs(v), initial=0.0)) for v in clean), default=0.0)
+        if size > 0.0 and any(float(np.ptp(v)) > VARIES * size for v in clean) or _differs(clean, size):
+            self.factors.append(factor)
+            self.values.append(clean)
+
+    def quantiles(self, values: Sequence[Array], *parts: float) -> list[float]:
+        every = np.concatenate([v[v > 0.0] for v in values])
+        return [_round(float(q)) for q in np.quantile(every, parts)] if len(every) else [0.0 for _ in parts]
+
+
+def _differs(values: Sequence[Array], size: float) -> bool:
+    means = [float(np.mean(v)) for v in values]
+    return size > 0.0 and float(np.ptp(means)) > VARIES * size
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.2g}")
+
+
+def make_grammar(covariates: Sequence[Mapping[str, Any]], components: Sequence[str] = ()) -> Grammar:
+    """The factors that these runs allow.
+
+    Parameters
+    ----------
+    covariates : sequence of mapping
+        Covariates of each run at its raw rate, with those that follow from the log (``accel_m_s2``,
+        ``moving_time_s``, ``on_time_<component>_s``).
+    components : sequence of str
+        Components whose switching may matter; all with an ``on_`` column where empty.
+    """
+    b = _Builder(covariates)
+    names = sorted(set.intersection(*(set(run) for run in covariates)))
+    _speeds(b, "speed_m_s")
+    _turning(b)
+    if b.has("lateral_speed_m_s"):
+        u = [np.abs(x) for x in b.raw("lateral_speed_m_s")]
+        for power in (1, 2):
+            b.add(_power("lateral_speed_m_s", "abs(lateral_speed_m_s)", "|u|", power), [x**power for x in u])
+    _signed(b, "accel_m_s2", ("braking", "speeding up"))
+    _signed(b, "slope_rad", ("descending", "climbing"))
+    if b.has("payload_kg"):
+        m = b.raw("payload_kg")
+        b.add(_power("payload_kg", "payload_kg", "payload", 1), m)
+        b.add(_power("payload_kg", "payload_kg", "payload", 2), [x**2 for x in m])
+        b.add(Factor("payload_kg", "(payload_kg > 0)", "[payload > 0]", (), 1), [x > 0.0 for x in m])
+    for name in ("temp_ambient_c", "temp_motor_c"):
+        _about_thresholds(b, name)
+    if b.has("cpu_load"):
+        load = b.raw("cpu_load")
+        b.add(Factor("cpu_load", "cpu_load", "load"), load)
+        b.add(Factor("cpu_load", "cpu_load**2", "load²", (), 1), [x**2 for x in load])
+        b.add(Factor("cpu_load", "max(cpu_load - 0.5, 0)", "(load − 0.5)₊", (), 2), [np.maximum(x - 0.5, 0) for x in load])
+    for name, powers in (("cpu_freq_hz", (1, 3)), ("access_point_distance_m", (1, 2)), ("time_s", (1,))):
+        if b.has(name):
+            for power in powers:
+                b.add(_power(name, name, SYMBOLS[name], power), [x**power for x in b.raw(name)])
+    if b.has("moving_time_s"):
+        clock = b.raw("moving_time_s")
+        for tau in (60.0, 240.0):
+            text = f"exp(-moving_time_s / {tau:g})"
+            symbol = f"exp(−t_moving/{tau:g} s)"
+            b.add(Factor("moving_time_s", text, symbol, (), 2), [np.exp(-x / tau) for x in clock])
+    for name in names:
+        if name.startswith("on_") and not name.startswith("on_time_"):
+            _switched(b, name)
+    known = {"speed_m_s", "yaw_rate_rad_s", "accel_m_s2", *SYMBOLS}
+    further = 0
+    for name in names:
+        if name in known or name.startswith("on_") or _SKIPPED.search(name):
+            continue
+        value = covariates[0][name]
+        if is_text(value):
+            _levels(b, name)
+        elif np.shape(value) == np.shape(covariates[0]["time_s"]) and further < MOST_FURTHER and column_of(name) is None:
+            further += 1
+            _further(b, name)
+    count = len(b.factors)
+    runs = tuple(
+        np.ascontiguousarray(np.vstack([b.values[i][j] for i in range(count)]))
+        if count
+        else np.zeros((0, len(run["time_s"])))
+        for j, run in enumerate(covariates)
+    )
+    return Grammar(tuple(b.factors), runs)
+
+
+def _power(name: str, text: str, symbol: str, power: int) -> Factor:
+    unit = tuple((u, p * power) for u, p in _PLAIN_UNITS.get(name, ()))
+    if power == 1:
+        return Factor(name, text, symbol, unit)
+    return Factor(name, f"{text}**{power}", f"{symbol}{'⁰¹²³'[power]}", unit, power - 1)
+
+
+def _speeds(b: _Builder, name: str) -> None:
+    if not b.has(name):
+        return
+    v = [np.abs(x) for x in b.raw(name)]
+    text, unit = f"abs({name})", _PLAIN_UNITS[name]
+    for power in (1, 2, 3):
+        b.add(_power(name, text, "v", power), [x**power for x in v])
+    top = max((float(np.max(x, initial=0.0)) for x in v), default=0.0)
+    gate = _round(0.05 * top)
+    moving = [x > gate for x in v]
+    b.add(Factor(name, f"({text} > {gate:g})", "[driving]", (), 1), moving)
+    b.add(Factor(name, f"({text} <= {gate:g})", "[not driving]", (), 1), [~x for x in moving])
+    driven = [np.where(on, x, 0.0) for on, x in zip(moving, v, strict=True)]
+    low, middle, high = b.quantiles(driven, 0.25, 0.5, 0.75)
+    for bound in (middle, high):
+        b.add(Factor(name, f"max({text} - {bound:g}, 0)", f"(v − {bound:g})₊", unit, 2), [np.maximum(x - bound, 0) for x in v])
+    if low > 0.0:
+        b.add(Factor(name, f"tanh({text} / {low:g})", f"tanh(v/{low:g})", (), 2), [np.tanh(x / low) for x in v])
+        b.add(
+            Factor(name, f"({text} > {gate:g}) * exp(-{text} / {low:g})", f"[driving]·exp(−v/{low:g})", (), 2),
+            [on * np.exp(-x / low) for on, x in zip(moving, v, strict=True)],
+        )
+        width = _round(0.25 * high)
+        for centre in (middle, high):
+            b.add(
+                Factor(name, f"exp(-(({text} - {centre:g}) / {width:g})**2)", f"bump(v at {centre:g})", (), 3),
+                [np.exp(-(((x - centre) / width) ** 2)) for x in v],
+            )
+    for tau in LAGS_S:
+        late = [_lagged(x, run["time_s"], tau) for x, run in zip(v, b.runs, strict=True)]
+        b.add(
+            Factor(f"{name} memory", f"max(lag({text}, {tau:g}) - {text}, 0)", f"(v lagged {tau:g} s − v)₊", unit, 3, simulated=False),
+            [np.maximum(a - x, 0.0) for a, x in zip(late, v, strict=True)],
+        )
+
+
+def _turning(b: _Builder) -> None:
+    name = "yaw_rate_rad_s"
+    if not b.has(name):
+        return
+    w = [np.abs(x) for x in b.raw(name)]
+    text, unit = f"abs({name})", _PLAIN_UNITS[name]
+    for power in (1, 2):
+        b.add(_power(name, text, "|ω|" if power == 1 else "ω", power), [x**power for x in w])
+    top = max((float(np.quantile(x, 0.99)) for x in w if len(x)), default=0.0)
+    gate = _round(0.1 * top)
+    if gate <= 0.0:
+        return
+    turning = [np.where(x > gate, x, 0.0) for x in w]
+    low, middle, high = b.quantiles(turning, 0.25, 0.5, 0.75)
+    b.add(Factor(name, f"({text} > {gate:g})", "[turning]", (), 1), [x > gate for x in w])
+    b.add(Factor(name, f"tanh({text} / {low:g})", f"tanh(|ω|/{low:g})", (), 2), [np.tanh(x / low) for x in w])
+    for bound in (middle, high):
+        b.add(Factor(name, f"max({text} - {bound:g}, 0)", f"(|ω| − {bound:g})₊", unit, 2), [np.maximum(x - bound, 0) for x in w])
+
+
+def _signed(b: _Builder, name: str, words: tuple[str, str]) -> None:
+    """One-sided parts, size and square of a quantity that goes both ways."""
+    if not b.has(name):
+        return
+    x = b.raw(name)
+    unit, symbol = _PLAIN_UNITS[name], SYMBOLS[name]
+    b.add(Factor(name, f"max({name}, 0)", f"{symbol}₊", unit), [np.maximum(a, 0.0) for a in x])
+    b.add(Factor(name, f"max(-{name}, 0)", f"{symbol}₋", unit, gives_back=True), [np.maximum(-a, 0.0) for a in x])
+    b.add(Factor(name, f"abs({name})", f"|{symbol}|", unit, 1), [np.abs(a) for a in x])
+    b.add(_power(name, name, symbol, 2), [a**2 for a in x])
+
+
+def _about_thresholds(b: _Builder, name: str) -> None:
+    """Parts above and below two values that the runs hold; a temperature in degC has no zero of its own."""
+    if not b.has(name):
+        return
+    x, symbol = b.raw(name), SYMBOLS.get(name, name)
+    unit = _PLAIN_UNITS.get(name, ())
+    every = np.concatenate(x)
+    for bound in sorted({_round(float(q)) for q in np.quantile(every, (0.35, 0.65))}):
+        b.add(Factor(name, f"max({name} - {bound:g}, 0)", f"({symbol} − {bound:g})₊", unit, 1), [np.maximum(a - bound, 0) for a in x])
+        b.add(Factor(name, f"max({bound:g} - {name}, 0)", f"({bound:g} − {symbol})₊", unit, 1), [np.maximum(bound - a, 0) for a in x])
+    high = _round(float(np.quantile(every, 0.99)))
+    b.add(Factor(name, f"max({high:g} - {name}, 0)", f"({high:g} − {symbol})₊", unit, 1), [np.maximum(high - a, 0) for a in x])
+
+
+def _further(b: _Builder, name: str) -> None:
+    """A numeric column that the glossary does not hold: itself, and its parts above and below the middle."""
+    x = b.raw(name)
+    middle = _round(float(np.median(np.concatenate(x))))
+    b.add(Factor(name, name, name), x)
+    b.add(Factor(name, f"max({name} - {middle:g}, 0)", f"({name} − {middle:g})₊", (), 1), [np.maximum(a - middle, 0) for a in x])
+    b.add(Factor(name, f"max({middle:g} - {name}, 0)", f"({middle:g} − {name})₊", (), 1), [np.maximum(middle - a, 0) for a in x])
+
+
+def _switched(b: _Builder, name: str) -> None:
+    """A component that is on, and first-order memories of its being switched on."""
+    part = name[3:]
+    on = b.raw(name)
+    b.add(Factor(name, name, f"[{part} on]"), on)
+    clock = f"on_time_{part}_s"
+    if not b.has(clock):
+        return
+    since = b.raw(clock)
+    for tau in WARM_S:
+        b.add(
+            Factor(name, f"{name} * (1 - exp(-{clock} / {tau:g}))", f"[{part} on]·(1 − exp(−t_on/{tau:g} s))", (), 2),
+            [o * (1.0 - np.exp(-t / tau)) for o, t in zip(on, since, strict=True)],
+        )
+
+
+def _levels(b: _Builder, name: str) -> None:
+    """One factor for each text of a column, where these are few."""
+    used = sorted({text for run in b.runs for text in _texts(run[name])})
+    if not 2 <= len(used) <= MOST_LEVELS:
+        return
+    for text in used:
+        if "'" in text:
+            continue
+        rows = [_equals(run[name], text) for run in b.runs]
+        b.add(Factor(name, f"({name} == '{text}')", f"[{name} {text}]", (), 0), rows)
+
+
+def _texts(value: Any) -> set[str]:
+    return {value.names[int(i)] for i in np.unique(value.codes) if i >= 0} if isinstance(value, Labels) else set()
+
+
+def _equals(value: Any, text: str) -> NDArray[np.bool_]:
+    return np.asarray(value.equals(text)) if isinstance(value, Labels) else np.asarray(value) == text
+
+
+def _lagged(values: Array, time_s: Array, tau_s: float) -> Array:
+    """First-order lag of a signal that starts in its steady state."""
+    from scipy.signal import lfilter
+
+    step = float(np.median(np.diff(time_s)))
+    keep = float(np.exp(-step / tau_s))
+    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])[0])

@@ -1,0 +1,414 @@
+"""Score every form of the grammar with the likelihood, clock and noise of the diagnosis, and count all tries.
+
+Products are formed at the analysis rate for the first pass, which only ranks; what is told comes from forms evaluated at
+the raw rate and averaged like every other column.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.identify.data import Array
+from missionsim.identify.gram import project
+from missionsim.identify.model import Model
+from missionsim.identify.noise import Noise
+from missionsim.identify.whitening import START_ROWS, arma_of, start_factor
+from missionsim.laws.adapter import Ground, evidence
+from missionsim.laws.grammar import Grammar
+
+Rows32 = NDArray[np.float32]
+CHUNK = 256
+MOST_ROWS = 6000
+"""Longer data are averaged to about so many rows for the first pass."""
+SHORTLIST = 1500
+SEEDS = 4
+EXACT = 40
+ABSORBED = 0.93
+"""A form whose whitened rows the base, free of its priors, explains to this part is recalibration, not a law."""
+LEAST_SHARE = 0.008
+"""Below this part of the energy, half-moving rows and noisy covariates make forms out of nothing (measured)."""
+LEAST_RISE = 6.0
+"""Nats beyond the penalty for all tries."""
+BLOCK_S = 20.0
+SAME = 0.98
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A form with what speaks for it at one noise: rise of the log-likelihood [nats], share of energy, and the score,
+    which is the rise less the logarithm of the number of forms of that size."""
+
+    form: tuple[int, ...]
+    gain: float
+    share: float
+    score: float
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A form in the model with noise of its own.
+
+    Attributes
+    ----------
+    form, model, column
+    watts : ndarray, shape (n,)
+        Power for a coefficient of 1 at the analysis rate.
+    rise : float
+        Of the log evidence against the model without it, noise fitted on both sides.
+    penalty : float
+        For all tries of its size.
+    """
+
+    form: tuple[int, ...]
+    model: Model
+    column: int
+    watts: Array
+    rise: float
+    penalty: float
+
+    @property
+    def share(self) -> float:
+        """Share of energy."""
+        return float(self.model.gram.coefficients(self.model.chosen)[0][-1])
+
+    @property
+    def unit(self) -> float:
+        """Coefficient for a share of 1."""
+        layout = self.model.design.layout
+        return layout.mean_power_w / layout.columns[self.column].watts_per_unit
+
+
+@dataclass(frozen=True)
+class Searched:
+    """What the search found: the best form and all that come near it, at the noise of the best."""
+
+    best: Fitted
+    near: tuple[Scored, ...]
+    tried: int
+
+
+class Sieve:
+    """Gains of many rows at once under one noise: everything but the rows themselves is whitened a single time."""
+
+    def __init__(self, ground: Ground, noise: Noise, group: Sequence[int], every: int) -> None:
+        design = ground.design
+        q, chosen = len(design.gradient), list(ground.chosen)
+        self.every, self.starts = every, np.asarray(group)
+        self.stretches = _coarse_parts(design.stretches, self.starts)
+        self.runs = _coarse_parts(design.runs, self.starts)
+        self.shape = (noise.step_s * every, *noise.shape[1:])
+        weight = np.add.reduceat(noise.weight, self.starts) / self._counts(len(design.y))
+        level = np.add.reduceat(noise.scale, self.starts) / self._counts(len(design.y))
+        self.root = np.sqrt(weight).astype(np.float32)
+        # means of several rows scatter less, as far as the noise is white or fast
+        self.scale = (level * noise.total_sd_w / arma_of(*self.shape)[2]).astype(np.float32)
+        rows = np.vstack([design.residual[None, :], design.gradient, design.phi[chosen], design.random])
+        self.known = self.white(self.coarse(rows)).astype(float)
+        sd = np.maximum(noise.random_sd(), 1e-12)
+        self.fixed = 1 + q + len(chosen)
+        total = np.zeros((self.fixed, self.fixed))
+        self.without: list[tuple[Array, Array]] = []
+        for part in self.runs:
+            gram = self.known[:, part] @ self.known[:, part].T
+            inner = np.eye(len(sd)) + sd[:, None] * gram[self.fixed :, self.fixed :] * sd
+            middle = sd[:, None] * np.linalg.solve(inner, np.diag(sd))
+            cross = middle @ gram[self.fixed :, : self.fixed]
+            total += gram[: self.fixed, : self.fixed] - gram[: self.fixed, self.fixed :] @ cross
+            self.without.append((middle, cross))
+        precision = np.concatenate([design.layout.prior_sd**-2.0, np.full(len(chosen), 1e-9)])
+        inside = total[1:, 1:] + np.diag(precision)
+        self.solved = np.linalg.solve(inside, np.column_stack([total[1:, 0]]))[:, 0]
+        self.inverse = np.linalg.inv(inside)
+        size = np.maximum(np.diag(total)[1:], 1e-300)
+        self.free = np.linalg.inv(total[1:, 1:] + np.diag(1e-6 * size))
+
+    def _counts(self, rows: int) -> Array:
+        return np.diff(np.append(self.starts, rows)).astype(float)
+
+    def coarse(self, rows: Array) -> Rows32:
+        """Rows (k, n) averaged to the coarser grid."""
+        if self.every == 1:
+            return rows.astype(np.float32)
+        return np.asarray(np.add.reduceat(rows, self.starts, axis=1) / self._counts(rows.shape[1]), dtype=np.float32)
+
+    def white(self, rows: Rows32) -> Rows32:
+        """Whitened rows (k, n) of unit variance, stretch by stretch."""
+        from scipy.signal import lfilter
+
+        ar, ma, ratio = (np.asarray(x, dtype=np.float32) for x in arma_of(*self.shape))
+        inverse, diagonal, _ = (np.asarray(x, dtype=np.float32) for x in start_factor(*self.shape))
+        scaled = rows / self.scale
+        out = np.empty_like(scaled)
+        for part in self.stretches:
+            x = scaled[:, part]
+            count = min(START_ROWS, x.shape[1])
+            head = x[:, :count] @ inverse[:count, :count].T
+            if x.shape[1] > count:
+                e1, e2 = head[:, -1] * diagonal[-1], head[:, -2] * diagonal[-2]
+                x1, x2 = x[:, count - 1], x[:, count - 2]
+                past = np.stack([ar[1] * x1 + ar[2] * x2 - ma[1] * e1 - ma[2] * e2, ar[2] * x1 - ma[2] * e1], axis=1)
+                out[:, part.start + count : part.stop] = lfilter(ar, ma, x[:, count:], axis=1, zi=past)[0]
+            out[:, part.start : part.start + count] = head / ratio
+        out *= self.root
+        return out
+
+    def __call__(self, rows: Rows32) -> tuple[Array, Array, Array]:
+        """Score, information and the part that a free base absorbs, of rows (k, n) in W; each of shape (k,)."""
+        white = self.white(rows)
+        known = self.known.astype(np.float32)
+        size, cross = np.zeros(len(rows)), np.zeros((len(rows), self.fixed))
+        for part, (middle, fixed) in zip(self.runs, self.without, strict=True):
+            mine = white[:, part]
+            both = (mine @ known[:, part].T).astype(float)
+            random = both[:, self.fixed :]
+            size += np.einsum("ij,ij->i", mine, mine, dtype=float) - np.einsum("ij,jk,ik->i", random, middle, random)
+            cross += both[:, : self.fixed] - random @ fixed
+        others = cross[:, 1:]
+        score = cross[:, 0] - others @ self.solved
+        information = size - np.einsum("ij,jk,ik->i", others, self.inverse, others)
+        absorbed = np.einsum("ij,jk,ik->i", others, self.free, others) / np.maximum(size, 1e-300)
+        return score, information, absorbed
+
+
+def _coarse_parts(parts: Sequence[slice], starts: NDArray[np.intp]) -> list[slice]:
+    return [slice(int(np.searchsorted(starts, p.start)), int(np.searchsorted(starts, p.stop))) for p in parts]
+
+
+def _groups(ground: Ground, every: int) -> NDArray[np.intp]:
+    """First row of each group of `every` rows; groups end with their stretch."""
+    return np.concatenate([np.arange(p.start, p.stop, every) for p in ground.design.stretches]).astype(np.intp)
+
+
+class Search:
+    """All forms of a grammar on one ground."""
+
+    def __init__(self, ground: Ground, grammar: Grammar) -> None:
+        self.ground, self.grammar = ground, grammar
+        self.by_size = grammar.forms()
+        self.penalties = [math.log(max(len(forms), 1)) for forms in self.by_size]
+        rows = len(ground.design.y)
+        self.every = max(1, math.ceil(rows / MOST_ROWS))
+        self.groups = _groups(ground, self.every)
+
+    @property
+    def tried(self) -> int:
+        """Number of forms."""
+        return sum(len(forms) for forms in self.by_size)
+
+    @cached_property
+    def rows(self) -> Array:
+        """Factors at the analysis rate, shape (factors, n), scaled to a mean size of 1."""
+        rows = self.ground.averaged(self.grammar.values)
+        return rows / np.maximum(np.mean(np.abs(rows), axis=1, keepdims=True), 1e-300)
+
+    def penalty(self, form: Sequence[int]) -> float:
+        """Nats for all tries of a form's size."""
+        return self.penalties[len(form) - 1]
+
+    def screen(self, noise: Noise, among: Sequence[NDArray[np.intp]] | None = None) -> list[Scored]:
+        """Forms with the sign that physics asks for, best score first; `among` holds some forms of each size."""
+        sieve = Sieve(self.ground, noise, self.groups, self.every)
+        factors = sieve.coarse(self.rows)
+        back = np.array([f.gives_back for f in self.grammar.factors])
+        mean_power = self.ground.mean_power_w
+        found: list[Scored] = []
+        for forms, penalty in zip(among or self.by_size, self.penalties, strict=True):
+            for begin in range(0, len(forms), CHUNK):
+                some = forms[begin : begin + CHUNK]
+                x = factors[some[:, 0]]
+                for column in range(1, some.shape[1]):
+                    x = x * factors[some[:, column]]
+                level = np.mean(np.abs(x), axis=1, dtype=float)
+                score, information, absorbed = sieve(x)
+                usable = (information > 0.0) & (absorbed < ABSORBED) & (level > 0.0)
+                usable &= (score > 0.0) | back[some].any(axis=1)
+                information = np.where(information > 0.0, information, 1.0)
+                gain = 0.5 * score**2 / information
+                share = score / information * level / mean_power
+                for i in np.flatnonzero(usable & (gain > penalty)):
+                    form = tuple(int(f) for f in some[i])
+                    found.append(Scored(form, float(gain[i]), float(share[i]), float(gain[i]) - penalty))
+        return sorted(found, key=lambda one: -one.score)
+
+    def watts(self, form: Sequence[int]) -> Array:
+        """Power of a form for a coefficient of 1, evaluated at the raw rate, shape (n,)."""
+        return self.columns([form])[0]
+
+    def columns(self, forms: Sequence[Sequence[int]]) -> Array:
+        """The same of several forms, shape (forms, n)."""
+        raw = [np.vstack([np.prod(values[list(form)], axis=0) for form in forms]) for values in self.grammar.values]
+        return self.ground.averaged(raw)
+
+    def fit(self, form: tuple[int, ...], start: Noise | None = None) -> Fitted:
+        """A form in the model, with noise of its own."""
+        watts = self.watts(form)
+        model, column = self.ground.with_law(watts, start)
+        return Fitted(form, model, column, watts, evidence(model) - self.without, self.penalty(form))
+
+    @cached_property
+    def without(self) -> float:
+        """Log evidence of the model without a law."""
+        return evidence(self.ground.model)
+
+    def best(self) -> Searched | None:
+        """The best form and those near it; None where no form is worth a fit."""
+        if not self.grammar.factors:
+            return None
+        usual = self.screen(self.ground.usual())
+        if not usual:
+            return None
+        listed = self._sized([one.form for one in usual[:SHORTLIST]])
+        null = self.screen(self.ground.plain(self.ground.model.noise), listed)
+        seeds = self._apart(usual[: 10 * SEEDS])[:SEEDS] + self._apart(null[: 10 * SEEDS])[:SEEDS]
+        fits = [self.fit(form) for form in dict.fromkeys(one.form for one in seeds)]
+        if not fits:
+            return None
+        top = max(fits, key=lambda f: f.rise - f.penalty)
+        near = self._near(top, listed)
+        if near and near[0].form != top.form:
+            other = next((f for f in fits if f.form == near[0].form), None) or self.fit(near[0].form, top.model.noise)
+            if other.rise - other.penalty > top.rise - top.penalty - 2.0:
+                top = other
+                near = self._near(top, listed)
+        return Searched(top, tuple(near), self.tried)
+
+    def _sized(self, forms: Sequence[tuple[int, ...]]) -> list[NDArray[np.intp]]:
+        return [
+            np.array([f for f in forms if len(f) == size], dtype=np.intp).reshape(-1, size)
+            for size in range(1, len(self.by_size) + 1)
+        ]
+
+    def _apart(self, ranked: Sequence[Scored]) -> list[Scored]:
+        """Forms that do not look like a better one."""
+        kept: list[Scored] = []
+        rows: list[Array] = []
+        for one in ranked:
+            x = np.prod(self.rows[list(one.form)], axis=0)
+            x = (x - x.mean()) / max(float(np.linalg.norm(x - x.mean())), 1e-300)
+            if all(abs(float(x @ other)) < SAME for other in rows):
+                kept.append(one)
+                rows.append(x)
+        return kept
+
+    def _near(self, top: Fitted, listed: Sequence[NDArray[np.intp]]) -> list[Scored]:
+        """Best forms at the noise of one of them, evaluated exactly; best score first."""
+        ranked = self.screen(top.model.noise, listed)[:EXACT]
+        forms = list(dict.fromkeys([top.form, *(one.form for one in ranked)]))
+        x = self.columns(forms)
+        level = np.mean(np.abs(x), axis=1)
+        rows = np.arange(len(self.ground.design.y))
+        exact = Sieve(self.ground, top.model.noise, rows, 1)
+        score, information, _ = exact((x / level[:, None]).astype(np.float32))
+        gain = 0.5 * score**2 / np.maximum(information, 1e-300)
+        share = score / np.maximum(information, 1e-300) / self.ground.mean_power_w
+        found = [
+            Scored(form, float(g), float(s), float(g) - self.penalty(form))
+            for form, g, s in zip(forms, gain, share, strict=True)
+            if s > 0.0 or self.grammar.gives_back(form)
+        ]
+        return sorted(found, key=lambda one: -one.score)
+
+
+@dataclass(frozen=True)
+class Gates:
+    """What a law must pass, and the numbers behind it.
+
+    Attributes
+    ----------
+    share_sd : float
+        Robust standard error of the share of energy (jackknife over blocks).
+    z : float
+        Share over its robust standard error.
+    left_out : tuple of (float, float)
+        Power error (RMS) [W] over runs that were left out one at a time, without the law and with it; NaN with one run.
+    better, runs : int
+        Left-out runs predicted better, of those in which the law acts.
+    passed : mapping of str to bool
+    """
+
+    share_sd: float
+    z: float
+    left_out: tuple[float, float]
+    energy: tuple[float, float]
+    better: int
+    runs: int
+    passed: dict[str, bool]
+
+    @property
+    def all_passed(self) -> bool:
+        """Whether the law may be told."""
+        return all(self.passed.values())
+
+
+def gates(fitted: Fitted, block_s: float = BLOCK_S) -> Gates:
+    """Size, likelihood with all tries counted, blocks of time, and runs left out."""
+    model = fitted.model
+    share, sd = _robust(model, fitted.column, block_s)
+    z = abs(share) / max(sd, 1e-300)
+    errors = _left_out(model, fitted.column)
+    several = len(model.design.runs) > 1
+    without, with_law = (float(np.sqrt(np.mean(e))) for e in errors[:2])
+    acting = errors[4] > 0.02 * max(float(errors[4].sum()), 1e-300)
+    better = int(np.sum((errors[1] < errors[0])[acting]))
+    energy = (float(np.mean(errors[2])), float(np.mean(errors[3])))
+    passed = {
+        "size": abs(share) >= LEAST_SHARE,
+        "likelihood": fitted.rise > fitted.penalty + LEAST_RISE,
+        "blocks": 0.5 * z * z > fitted.penalty,
+        "left-out runs": not several or (with_law < without and 2 * better >= int(acting.sum())),
+    }
+    nan = float("nan")
+    left_out = (without, with_law) if several else (nan, nan)
+    return Gates(sd, z, left_out, energy, better, int(acting.sum()), passed)
+
+
+def _robust(model: Model, column: int, block_s: float) -> tuple[float, float]:
+    """Share of a column and its standard error from blocks left out one at a time."""
+    design = model.design
+    others = tuple(k for k in model.chosen if k != column)
+    p = project(design, model.noise, np.vstack([design.residual, design.phi[column]]), others)
+    y, x = p.rows
+    info = float(x @ x + p.pseudo[1] @ p.pseudo[1])
+    share = float(x @ y + p.pseudo[1] @ p.pseudo[0]) / max(info, 1e-300)
+    block_s = max(block_s, 10.0 * design.layout.step_s)
+    run = design.run_index()
+    own = np.floor(design.time_s / block_s).astype(np.int64)
+    block = np.unique(run * (int(own.max()) + 1) + own, return_inverse=True)[1]
+    score = np.bincount(block, weights=x * (y - share * x))
+    leverage = np.minimum(np.bincount(block, weights=x * x) / max(info, 1e-300), 0.95)
+    known = float(p.pseudo[1] @ p.pseudo[1])
+    sd = float(np.sqrt(np.sum((score / (1.0 - leverage)) ** 2) + known)) / max(info, 1e-300)
+    return share, max(sd, 1.0 / math.sqrt(max(info, 1e-300)))
+
+
+def _left_out(model: Model, column: int) -> tuple[Array, Array, Array, Array, Array]:
+    """Each run predicted from the others: mean square error [W²] and energy error [%] without and with the law, and how
+    much the law acts in it."""
+    from missionsim.identify.gram import Gram
+
+    design, gram = model.design, model.gram
+    count = len(design.runs)
+    q = len(design.layout.parameters)
+    others = tuple(k for k in model.chosen if k != column)
+    out = np.zeros((5, count))
+    for j, rows in enumerate(design.runs):
+        kept = np.arange(count) != j if count > 1 else np.ones(1, dtype=bool)
+        part = Gram(gram.per_run[kept], gram.prior_precision)
+        seconds = design.duration_s[rows]
+        measured = float(np.sum(design.y[rows] * seconds))
+        for i, chosen in enumerate((others, model.chosen)):
+            shifts, _ = part.shifts(chosen)
+            power = design.base[rows] + shifts[:q] @ design.gradient[:q, rows]
+            if chosen:
+                power = power + part.coefficients(chosen)[0] @ design.phi[list(chosen)][:, rows]
+            error = power - design.y[rows]
+            out[i, j] = np.average(error**2, weights=seconds)
+            out[2 + i, j] = 100.0 * abs(float(np.sum(error * seconds)) / measured)
+        out[4, j] = float(np.sum(design.phi[column, rows] ** 2))
+    return out[0], out[1], out[2], out[3], out[4]
