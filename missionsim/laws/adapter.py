@@ -49,6 +49,13 @@ class Ground:
         """Mean measured power."""
         return self.design.layout.mean_power_w
 
+    def without(self, effects: Sequence[str]) -> Ground:
+        """The ground without some of the effects found."""
+        held = tuple((name, own) for name, own in self.held if name not in effects)
+        inside = tuple(k for k in self.chosen if any(k in own for _, own in held))
+        noise = fit_noise(self.design, inside, self.model.noise, thorough=False)
+        return replace(self, model=replace(self.model, chosen=inside, noise=noise), held=held)
+
     def plain(self, noise: Noise) -> Noise:
         """A noise whose weights were not read off the residual: where an unknown law acts, rows look like outliers."""
         return for_rows(self.design, noise)

@@ -7,8 +7,9 @@ reference values are read off the logs (quantiles of what was driven), so they s
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.covariates import is_text
-from missionsim.glossary import column_of
+from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
 
 Array = NDArray[np.float64]
@@ -83,6 +84,10 @@ class Factor:
         Whether power may be negative with it (braking, descending).
     simulated : bool
         Whether `run` can evaluate it; a first-order memory of a signal is no state of the engine yet.
+    kind : str
+        Factors of one kind differ in a number only (a threshold, a time constant).
+    fine : bool
+        One of the numbers between those that the first pass tries.
     """
 
     variable: str
@@ -92,6 +97,8 @@ class Factor:
     rank: int = 0
     gives_back: bool = False
     simulated: bool = True
+    kind: str = ""
+    fine: bool = False
 
 
 @dataclass(frozen=True)
@@ -101,18 +108,42 @@ class Grammar:
     factors: tuple[Factor, ...]
     values: tuple[Array, ...]
 
-    def forms(self) -> list[NDArray[np.intp]]:
-        """Every product by its number of factors: arrays of shape (forms, 1), (forms, 2), (forms, 3)."""
+    def forms(self, memory: bool = False) -> list[NDArray[np.intp]]:
+        """Every product by its number of factors: arrays of shape (forms, 1), (forms, 2), (forms, 3).
+
+        With `memory`, only those that `run` cannot simulate, else only those that it can.
+        """
         number = {name: i for i, name in enumerate(dict.fromkeys(f.variable for f in self.factors))}
         of = np.array([number[f.variable] for f in self.factors], dtype=np.intp)
+        plain = np.array([f.simulated for f in self.factors], dtype=bool)
+        used = [i for i, f in enumerate(self.factors) if not f.fine and (memory or f.simulated)]
         found = []
         for size in range(1, MOST_FACTORS + 1):
-            rows = np.array(list(combinations(range(len(self.factors)), size)), dtype=np.intp).reshape(-1, size)
+            rows = np.array(list(combinations(used, size)), dtype=np.intp).reshape(-1, size)
             variables = of[rows]
-            apart = np.ones(len(rows), dtype=bool)
+            keep = plain[rows].all(axis=1) != memory
             for i, j in combinations(range(size), 2):
-                apart &= variables[:, i] != variables[:, j]
-            found.append(rows[apart])
+                keep &= variables[:, i] != variables[:, j]
+            found.append(rows[keep])
+        return found
+
+    def bent(self, form: Sequence[int]) -> list[tuple[int, ...]]:
+        """The same form with another number in one of its factors."""
+        found = []
+        for at, i in enumerate(form):
+            kind = self.factors[i].kind
+            for j in self.kinds.get(kind, ()) if kind else ():
+                if j != i:
+                    found.append((*form[:at], j, *form[at + 1 :]))
+        return found
+
+    @cached_property
+    def kinds(self) -> dict[str, tuple[int, ...]]:
+        """Factors of each kind."""
+        found: dict[str, tuple[int, ...]] = {}
+        for i, factor in enumerate(self.factors):
+            if factor.kind:
+                found[factor.kind] = (*found.get(factor.kind, ()), i)
         return found
 
     def text(self, form: Sequence[int]) -> str:
@@ -171,6 +202,22 @@ class _Builder:
             self.factors.append(factor)
             self.values.append(clean)
 
+    def family(
+        self,
+        factor: Callable[[str], Factor],
+        form: Callable[[Array, float], Array],
+        x: Sequence[Array],
+        numbers: Sequence[float],
+        coarse: Sequence[float],
+    ) -> None:
+        """Factors that differ in one number; those nearest to `coarse` enter the first pass."""
+        numbers = sorted({n for n in (_round(float(n)) for n in numbers) if np.isfinite(n)})
+        first = {min(numbers, key=lambda n: abs(n - c)) for c in coarse} if numbers else set()
+        for n in numbers:
+            one = factor(f"{n:g}")
+            kind = f"{one.variable} {factor('#').text}"
+            self.add(replace(one, kind=kind, fine=n not in first), [form(v, n) for v in x])
+
     def quantiles(self, values: Sequence[Array], *parts: float) -> list[float]:
         every = np.concatenate([v[v > 0.0] for v in values])
         return [_round(float(q)) for q in np.quantile(every, parts)] if len(every) else [0.0 for _ in parts]
@@ -217,7 +264,9 @@ def make_grammar(covariates: Sequence[Mapping[str, Any]], components: Sequence[s
         load = b.raw("cpu_load")
         b.add(Factor("cpu_load", "cpu_load", "load"), load)
         b.add(Factor("cpu_load", "cpu_load**2", "load²", (), 1), [x**2 for x in load])
-        b.add(Factor("cpu_load", "max(cpu_load - 0.5, 0)", "(load − 0.5)₊", (), 2), [np.maximum(x - 0.5, 0) for x in load])
+        b.add(
+            Factor("cpu_load", "max(cpu_load - 0.5, 0)", "(load − 0.5)₊", (), 2), [np.maximum(x - 0.5, 0) for x in load]
+        )
     for name, powers in (("cpu_freq_hz", (1, 3)), ("access_point_distance_m", (1, 2)), ("time_s", (1,))):
         if b.has(name):
             for power in powers:
@@ -239,7 +288,9 @@ def make_grammar(covariates: Sequence[Mapping[str, Any]], components: Sequence[s
         value = covariates[0][name]
         if is_text(value):
             _levels(b, name)
-        elif np.shape(value) == np.shape(covariates[0]["time_s"]) and further < MOST_FURTHER and column_of(name) is None:
+        elif (
+            np.shape(value) == np.shape(covariates[0]["time_s"]) and further < MOST_FURTHER and column_of(name) is None
+        ):
             further += 1
             _further(b, name)
     count = len(b.factors)
@@ -266,33 +317,57 @@ def _speeds(b: _Builder, name: str) -> None:
     text, unit = f"abs({name})", _PLAIN_UNITS[name]
     for power in (1, 2, 3):
         b.add(_power(name, text, "v", power), [x**power for x in v])
+    turning = [np.abs(x) for x in b.raw("yaw_rate_rad_s")] if b.has("yaw_rate_rad_s") else [0.0 * x for x in v]
+    moves = f"({text} >= {STILL_SPEED_M_S:g})"
+    if b.has("yaw_rate_rad_s"):
+        moves = f"({text} >= {STILL_SPEED_M_S:g} or abs(yaw_rate_rad_s) >= {STILL_YAW_RATE_RAD_S:g})"
+    on = [(x >= STILL_SPEED_M_S) | (w >= STILL_YAW_RATE_RAD_S) for x, w in zip(v, turning, strict=True)]
+    b.add(Factor(name, moves, "[moving]", (), 1), on)
+    b.add(Factor(name, f"(1 - {moves})", "[still]", (), 1), [~x for x in on])
     top = max((float(np.max(x, initial=0.0)) for x in v), default=0.0)
     gate = _round(0.05 * top)
-    moving = [x > gate for x in v]
-    b.add(Factor(name, f"({text} > {gate:g})", "[driving]", (), 1), moving)
-    b.add(Factor(name, f"({text} <= {gate:g})", "[not driving]", (), 1), [~x for x in moving])
-    driven = [np.where(on, x, 0.0) for on, x in zip(moving, v, strict=True)]
+    b.add(Factor(name, f"({text} > {gate:g})", "[driving]", (), 1), [x > gate for x in v])
+    b.add(Factor(name, f"({text} <= {gate:g})", "[not driving]", (), 1), [x <= gate for x in v])
+    driven = [np.where(x > gate, x, 0.0) for x in v]
+    levels = b.quantiles(driven, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
     low, middle, high = b.quantiles(driven, 0.25, 0.5, 0.75)
-    for bound in (middle, high):
-        b.add(Factor(name, f"max({text} - {bound:g}, 0)", f"(v − {bound:g})₊", unit, 2), [np.maximum(x - bound, 0) for x in v])
-    if low > 0.0:
-        b.add(Factor(name, f"tanh({text} / {low:g})", f"tanh(v/{low:g})", (), 2), [np.tanh(x / low) for x in v])
-        b.add(
-            Factor(name, f"({text} > {gate:g}) * exp(-{text} / {low:g})", f"[driving]·exp(−v/{low:g})", (), 2),
-            [on * np.exp(-x / low) for on, x in zip(moving, v, strict=True)],
-        )
-        width = _round(0.25 * high)
-        for centre in (middle, high):
-            b.add(
-                Factor(name, f"exp(-(({text} - {centre:g}) / {width:g})**2)", f"bump(v at {centre:g})", (), 3),
-                [np.exp(-(((x - centre) / width) ** 2)) for x in v],
-            )
-    for tau in LAGS_S:
-        late = [_lagged(x, run["time_s"], tau) for x, run in zip(v, b.runs, strict=True)]
-        b.add(
-            Factor(f"{name} memory", f"max(lag({text}, {tau:g}) - {text}, 0)", f"(v lagged {tau:g} s − v)₊", unit, 3, simulated=False),
-            [np.maximum(a - x, 0.0) for a, x in zip(late, v, strict=True)],
-        )
+    if low <= 0.0:
+        return
+    b.family(
+        lambda n: Factor(name, f"max({text} - {n}, 0)", f"(v − {n})₊", unit, 2),
+        lambda x, n: np.maximum(x - n, 0.0),
+        v,
+        levels,
+        (middle, high),
+    )
+    shapes = low * np.array([0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2])
+    b.family(
+        lambda n: Factor(name, f"tanh({text} / {n})", f"tanh(v/{n})", (), 2),
+        lambda x, n: np.tanh(x / n),
+        v,
+        shapes,
+        (low,),
+    )
+    b.family(
+        lambda n: Factor(name, f"{moves} * exp(-{text} / {n})", f"[moving]·exp(−v/{n})", (), 2),
+        lambda x, n: x[0] * np.exp(-x[1] / n),
+        [np.vstack([o, x]) for o, x in zip(on, v, strict=True)],
+        shapes,
+        (0.5 * low,),
+    )
+    width = _round(0.2 * high)
+    b.family(
+        lambda n: Factor(name, f"exp(-(({text} - {n}) / {width:g})**2)", f"bump(v at {n})", (), 3),
+        lambda x, n: np.exp(-(((x - n) / width) ** 2)),
+        v,
+        levels,
+        (middle, high),
+    )
+    late = {tau: [_lagged(x, run["time_s"], tau) for x, run in zip(v, b.runs, strict=True)] for tau in LAGS_S}
+    for tau, slow in late.items():
+        symbol = f"(v lagged {tau:g} s − v)₊"
+        memory = Factor(f"{name} memory", f"max(lag({text}, {tau:g}) - {text}, 0)", symbol, unit, 3, simulated=False)
+        b.add(memory, [np.maximum(a - x, 0.0) for a, x in zip(slow, v, strict=True)])
 
 
 def _turning(b: _Builder) -> None:
@@ -307,12 +382,23 @@ def _turning(b: _Builder) -> None:
     gate = _round(0.1 * top)
     if gate <= 0.0:
         return
-    turning = [np.where(x > gate, x, 0.0) for x in w]
-    low, middle, high = b.quantiles(turning, 0.25, 0.5, 0.75)
+    turned = [np.where(x > gate, x, 0.0) for x in w]
+    low, middle, high = b.quantiles(turned, 0.25, 0.5, 0.75)
     b.add(Factor(name, f"({text} > {gate:g})", "[turning]", (), 1), [x > gate for x in w])
-    b.add(Factor(name, f"tanh({text} / {low:g})", f"tanh(|ω|/{low:g})", (), 2), [np.tanh(x / low) for x in w])
-    for bound in (middle, high):
-        b.add(Factor(name, f"max({text} - {bound:g}, 0)", f"(|ω| − {bound:g})₊", unit, 2), [np.maximum(x - bound, 0) for x in w])
+    b.family(
+        lambda n: Factor(name, f"tanh({text} / {n})", f"tanh(|ω|/{n})", (), 2),
+        lambda x, n: np.tanh(x / n),
+        w,
+        low * np.array([0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2]),
+        (low,),
+    )
+    b.family(
+        lambda n: Factor(name, f"max({text} - {n}, 0)", f"(|ω| − {n})₊", unit, 2),
+        lambda x, n: np.maximum(x - n, 0.0),
+        w,
+        b.quantiles(turned, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9),
+        (middle, high),
+    )
 
 
 def _signed(b: _Builder, name: str, words: tuple[str, str]) -> None:
@@ -328,17 +414,29 @@ def _signed(b: _Builder, name: str, words: tuple[str, str]) -> None:
 
 
 def _about_thresholds(b: _Builder, name: str) -> None:
-    """Parts above and below two values that the runs hold; a temperature in degC has no zero of its own."""
+    """Parts above and below values that the runs hold; a temperature in degC has no zero of its own."""
     if not b.has(name):
         return
     x, symbol = b.raw(name), SYMBOLS.get(name, name)
     unit = _PLAIN_UNITS.get(name, ())
     every = np.concatenate(x)
-    for bound in sorted({_round(float(q)) for q in np.quantile(every, (0.35, 0.65))}):
-        b.add(Factor(name, f"max({name} - {bound:g}, 0)", f"({symbol} − {bound:g})₊", unit, 1), [np.maximum(a - bound, 0) for a in x])
-        b.add(Factor(name, f"max({bound:g} - {name}, 0)", f"({bound:g} − {symbol})₊", unit, 1), [np.maximum(bound - a, 0) for a in x])
-    high = _round(float(np.quantile(every, 0.99)))
-    b.add(Factor(name, f"max({high:g} - {name}, 0)", f"({high:g} − {symbol})₊", unit, 1), [np.maximum(high - a, 0) for a in x])
+    inside = [float(q) for q in np.quantile(every, np.linspace(0.1, 0.9, 9))]
+    low, high = (float(q) for q in np.quantile(every, (0.35, 0.65)))
+    first, last = (float(q) for q in np.quantile(every, (0.01, 0.99)))
+    b.family(
+        lambda n: Factor(name, f"max({name} - {n}, 0)", f"({symbol} − {n})₊", unit, 1),
+        lambda a, n: np.maximum(a - n, 0.0),
+        x,
+        [first, *inside],
+        (low, high),
+    )
+    b.family(
+        lambda n: Factor(name, f"max({n} - {name}, 0)", f"({n} − {symbol})₊", unit, 1),
+        lambda a, n: np.maximum(n - a, 0.0),
+        x,
+        [*inside, last],
+        (low, high, last),
+    )
 
 
 def _further(b: _Builder, name: str) -> None:
@@ -346,8 +444,14 @@ def _further(b: _Builder, name: str) -> None:
     x = b.raw(name)
     middle = _round(float(np.median(np.concatenate(x))))
     b.add(Factor(name, name, name), x)
-    b.add(Factor(name, f"max({name} - {middle:g}, 0)", f"({name} − {middle:g})₊", (), 1), [np.maximum(a - middle, 0) for a in x])
-    b.add(Factor(name, f"max({middle:g} - {name}, 0)", f"({middle:g} − {name})₊", (), 1), [np.maximum(middle - a, 0) for a in x])
+    b.add(
+        Factor(name, f"max({name} - {middle:g}, 0)", f"({name} − {middle:g})₊", (), 1),
+        [np.maximum(a - middle, 0) for a in x],
+    )
+    b.add(
+        Factor(name, f"max({middle:g} - {name}, 0)", f"({middle:g} − {name})₊", (), 1),
+        [np.maximum(middle - a, 0) for a in x],
+    )
 
 
 def _switched(b: _Builder, name: str) -> None:

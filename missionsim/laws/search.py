@@ -28,15 +28,21 @@ MOST_ROWS = 6000
 """Longer data are averaged to about so many rows for the first pass."""
 SHORTLIST = 1500
 SEEDS = 4
+BENDS = 2
+BENT = 6
+"""Best forms whose numbers are varied, and how often."""
 EXACT = 40
 ABSORBED = 0.93
-"""A form whose whitened rows the base, free of its priors, explains to this part is recalibration, not a law."""
+FREER = 4.0
+"""A form that the base explains to this part within so many prior standard deviations is recalibration, not a law."""
 LEAST_SHARE = 0.008
 """Below this part of the energy, half-moving rows and noisy covariates make forms out of nothing (measured)."""
 LEAST_RISE = 6.0
 """Nats beyond the penalty for all tries."""
 BLOCK_S = 20.0
 SAME = 0.98
+NO_DENORMALS = np.float32(1e-12)
+"""A filter's tail of zeros fades into numbers that processors are slow with."""
 
 
 @dataclass(frozen=True)
@@ -125,8 +131,7 @@ class Sieve:
         inside = total[1:, 1:] + np.diag(precision)
         self.solved = np.linalg.solve(inside, np.column_stack([total[1:, 0]]))[:, 0]
         self.inverse = np.linalg.inv(inside)
-        size = np.maximum(np.diag(total)[1:], 1e-300)
-        self.free = np.linalg.inv(total[1:, 1:] + np.diag(1e-6 * size))
+        self.free = np.linalg.inv(total[1:, 1:] + np.diag(precision / FREER**2))
 
     def _counts(self, rows: int) -> Array:
         return np.diff(np.append(self.starts, rows)).astype(float)
@@ -144,6 +149,7 @@ class Sieve:
         ar, ma, ratio = (np.asarray(x, dtype=np.float32) for x in arma_of(*self.shape))
         inverse, diagonal, _ = (np.asarray(x, dtype=np.float32) for x in start_factor(*self.shape))
         scaled = rows / self.scale
+        scaled += NO_DENORMALS
         out = np.empty_like(scaled)
         for part in self.stretches:
             x = scaled[:, part]
@@ -167,12 +173,12 @@ class Sieve:
             mine = white[:, part]
             both = (mine @ known[:, part].T).astype(float)
             random = both[:, self.fixed :]
-            size += np.einsum("ij,ij->i", mine, mine, dtype=float) - np.einsum("ij,jk,ik->i", random, middle, random)
+            size += np.einsum("ij,ij->i", mine, mine) - np.sum((random @ middle) * random, axis=1)
             cross += both[:, : self.fixed] - random @ fixed
         others = cross[:, 1:]
         score = cross[:, 0] - others @ self.solved
-        information = size - np.einsum("ij,jk,ik->i", others, self.inverse, others)
-        absorbed = np.einsum("ij,jk,ik->i", others, self.free, others) / np.maximum(size, 1e-300)
+        information = size - np.sum((others @ self.inverse) * others, axis=1)
+        absorbed = np.sum((others @ self.free) * others, axis=1) / np.maximum(size, 1e-300)
         return score, information, absorbed
 
 
@@ -188,9 +194,9 @@ def _groups(ground: Ground, every: int) -> NDArray[np.intp]:
 class Search:
     """All forms of a grammar on one ground."""
 
-    def __init__(self, ground: Ground, grammar: Grammar) -> None:
+    def __init__(self, ground: Ground, grammar: Grammar, memory: bool = False) -> None:
         self.ground, self.grammar = ground, grammar
-        self.by_size = grammar.forms()
+        self.by_size = grammar.forms(memory)
         self.penalties = [math.log(max(len(forms), 1)) for forms in self.by_size]
         rows = len(ground.design.y)
         self.every = max(1, math.ceil(rows / MOST_ROWS))
@@ -298,8 +304,18 @@ class Search:
 
     def _near(self, top: Fitted, listed: Sequence[NDArray[np.intp]]) -> list[Scored]:
         """Best forms at the noise of one of them, evaluated exactly; best score first."""
-        ranked = self.screen(top.model.noise, listed)[:EXACT]
-        forms = list(dict.fromkeys([top.form, *(one.form for one in ranked)]))
+        ranked = [one.form for one in self.screen(top.model.noise, listed)[:EXACT]]
+        for _ in range(BENDS):
+            known = self._exactly(top, ranked)
+            ranked = [one.form for one in known]
+            more = [form for one in ranked[:BENT] for form in self.grammar.bent(one)]
+            if set(more) <= set(ranked):
+                break
+            ranked += more
+        return self._exactly(top, ranked)
+
+    def _exactly(self, top: Fitted, some: Sequence[tuple[int, ...]]) -> list[Scored]:
+        forms = list(dict.fromkeys([top.form, *some]))
         x = self.columns(forms)
         level = np.mean(np.abs(x), axis=1)
         rows = np.arange(len(self.ground.design.y))

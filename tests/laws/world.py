@@ -91,8 +91,17 @@ class Made:
         return folder / "train", folder / "heldout"
 
 
-def make(law: str | None, seed: int, share: float = 0.05, *, robot: str = "pioneer3dx", runs: int = 10,
-         heldout: int = 4, duration_s: float = 420.0, rate_hz: float = 1.0) -> Made:
+def make(
+    law: str | None,
+    seed: int,
+    share: float = 0.05,
+    *,
+    robot: str = "pioneer3dx",
+    runs: int = 10,
+    heldout: int = 4,
+    duration_s: float = 420.0,
+    rate_hz: float = 1.0,
+) -> Made:
     """Logs of a robot in which a law takes ``share`` of the energy; ``law=None`` hides nothing."""
     body = ROBOTS[robot]
     root = np.random.SeedSequence([seed, zlib.crc32(f"laws {law}".encode()), runs])
@@ -119,9 +128,7 @@ def make(law: str | None, seed: int, share: float = 0.05, *, robot: str = "pione
     logs, truth, clean = {}, {}, {}
     for name, part in zip(names, prepared, strict=True):
         logs[name], truth[name], clean[name] = _record(part, strength, body, rate_hz)
-    return Made(
-        {n: logs[n] for n in names[:runs]}, {n: logs[n] for n in names[runs:]}, strength, truth, clean
-    )
+    return Made({n: logs[n] for n in names[:runs]}, {n: logs[n] for n in names[runs:]}, strength, truth, clean)
 
 
 def state_of(motion: Motion, rng: np.random.Generator) -> dict[str, Array]:

@@ -1,0 +1,443 @@
+"""The answer of the search: a small set of forms that these data cannot tell apart, one curve with its band, or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from missionsim.expressions import compile_expression
+from missionsim.glossary import column_of
+from missionsim.identify.data import Array
+from missionsim.labels import Labels
+from missionsim.laws.adapter import Ground, ground_of, library_columns
+from missionsim.laws.grammar import Grammar, make_grammar
+from missionsim.laws.search import Fitted, Gates, Scored, Search, gates
+
+ALIKE = 0.06
+"""Part of the gain by which a form may lag behind and still be in the set: no form is exact, and rows blur all of them."""
+AS_GOOD = 0.03
+"""Within this part the form with the fewest quantities, then the plainest, stands first."""
+LEAST_NATS = 4.0
+SYSTEMATIC = 0.10
+"""Relative standard deviation of a law's size beyond what the rows scatter: blur of rows and clock, base that gives way
+(measured in the little world)."""
+FLOOR = 0.03
+"""Parts of the curve's height that rows do not resolve."""
+MOST_LAWS = 6
+REPLACED = 0.35
+"""An effect that keeps less than this part of its size beside a law was standing in for it."""
+TWIN = 0.985
+POINTS = 41
+Z95 = 1.96
+
+
+@dataclass(frozen=True)
+class Law:
+    """One form of the set.
+
+    Attributes
+    ----------
+    formula : str
+        As a robot file writes it under ``power:``.
+    symbol : str
+        The same for people.
+    k, low, high : float
+        Coefficient with its 95 % interval, in `unit`.
+    energy_share : float
+    behind_nats : float
+        How far its likelihood lies behind the best.
+    variables : tuple of str
+    simulated : bool
+        Whether `run` can evaluate it.
+    """
+
+    formula: str
+    symbol: str
+    unit: str
+    k: float
+    low: float
+    high: float
+    energy_share: float
+    behind_nats: float
+    variables: tuple[str, ...]
+    simulated: bool = True
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields."""
+        return {
+            "formula": self.formula,
+            "parameters": {"k": {"value": self.k, "low": self.low, "high": self.high, "unit": self.unit}},
+            "energy_share": self.energy_share,
+            "behind_nats": self.behind_nats,
+            "depends_on": list(self.variables),
+            "simulated": self.simulated,
+        }
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Power of the law over its leading quantity [W], the others held; arrays of shape (points,).
+
+    ``low`` and ``high`` bound it for all forms of the set together (about 95 %).
+    """
+
+    variable: str
+    unit: str
+    x: tuple[float, ...]
+    watts: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    at: Mapping[str, float | str]
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields."""
+        return {
+            "variable": self.variable,
+            "unit": self.unit,
+            "x": list(self.x),
+            "watts": list(self.watts),
+            "low": list(self.low),
+            "high": list(self.high),
+            "at": dict(self.at),
+        }
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A law that the library does not hold.
+
+    Attributes
+    ----------
+    laws : tuple of Law
+        Forms that these data cannot tell apart; the plainest of the best first.
+    certain, possible : tuple of str
+        Quantities that every form depends on, and those that only some do.
+    curve : Curve or None
+        None for a law with a memory.
+    energy_share, share_sd : float
+    rise_nats, penalty_nats, tried
+        Rise of the likelihood, what chance makes of so many tries, and their number.
+    left_out_rmse_w, left_out_energy_pct : tuple of (float, float)
+        Errors of runs left out one at a time, without the law and with it.
+    better, runs : int
+        Left-out runs predicted better, of those in which it acts.
+    experiment : str
+        What to drive to tell the forms apart.
+    instead_of : tuple of str
+        Effects of the library that stood in for it.
+    looks_like : str
+        Effect of the library with the same column, if any.
+    heldout_rmse_w, heldout_energy_pct : tuple of (float, float) or None
+        Errors of runs that nothing was fitted to.
+    """
+
+    laws: tuple[Law, ...]
+    certain: tuple[str, ...]
+    possible: tuple[str, ...]
+    curve: Curve | None
+    energy_share: float
+    share_sd: float
+    rise_nats: float
+    penalty_nats: float
+    tried: int
+    left_out_rmse_w: tuple[float, float]
+    left_out_energy_pct: tuple[float, float]
+    better: int
+    runs: int
+    experiment: str
+    instead_of: tuple[str, ...] = ()
+    looks_like: str = ""
+    heldout_rmse_w: tuple[float, float] | None = None
+    heldout_energy_pct: tuple[float, float] | None = None
+    fitted: Fitted | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def first(self) -> Law:
+        """The law that is shown first."""
+        return self.laws[0]
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields but the fitted model."""
+
+        def pair(values: tuple[float, float] | None) -> dict[str, float | None] | None:
+            if values is None:
+                return None
+            before, after = (v if np.isfinite(v) else None for v in values)
+            return {"before": before, "after": after}
+
+        return {
+            "forms": [law.to_json() for law in self.laws],
+            "depends_on": list(self.certain),
+            "may_depend_on": list(self.possible),
+            "energy_share": self.energy_share,
+            "energy_share_sd": self.share_sd,
+            "rise_nats": self.rise_nats,
+            "penalty_nats": self.penalty_nats,
+            "forms_tried": self.tried,
+            "curve": None if self.curve is None else self.curve.to_json(),
+            "left_out_rmse_w": pair(self.left_out_rmse_w),
+            "left_out_energy_error_pct": pair(self.left_out_energy_pct),
+            "left_out_better": [self.better, self.runs],
+            "heldout_rmse_w": pair(self.heldout_rmse_w),
+            "heldout_energy_error_pct": pair(self.heldout_energy_pct),
+            "experiment": self.experiment,
+            "instead_of": list(self.instead_of),
+            "looks_like": self.looks_like,
+        }
+
+
+def propose(found: Any, covariates: Sequence[Mapping[str, Any]]) -> Proposal | None:
+    """The law that an identification lacks, or None where nothing passes every gate.
+
+    Parameters
+    ----------
+    found : missionsim.identify.result.Identification
+    covariates : sequence of mapping
+        Covariates of every run that was given to it, at the raw rate, with those derived from the log.
+    """
+    ground = ground_of(found, covariates)
+    grammar = make_grammar(ground.covariates)
+    for memory in (False, True):
+        made = _propose(ground, grammar, memory, found)
+        if made is not None:
+            return made
+    return None
+
+
+def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Any) -> Proposal | None:
+    search = Search(ground, grammar, memory)
+    done = search.best()
+    if done is None:
+        return None
+    near = _set(done.near, grammar)
+    fitted = done.best if near[0].form == done.best.form else search.fit(near[0].form, done.best.model.noise)
+    seen = gates(fitted)
+    if not seen.all_passed:
+        return None
+    instead = _replaced(fitted, ground)
+    if instead:
+        # what stood in for the law goes, and the law is looked for once more without it
+        less = ground.without(instead)
+        again = Search(less, grammar, memory)
+        other = again.best()
+        if other is not None:
+            search, ground = again, less
+            near = _set(other.near, grammar)
+            fitted = other.best if near[0].form == other.best.form else again.fit(near[0].form, other.best.model.noise)
+            seen = gates(fitted)
+            if not seen.all_passed:
+                return None
+    laws = tuple(_law(one, near[0], grammar, fitted, seen, search) for one in near)
+    sets = [set(law.variables) for law in laws]
+    certain = tuple(v for v in laws[0].variables if all(v in s for s in sets))
+    possible = tuple(dict.fromkeys(v for law in laws for v in law.variables if v not in certain))
+    curve = None if memory else _curve(laws, ground, seen, abs(fitted.share))
+    return Proposal(
+        laws,
+        certain,
+        possible,
+        curve,
+        fitted.share,
+        seen.share_sd,
+        fitted.rise,
+        fitted.penalty,
+        search.tried,
+        seen.left_out,
+        seen.energy,
+        seen.better,
+        seen.runs,
+        _experiment(laws, curve, possible, ground),
+        instead,
+        _twin(fitted, ground, found),
+        fitted=fitted,
+    )
+
+
+def _set(near: Sequence[Scored], grammar: Grammar) -> list[Scored]:
+    """Forms within the margin, the plainest of the best first; none that adds a quantity to a better one."""
+    top = near[0]
+    close = [one for one in near if one.score > top.score - max(LEAST_NATS, ALIKE * top.gain)]
+    as_good = [one for one in close if one.score > top.score - max(0.5 * LEAST_NATS, AS_GOOD * top.gain)]
+    first = min(
+        as_good, key=lambda one: (len(grammar.variables(one.form)), len(one.form), grammar.rank(one.form), -one.score)
+    )
+    kept = [first]
+    for one in close:
+        own = set(grammar.variables(one.form))
+        wider = any(set(grammar.variables(k.form)) < own for k in kept)
+        kinds = sorted(grammar.factors[i].kind or grammar.factors[i].text for i in one.form)
+        twin = any(kinds == sorted(grammar.factors[i].kind or grammar.factors[i].text for i in k.form) for k in kept)
+        if one is not first and not wider and not twin:
+            kept.append(one)
+    return kept[:MOST_LAWS]
+
+
+def _law(one: Scored, first: Scored, grammar: Grammar, fitted: Fitted, seen: Gates, search: Search) -> Law:
+    relative = float(np.hypot(seen.share_sd / max(abs(fitted.share), 1e-300), SYSTEMATIC))
+    share = fitted.share if one is first else one.share
+    mean = float(np.average(np.abs(search.watts(one.form)), weights=search.ground.design.duration_s))
+    k = share * search.ground.mean_power_w / max(mean, 1e-300)
+    half = Z95 * relative * abs(k)
+    return Law(
+        grammar.text(one.form),
+        grammar.symbol(one.form),
+        grammar.unit(one.form),
+        k,
+        k - half,
+        k + half,
+        share,
+        max(0.0, first.score - one.score),
+        grammar.variables(one.form),
+        grammar.simulated(one.form),
+    )
+
+
+def _replaced(fitted: Fitted, ground: Ground) -> tuple[str, ...]:
+    """Effects that hardly act any more once the law is in."""
+    before, _ = ground.model.gram.coefficients(ground.chosen) if ground.chosen else (np.zeros(0), None)
+    after, _ = fitted.model.gram.coefficients(fitted.model.chosen)
+    out = []
+    for name, columns in ground.held:
+        places = [ground.chosen.index(k) for k in columns]
+        if places and abs(after[places].sum()) < REPLACED * abs(before[places].sum()):
+            out.append(name)
+    return tuple(out)
+
+
+def _twin(fitted: Fitted, ground: Ground, found: Any) -> str:
+    """The effect of the library whose column is the law's own."""
+    x = fitted.watts - np.mean(fitted.watts)
+    columns, candidate = library_columns(ground)
+    for phi, number in zip(columns, candidate, strict=True):
+        y = phi - np.mean(phi)
+        r = abs(float(x @ y)) / max(float(np.linalg.norm(x) * np.linalg.norm(y)), 1e-300)
+        if number >= 0 and r > TWIN:
+            return str(found.library[number].effect)
+    return ""
+
+
+def _values(name: str, ground: Ground) -> Any:
+    """A covariate of all runs, one after the other; texts as an array of texts."""
+    parts = [run[name] for run in ground.covariates]
+    if isinstance(parts[0], Labels):
+        return np.concatenate([p.texts() for p in parts])
+    return np.concatenate(
+        [
+            np.broadcast_to(np.asarray(p, dtype=float), np.shape(run["time_s"]))
+            for p, run in zip(parts, ground.covariates, strict=True)
+        ]
+    )
+
+
+def evaluate(formula: str, cov: Mapping[str, Any], rows: int) -> Array:
+    """Power of a formula for k = 1, shape (rows,)."""
+    expression = compile_expression(formula)
+    return np.broadcast_to(np.asarray(expression.evaluate({**cov, "k": 1.0}), dtype=float), (rows,))
+
+
+def _curve(laws: Sequence[Law], ground: Ground, seen: Gates, share: float) -> Curve | None:
+    first = laws[0]
+    names = sorted({n for law in laws for n in compile_expression(law.formula).names} - {"k"})
+    data = {name: _values(name, ground) for name in names}
+    rows = len(next(iter(data.values())))
+    power = np.abs(evaluate(first.formula, data, rows))
+    active = power > 0.1 * float(np.quantile(power[power > 0.0], 0.95)) if np.any(power > 0.0) else power > 0.0
+    if not np.any(active):
+        return None
+    typical = {name: _typical(data[name][active]) for name in names}
+    own = [n for n in compile_expression(first.formula).names if n != "k" and not isinstance(typical[n], str)]
+    best: tuple[float, str, Array] | None = None
+    for name in own:
+        x = _range(name, data[name], active)
+        height = float(np.ptp(evaluate(first.formula, {**typical, name: x}, POINTS)))
+        # a switch has two values and a clock no end: neither leads where another quantity does
+        height *= 0.2 if name.startswith("on_") or name.endswith("time_s") else 1.0
+        if best is None or height > best[0]:
+            best = (height, name, x)
+    if best is None:
+        return None
+    _, lead, x = best
+    relative = float(np.hypot(seen.share_sd / max(share, 1e-300), SYSTEMATIC))
+    curves = np.vstack([law.k * evaluate(law.formula, {**typical, lead: x}, POINTS) for law in laws])
+    spread = Z95 * relative * np.abs(curves) + FLOOR * float(np.max(np.abs(curves[0])))
+    column = column_of(lead)
+    others = {n: v for n, v in typical.items() if n != lead}
+    return Curve(
+        lead,
+        column[0].unit if column is not None else "",
+        tuple(float(v) for v in x),
+        tuple(float(v) for v in curves[0]),
+        tuple(float(v) for v in (curves - spread).min(axis=0)),
+        tuple(float(v) for v in (curves + spread).max(axis=0)),
+        others,
+    )
+
+
+def _typical(values: Any) -> float | str:
+    if values.dtype.kind in "OUS":
+        texts, count = np.unique(values.astype(str), return_counts=True)
+        return str(texts[int(np.argmax(count))])
+    magnitude = values if np.any(values < 0.0) and np.any(values > 0.0) else np.abs(values)
+    return float(np.median(np.abs(magnitude)))
+
+
+def _range(name: str, values: Array, active: Any) -> Array:
+    signed = name in ("accel_m_s2", "slope_rad") or name.startswith("temp")
+    values = values if signed else np.abs(values)
+    low, high = np.quantile(values, (0.02, 0.98))
+    near = values[active]
+    low, high = min(float(low), float(np.min(near))), max(float(high), float(np.quantile(near, 0.98)))
+    return np.linspace(low, high, POINTS)
+
+
+def _experiment(laws: Sequence[Law], curve: Curve | None, possible: Sequence[str], ground: Ground) -> str:
+    """Where the forms differ most, in words."""
+    if len(laws) < 2 and not possible:
+        return ""
+    if possible:
+        told = " and ".join(plain(name) for name in possible)
+        lead = plain(curve.variable) if curve is not None else "the rest"
+        return f"repeat one drive of 3 min with {told} changed and {lead} as it was: the forms disagree on whether it matters"
+    if curve is None:
+        return ""
+    names = {n for law in laws for n in compile_expression(law.formula).names} - {"k", curve.variable}
+    x = np.linspace(curve.x[0], curve.x[0] + 1.4 * (curve.x[-1] - curve.x[0]), 2 * POINTS)
+    fixed = {n: curve.at[n] for n in names if n in curve.at}
+    curves = np.vstack([law.k * evaluate(law.formula, {**fixed, curve.variable: x}, len(x)) for law in laws])
+    gap = np.ptp(curves, axis=0)
+    at = int(np.argmax(gap))
+    return (
+        f"3 min at {plain(curve.variable)} {x[at]:.2g} {curve.unit} and 3 min at half of it, the rest as usual: there the "
+        f"forms differ by {gap[at]:.2g} W"
+    )
+
+
+PLAIN = {
+    "speed_m_s": "speed",
+    "yaw_rate_rad_s": "turn rate",
+    "accel_m_s2": "acceleration",
+    "lateral_speed_m_s": "sideways speed",
+    "slope_rad": "slope",
+    "payload_kg": "payload",
+    "temp_ambient_c": "ambient temperature",
+    "temp_motor_c": "motor temperature",
+    "cpu_load": "processor load",
+    "cpu_freq_hz": "processor clock",
+    "access_point_distance_m": "distance to the access point",
+    "time_s": "time since the start",
+    "moving_time_s": "time spent moving",
+    "surface": "floor",
+    "scheme": "control scheme",
+}
+
+
+def plain(name: str) -> str:
+    """A quantity in words."""
+    if name in PLAIN:
+        return PLAIN[name]
+    if name.startswith("on_time_"):
+        return f"time since {name[8:-2].replace('_', ' ')} was switched on"
+    return f"{name[3:]} being on" if name.startswith("on_") else name
