@@ -68,23 +68,24 @@ class Ground:
         """Columns (k, rows) of each run at the raw rate as rows of the design, shape (k, n)."""
         return self.model.source.averaged(raw, self.model.clock)
 
-    def with_law(self, watts: Array, start: Noise | None = None, thorough: bool = False) -> tuple[Model, int]:
+    def with_law(self, watts: Array, start: Noise | None = None) -> Model:
         """The model with one more column (power for a coefficient of 1, averaged, shape (n,)) and noise of its own.
 
-        Returns the model and the number of the new column.
+        The fit begins at usual noise, or at that of a like law: where the null took the law for noise, and its rows for
+        outliers, it would stay there.
         """
-        design, column = self.extended(watts)
-        chosen = (*self.chosen, column)
-        noise = fit_noise(design, chosen, start or self.model.noise, thorough=thorough)
-        return Model(self.model.source, chosen, self.model.clock, design, noise), column
+        design = self.extended(watts)
+        chosen = tuple(range(len(design.phi)))
+        noise = fit_noise(design, chosen, start, thorough=start is None)
+        return Model(self.model.source, chosen, self.model.clock, design, noise)
 
-    def extended(self, watts: Array) -> tuple[Design, int]:
-        """The design with one more column, in shares of energy, and its number."""
+    def extended(self, watts: Array) -> Design:
+        """The design with the columns of the effects found and the law, in shares of energy; the law comes last."""
         layout = self.design.layout
         mean = float(np.average(np.abs(watts), weights=self.design.duration_s))
-        more = replace(layout, columns=(*layout.columns, Column(-1, 0, "law", mean)))
-        phi = np.vstack([self.design.phi, watts * (layout.mean_power_w / max(mean, 1e-300))])
-        return replace(self.design, layout=more, phi=phi), len(layout.columns)
+        columns = (*(layout.columns[k] for k in self.chosen), Column(-1, 0, "law", mean))
+        phi = np.vstack([self.design.phi[list(self.chosen)], watts * (layout.mean_power_w / max(mean, 1e-300))])
+        return replace(self.design, layout=replace(layout, columns=columns), phi=phi)
 
 
 def ground_of(found: Identification, covariates: Sequence[Mapping[str, Any]]) -> Ground:

@@ -198,7 +198,7 @@ class _Builder:
     def add(self, factor: Factor, values: Sequence[Array]) -> None:
         clean = [np.nan_to_num(np.asarray(v, dtype=float), nan=0.0, posinf=0.0, neginf=0.0) for v in values]
         size = max((float(np.max(np.abs(v), initial=0.0)) for v in clean), default=0.0)
-        if size > 0.0 and any(float(np.ptp(v)) > VARIES * size for v in clean) or _differs(clean, size):
+        if (size > 0.0 and any(float(np.ptp(v)) > VARIES * size for v in clean)) or _differs(clean, size):
             self.factors.append(factor)
             self.values.append(clean)
 

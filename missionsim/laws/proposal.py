@@ -1,4 +1,4 @@
-"""The answer of the search: a small set of forms that these data cannot tell apart, one curve with its band, or nothing."""
+"""The answer of the search: forms that these data cannot tell apart, one curve with its band, or nothing."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from missionsim.laws.grammar import Grammar, make_grammar
 from missionsim.laws.search import Fitted, Gates, Scored, Search, gates
 
 ALIKE = 0.06
-"""Part of the gain by which a form may lag behind and still be in the set: no form is exact, and rows blur all of them."""
+"""Part of the gain by which a form may lag behind and still be in the set: no form is exact, and rows blur them all."""
 AS_GOOD = 0.03
 """Within this part the form with the fewest quantities, then the plainest, stands first."""
 LEAST_NATS = 4.0
@@ -213,7 +213,7 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Any) -> Prop
     if done is None:
         return None
     near = _set(done.near, grammar)
-    fitted = done.best if near[0].form == done.best.form else search.fit(near[0].form, done.best.model.noise)
+    fitted = search.settled(done.best if near[0].form == done.best.form else search.fit(near[0].form))
     seen = gates(fitted)
     if not seen.all_passed:
         return None
@@ -226,7 +226,7 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Any) -> Prop
         if other is not None:
             search, ground = again, less
             near = _set(other.near, grammar)
-            fitted = other.best if near[0].form == other.best.form else again.fit(near[0].form, other.best.model.noise)
+            fitted = again.settled(other.best if near[0].form == other.best.form else again.fit(near[0].form))
             seen = gates(fitted)
             if not seen.all_passed:
                 return None
@@ -245,11 +245,11 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Any) -> Prop
         fitted.rise,
         fitted.penalty,
         search.tried,
-        seen.left_out,
-        seen.energy,
-        seen.better,
-        seen.runs,
-        _experiment(laws, curve, possible, ground),
+        (seen.errors.without, seen.errors.with_law),
+        (seen.errors.energy_without, seen.errors.energy_with),
+        seen.errors.better,
+        seen.errors.acting,
+        _experiment(laws, curve, possible),
         instead,
         _twin(fitted, ground, found),
         fitted=fitted,
@@ -393,26 +393,21 @@ def _range(name: str, values: Array, active: Any) -> Array:
     return np.linspace(low, high, POINTS)
 
 
-def _experiment(laws: Sequence[Law], curve: Curve | None, possible: Sequence[str], ground: Ground) -> str:
+def _experiment(laws: Sequence[Law], curve: Curve | None, possible: Sequence[str]) -> str:
     """Where the forms differ most, in words."""
-    if len(laws) < 2 and not possible:
-        return ""
+    lead = plain(curve.variable) if curve is not None else "the rest"
     if possible:
         told = " and ".join(plain(name) for name in possible)
-        lead = plain(curve.variable) if curve is not None else "the rest"
-        return f"repeat one drive of 3 min with {told} changed and {lead} as it was: the forms disagree on whether it matters"
-    if curve is None:
+        return f"repeat one drive of 3 min with {told} changed and {lead} as it was: only some forms depend on it"
+    if curve is None or len(laws) < 2:
         return ""
-    names = {n for law in laws for n in compile_expression(law.formula).names} - {"k", curve.variable}
     x = np.linspace(curve.x[0], curve.x[0] + 1.4 * (curve.x[-1] - curve.x[0]), 2 * POINTS)
-    fixed = {n: curve.at[n] for n in names if n in curve.at}
-    curves = np.vstack([law.k * evaluate(law.formula, {**fixed, curve.variable: x}, len(x)) for law in laws])
+    fixed = {**curve.at, curve.variable: x}
+    curves = np.vstack([law.k * evaluate(law.formula, fixed, len(x)) for law in laws])
     gap = np.ptp(curves, axis=0)
     at = int(np.argmax(gap))
-    return (
-        f"3 min at {plain(curve.variable)} {x[at]:.2g} {curve.unit} and 3 min at half of it, the rest as usual: there the "
-        f"forms differ by {gap[at]:.2g} W"
-    )
+    where = f"{lead} {x[at]:.2g} {curve.unit}".strip()
+    return f"3 min at {where} and 3 min at half of it, the rest as usual: there the forms differ by {gap[at]:.2g} W"
 
 
 PLAIN = {

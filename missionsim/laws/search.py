@@ -1,4 +1,4 @@
-"""Score every form of the grammar with the likelihood, clock and noise of the diagnosis, and count all tries.
+"""Score every form of the grammar as the diagnosis scores its effects, and count all tries.
 
 Products are formed at the analysis rate for the first pass, which only ranks; what is told comes from forms evaluated at
 the raw rate and averaged like every other column.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,7 +27,7 @@ CHUNK = 256
 MOST_ROWS = 6000
 """Longer data are averaged to about so many rows for the first pass."""
 SHORTLIST = 1500
-SEEDS = 4
+SEEDS = 3
 BENDS = 2
 BENT = 6
 """Best forms whose numbers are varied, and how often."""
@@ -40,7 +40,11 @@ LEAST_SHARE = 0.008
 LEAST_RISE = 6.0
 """Nats beyond the penalty for all tries."""
 BLOCK_S = 20.0
+ACTS = 0.02
+"""Part of a law's squared power from which on it acts in a run."""
 SAME = 0.98
+CLOSE_ERROR = 1.005
+"""Of two forms whose left-out errors come this close, likelihood decides."""
 NO_DENORMALS = np.float32(1e-12)
 """A filter's tail of zeros fades into numbers that processors are slow with."""
 
@@ -58,11 +62,11 @@ class Scored:
 
 @dataclass(frozen=True)
 class Fitted:
-    """A form in the model with noise of its own.
+    """A form in the model with noise of its own; its column is the last.
 
     Attributes
     ----------
-    form, model, column
+    form, model
     watts : ndarray, shape (n,)
         Power for a coefficient of 1 at the analysis rate.
     rise : float
@@ -73,10 +77,14 @@ class Fitted:
 
     form: tuple[int, ...]
     model: Model
-    column: int
     watts: Array
     rise: float
     penalty: float
+
+    @property
+    def column(self) -> int:
+        """Number of the law's column."""
+        return len(self.model.chosen) - 1
 
     @property
     def share(self) -> float:
@@ -88,6 +96,11 @@ class Fitted:
         """Coefficient for a share of 1."""
         layout = self.model.design.layout
         return layout.mean_power_w / layout.columns[self.column].watts_per_unit
+
+    @cached_property
+    def errors(self) -> LeftOut:
+        """Errors of runs left out one at a time."""
+        return left_out(self.model)
 
 
 @dataclass(frozen=True)
@@ -254,8 +267,15 @@ class Search:
     def fit(self, form: tuple[int, ...], start: Noise | None = None) -> Fitted:
         """A form in the model, with noise of its own."""
         watts = self.watts(form)
-        model, column = self.ground.with_law(watts, start)
-        return Fitted(form, model, column, watts, evidence(model) - self.without, self.penalty(form))
+        model = self.ground.with_law(watts, start)
+        return Fitted(form, model, watts, evidence(model) - self.without, self.penalty(form))
+
+    def settled(self, fitted: Fitted) -> Fitted:
+        """The fit whose noise predicts left-out runs better: its own, or one that begins where the null ended."""
+        other = self.fit(fitted.form, self.ground.model.noise)
+        rise = max(fitted.rise, other.rise)
+        better = other if other.errors.with_law < fitted.errors.with_law else fitted
+        return replace(better, rise=rise)
 
     @cached_property
     def without(self) -> float:
@@ -275,11 +295,12 @@ class Search:
         fits = [self.fit(form) for form in dict.fromkeys(one.form for one in seeds)]
         if not fits:
             return None
-        top = max(fits, key=lambda f: f.rise - f.penalty)
+        # noise that is fitted with each form is no common ground; how left-out runs are predicted is
+        top = min(fits, key=lambda f: f.errors.with_law)
         near = self._near(top, listed)
         if near and near[0].form != top.form:
             other = next((f for f in fits if f.form == near[0].form), None) or self.fit(near[0].form, top.model.noise)
-            if other.rise - other.penalty > top.rise - top.penalty - 2.0:
+            if other.errors.with_law < CLOSE_ERROR * top.errors.with_law:
                 top = other
                 near = self._near(top, listed)
         return Searched(top, tuple(near), self.tried)
@@ -341,19 +362,13 @@ class Gates:
         Robust standard error of the share of energy (jackknife over blocks).
     z : float
         Share over its robust standard error.
-    left_out : tuple of (float, float)
-        Power error (RMS) [W] over runs that were left out one at a time, without the law and with it; NaN with one run.
-    better, runs : int
-        Left-out runs predicted better, of those in which the law acts.
+    errors : LeftOut
     passed : mapping of str to bool
     """
 
     share_sd: float
     z: float
-    left_out: tuple[float, float]
-    energy: tuple[float, float]
-    better: int
-    runs: int
+    errors: LeftOut
     passed: dict[str, bool]
 
     @property
@@ -367,21 +382,15 @@ def gates(fitted: Fitted, block_s: float = BLOCK_S) -> Gates:
     model = fitted.model
     share, sd = _robust(model, fitted.column, block_s)
     z = abs(share) / max(sd, 1e-300)
-    errors = _left_out(model, fitted.column)
+    errors = fitted.errors
     several = len(model.design.runs) > 1
-    without, with_law = (float(np.sqrt(np.mean(e))) for e in errors[:2])
-    acting = errors[4] > 0.02 * max(float(errors[4].sum()), 1e-300)
-    better = int(np.sum((errors[1] < errors[0])[acting]))
-    energy = (float(np.mean(errors[2])), float(np.mean(errors[3])))
     passed = {
         "size": abs(share) >= LEAST_SHARE,
         "likelihood": fitted.rise > fitted.penalty + LEAST_RISE,
         "blocks": 0.5 * z * z > fitted.penalty,
-        "left-out runs": not several or (with_law < without and 2 * better >= int(acting.sum())),
+        "left-out runs": not several or (errors.with_law < errors.without and 2 * errors.better >= errors.acting),
     }
-    nan = float("nan")
-    left_out = (without, with_law) if several else (nan, nan)
-    return Gates(sd, z, left_out, energy, better, int(acting.sum()), passed)
+    return Gates(sd, z, errors, passed)
 
 
 def _robust(model: Model, column: int, block_s: float) -> tuple[float, float]:
@@ -403,28 +412,51 @@ def _robust(model: Model, column: int, block_s: float) -> tuple[float, float]:
     return share, max(sd, 1.0 / math.sqrt(max(info, 1e-300)))
 
 
-def _left_out(model: Model, column: int) -> tuple[Array, Array, Array, Array, Array]:
-    """Each run predicted from the others: mean square error [W²] and energy error [%] without and with the law, and how
-    much the law acts in it."""
+@dataclass(frozen=True)
+class LeftOut:
+    """Errors of runs that were left out one at a time (of the fit itself, where there is one run).
+
+    Attributes
+    ----------
+    without, with_law : float
+        Power error (RMS) [W].
+    energy_without, energy_with : float
+        Mean absolute energy error [%].
+    better, acting : int
+        Runs predicted better, of those in which the law acts.
+    """
+
+    without: float
+    with_law: float
+    energy_without: float
+    energy_with: float
+    better: int
+    acting: int
+
+
+def left_out(model: Model) -> LeftOut:
+    """Each run predicted from the others, without the last column of a model and with it."""
     from missionsim.identify.gram import Gram
 
     design, gram = model.design, model.gram
     count = len(design.runs)
     q = len(design.layout.parameters)
-    others = tuple(k for k in model.chosen if k != column)
-    out = np.zeros((5, count))
+    square, energy, size = np.zeros((2, count)), np.zeros((2, count)), np.zeros(count)
     for j, rows in enumerate(design.runs):
         kept = np.arange(count) != j if count > 1 else np.ones(1, dtype=bool)
         part = Gram(gram.per_run[kept], gram.prior_precision)
         seconds = design.duration_s[rows]
         measured = float(np.sum(design.y[rows] * seconds))
-        for i, chosen in enumerate((others, model.chosen)):
+        for i, chosen in enumerate((model.chosen[:-1], model.chosen)):
             shifts, _ = part.shifts(chosen)
             power = design.base[rows] + shifts[:q] @ design.gradient[:q, rows]
             if chosen:
                 power = power + part.coefficients(chosen)[0] @ design.phi[list(chosen)][:, rows]
             error = power - design.y[rows]
-            out[i, j] = np.average(error**2, weights=seconds)
-            out[2 + i, j] = 100.0 * abs(float(np.sum(error * seconds)) / measured)
-        out[4, j] = float(np.sum(design.phi[column, rows] ** 2))
-    return out[0], out[1], out[2], out[3], out[4]
+            square[i, j] = np.average(error**2, weights=seconds)
+            energy[i, j] = 100.0 * abs(float(np.sum(error * seconds)) / measured)
+        size[j] = float(np.sum(design.phi[-1, rows] ** 2))
+    acting = size > ACTS * max(float(size.sum()), 1e-300)
+    rms, mean = np.sqrt(square.mean(axis=1)), energy.mean(axis=1)
+    better = int(np.sum((square[1] < square[0])[acting]))
+    return LeftOut(float(rms[0]), float(rms[1]), float(mean[0]), float(mean[1]), better, int(acting.sum()))
