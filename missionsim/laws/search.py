@@ -1,7 +1,7 @@
 """Score every form of the grammar as the diagnosis scores its effects, and count all tries.
 
-Products are formed at the analysis rate for the first pass, which only ranks; what is told comes from forms evaluated at
-the raw rate and averaged like every other column.
+Products are formed at the analysis rate for the first pass, which only ranks; what is told comes from forms that are
+evaluated at the raw rate and averaged like every other column.
 """
 
 from __future__ import annotations
