@@ -242,6 +242,7 @@ def search(
     bounds : Bounds
     best : float
         Objective of a way that is known already; ways whose bound is not below it are not followed.
+        With `every_goal`, the bound from which on ways are left out.
     gap : float
         Stop as soon as the best way is proved to be within this of the optimum.
     most_labels : int, optional
@@ -268,7 +269,7 @@ def search(
         if not len(label.points):
             return
         value = float(bounds.of(label.node, label.points).min())
-        if value >= outcome.objective - gap and not every_goal:
+        if value >= (best + EPSILON if every_goal else outcome.objective - gap):
             return
         front = fronts.get(label.node)
         if front is None:
@@ -296,11 +297,11 @@ def search(
             if goal(node):
                 outcome.runners_up.append(label)
                 cost = float(label.points[:, 0].min())
-                if cost < outcome.objective:
+                if cost < outcome.objective and not every_goal:
                     outcome.label, outcome.objective = label, cost
                 if not every_goal:
                     continue
-            _expand(network, label, bounds, slack, outcome.objective - gap if not every_goal else math.inf, push)
+            _expand(network, label, bounds, slack, best + EPSILON if every_goal else outcome.objective - gap, push)
     except KeyboardInterrupt:
         if outcome.label is None and not every_goal:
             raise

@@ -1,0 +1,216 @@
+"""The plan as it is told: stops and legs in order, energies, charge, what was proved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.planner.core import Label, chain_of
+from missionsim.planner.pieces import Piece
+from missionsim.planner.tour import Site
+
+Array = NDArray[np.float64]
+SCHEMA = "missionsim.plan/1"
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One leg of a plan: an edge driven, a visit, or charging.
+
+    Attributes
+    ----------
+    kind : str
+        ``drive``, ``visit`` or ``charge``.
+    place : str
+        Where it ends.
+    duration_s : float
+    energy_wh : mapping of str to float
+        By battery.
+    charge_wh : mapping of str to float
+        Left at its end.
+    piece : Piece or None
+        The edge, of a drive.
+    visit : int or None
+    payload_kg : float
+    level : float or None
+        Fraction charged to; None where charging lasts for `duration_s`.
+    """
+
+    kind: str
+    place: str
+    duration_s: float
+    energy_wh: Mapping[str, float]
+    charge_wh: Mapping[str, float]
+    piece: Piece | None = None
+    visit: int | None = None
+    payload_kg: float = 0.0
+    level: float | None = None
+
+
+@dataclass
+class Answer:
+    """A plan, or why there is none.
+
+    Attributes
+    ----------
+    site : Site
+    feasible : bool
+    legs : list of Leg
+    objective, bound : float
+        Of the plan, and below which no plan is.
+    duration_s : float
+    energy_wh, charge_left_wh : dict
+        By battery.
+    """
+
+    site: Site
+    feasible: bool
+    legs: list[Leg] = field(default_factory=list)
+    objective: float = float("inf")
+    bound: float = float("-inf")
+    duration_s: float = 0.0
+    energy_wh: dict[str, float] = field(default_factory=dict)
+    charge_left_wh: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def gap(self) -> float:
+        """How much better, relative to the plan, any other plan could be at most."""
+        if not self.feasible or self.objective <= self.bound:
+            return 0.0
+        return (self.objective - self.bound) / abs(self.objective) if self.objective else 0.0
+
+    def summary(self) -> dict[str, Any]:
+        """The plan as the JSON of the command line (schema ``missionsim.plan/1``)."""
+        task = self.site.task
+        legs = [_leg_json(self, leg) for leg in self.legs]
+        return {
+            "schema": SCHEMA,
+            "task": task.name,
+            "robot": task.robot.name,
+            "feasible": self.feasible,
+            "order": self.order(),
+            "objective": self.objective,
+            "bound": self.bound,
+            "gap": self.gap,
+            "duration_s": self.duration_s,
+            "batteries": {
+                name: {
+                    "energy_wh": self.energy_wh.get(name),
+                    "charge_left_wh": self.charge_left_wh.get(name),
+                    "capacity_wh": float(self.site.physics.capacity_wh[b]),
+                    "reserve_wh": float(self.site.physics.reserve_wh[b]),
+                }
+                for b, name in enumerate(self.site.physics.names)
+            },
+            "legs": legs,
+            **self.extra,
+        }
+
+    def order(self) -> list[str]:
+        """Names of the visits in the order in which they are made."""
+        visits = self.site.task.visits
+        return [visits[leg.visit].label for leg in self.legs if leg.visit is not None]
+
+
+def answer_of(site: Site, label: Label, objective: float, bound: float) -> Answer:
+    """The legs of the best way that the search found."""
+    names = site.physics.names
+    made = Answer(site, True, objective=objective, bound=min(bound, objective))
+    size = len(site.stops)
+    chain = chain_of(label)
+    vectors = _vectors(chain)
+    clock, missing = 0.0, vectors[0][2 : 2 + len(names)]
+    capacity = site.physics.capacity_wh
+    used = np.zeros(len(names))
+
+    def add(kind: str, place: str, use: Array, charged: Array | None = None, **more: Any) -> None:
+        nonlocal clock, missing, used
+        clock += float(use[0])
+        used = used + use[1:]
+        missing = missing + use[1:] if charged is None else charged
+        made.legs.append(
+            Leg(
+                kind,
+                place,
+                float(use[0]),
+                dict(zip(names, use[1:].tolist(), strict=True)),
+                dict(zip(names, (capacity - missing).tolist(), strict=True)),
+                **more,
+            )
+        )
+
+    for k in range(1, len(chain)):
+        step, state = chain[k], divmod(chain[k].node, size)
+        before = chain[k - 1].node // size
+        payload = site.order.payload_kg(before)
+        stop = site.stops[state[1]]
+        if step.move[0] == "refill":
+            charger = stop.charger
+            assert charger is not None
+            x, after = vectors[k - 1], vectors[k]
+            seconds = float(after[1] - x[1])
+            if seconds > 1e-9:
+                level = charger.level_of(x, seconds)
+                use = np.concatenate([[seconds], charger.draw_w * seconds / 3600.0])
+                add("charge", stop.place, use, after[2 : 2 + len(names)], payload_kg=payload, level=level)
+            continue
+        drive = step.move[1]
+        for piece, use in zip(drive.pieces, drive.costs, strict=True):
+            add("drive", piece.way.end, use, piece=piece, payload_kg=payload)
+        if stop.visit is not None:
+            load = site.order.payload_kg(state[0])
+            add("visit", stop.place, site.standing(state[1], load), visit=stop.visit, payload_kg=load)
+    made.duration_s = clock
+    made.energy_wh = dict(zip(names, used.tolist(), strict=True))
+    made.charge_left_wh = dict(zip(names, (capacity - missing).tolist(), strict=True))
+    return made
+
+
+def _vectors(chain: list[Label]) -> list[Array]:
+    """The vector at each label of a way, where labels are chains of points: chosen from the end backwards."""
+    last = chain[-1].points
+    point = last[int(np.argmin(last[:, 0]))]
+    vectors = [point]
+    for label, earlier in zip(chain[:0:-1], chain[-2::-1], strict=True):
+        if label.move[0] == "refill":
+            point = earlier.points[label.move[1]]
+        elif len(earlier.points) == 1:
+            point = earlier.points[0]
+        else:
+            point = point - label.move[2]
+        vectors.append(point)
+    return vectors[::-1]
+
+
+def _leg_json(answer: Answer, leg: Leg) -> dict[str, Any]:
+    made: dict[str, Any] = {
+        "kind": leg.kind,
+        "to": leg.place,
+        "duration_s": leg.duration_s,
+        "energy_wh": dict(leg.energy_wh),
+        "charge_wh": dict(leg.charge_wh),
+        "payload_kg": leg.payload_kg,
+    }
+    if leg.piece is not None:
+        settings = leg.piece.legs[0].settings
+        made |= {
+            "from": leg.piece.way.begin,
+            "edge": leg.piece.name,
+            "edge_index": leg.piece.way.edge,
+            "distance_m": leg.piece.distance_m,
+            "speed_m_s": leg.piece.limit_m_s,
+            "scheme": settings.scheme or None,
+            "navigation": settings.navigation or None,
+            "sensors": dict(settings.sensors),
+        }
+    if leg.visit is not None:
+        made["visit"] = answer.site.task.visits[leg.visit].label
+    if leg.kind == "charge":
+        made["until"] = leg.level
+    return made

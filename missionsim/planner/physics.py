@@ -1,0 +1,160 @@
+"""What legs cost: the energy of many phases of motion and standing at once, by the product's own power model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.integrate import integrate
+from missionsim.engine.components import closure
+from missionsim.engine.recorder import Row, timeline
+from missionsim.engine.simulate import RunSetup
+from missionsim.inputs.activities import PolicySpec
+from missionsim.inputs.mission import MissionBehaviour, MissionSpec, WaitSegment
+from missionsim.inputs.power import build_power_model
+from missionsim.inputs.task import TaskSpec
+from missionsim.inputs.values import Parameter
+from missionsim.plan.build import make_plan
+from missionsim.plan.legs import Leg, Phase, Settings
+
+Array = NDArray[np.float64]
+J_PER_WH = 3600.0
+LONG_AGO_S = 1e7
+"""Terms that fade with the time moved or switched on are taken as faded while searching; the mission that comes out is
+simulated with them."""
+
+
+def mission_of(task: TaskSpec) -> MissionSpec:
+    """A mission with the task's robot, environment and defaults that does nothing yet."""
+    wait = WaitSegment.model_construct(kind="wait", duration=Parameter(0.0, unit="s"))
+    dock = PolicySpec.model_construct(dock=task.goal) if task.goal in task.environment.places else PolicySpec()
+    mission = MissionSpec.model_construct(
+        kind="mission",
+        name=task.name,
+        start=task.start,
+        start_heading=task.start_heading,
+        initial_charge=task.initial_charge,
+        defaults=task.defaults,
+        policy=dock,
+        segments=(wait,),
+        behaviour=MissionBehaviour.model_construct(),
+    )
+    mission._robot, mission._environment = task.robot, task.environment
+    mission._file = str(task.path)
+    return mission
+
+
+class Physics:
+    """The power model of a task's robot, for arrays of phases.
+
+    Parameters
+    ----------
+    task : TaskSpec
+
+    Attributes
+    ----------
+    names : tuple of str
+        Batteries, in the order of all arrays.
+    limits : Limits
+        Accelerations of the body.
+    capacity_wh, initial_wh, reserve_wh : ndarray, shape (batteries,)
+    """
+
+    def __init__(self, task: TaskSpec) -> None:
+        self.task = task
+        self.mission = mission_of(task)
+        self.model = build_power_model(task.robot)
+        plan = make_plan(self.mission)
+        self.limits = plan.limits
+        self.setup = RunSetup(self.mission, plan, self.model, {}, {})
+        batteries = self.setup.batteries
+        self.names = tuple(batteries)
+        self.capacity_wh = np.array([battery.capacity_j for battery in batteries.values()]) / J_PER_WH
+        self.initial_wh = (
+            np.array([float(battery.charge_j(battery.initial)) for battery in batteries.values()]) / J_PER_WH
+        )
+        self.reserve_wh = np.array(
+            [
+                float(battery.charge_j(battery.state_of(task.reserve_of(name)))) / J_PER_WH
+                for name, battery in batteries.items()
+            ]
+        )
+        self._infos = {info.name: info for info in self.setup.components}
+        self._always = {info.name: info.units for info in self.setup.components if info.always_on}
+        self._settings: dict[Settings, int] = {}
+        self._needs = frozenset(name for term in self.model.terms for name in term.effect.needs)
+        self.impulsive = any(term.effect.impulse is not None for term in self.model.terms)
+        self.fades = bool(self.model.memory)
+        self.slow = {name for name, info in self._infos.items() if info.startup_s > 0.0}
+
+    def settings_index(self, settings: Settings) -> int:
+        """Number of settings (of whichever segment), for `energy_wh`."""
+        return self._settings.setdefault(settings._replace(segment=0), len(self._settings))
+
+    def energy_wh(
+        self, settings: Array, duration_s: Array, speed_m_s: Array, accel_m_s2: Array, starts: Array
+    ) -> Array:
+        """Energy that each battery delivers in each of many phases.
+
+        Parameters
+        ----------
+        settings : ndarray of int, shape (n,)
+            From `settings_index`.
+        duration_s, speed_m_s, accel_m_s2 : ndarray, shape (n,)
+            Length, speed at the start and acceleration of each phase; speed and acceleration 0 is standing.
+        starts : ndarray of bool, shape (n,)
+            Whether the robot stood before.
+
+        Returns
+        -------
+        ndarray, shape (n, batteries)
+            Wh.
+        """
+        keys = np.stack([settings, duration_s, speed_m_s, accel_m_s2, starts], axis=1).astype(float)
+        steady = (keys[:, 3] == 0.0) & (keys[:, 4] == 0.0) & (not self.fades)
+        scale = np.where(steady, keys[:, 1], 1.0)
+        keys[steady, 1] = 1.0  # constant power: computed for a second, whatever it lasts
+        unique, inverse = np.unique(keys, axis=0, return_inverse=True)
+        return self._rows_wh(unique)[np.ravel(inverse)] * scale[:, None]
+
+    def _rows_wh(self, keys: Array) -> Array:
+        index: dict[tuple[float, ...], int] = {}
+        names = list(self._infos)
+        state_of = [index.setdefault(self._state(settings, names), len(index)) for settings in self._settings]
+        legs = [Leg("roll", settings) for settings in self._settings]
+        rows = []
+        for number, duration, speed, accel, starts in keys.tolist():
+            which = int(number)
+            moving = speed != 0.0 or accel != 0.0
+            phase = Phase(duration, which, speed, accel, moving=moving)
+            moved = LONG_AGO_S if self.fades else 0.0
+            rows.append(Row(0.0, duration, which, phase, 0.0, state_of[which], moved, bool(starts), ()))
+        total = np.zeros((len(rows), len(self.names)))
+        if not rows:
+            return total
+        line = timeline(rows, legs, names, np.array(list(index), dtype=float), needs=self._needs)
+        for b, terms in enumerate(integrate(self.model, line).values()):
+            for joules in terms.values():
+                total[:, b] += joules
+        return total / J_PER_WH
+
+    def _state(self, settings: Settings, names: Sequence[str]) -> tuple[float, ...]:
+        """Units on, units starting, time of switching on, of each component."""
+        units = closure(self._infos, settings.sensors)
+        for name, count in self._always.items():
+            units[name] = max(count, units.get(name, 0))
+        zero = [0.0] * len(names)
+        since = [-LONG_AGO_S if self.fades else 0.0] * len(names)
+        return (*(float(units.get(name, 0)) for name in names), *zero, *since)
+
+    def standing_wh(self, settings: Settings, duration_s: float) -> Array:
+        """Energy of standing, shape (batteries,), Wh."""
+        one = np.ones(1)
+        number = np.array([self.settings_index(settings)])
+        return np.asarray(self.energy_wh(number, duration_s * one, 0.0 * one, 0.0 * one, 0.0 * one)[0])
+
+    def missing_wh(self) -> Array:
+        """Charge missing in each battery at the start, shape (batteries,), Wh."""
+        return self.capacity_wh - self.initial_wh

@@ -1,0 +1,356 @@
+"""An edge driven in one of the ways that may be chosen, and the graph of places and speeds that these make.
+
+Where the robot drives on from one edge to the next, the speed at the place between them depends on both (and, where
+edges are shorter than it takes to brake, on more of them). A state is a place with the speed there, and whether the
+next edge still has to be the reason for that speed: then what an edge costs depends on its two states alone, and the
+profile of the whole run is the one that the simulation drives.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.errors import InputError
+from missionsim.inputs.segments import DriveSegment
+from missionsim.inputs.task import SchemeChoice, TaskSpec, speeds_of
+from missionsim.inputs.values import Parameter
+from missionsim.plan.build import legs_of
+from missionsim.plan.kinematics import phases, ramp_phases
+from missionsim.plan.legs import Leg
+from missionsim.plan.routes import Routes, Way
+from missionsim.planner.physics import Physics
+
+Array = NDArray[np.float64]
+MOST_SPEEDS = 60
+"""Speeds at a place; beyond it the speeds that come from braking over several short edges are left out."""
+FREE, OWED, ROLLED = 0, 1, 2
+"""A state's speed is explained already; must be explained by the next edge; is 0 without having stood."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """An edge in one direction under one scheme at one speed.
+
+    Attributes
+    ----------
+    way : Way
+    name : str
+        What `along` calls it.
+    scheme : SchemeChoice or None
+        None for the task's default.
+    speed : float or None
+        Asked [m/s]; None for the default.
+    legs : tuple of Leg
+        That roll; an edge under an access point has several.
+    dwell : Leg or None
+        Standing at the end.
+    """
+
+    way: Way
+    name: str
+    scheme: SchemeChoice | None
+    speed: float | None
+    legs: tuple[Leg, ...]
+    dwell: Leg | None = None
+
+    @property
+    def limit_m_s(self) -> float:
+        """Speed limit of its legs."""
+        return self.legs[0].speed_m_s
+
+    @property
+    def distance_m(self) -> float:
+        """Length driven."""
+        return math.fsum(leg.distance_m for leg in self.legs)
+
+
+def edge_name(task: TaskSpec, way: Way) -> str | None:
+    """What a drive `along` calls a way, or None where its names mean another."""
+    edge = task.environment.edges[way.edge]
+    for name in (edge.name, way.end):
+        if name is not None and task.environment.next_along(way.begin, name) == (way.edge, way.end):
+            return name
+    return None
+
+
+def pieces_of(task: TaskSpec, physics: Physics, payload_kg: float) -> dict[str, list[Piece]]:
+    """All pieces of a task's open edges, by the place where they begin."""
+    routes = Routes(task.environment, lambda parameter: parameter.value)
+    top = task.robot.body.max_speed.value
+    asked: list[tuple[str, DriveSegment]] = []
+    about: list[tuple[Way, str, SchemeChoice | None, float | None]] = []
+    for place, ways in routes.ways.items():
+        for way in ways:
+            own = task.edges.get(task.environment.edges[way.edge].name or "")
+            name = edge_name(task, way)
+            if name is None or (own is not None and own.closed):
+                continue
+            schemes = (own.schemes if own is not None else None) or task.choose.schemes or (None,)
+            speeds = speeds_of(own.speeds if own is not None else None) or speeds_of(task.choose.speeds) or (None,)
+            for scheme in schemes:
+                of_scheme = task.robot.schemes.get(scheme.scheme if scheme else task.defaults.scheme or "")
+                most = top if of_scheme is None or of_scheme.max_speed is None else of_scheme.max_speed.value
+                done: set[float] = set()
+                for speed in speeds:
+                    given = None if speed is None else min(speed, most, top)
+                    effective = min(given or math.inf, way.max_speed_m_s)
+                    if given is not None and effective in done:
+                        continue
+                    done.add(effective)
+                    asked.append((place, drive(name, scheme, given, payload_kg)))
+                    about.append((way, name, scheme, given))
+    pieces: dict[str, list[Piece]] = {place: [] for place in routes.ways}
+    for legs, (way, name, scheme, given) in zip(legs_of(physics.mission, asked), about, strict=True):
+        rolls = tuple(leg for leg in legs if leg.kind == "roll")
+        dwell = next((leg for leg in legs if leg.kind == "stand"), None)
+        pieces[way.begin].append(Piece(way, name, scheme, given, rolls, dwell))
+    return pieces
+
+
+def drive(name: str, scheme: SchemeChoice | None, speed: float | None, payload_kg: float) -> DriveSegment:
+    """The segment of a mission that drives an edge."""
+    return DriveSegment.model_construct(
+        kind="drive",
+        along=(name,),
+        speed=None if speed is None else Parameter(speed, unit="m/s"),
+        scheme=None if scheme is None else scheme.scheme,
+        navigation=None if scheme is None else scheme.navigation,
+        sensors=None if scheme is None else scheme.sensors,
+        payload=Parameter(payload_kg, unit="kg"),
+    )
+
+
+class State(NamedTuple):
+    """A place, the speed there and what explains it."""
+
+    place: str
+    speed: float = 0.0
+    kind: int = FREE
+
+
+@dataclass
+class Road:
+    """The graph of states, its arcs with what they cost.
+
+    Attributes
+    ----------
+    states : list of State
+    tails, heads : ndarray of int, shape (arcs,)
+    use : ndarray, shape (arcs, 1 + batteries)
+        Seconds, and Wh of each battery.
+    driven : list of Piece
+        By arc.
+    """
+
+    states: list[State]
+    tails: NDArray[np.intp]
+    heads: NDArray[np.intp]
+    use: Array
+    driven: list[Piece]
+    index: dict[State, int] = field(default_factory=dict)
+
+
+def make_road(physics: Physics, pieces: dict[str, list[Piece]], stops: Sequence[State]) -> Road:
+    """The graph of a site: from the stops, every state that can be reached, and what each arc costs.
+
+    Parameters
+    ----------
+    physics : Physics
+    pieces : mapping of str to list of Piece
+        By the place where they begin.
+    stops : sequence of State
+        Where the robot may stand: it starts there and may end its drive there.
+    """
+    accel = physics.limits.accel_m_s2 or 0.0
+    decel = physics.limits.decel_m_s2 or accel
+    places = {stop.place for stop in stops}
+    binding = _binding(pieces, places, decel)
+    index: dict[State, int] = {state: i for i, state in enumerate(dict.fromkeys(stops))}
+    waiting = deque(index)
+    tails: list[int] = []
+    heads: list[int] = []
+    driven: list[Piece] = []
+    speeds: list[tuple[float, float]] = []
+    while waiting:
+        state = waiting.popleft()
+        here = index[state]
+        for piece in pieces[state.place]:
+            for end, final in _ends(state, piece, binding[piece.way.end], places, accel, decel):
+                if end not in index:
+                    index[end] = len(index)
+                    waiting.append(end)
+                tails.append(here)
+                heads.append(index[end])
+                driven.append(piece)
+                speeds.append((state.speed, final))
+    states = list(index)
+    rest = np.array([states[tail].speed == 0.0 and states[tail].kind != ROLLED for tail in tails], dtype=bool)
+    use = cost_of(physics, driven, np.array(speeds).reshape(-1, 2), rest)
+    road = Road(states, np.array(tails, dtype=np.intp), np.array(heads, dtype=np.intp), use, driven, index)
+    return _undominated(road)
+
+
+def _binding(pieces: dict[str, list[Piece]], places: set[str], decel: float) -> dict[str, set[float]]:
+    """Speeds at each place that an edge leaving it can be the reason for: its limit, or having to brake on it."""
+    found = {
+        place: {piece.limit_m_s for piece in leaving if not _instant(piece)} | ({0.0} if place in places else set())
+        for place, leaving in pieces.items()
+    }
+    if decel <= 0.0:
+        return found
+    changed = True
+    while changed:
+        changed = False
+        for place, leaving in pieces.items():
+            for piece in leaving:
+                if _instant(piece):
+                    continue
+                further = {0.0} if piece.dwell is not None else found[piece.way.end]
+                for speed in list(further):
+                    before = math.sqrt(speed * speed + 2.0 * decel * piece.distance_m)
+                    if before < piece.limit_m_s and before not in found[place] and len(found[place]) < MOST_SPEEDS:
+                        found[place].add(before)
+                        changed = True
+    return found
+
+
+def _ends(
+    state: State, piece: Piece, binding: set[float], places: set[str], accel: float, decel: float
+) -> Iterator[tuple[State, float]]:
+    """States at the end of a piece that begins in a state, and the speeds there."""
+    end = piece.way.end
+    if _instant(piece):
+        yield State(end), 0.0
+        return
+    begin, limit, length = state.speed, piece.limit_m_s, piece.distance_m
+    if begin > limit:
+        return
+    if state.kind == OWED and begin != limit:
+        # then it must be braking on this piece that asks for no more than this speed
+        wanted = [
+            speed
+            for speed in ({0.0} if piece.dwell is not None else binding)
+            if math.sqrt(speed * speed + 2.0 * decel * length) == begin
+        ]
+        for speed in wanted:
+            yield State(end, speed, OWED if speed > 0.0 else FREE), speed
+        return
+    top = math.sqrt(begin * begin + 2.0 * accel * length)
+
+    def possible(speed: float) -> bool:
+        # the last place rounds: a chain of braking edges has exactly this speed
+        return speed <= top and begin <= math.sqrt(speed * speed + 2.0 * decel * length) * (1.0 + 1e-15)
+
+    if piece.dwell is not None:
+        if possible(0.0):
+            yield State(end), 0.0
+        return
+    if end in places and possible(0.0):
+        yield State(end), 0.0
+    highest = min(top, limit)
+    if possible(highest):
+        yield State(end, highest), highest
+    for speed in binding:
+        if 0.0 < speed < highest and possible(speed):
+            yield State(end, speed, OWED), speed
+
+
+def _instant(piece: Piece) -> bool:
+    return piece.legs[0].instant
+
+
+def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDArray[np.bool_]) -> Array:
+    """Time and energies of pieces between speeds, evaluated as arrays.
+
+    Parameters
+    ----------
+    physics : Physics
+    driven : sequence of Piece
+    speeds : ndarray, shape (n, 2)
+        At begin and end of each [m/s].
+    rest : ndarray of bool, shape (n,)
+        Whether the robot stood before.
+
+    Returns
+    -------
+    ndarray, shape (n, 1 + batteries)
+        Seconds and Wh.
+    """
+    use = np.zeros((len(driven), 1 + len(physics.names)))
+    groups: dict[tuple[int, bool], list[int]] = {}
+    for i, piece in enumerate(driven):
+        groups.setdefault((len(piece.legs), _instant(piece)), []).append(i)
+    numbers: dict[int, int] = {}
+    parts: list[tuple[Array, Array, Array, Array, Array, Array]] = []
+    for (count, instant), members in groups.items():
+        rows = np.array(members)
+        distance = np.array([[leg.distance_m for leg in driven[i].legs] for i in members])
+        limit = np.array([[leg.speed_m_s for leg in driven[i].legs] for i in members])
+        settings = np.array(
+            [
+                [numbers.setdefault(id(leg.settings), physics.settings_index(leg.settings)) for leg in driven[i].legs]
+                for i in members
+            ]
+        )
+        if instant:
+            made = phases(distance, limit)
+        else:
+            accel = np.full(len(members), physics.limits.accel_m_s2)
+            decel = np.full(len(members), physics.limits.decel_m_s2)
+            made = ramp_phases(distance, limit, accel, decel, speeds[rows, 0], speeds[rows, 1])
+        shape = (len(members), count, 3)
+        first = np.cumsum(made.duration_s.reshape(len(members), -1) > 0.0, axis=1).reshape(shape) == 1
+        starts = first & (made.duration_s > 0.0) & rest[rows][:, None, None]
+        owner = np.broadcast_to(rows[:, None, None], shape)
+        kept = made.duration_s > 0.0
+        wide = np.broadcast_to(settings[:, :, None], shape)
+        parts.append(
+            (owner[kept], wide[kept], made.duration_s[kept], made.speed_m_s[kept], made.accel_m_s2[kept], starts[kept])
+        )
+    standing = [(i, piece.dwell) for i, piece in enumerate(driven) if piece.dwell is not None]
+    if standing:
+        owner = np.array([i for i, _ in standing])
+        settings = np.array([physics.settings_index(leg.settings) for _, leg in standing])
+        lasting = np.array([leg.duration_s for _, leg in standing])
+        zero = np.zeros(len(standing))
+        parts.append((owner, settings, lasting, zero, zero, zero))
+    if not parts:
+        return use
+    owner, settings, duration, speed, rate, starts = (np.concatenate(column) for column in zip(*parts, strict=True))
+    np.add.at(use[:, 0], owner, duration)
+    energy = physics.energy_wh(settings, duration, speed, rate, starts)
+    for b in range(len(physics.names)):
+        np.add.at(use[:, 1 + b], owner, energy[:, b])
+    if not np.isfinite(use).all():
+        bad = driven[int(np.flatnonzero(~np.isfinite(use).all(axis=1))[0])]
+        raise InputError.single(
+            f"the power on edge '{bad.name}' from '{bad.way.begin}' is not a number",
+            file=str(physics.task.path),
+            allowed="every covariate that the robot's effects read, in defaults or on the edge",
+        )
+    return use
+
+
+def _undominated(road: Road) -> Road:
+    """Without arcs that cost no less than another between the same states."""
+    order = np.lexsort((road.use[:, 0], road.heads, road.tails))
+    ends = np.stack([road.tails, road.heads], axis=1)[order]
+    cuts = np.flatnonzero((np.diff(ends, axis=0) != 0).any(axis=1)) + 1
+    keep: list[int] = []
+    for group in np.split(order, cuts):
+        kept: list[int] = []
+        for i in group.tolist():
+            mine = road.use[i]
+            if not kept or not (road.use[kept] <= mine).all(axis=1).any():
+                kept.append(i)
+        keep += kept
+    return Road(
+        road.states, road.tails[keep], road.heads[keep], road.use[keep], [road.driven[i] for i in keep], road.index
+    )

@@ -1,0 +1,310 @@
+"""The graph of stops: which visit comes next, by which drive, and where batteries are charged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.inputs.segments import DockSegment, InspectSegment, RechargeSpec, WaitSegment
+from missionsim.inputs.task import TaskSpec, VisitSpec
+from missionsim.inputs.values import Parameter
+from missionsim.plan.build import legs_of
+from missionsim.plan.legs import Leg
+from missionsim.planner.core import Leaving
+from missionsim.planner.drives import Drive, Drives
+from missionsim.planner.orders import Order
+from missionsim.planner.physics import Physics
+from missionsim.planner.pieces import FREE, ROLLED, State, make_road, pieces_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Stop:
+    """A place where the robot stands: the start, a visit, the goal or a dock.
+
+    Attributes
+    ----------
+    place : str
+    use : ndarray, shape (1 + batteries,)
+        Seconds and Wh of what is done there.
+    visit : int or None
+        Of the task.
+    charger : Charger or None
+    """
+
+    place: str
+    use: Array
+    visit: int | None = None
+    charger: Charger | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Charger:
+    """What charging at a dock does to the vector (objective, seconds, Wh missing of each battery, …).
+
+    Attributes
+    ----------
+    gain_w : ndarray, shape (batteries,)
+        What comes in less what the robot draws; 0 or less where it is not charged.
+    draw_w : ndarray, shape (batteries,)
+        What the robot draws while docked.
+    served : ndarray of bool, shape (batteries,)
+    capacity_wh : ndarray, shape (batteries,)
+    rate : float
+        Objective for a second at the dock.
+    levels : tuple of float or None
+        Fractions that may be charged to; None for any.
+    """
+
+    gain_w: Array
+    draw_w: Array
+    served: NDArray[np.bool_]
+    capacity_wh: Array
+    rate: float
+    levels: tuple[float, ...] | None = None
+
+    def after(self, x: Array, seconds: float, level: float = 1.0) -> Array:
+        """The vector after charging for some time, batteries held at a level once there."""
+        made = x.copy()
+        made[0] += self.rate * seconds
+        made[1] += seconds
+        count = len(self.gain_w)
+        missing = x[2 : 2 + count]
+        floor = (1.0 - level) * self.capacity_wh
+        charged = np.maximum(missing - self.gain_w * seconds / 3600.0, np.minimum(floor, missing))
+        made[2 : 2 + count] = np.where(self.served, charged, missing + self.draw_w * seconds / 3600.0)
+        return made
+
+    def seconds_to(self, x: Array, level: float) -> Array:
+        """Time until each battery served is at a level, shape (batteries,); infinite where it never is."""
+        missing = x[2 : 2 + len(self.gain_w)] - (1.0 - level) * self.capacity_wh
+        with np.errstate(divide="ignore", invalid="ignore"):
+            needed = np.where(self.gain_w > 0.0, missing * 3600.0 / self.gain_w, math.inf)
+        return np.where(self.served & (missing > 0.0), needed, 0.0)
+
+    def level_of(self, x: Array, seconds: float) -> float | None:
+        """The level that charging for some time comes to; None where any charge may be had."""
+        if self.levels is None:
+            return None
+        return min(self.levels, key=lambda level: abs(float(self.seconds_to(x, level).max()) - seconds))
+
+    def options(self, x: Array) -> list[Array]:
+        """Levels one by one, or the chain of all charges up to full."""
+        if self.levels is not None:
+            made = []
+            for level in self.levels:
+                seconds = float(self.seconds_to(x, level).max())
+                if 0.0 < seconds < math.inf:
+                    made.append(self.after(x, seconds, level)[None, :])
+            return made
+        times = self.seconds_to(x, 1.0)
+        knots = sorted({float(t) for t in times if 0.0 < t < math.inf})
+        return [np.array([x, *(self.after(x, t) for t in knots)])] if knots else []
+
+
+@dataclass
+class Site:
+    """Everything about a task that does not depend on what is chosen: stops, roads by payload, costs.
+
+    Attributes
+    ----------
+    stops : list of Stop
+        First the start, then the visits, the goal, the docks.
+    """
+
+    task: TaskSpec
+    physics: Physics
+    order: Order
+    stops: list[Stop] = field(default_factory=list)
+    roads: dict[float, Drives] = field(default_factory=dict)
+    nodes: dict[float, tuple[NDArray[np.intp], NDArray[np.intp]]] = field(default_factory=dict)
+    _standing: dict[tuple[int, float], Array] = field(default_factory=dict)
+
+    @property
+    def goal(self) -> int:
+        """Number of the stop that ends the mission."""
+        return len(self.task.visits) + 1
+
+    def road(self, payload_kg: float) -> Drives:
+        """The road under a load, made when first asked for."""
+        if payload_kg not in self.roads:
+            physics, stops = self.physics, self.stops
+            leaving = [_leaving(physics, stop, i) for i, stop in enumerate(stops)]
+            arriving = [State(stop.place) for stop in stops]
+            road = make_road(physics, pieces_of(self.task, physics, payload_kg), [*arriving, *leaving])
+            self.roads[payload_kg] = Drives(road)
+            out = np.array([road.index[state] for state in leaving], dtype=np.intp)
+            into = np.array([road.index[state] for state in arriving], dtype=np.intp)
+            self.nodes[payload_kg] = out, into
+        return self.roads[payload_kg]
+
+    def standing(self, number: int, payload_kg: float) -> Array:
+        """Seconds and Wh of what is done at a stop under a load, shape (1 + batteries,)."""
+        stop = self.stops[number]
+        if stop.visit is None:
+            return stop.use
+        key = (number, payload_kg)
+        if key not in self._standing:
+            segment = visit_segment(self.task.visits[stop.visit], payload_kg)
+            legs = next(legs_of(self.physics.mission, [(stop.place, segment)]))
+            self._standing[key] = _standing(self.physics, legs)
+        return self._standing[key]
+
+    def objective(self, use: Array) -> Array:
+        """Weighted seconds and Wh."""
+        energy, time = self.task.weights()
+        weights = np.array([time, *(energy[name] for name in self.physics.names)])
+        return np.asarray(use @ weights)
+
+    @property
+    def weights(self) -> Array:
+        """Of seconds and Wh in the objective, shape (1 + batteries,)."""
+        energy, time = self.task.weights()
+        return np.array([time, *(energy[name] for name in self.physics.names)])
+
+
+def _leaving(physics: Physics, stop: Stop, number: int) -> State:
+    """The state in which the robot drives off: at rest, unless it never stood (which only starts cost)."""
+    stood = number == 0 or stop.charger is not None or stop.use[0] > 0.0 or not physics.impulsive
+    return State(stop.place, 0.0, FREE if stood else ROLLED)
+
+
+def visit_segment(visit: VisitSpec, payload_kg: float) -> Any:
+    """The segment of a mission in which a visit is made."""
+    common = {
+        "scheme": visit.scheme,
+        "navigation": visit.navigation,
+        "sensors": visit.sensors,
+        "payload": Parameter(payload_kg, unit="kg"),
+        "name": visit.label,
+    }
+    if visit.inspect is not None:
+        return InspectSegment.model_construct(kind="inspect", duration=visit.inspect, **common)
+    duration = visit.wait if visit.wait is not None else Parameter(0.0, unit="s")
+    return WaitSegment.model_construct(kind="wait", duration=duration, **common)
+
+
+def make_site(task: TaskSpec, order: Order | None = None) -> Site:
+    """Stops with their costs; roads are made when they are asked for."""
+    physics = Physics(task)
+    site = Site(task, physics, order or Order(task))
+    nothing = np.zeros(1 + len(physics.names))
+    site.stops.append(Stop(task.start, nothing))
+    stands = [(visit.place, visit_segment(visit, 0.0)) for visit in task.visits]
+    for i, legs in enumerate(legs_of(physics.mission, stands)):
+        site.stops.append(Stop(task.visits[i].place, _standing(physics, legs), i))
+    site.stops.append(Stop(task.goal, nothing))
+    dock = DockSegment.model_construct(
+        kind="dock", recharge=RechargeSpec.model_construct(until=Parameter(1.0), batteries=())
+    )
+    for place, legs in zip(task.docks, legs_of(physics.mission, [(place, dock) for place in task.docks]), strict=True):
+        site.stops.append(Stop(place, nothing, None, _charger(site, legs[0])))
+    return site
+
+
+def _standing(physics: Physics, legs: list[Leg]) -> Array:
+    use = np.zeros(1 + len(physics.names))
+    for leg in legs:
+        use[0] += leg.duration_s
+        use[1:] += physics.standing_wh(leg.settings, leg.duration_s)
+    return use
+
+
+def _charger(site: Site, leg: Leg) -> Charger:
+    physics = site.physics
+    assert leg.recharge is not None
+    draw = physics.standing_wh(leg.settings, 3600.0)
+    served = np.array([name in leg.recharge.batteries for name in physics.names])
+    power = np.array([leg.recharge.power_w.get(name, 0.0) for name in physics.names])
+    rate = float(site.objective(np.array([1.0, *(draw / 3600.0)])))
+    levels = site.task.choose.charge
+    chosen = None if levels == "any" else tuple(sorted({level.value for level in levels}))
+    return Charger(np.where(served, power - draw, -draw), draw, served, physics.capacity_wh, rate, chosen)
+
+
+class Tour:
+    """Network of the core: a node is a state of the order and a stop; resources are objective, time, Wh missing.
+
+    Parameters
+    ----------
+    site : Site
+    drives : callable
+        ``(payload, from stop, to stop) -> list of Drive``.
+    missed : ndarray, optional
+        Value of each visit, where some may be left out: then one more resource counts what was left out.
+    """
+
+    def __init__(
+        self, site: Site, drives: Callable[[float, int, int], list[Drive]], missed: Array | None = None
+    ) -> None:
+        self.site = site
+        self.size = len(site.stops)
+        self.nodes = site.order.count * self.size
+        self._drives = drives
+        self._missed = missed
+        self._known: dict[int, Leaving] = {}
+        self._batteries = len(site.physics.names)
+
+    def start(self) -> Array:
+        """The vector at the start, shape (1, resources)."""
+        missing = self.site.physics.missing_wh()
+        extra = [] if self._missed is None else [0.0]
+        return np.array([[0.0, 0.0, *missing, *extra]])
+
+    def is_goal(self, node: int) -> bool:
+        """Whether the mission ends here."""
+        return node % self.size == self.site.goal
+
+    def leaving(self, node: int) -> Leaving:
+        """Drives to all stops that may come next."""
+        known = self._known.get(node)
+        if known is None:
+            known = self._known[node] = self._make(node)
+        return known
+
+    def refill(self, node: int) -> Charger | None:
+        """The charger of a dock."""
+        return self.site.stops[node % self.size].charger
+
+    def opens(self, node: int) -> Callable[[Array], Array] | None:
+        """No waiting yet."""
+        return None
+
+    def nexts(self, state: int, stop: int) -> list[tuple[int, int]]:
+        """Stops that may come next and the state after each."""
+        site = self.site
+        if stop == site.goal:
+            return []
+        found = [(1 + visit, after) for visit, after in site.order.after(state)]
+        if site.order.may_end(state):
+            found.append((site.goal, state))
+        found += [(dock, state) for dock in range(site.goal + 1, self.size) if dock != stop]
+        return found
+
+    def _make(self, node: int) -> Leaving:
+        state, stop = divmod(node, self.size)
+        site = self.site
+        payload = site.order.payload_kg(state)
+        heads: list[int] = []
+        use: list[Array] = []
+        moves: list[Any] = []
+        for head, after in self.nexts(state, stop):
+            there = site.standing(head, site.order.payload_kg(after))
+            left_out = 0.0
+            if self._missed is not None and head == site.goal:
+                done = site.order.done(after)
+                left_out = float(self._missed.sum() - self._missed[done].sum())
+            for drive in self._drives(payload, stop, head):
+                total = drive.use + there
+                extra = [] if self._missed is None else [left_out]
+                use.append(np.array([float(site.objective(total)), *total, *extra]))
+                heads.append(after * self.size + head)
+                moves.append((head, drive, use[-1]))
+        width = 2 + self._batteries + (self._missed is not None)
+        return Leaving(np.array(heads, dtype=np.intp), np.array(use).reshape(len(heads), width), moves)
