@@ -132,13 +132,14 @@ def tell_logs(logs: Sequence[LogTable], quiet: bool = False) -> None:
 
 def simple_table(title: str, columns: Iterable[str | tuple[str, str]], rows: Iterable[Iterable[Any]]) -> Any:
     """A rich table; a column is its heading, or (heading, "right" or "left")."""
+    from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", title_style="bold", pad_edge=False)
+    table = Table(title=escape(title), title_justify="left", title_style="bold", pad_edge=False)
     for column in columns:
         heading, justify = (column, "left") if isinstance(column, str) else column
         # a name that is cut off could be any of several
         table.add_column(heading, justify=justify, overflow="fold")  # type: ignore[arg-type]
     for row in rows:
-        table.add_row(*(str(cell) for cell in row))
+        table.add_row(*(escape(str(cell)) for cell in row))
     return table

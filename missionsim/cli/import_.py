@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,44 +13,61 @@ from cyclopts import Parameter
 from missionsim.cli.options import JsonOption, QuietOption
 
 if TYPE_CHECKING:
+    from missionsim.errors import Fault
     from missionsim.logs import LogTable
 
 
 def import_(
-    source: Path,
-    /,
-    *,
+    *sources: Path,
     map_: Annotated[Path | None, Parameter(name="--map")] = None,
     out: Path | None = None,
+    suggest: Annotated[bool, Parameter(negative="")] = False,
+    strict: Annotated[bool, Parameter(negative="")] = False,
     json: JsonOption = None,
     quiet: QuietOption = False,
 ) -> int:
-    """Turn a bag, MCAP, ULog or table of any layout into a log with the columns that missionsim reads.
+    """Turn bags, MCAP, ULog or tables of any layout into logs with the columns that missionsim reads.
 
-    Without --map, the columns and fields of the source are listed, for writing a map; nothing is written.
+    Without --map, the columns and fields of the source are listed; with --suggest, a first map is written for it.
 
     Parameters
     ----------
-    source
-        A CSV, Parquet or other text table, a ROS 1 bag, a ROS 2 bag (its folder), an MCAP file, a ULog, or a folder of
-        such files.
+    sources
+        CSV, Parquet or other text tables, JSON lines, ROS 1 and ROS 2 bags, MCAP, ULog; a folder of such files, or a
+        pattern of names. Several files are joined by time where the map says so (files).
     map_
         The map (YAML, kind: map): which columns the log gets and how.
     out
-        LOG.parquet or LOG.csv; a folder where the source holds several runs.
+        LOG.parquet or LOG.csv; a folder where the source holds several runs. With --suggest the map's file.
+    suggest
+        Write a first map: names, units in them, ranges of values and types of messages are read, and each guess says
+        how sure it is.
+    strict
+        Refuse everything where a file cannot be read or a recording is damaged, in place of leaving it out.
     json
         Write what was read and what was found as JSON to this file, or - for standard output.
     quiet
         Print nothing but what was asked for.
+
+    Returns
+    -------
+    int
+        0 when everything was read, 1 when a file was left out or is damaged, or a suggestion has no power or no time.
     """
     from missionsim.cli.common import emit_json, shows_text
     from missionsim.errors import InputError
 
     text = shows_text(json, quiet)
+    if not sources:
+        raise InputError.single("no file was given", allowed="missionsim import FILE…")
+    if suggest:
+        if map_ is not None:
+            raise InputError.single("--suggest writes a map, --map reads one", allowed="one of them")
+        return _suggest(sources, out, json, text)
     if map_ is None:
         if out is not None:
-            raise InputError.single("--out needs --map", allowed="--map MAP.yaml --out LOG.parquet")
-        return _list(source, json, text)
+            raise InputError.single("--out needs --map", allowed="--map MAP.yaml --out LOG.parquet, or --suggest")
+        return _list(sources, json, text)
     if out is None:
         raise InputError.single("--out is missing", allowed="--out LOG.parquet, or a folder for several runs")
     from missionsim.importer.mapping import import_source, provenance
@@ -55,7 +75,11 @@ def import_(
     from missionsim.logs.write import write_log
 
     spec = load_map(map_)
-    logs = import_source(source, spec)
+    left_out: list[Fault] = []
+    logs = import_source(sources, spec, None if strict else left_out)
+    damaged = [log for log in logs if any(remark.kind == "damaged" for remark in log.remarks)]
+    if strict and damaged:
+        raise InputError([r.fault(log.source) for log in damaged for r in log.remarks if r.kind == "damaged"])
     targets = _targets(logs, out)
     _spare_sources(logs, targets)
     for log, target in zip(logs, targets, strict=True):
@@ -63,15 +87,22 @@ def import_(
     emit_json(
         {
             "schema": "missionsim.import/1",
-            "source": str(source),
+            "source": str(sources[0]),
+            "sources": [str(source) for source in sources],
             "map": str(map_),
             "runs": [_summary(log, target) for log, target in zip(logs, targets, strict=True)],
+            "left_out": [dataclasses.asdict(fault) for fault in left_out],
         },
         json,
     )
     if text:
         _print(logs, targets)
-    return 0
+    for fault in left_out if json != "-" else []:
+        print(fault, file=sys.stderr)
+    if left_out and text:
+        names = sorted({fault.file for fault in left_out})
+        print(f"left out: {', '.join(names)} ({len(names)} of {len(names) + len({log.source for log in logs})} files)")
+    return 1 if left_out or damaged else 0
 
 
 def _targets(logs: list[LogTable], out: Path) -> list[Path]:
@@ -158,23 +189,77 @@ def _print(logs: list[LogTable], targets: list[Path]) -> None:
     terminal.print(f"written: {where}" + (f" ({len(targets)} files)" if len(targets) > 1 else ""), markup=False)
 
 
-def _list(source: Path, json: str | None, text: bool) -> int:
+def _list(sources: Sequence[Path], json: str | None, text: bool) -> int:
     from missionsim.cli.common import console, emit_json, simple_table
-    from missionsim.importer.sources import find_sources, list_fields
+    from missionsim.importer.roles import folded, guess_all
+    from missionsim.importer.sources import fields_of, find_files
 
-    path = find_sources(source)[0]
-    fields = list_fields(path)
+    paths = find_files(sources)
+    listed = []
+    for path in paths[:1] if len(sources) == 1 else paths:
+        fields = fields_of(path)
+        guesses = guess_all(fields)
+        shown = sorted(
+            (field for field in fields if folded(field) is None),
+            key=lambda field: (guesses[field.name].rank if field.name in guesses else 9.0, len(field.name)),
+        )
+        listed.append((path, fields, shown, guesses))
     emit_json(
         {
             "schema": "missionsim.source/1",
-            "source": str(path),
-            "fields": [{"name": field.name, "kind": field.kind, "count": field.count} for field in fields],
+            "source": str(listed[0][0]),
+            "fields": [{"name": field.name, "kind": field.kind, "count": field.count} for field in listed[0][1]],
         },
         json,
     )
-    if text:
-        rows = [(field.name, field.kind, field.count) for field in fields]
-        console().print(
-            simple_table(f"{path}: what a map can read", ["column or field", "kind", ("values", "right")], rows)
-        )
+    if not text:
+        return 0
+    terminal = console()
+    for path, fields, shown, guesses in listed:
+        rows = [
+            (field.name, field.count, field.range(), guesses[field.name].words() if field.name in guesses else "")
+            for field in shown
+        ]
+        columns: list[str | tuple[str, str]] = ["column or field", ("values", "right"), "range", "perhaps"]
+        terminal.print(simple_table(f"{path}: what a map can read", columns, rows))
+        for why in ("constant", "covariance", "empty"):
+            hidden = [field for field in fields if folded(field) == why]
+            names = ", ".join(f"{f.name} = {f.range()}" if why == "constant" else f.name for f in hidden[:12])
+            if hidden:
+                more = f", … ({len(hidden)} in all)" if len(hidden) > 12 else ""
+                terminal.print(f"{why}: {names}{more}", markup=False)
+    if len(sources) == 1 and len(paths) > 1:
+        terminal.print(f"the first of {len(paths)} files; all: {', '.join(p.name for p in paths[:20])}", markup=False)
     return 0
+
+
+def _suggest(sources: Sequence[Path], out: Path | None, json: str | None, text: bool) -> int:
+    from missionsim.cli.common import emit_json
+    from missionsim.errors import InputError
+    from missionsim.files import write_text
+    from missionsim.importer.sources import find_files
+    from missionsim.importer.suggest import suggest_map
+
+    if out is not None and out.suffix not in (".yaml", ".yml"):
+        raise InputError.single("--suggest writes a map", got=str(out), allowed="--out MAP.yaml")
+    found = suggest_map(find_files(sources))
+    if out is not None:
+        write_text(out, found.text)
+    emit_json(
+        {
+            "schema": "missionsim.suggestion/1",
+            "map": found.text,
+            "columns": {name: guess.as_json() for name, guess in found.columns.items()},
+            "missing": list(found.missing),
+        },
+        json,
+    )
+    if text and out is None:
+        sys.stdout.write(found.text)
+    elif text:
+        for name, guess in found.columns.items():
+            print(f"{name:22} {guess.sure:8} {guess.why}")
+        print(f"written: {out}")
+    for line in found.missing:
+        print(line, file=sys.stderr)
+    return 1 if found.missing else 0

@@ -18,8 +18,6 @@ _ROBOT_FILE = {"calibrate", "add-effect", "improve"}
 _TARGETS = ("--json", "--out", "--report")
 _MORE_TARGETS = {"import-site": ("--mission",)}
 """Options that name an output in one command, and an input in others."""
-_READ_IN_FOLDERS = (".csv", ".parquet", ".txt", ".tsv", ".dat", ".bag", ".mcap", ".ulg", ".db3")
-"""What is read of a folder that is given as input; other files in it are not."""
 _REFERENCE = re.compile(r"""(?:^|[\s{,])(?:robot|environment|mission)\s*:\s*["']?([^\s"'#,{}]+)""")
 """Another file that a mission or study names."""
 
@@ -114,7 +112,7 @@ def _reads(words: Sequence[str], target: Path, name: tuple[int, int] | str) -> s
         try:
             if path.is_dir():
                 inside = target.resolve().is_relative_to(path.resolve())
-                if inside and (target.suffix.lower() in _READ_IN_FOLDERS or target.name == "metadata.yaml"):
+                if inside and (target.suffix.lower() in _read_in_folders() or target.name == "metadata.yaml"):
                     return f", which lies in {word}"
             elif path.is_file():
                 if _identity(path) == name:
@@ -124,6 +122,13 @@ def _reads(words: Sequence[str], target: Path, name: tuple[int, int] | str) -> s
         except (OSError, ValueError):
             continue  # a word that cannot be a path
     return None
+
+
+def _read_in_folders() -> tuple[str, ...]:
+    """What is read of a folder that is given as input; other files in it are not."""
+    from missionsim.logs.readers import source_suffixes
+
+    return source_suffixes()
 
 
 def _named_in(path: Path, name: tuple[int, int] | str, depth: int) -> str | None:

@@ -10,7 +10,6 @@ from pathlib import Path
 from missionsim.cli.common import emit_json, shows_text
 
 _YAML = (".yaml", ".yml")
-_LOGS = (".csv", ".parquet", ".tsv")
 
 
 def validate_files(files: Sequence[Path], json: str | None = None, quiet: bool = False) -> int:
@@ -26,10 +25,12 @@ def validate_files(files: Sequence[Path], json: str | None = None, quiet: bool =
     for given in files:
         found = _inside(given) if given.is_dir() else [given]
         if not found:
-            allowed = ", ".join((*_YAML, *_LOGS))
+            from missionsim.logs.readers import log_suffixes
+
+            allowed = ", ".join((*_YAML, *log_suffixes()))
             faults.append(Fault(str(given), 0, 0, "no YAML file or log in this folder", allowed=allowed))
         for path in found:
-            (logs if path.suffix.lower() in _LOGS else yaml_files).append(path)
+            (logs if _is_log(path) else yaml_files).append(path)
     faults += check_files(yaml_files)
     if logs:
         from missionsim.logs import check_log
@@ -58,8 +59,16 @@ def validate_files(files: Sequence[Path], json: str | None = None, quiet: bool =
     return 2 if errors else 0
 
 
+def _is_log(path: Path) -> bool:
+    if path.suffix.lower() in _YAML:
+        return False
+    from missionsim.logs.readers import log_suffixes
+
+    return path.suffix.lower() in log_suffixes()
+
+
 def _inside(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in (*_YAML, *_LOGS) and path.is_file())
+    return sorted(p for p in folder.rglob("*") if (p.suffix.lower() in _YAML or _is_log(p)) and p.is_file())
 
 
 def _counted(number: int, word: str) -> str:

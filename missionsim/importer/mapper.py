@@ -18,6 +18,8 @@ from missionsim.importer.mapunits import to_glossary
 from missionsim.inputs.log_map import ColumnMap, MapSpec
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable
+from missionsim.logs.remarks import Remark
+from missionsim.logs.times import TimeError, read_stamps
 
 Floats = NDArray[np.float64]
 
@@ -35,15 +37,21 @@ class Mapper:
         self.spec, self.raw, self.stem = spec, raw, stem
         self.constants = {name: float(number) for name, number in spec.constants.items()}
         self.faults: list[Fault] = []
-        known = {*raw.columns, *self.constants, *spec.let, *spec.columns}
+        self.remarks: list[Remark] = []
+        offered = raw.names or tuple(raw.columns)
+        known = {*offered, *self.constants, *spec.let, *spec.columns}
         self.let = {name: self._compile(text, ("let", name), known) for name, text in spec.let.items()}
         self.columns = {
             name: {key: self._compile(text, spec.formula_path(name, key), known) for key, text in column.formulas()}
             for name, column in spec.columns.items()
         }
         self.keep = self._compile(spec.keep, ("keep",), known) if spec.keep is not None else None
-        self._check_names(("refresh",), spec.refresh, {*raw.columns, *spec.let})
-        self._check_names(("runs", "by"), spec.runs.by, raw.columns.keys())
+        self._check_names(("refresh",), spec.refresh, [*offered, *spec.let])
+        self._check_names(("runs", "by"), spec.runs.by, offered)
+        for name, column in spec.columns.items():
+            self._check_names(("columns", name, "stamp"), column.stamp or (), offered)
+            if (column.stamp or column.zone) and name != "time_s":
+                self._fault(("columns", name), "'stamp' and 'zone' belong to time_s")
         self.order = self._order()
         if self.faults:
             raise InputError(self.faults)
@@ -174,7 +182,9 @@ class Mapper:
             over = float(column.average) if column.average is not None else None
             data = transform.rate_of_change(number, np.asarray(result["time_s"]), over)
         else:
-            data = parts[0]
+            data = parts[0] if parts else np.empty(0)
+        if name == "time_s" and column.unit is None and (column.stamp is not None or column.value is not None):
+            return self._stamps(column, [values[key] for key in column.stamp or ()] or [data])
         if isinstance(data, Labels):
             return self._as_text(name, data, column)
         data = self._converted(name, data, column)
@@ -186,6 +196,17 @@ class Mapper:
             (speed,) = self._numbers(name, [self.run(self.columns[name]["travel"], values, rows)])
             data = np.where(speed < 0, -data, data)
         return data
+
+    def _stamps(self, column: ColumnMap, parts: list[ColumnData]) -> Floats:
+        """Times as the logger wrote them, in seconds."""
+        names = column.stamp or (column.value,)
+        try:
+            found = read_stamps(parts, "time_s", column.zone, any(name in self.raw.local for name in names))
+        except TimeError as error:
+            self._fault(("columns", "time_s"), str(error), got=", ".join(map(str, names)))
+            raise InputError(self.faults) from None
+        self.remarks += [remark for remark in found.remarks if remark not in self.remarks]
+        return found.seconds
 
     def _numbers(self, name: str, parts: list[ColumnData]) -> list[Floats]:
         numbers = [part for part in parts if not isinstance(part, Labels)]

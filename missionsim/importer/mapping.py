@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.errors import InputError
+from missionsim.errors import Fault, InputError
 from missionsim.files import sha256
 from missionsim.importer import transform
 from missionsim.importer.mapper import Mapper
@@ -21,15 +23,19 @@ from missionsim.logs.remarks import Remark
 from missionsim.logs.table import LogTable
 
 
-def import_source(source: PathLike, spec: MapSpec) -> list[LogTable]:
-    """Turn a source into checked logs, by a map.
+def import_source(
+    source: PathLike | Sequence[PathLike], spec: MapSpec, left_out: list[Fault] | None = None
+) -> list[LogTable]:
+    """Turn sources into checked logs, by a map.
 
     Parameters
     ----------
-    source : path-like
-        A table, bag or ULog, or a folder of them.
+    source : path-like, or a sequence of them
+        Tables, recordings, folders or patterns of names.
     spec : MapSpec
         From `missionsim.inputs.loading.load_map`.
+    left_out : list of Fault, optional
+        Where it is given, a file that cannot be read is left out and its faults are added here; else it refuses all.
 
     Returns
     -------
@@ -39,17 +45,27 @@ def import_source(source: PathLike, spec: MapSpec) -> list[LogTable]:
     Raises
     ------
     missionsim.errors.InputError
-        All faults of the first source that has any.
+        All faults of the first source that has any; or of all, where none can be read.
     """
+    given = [source] if isinstance(source, (str, os.PathLike)) else list(source)
     logs: list[LogTable] = []
-    for path in find_sources(Path(source)):
-        raw = read_source(path, spec)
-        mapper = Mapper(spec, raw, path.stem)
-        parts = split_runs(raw, path.stem, spec, mapper.time(raw.columns))
-        for part in parts:
-            logs += _logs(mapper, part)
+    faults: list[Fault] = []
+    for one in find_sources([Path(path) for path in given], spec):
+        try:
+            raw = read_source(one, spec)
+            mapper = Mapper(spec, raw, one.name)
+            for part in split_runs(raw, one.name, spec, mapper.time(raw.columns)):
+                logs += _logs(mapper, part)
+        except InputError as error:
+            if left_out is None:
+                raise
+            faults += error.faults
+    if faults and not logs:
+        raise InputError(faults)
+    if left_out is not None:
+        left_out += faults
     if not logs:
-        raise InputError.single("no run is left after 'keep' and 'runs'", file=str(source))
+        raise InputError.single("no run is left after 'keep' and 'runs'", file=str(given[0]))
     return logs
 
 
@@ -86,7 +102,14 @@ def _logs(mapper: Mapper, part: Part) -> list[LogTable]:
         run = {key: data[chosen] for key, data in result.items()}
         signals = {key: data[chosen] for key, data in source.items()}
         logs.append(
-            _finish(mapper, name, run, signals, number[chosen], [*mapper.raw.remarks, *part.remarks, *remarks, *more])
+            _finish(
+                mapper,
+                name,
+                run,
+                signals,
+                number[chosen],
+                [*mapper.raw.remarks, *mapper.remarks, *part.remarks, *remarks, *more],
+            )
         )
     return logs
 

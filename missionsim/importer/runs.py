@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.importer.sources import Field, identifier
 from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
@@ -115,3 +117,37 @@ def split_at_gaps(
         else [Part(name, piece) for piece in long]
     )
     return [(part.name, part.rows, remarks if index == 0 else []) for index, part in enumerate(named)]
+
+
+def recognised_runs(fields: Mapping[str, Field], time_s: NDArray[np.float64] | None, times: set[str]) -> dict[str, str]:
+    """How several runs in one table are told apart, for a suggested map: by columns, where time restarts, at gaps.
+
+    Returns
+    -------
+    dict
+        ``runs`` → its value as YAML; empty for one run.
+    """
+    if time_s is None or len(time_s) < 4:
+        return {}
+    step = np.diff(time_s)
+    usual = float(np.median(np.abs(step)))
+    restarts = step < -max(1.0, 10 * usual)
+    changes: dict[str, NDArray[np.bool_]] = {}
+    for name, one in fields.items():
+        values = one.values.codes if isinstance(one.values, Labels) else one.values
+        whole = isinstance(one.values, Labels) or (np.isfinite(values).all() and (values == np.round(values)).all())
+        if name in times or not whole:
+            continue
+        change = values[1:] != values[:-1]
+        if change.any() and (not restarts.any() or not (change & ~restarts).any()):
+            changes[name] = change
+    if restarts.any():
+        together = np.logical_or.reduce(list(changes.values())) if changes else np.zeros_like(restarts)
+        if (together == restarts).all():
+            return {"runs": f"{{by: [{', '.join(map(identifier, changes))}]}}  # time begins anew where these change"}
+        return {"runs": "{restart: true}  # time begins anew"}
+    named = [name for name in changes if re.search(r"run|trip|session|experiment|config|trial", name, re.IGNORECASE)]
+    if named:
+        return {"runs": f"{{by: [{', '.join(map(identifier, named))}]}}"}
+    wide = step > max(60.0, 100 * usual)
+    return {"runs": "{gap: 60 s}  # long holes in time"} if wide.any() else {}

@@ -1,147 +1,364 @@
-"""What a map reads from: a table, a ROS bag or a ULog, as columns under the map's short names."""
+"""What a map reads from: tables and recordings, alone or several files of one run, as columns under its short names."""
 
 from __future__ import annotations
 
+import glob
 import re
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from fnmatch import translate
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from missionsim.errors import Fault, InputError, did_you_mean
-from missionsim.inputs.log_map import MapSpec
-from missionsim.logs.csvfile import read_csv
-from missionsim.logs.parquetfile import MAGIC, read_parquet
-from missionsim.logs.raw import RawTable
+from missionsim.importer.timeline import Signal, merge_signals
+from missionsim.inputs.log_map import FileMap, MapSpec
+from missionsim.inputs.units import UnitError, unit_factor
+from missionsim.labels import Labels
+from missionsim.logs.raw import ColumnData, RawTable
+from missionsim.logs.readers import Options, Reader, Recording, Topic, not_there, reader_of, source_suffixes
+from missionsim.logs.remarks import Remark
+from missionsim.logs.times import Stamps, TimeError, read_stamps
 
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
-_NO_TABLES = {".ulg": "ULog", ".bag": "ROS 1 bag", ".mcap": "MCAP file", ".db3": "ROS 2 bag"}
-TABLE_SUFFIXES = (".csv", ".parquet", ".txt", ".tsv", ".dat")
+_DAY_S = 86400.0
 
 
 @dataclass(frozen=True)
-class Field:
-    """One column or field that a source offers, for listings."""
+class Source:
+    """Files of one run (or of the runs that one file holds).
+
+    Attributes
+    ----------
+    name : str
+        Name of the run.
+    files : dict
+        Name of the file in the map's `files` (empty where the map has none) → path.
+    """
 
     name: str
-    kind: str
-    count: int
+    files: dict[str, Path]
+
+    @property
+    def path(self) -> Path:
+        """The first file."""
+        return next(iter(self.files.values()))
 
 
-def kind_of_source(path: Path) -> str:
-    """``table``, ``bag`` or ``ulog``, by content.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        Nothing there, a folder without anything readable, or a file named as a bag or ULog that is none.
-    """
-    if path.is_dir():
-        if (path / "metadata.yaml").exists():
-            return "bag"
-        raise InputError(
-            Fault(
-                str(path),
-                0,
-                0,
-                "this folder is neither a ROS 2 bag nor does it hold tables",
-                allowed="a folder with metadata.yaml (bag), or with files " + ", ".join(TABLE_SUFFIXES),
-            )
-        )
-    try:
-        with open(path, "rb") as handle:
-            head = handle.read(16)
-    except FileNotFoundError:
-        near = did_you_mean(path.name, [p.name for p in path.parent.iterdir()]) if path.parent.is_dir() else ""
-        raise InputError(Fault(str(path), 0, 0, "there is no such file", hint=near)) from None
-    except OSError as error:
-        raise InputError(Fault(str(path), 0, 0, f"the file cannot be opened: {error.strerror}")) from None
-    if head.startswith(b"ULog\x01"):
-        return "ulog"
-    if head.startswith((b"#ROSBAG", b"\x89MCAP", b"SQLite format 3")):
-        return "bag"
-    if kind := _NO_TABLES.get(path.suffix.lower()):
-        raise InputError(
-            Fault(
-                str(path),
-                0,
-                0,
-                f"this is no {kind}, whatever its name says: it does not begin as one (damaged or compressed?)",
-                "",
-                "an empty file" if not head else "",
-                f"a whole {kind}; a table needs another suffix",
-            )
-        )
-    return "table"
-
-
-def find_sources(path: Path) -> list[Path]:
-    """The files that SOURCE stands for: itself, a bag's folder, or every table, bag and ULog in a folder, by name.
+def find_files(given: Sequence[Path]) -> list[Path]:
+    """The files that paths stand for: themselves, what matches a pattern, or every readable file of a folder, by name.
 
     Raises
     ------
     missionsim.errors.InputError
         A folder without anything readable, or no such file.
     """
-    if path.is_dir() and not (path / "metadata.yaml").exists():
-        inside = sorted(
-            p
-            for p in path.iterdir()
-            if not p.name.startswith(".")
-            and (
-                p.suffix.lower() in (*TABLE_SUFFIXES, ".bag", ".mcap", ".ulg", ".db3") or (p / "metadata.yaml").exists()
+    found: dict[Path, None] = {}
+    faults = []
+    for path in given:
+        if not path.exists() and glob.has_magic(str(path)):
+            inside = [Path(name) for name in sorted(glob.glob(str(path)))]
+        elif path.is_dir() and not _is_source(path):
+            inside = sorted(
+                p
+                for p in path.iterdir()
+                if not p.name.startswith(".") and (p.suffix.lower() in source_suffixes() or _is_source(p))
             )
-        )
-        if inside:
-            return inside
-    kind_of_source(path)
-    return [path]
+        elif path.exists():
+            inside = [path]
+        else:
+            faults.append(not_there(path))
+            continue
+        if not inside:
+            message = "nothing matches this pattern" if not path.exists() else "this folder holds nothing to import"
+            faults.append(Fault(str(path), 0, 0, message, allowed="files " + ", ".join(source_suffixes())))
+        found |= dict.fromkeys(inside)
+    if faults:
+        raise InputError(faults)
+    return list(found)
 
 
-def read_source(path: Path, spec: MapSpec) -> RawTable:
+def _is_source(path: Path) -> bool:
+    if not path.is_dir():
+        return False
+    try:
+        reader_of(path)
+    except InputError:
+        return False
+    return True
+
+
+def find_sources(given: Sequence[Path], spec: MapSpec) -> list[Source]:
+    """What to import, run by run: each file on its own, or by the map's `files` the files of each run.
+
+    A folder is a run where each pattern matches one file of it; else ``{run}`` in the patterns tells the runs apart,
+    or each folder inside it is one.
+    """
+    if not spec.files:
+        return [Source(path.stem, {"": path}) for path in find_files(given)]
+    loose: list[Path] = []
+    sources: list[Source] = []
+    for path in given:
+        inner = sorted(p for p in path.iterdir() if p.is_dir() and not _is_source(p)) if path.is_dir() else []
+        if inner and not _is_source(path):
+            sources += [source for folder in inner for source in _grouped(find_files([folder]), spec, folder.name)]
+        elif path.is_dir():
+            sources += _grouped(find_files([path]), spec, path.name)
+        else:
+            loose += find_files([path])
+    if loose:
+        sources += _grouped(loose, spec, loose[0].resolve().parent.name or "run")
+    return sources
+
+
+def _grouped(files: Sequence[Path], spec: MapSpec, name: str) -> list[Source]:
+    runs: dict[str, dict[str, list[Path]]] = {}
+    for alias, file in spec.files.items():
+        pattern = re.compile(translate(file.name).replace(r"\{run\}", r"(?P<run>.+?)"), re.IGNORECASE)
+        for path in files:
+            if match := pattern.match(path.name):
+                runs.setdefault(match.groupdict().get("run") or "", {}).setdefault(alias, []).append(path)
+    shared = runs.pop("", {}) if len(runs) > 1 else {}
+    runs = {run: {**shared, **found} for run, found in runs.items()}
+    faults = []
+    for run, found in runs.items() or [("", {})]:
+        for alias, file in spec.files.items():
+            matches = found.get(alias, [])
+            if len(matches) != 1:
+                listed = ", ".join(path.name for path in matches or files)[:200]
+                told = f"{len(matches)} files match '{file.name}'" + (f" in run {run}" if run else f" in {name}")
+                hint = "'{run}' in the patterns, where it holds several runs" if len(matches) > 1 else ""
+                fault = _at(spec, ("files", alias), told, got=listed, allowed="one file a run", hint=hint)
+                faults.append(fault)
+    if faults:
+        raise InputError(faults)
+    return [Source(run or name, {alias: paths[0] for alias, paths in found.items()}) for run, found in runs.items()]
+
+
+def _at(spec: MapSpec, path: tuple[str, ...], message: str, got: str = "", allowed: str = "", hint: str = "") -> Fault:
+    """A fault at a place of the map."""
+    if spec.document is None:
+        return Fault(str(spec.path), 0, 0, message, ".".join(path), got, allowed, hint)
+    fault: Fault = spec.document.fault(path, message, got=got, allowed=allowed, hint=hint)
+    return fault
+
+
+def read_source(source: Source, spec: MapSpec) -> RawTable:
     """Read what a map needs from one source.
 
     Returns
     -------
     RawTable
-        Columns under the map's signal names, and for tables also under their own names (as identifiers). Bags have
-        their time in ``time_s``, counted from their start.
+        Columns under the map's signal names, and for a table also under their own names (as identifiers). Recordings
+        and joined files have their time in ``time_s``, counted from the first row.
 
     Raises
     ------
     missionsim.errors.InputError
         An unreadable source, or a signal that is not in it.
     """
-    kind = kind_of_source(path)
-    if kind == "bag":
-        from missionsim.importer.bags import read_bag
+    if spec.files:
+        return _joined(source, spec)
+    reader = reader_of(source.path)
+    if reader.table is None:
+        return _from_messages(source.path, reader, spec)
+    return _from_table(source.path, reader, spec)
 
-        return read_bag(path, spec)
-    if kind == "ulog":
-        from missionsim.importer.ulog import read_ulog
 
-        return read_ulog(path, spec)
-    raw = _read_table(path, spec)
+def _from_table(path: Path, reader: Reader, spec: MapSpec) -> RawTable:
+    assert reader.table is not None
+    named = {signal.field.strip() for signal in spec.signals.values()}
+    words = spec.words()
+
+    def wants(name: str) -> bool:
+        # "name" and "#3" may stand for a numbered column
+        numbered = any(field.startswith("#") for field in named) or name.rpartition(" #")[0] in named
+        return spec.others or name in named or numbered or identifier(name) in words
+
+    options = Options(wants=wants, header=spec.table.header, delimiter=spec.table.delimiter)
+    raw = reader.table(path, options)
+    own = Counter(identifier(name) for name in raw.names)
+    columns = {identifier(name): data for name, data in raw.columns.items() if own[identifier(name)] == 1}
     faults = []
-    columns = {identifier(name): data for name, data in raw.columns.items()}
     for alias, signal in spec.signals.items():
-        data = raw.columns.get(signal.field.strip())
-        if data is None:
-            faults.append(missing_field(spec, alias, signal.field, raw.columns, raw.file))
+        name = column_name(signal.field, raw.names)
+        if name is None:
+            faults.append(missing_field(spec, alias, signal.field, raw.names, raw.file))
         else:
-            columns[alias] = data
+            columns[alias] = raw.columns[name]
+            if name in raw.local:
+                raw.local.add(alias)
     if faults:
         raise InputError(faults)
-    raw.columns = columns
+    raw.local = {identifier(name) for name in raw.local}
+    raw.names = tuple(dict.fromkeys([*(name for name in own if own[name] == 1), *spec.signals]))
+    raw.columns = columns or {"": np.empty(0)}
     return raw
 
 
-def _read_table(path: Path, spec: MapSpec | None) -> RawTable:
-    with open(path, "rb") as handle:
-        if handle.read(4) == MAGIC:
-            return read_parquet(path, str(path))
-    if spec is None:
-        return read_csv(path, str(path), typed=False)
-    return read_csv(path, str(path), typed=False, header=spec.table.header, delimiter=spec.table.delimiter)
+def column_name(field: str, names: Sequence[str]) -> str | None:
+    """The column of a table that a map names: as it is written, or ``#3`` by its number; None where there is none."""
+    field = field.strip()
+    if field in names:
+        return field
+    if re.fullmatch(r"#\d+", field) and 1 <= int(field[1:]) <= len(names):
+        return names[int(field[1:]) - 1]
+    return None
+
+
+def _from_messages(path: Path, reader: Reader, spec: MapSpec) -> RawTable:
+    assert reader.recording is not None
+    if not spec.signals:
+        raise InputError.single(
+            f"a map for a {reader.title} needs signals",
+            file=str(spec.path),
+            allowed="signals: {volts: /battery_state.voltage}",
+        )
+    fields = {alias: signal.field.strip() for alias, signal in spec.signals.items()}
+    found = reader.recording(path, Options(fields=set(fields.values()), clock=spec.stamp))
+    raw = _merged(fields, found.topics, spec, path, reader)
+    raw.remarks[:0] = found.remarks
+    return raw
+
+
+def _merged(
+    fields: dict[str, str], topics: Sequence[Topic], spec: MapSpec, path: Path, reader: Reader | None
+) -> RawTable:
+    signals: dict[str, Signal] = {}
+    faults: list[Fault] = []
+    known: list[str] | None = None
+    by_name = {f"{topic.name}.{column}": (topic, column) for topic in topics for column in topic.columns}
+    for alias, field in fields.items():
+        full = field if field in by_name or field.startswith("/") else f"/{field}"
+        if full not in by_name:
+            if known is None:
+                known = list(by_name) if reader is None else [found.name for found in fields_of(path, reader)]
+            faults.append(missing_field(spec, alias, field, known, str(path)))
+            continue
+        topic, column = by_name[full]
+        values = topic.columns[column]
+        signals[alias] = Signal(topic.time_s, values, spec.signals[alias].fill, topic.name)
+    if spec.timeline is not None and spec.timeline not in spec.signals:
+        message = f"timeline '{spec.timeline}' is not a signal"
+        hint = did_you_mean(spec.timeline, spec.signals)
+        faults.append(_at(spec, ("timeline",), message, spec.timeline, ", ".join(spec.signals), hint))
+    if faults:
+        raise InputError(faults)
+    raw = merge_signals(signals, spec.timeline, str(path))
+    raw.names = tuple(raw.columns)
+    return raw
+
+
+def _joined(source: Source, spec: MapSpec) -> RawTable:
+    """The files of one run on one time axis."""
+    remarks: list[Remark] = []
+    topics: list[Topic] = []
+    clocks: dict[str, str] = {}
+    fields = {alias: signal.field.strip() for alias, signal in spec.signals.items()}
+    for alias, file in spec.files.items():
+        own = {field.partition(".")[2] for field in fields.values() if field.partition(".")[0] == alias}
+        parts, clocks[alias], told = _parts(source.files[alias], alias, file, own, spec)
+        topics += parts
+        remarks += [Remark(r.kind, r.column, f"{alias}: {r.message}", r.action, r.severity, r.line) for r in told]
+    _one_clock(topics, clocks, source, remarks)
+    raw = _merged(fields, topics, spec, source.path, None)
+    raw.remarks[:0] = remarks
+    return raw
+
+
+def _parts(
+    path: Path, alias: str, file: FileMap, own: set[str], spec: MapSpec
+) -> tuple[list[Topic], str, list[Remark]]:
+    """Topics of one of several files, the kind of its times, and remarks."""
+    reader = reader_of(path)
+    lag = float(file.lag) if file.lag is not None else 0.0
+    if reader.recording is not None:
+        found = reader.recording(path, Options(fields=own, clock=spec.stamp))
+        for topic in found.topics:
+            topic.name, topic.time_s = f"{alias}.{topic.name}", topic.time_s - lag
+        return found.topics, "utc", found.remarks
+    assert reader.table is not None
+    raw = reader.table(path, Options(header=spec.table.header, delimiter=spec.table.delimiter))
+    chosen = [column_name(name, raw.names) for name in file.time]
+    if None in chosen:
+        missing = file.time[chosen.index(None)]
+        raise InputError(missing_field(spec, alias, missing, raw.names, raw.file, ("files", alias, "time")))
+    names = [name for name in chosen if name is not None]
+    stamps = stamps_of(raw, names, file.zone, file.unit)
+    known = np.isfinite(stamps.seconds)
+    columns: dict[str, ColumnData] = {name: data[known] for name, data in raw.columns.items() if name not in names}
+    for field in own:
+        if (name := column_name(field, raw.names)) is not None and name not in names:
+            columns[field] = columns[name]
+    return [Topic(alias, stamps.seconds[known] - lag, columns)], stamps.kind, [*raw.remarks, *stamps.remarks]
+
+
+def stamps_of(raw: RawTable, names: Sequence[str], zone: str | None, unit: str | None) -> Stamps:
+    """Times of a table from one column, or from a date and a time of day.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        With the reason why these are no times.
+    """
+    parts = [raw.columns[name] for name in names]
+    try:
+        if unit is not None and isinstance(parts[0], np.ndarray):
+            parts[0] = parts[0] * unit_factor(unit, "duration")[0]
+        return read_stamps(parts, " and ".join(names), zone, bool(raw.local & set(names)))
+    except (TimeError, UnitError) as error:
+        raise InputError(Fault(raw.file, raw.line(0), 0, str(error), names[0])) from None
+
+
+def _one_clock(topics: Sequence[Topic], clocks: dict[str, str], source: Source, remarks: list[Remark]) -> None:
+    """Bring the files of a run to one clock, and see that they overlap."""
+    kinds = set(clocks.values())
+    spans = {
+        topic.name: (float(topic.time_s.min()), float(topic.time_s.max())) for topic in topics if len(topic.time_s)
+    }
+    dated = [topic for topic in topics if clocks[topic.name.partition(".")[0]] in ("utc", "local")]
+    if kinds & {"utc", "local"} and "day" in kinds:
+        midnight = min(np.floor(topic.time_s.min() / _DAY_S) for topic in dated) * _DAY_S
+        for topic in topics:
+            if clocks[topic.name.partition(".")[0]] == "day":
+                topic.time_s = topic.time_s + midnight
+                spans[topic.name] = (float(topic.time_s.min()), float(topic.time_s.max()))
+        kinds.discard("day")
+        remarks.append(Remark("clock", "", "a file has times of day only", "the day is that of the other file", "note"))
+    words = {"utc": "UTC", "local": "local time", "day": "time of day", "own": "seconds of its own"}
+    told = ", ".join(f"{alias}: {words[kind]}" for alias, kind in clocks.items())
+    if "own" in kinds and len(kinds) > 1:
+        raise InputError.single(
+            "these files have no clock in common",
+            file=str(source.path),
+            got=told,
+            allowed="times of day or dates in all of them, or seconds from one start in all",
+        )
+    if kinds == {"own"} and len(clocks) > 1:
+        action = "taken as counted from one start"
+        remarks.append(Remark("clock", "", "the files have no clock but seconds of their own", action, "warning"))
+    begin, end = max(span[0] for span in spans.values()), min(span[1] for span in spans.values())
+    if begin >= end:
+        late = max(spans, key=lambda name: spans[name][0])
+        apart = begin - end
+        zone = "a zone (zone: Europe/Berlin) for the file with local time" if {"utc", "local"} <= kinds else ""
+        raise InputError.single(
+            f"the files do not overlap: {late} begins {apart:.6g} s after another one ends",
+            file=str(source.path),
+            got=told,
+            allowed="files of one run",
+            hint=zone,
+        )
+    if {"utc", "local"} <= kinds:
+        action = "taken as UTC, as they overlap so; zone: says otherwise"
+        remarks.append(Remark("clock", "", f"local times without a zone beside UTC ({told})", action, "warning"))
+    for name, (first, last) in spans.items():
+        if (outside := max(0.0, begin - first) + max(0.0, last - end)) > 1.0:
+            message = f"{outside:.4g} s of {name} lie outside the other files"
+            remarks.append(Remark("gap", "", message, "these were left out", "note"))
 
 
 def identifier(name: str) -> str:
@@ -150,33 +367,61 @@ def identifier(name: str) -> str:
     return word if _IDENTIFIER.match(word) else f"_{word}"
 
 
-def missing_field(spec: MapSpec, alias: str, field: str, known: Iterable[str], file: str) -> Fault:
+def missing_field(
+    spec: MapSpec, alias: str, field: str, known: Iterable[str], file: str, path: tuple[str, ...] = ()
+) -> Fault:
     """The fault of a signal that the source does not have."""
     names = list(known)
-    message = f"'{field}' is not in {file}"
-    path = ("signals", alias)
-    near = did_you_mean(field, names)
+    numbered = [name for name in names if name.rpartition(" #")[0] == field.strip()]
     allowed = ", ".join(names[:40]) + (f", … ({len(names)} in all)" if len(names) > 40 else "")
-    if spec.document is None:
-        return Fault(str(spec.path), 0, 0, message, ".".join(path), field, allowed, near)
-    fault: Fault = spec.document.fault(path, message, got=field, allowed=allowed, hint=near)
-    return fault
+    message, hint = f"'{field}' is not in {file}", did_you_mean(field, names)
+    if numbered:
+        numbers = [f"'#{names.index(name) + 1}'" for name in numbered]
+        message, allowed = f"'{field}' stands {len(numbered)} times in {file}", ", ".join([*numbered, *numbers])
+        hint = numbered[0]
+    return _at(spec, path or ("signals", alias), message, got=field, allowed=allowed, hint=hint)
 
 
-def list_fields(path: Path) -> list[Field]:
-    """What a source holds, for the user who writes a map: columns of a table, fields of the topics of a bag or ULog."""
-    kind = kind_of_source(path)
-    if kind == "bag":
-        from missionsim.importer.bags import bag_fields
+@dataclass(frozen=True)
+class Field:
+    """One column or field that a source offers, with the values that were looked at."""
 
-        return bag_fields(path)
-    if kind == "ulog":
-        from missionsim.importer.ulog import ulog_fields
+    name: str
+    kind: str
+    count: int
+    values: ColumnData
+    time_s: NDArray[np.float64] | None = None
+    title: str = ""
 
-        return ulog_fields(path)
-    from missionsim.labels import Labels
+    def range(self) -> str:
+        """Lowest and highest value, or the first words."""
+        if isinstance(self.values, Labels):
+            names = self.values.names[:4]
+            return ", ".join(names)[:60] + (", …" if len(self.values.names) > 4 else "")
+        known = self.values[np.isfinite(self.values)]
+        if not len(known):
+            return ""
+        low, high = float(known.min()), float(known.max())
+        return f"{low:.6g}" if low == high else f"{low:.4g} … {high:.4g}"
 
-    raw = _read_table(path, None)
-    return [
-        Field(name, "text" if isinstance(data, Labels) else "number", len(data)) for name, data in raw.columns.items()
-    ]
+
+def fields_of(path: Path, reader: Reader | None = None, most: int = 20_000) -> list[Field]:
+    """What a source holds, for listings and suggestions: columns of a table, or fields of the topics of a recording.
+
+    At most `most` rows or messages of a topic are looked at.
+    """
+    return list(_fields(path, reader or reader_of(path), most))
+
+
+def _fields(path: Path, reader: Reader, most: int) -> Iterator[Field]:
+    if reader.table is not None:
+        raw = reader.table(path, Options(most=most))
+        for name, data in raw.columns.items():
+            yield Field(name, "number" if isinstance(data, np.ndarray) else "text", len(data), data)
+        return
+    assert reader.recording is not None
+    found: Recording = reader.recording(path, Options(most=most))
+    for topic in sorted(found.topics, key=lambda topic: topic.name):
+        for name, data in topic.columns.items():
+            kind = "number" if isinstance(data, np.ndarray) else "text"
+            yield Field(f"{topic.name}.{name}", kind, topic.count or len(data), data, topic.time_s, topic.title)

@@ -13,6 +13,9 @@ from missionsim.logs.remarks import Remark
 
 Floats = NDArray[np.float64]
 
+_DENSER = 1.5
+"""A signal with so many times the messages of the timeline is averaged over the time of each row."""
+
 
 @dataclass
 class Signal:
@@ -23,14 +26,15 @@ class Signal:
     time_s : ndarray, shape (n,)
         [s], in the clock of the source.
     values : column, shape (n,)
-    fill : str
-        ``hold`` or ``linear`` between the messages.
+    fill : str or None
+        ``hold`` the last value, ``linear`` between two, ``mean`` over the time that a row stands for; None: the mean of
+        numbers that come more often than the rows, else the last value (texts, switches and counts always).
     topic : str
     """
 
     time_s: Floats
     values: ColumnData
-    fill: str
+    fill: str | None
     topic: str
 
 
@@ -53,67 +57,69 @@ def merge_signals(signals: dict[str, Signal], timeline: str | None, file: str) -
     """
     remarks = []
     for name, signal in signals.items():
-        if (np.diff(signal.time_s) < 0).any():
+        back = np.diff(signal.time_s) < 0
+        if back.any():
             order = np.argsort(signal.time_s, kind="stable")
-            count = int((np.diff(signal.time_s) < 0).sum())
             signal.time_s, signal.values = signal.time_s[order], signal.values[order]
-            remarks.append(
-                Remark(
-                    "time_backwards",
-                    name,
-                    f"{count} messages of {signal.topic} are out of order",
-                    "they were sorted by time",
-                    "warning",
-                    0,
-                    count,
-                )
-            )
+            message = f"{int(back.sum())} messages of {signal.topic} are out of order"
+            action = "they were sorted by time"
+            remarks.append(Remark("time_backwards", name, message, action, "warning", 0, int(back.sum())))
     leader = timeline or max(signals, key=lambda name: len(signals[name].time_s))
     time = signals[leader].time_s
-    first = max(signal.time_s[0] for signal in signals.values())
-    last = min(signal.time_s[-1] + 5.0 * _usual(signal.time_s) for signal in signals.values())
-    keep = (time >= first) & (time <= last)
+    first = max(signals, key=lambda name: float(signals[name].time_s[0]))
+    ends = {name: float(signal.time_s[-1]) + 5.0 * usual_step(signal.time_s) for name, signal in signals.items()}
+    last = min(ends, key=lambda name: ends[name])
+    keep = (time >= signals[first].time_s[0]) & (time <= ends[last])
     if not keep.any():
         keep[:] = True
-    if not keep.all():
-        cut = int((~keep).sum())
-        remarks.append(
-            Remark(
-                "gap",
-                "",
-                f"{cut} rows of {signals[leader].topic} lie before the first or after the last message of "
-                "another topic",
-                "these rows were left out",
-                "note",
-                0,
-                cut,
-            )
-        )
+    for side, by in ((time < signals[first].time_s[0], first), (time > ends[last], last)):
+        if keep.all() or not (cut := int((side & ~keep).sum())):
+            continue
+        where = "before the first" if by == first and time[0] < signals[first].time_s[0] else "after the last"
+        message = f"{cut} rows of {signals[leader].topic} lie {where} message of {signals[by].topic}"
+        remarks.append(Remark("gap", "", message, "these rows were left out", "note", 0, cut))
     time = time[keep]
     columns: dict[str, ColumnData] = {"time_s": time - time[0]}
     for name, signal in signals.items():
-        columns[name] = _onto(signal, time)
+        fill = signal.fill or _fill(signal, time)
+        columns[name] = _onto(signal, time, fill)
         silent = _longest_gap(signal.time_s, time)
-        if silent > max(1.0, 10.0 * _usual(signal.time_s)):
-            remarks.append(
-                Remark(
-                    "gap",
-                    name,
-                    f"no message of {signal.topic} for {silent:.3g} s",
-                    "the value before was held" if signal.fill == "hold" else "interpolated",
-                )
-            )
+        if silent > max(1.0, 10.0 * usual_step(signal.time_s)):
+            action = {"hold": "the value before was held", "linear": "interpolated"}.get(fill, "averaged")
+            message = f"no message of {signal.topic} for {silent:.3g} s"
+            remarks.append(Remark("gap", name, message, action))
     return RawTable(file, columns, remarks=remarks)
 
 
-def _onto(signal: Signal, time: Floats) -> ColumnData:
-    if isinstance(signal.values, Labels) or signal.fill == "hold":
-        index = np.clip(np.searchsorted(signal.time_s, time, side="right") - 1, 0, len(signal.time_s) - 1)
+def _fill(signal: Signal, time: Floats) -> str:
+    if isinstance(signal.values, Labels) or len(signal.time_s) < 3 or len(time) < 3:
+        return "hold"
+    denser = usual_step(time) > _DENSER * usual_step(signal.time_s)
+    known = signal.values[np.isfinite(signal.values)]
+    counts = len(known) > 0 and bool((known == np.round(known)).all())
+    wraps = len(known) > 1 and float(np.abs(np.diff(known)).max()) > 0.8 * float(np.ptp(known)) > 0
+    return "mean" if denser and not counts and not wraps else "hold"
+
+
+def _onto(signal: Signal, time: Floats, fill: str) -> ColumnData:
+    index = np.clip(np.searchsorted(signal.time_s, time, side="right") - 1, 0, len(signal.time_s) - 1)
+    if isinstance(signal.values, Labels) or fill == "hold":
         return signal.values[index]
-    return np.asarray(np.interp(time, signal.time_s, signal.values))
+    known = np.isfinite(signal.values)
+    if fill == "linear" and known.any():
+        return np.asarray(np.interp(time, signal.time_s[known], signal.values[known]))
+    middle = 0.5 * (time[1:] + time[:-1])
+    edges = np.asarray(np.searchsorted(signal.time_s, np.r_[-np.inf, middle, np.inf]))
+    total = np.r_[0.0, np.cumsum(np.where(known, signal.values, 0.0))]
+    count: NDArray[np.int64] = np.concatenate([[0], np.cumsum(known)])
+    rows = count[edges[1:]] - count[edges[:-1]]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = (total[edges[1:]] - total[edges[:-1]]) / rows
+    return np.where(rows > 0, mean, signal.values[index])
 
 
-def _usual(time: Floats) -> float:
+def usual_step(time: Floats) -> float:
+    """Median step between times [s]; infinite where there is one."""
     return float(np.median(np.diff(time))) if len(time) > 1 else np.inf
 
 

@@ -25,7 +25,7 @@ Names = Annotated[
 """One name, or a list of them."""
 Alias = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=80)]
 Lag = Annotated[Parameter, quantity("duration")]
-_WAYS = ("value", "quaternion", "differentiate", "text", "lookup", "file_name")
+_WAYS = ("value", "stamp", "quaternion", "differentiate", "text", "lookup", "file_name")
 
 
 def _word_or_number(raw: Any) -> str | float:
@@ -45,27 +45,57 @@ class SignalMap(Model):
     Attributes
     ----------
     field : str
-        Table: the column's name. ROS bag: ``/topic.field.sub[0]``. ULog: ``topic.field``, ``topic[1].field[0]``.
+        Table: the column's name, or ``#3`` by number. ROS bag: ``/topic.field.sub[0]``, ``/joint_states.effort[left]``,
+        ``/diagnostics[status].key``. ULog: ``topic.field``, ``topic[1].field[0]``. Joined files: ``file.column``.
     fill : str
-        Bags: between two messages the value is held, or interpolated.
+        Bags and joined files: between two messages the value is held (`hold`) or interpolated (`linear`), or averaged
+        over the time of the row (`mean`). By default numbers that come more often than rows are averaged, others held.
     """
 
     field: Text
-    fill: Literal["hold", "linear"] = "hold"
+    fill: Literal["hold", "linear", "mean"] | None = None
 
 
 def _signal(raw: Any) -> Any:
     return {"field": raw} if isinstance(raw, str) else raw
 
 
+class FileMap(Model):
+    """One of several files of a run, which are joined by time.
+
+    Attributes
+    ----------
+    name : str
+        The file's name as a pattern: ``power*.csv``; ``{run}`` in it tells several runs apart: ``{run}_power.csv``.
+    time : list of names
+        Tables: the column of times, or those of a date and a time of day.
+    unit : str
+        Of times that are numbers; epochs are recognised without.
+    zone : str
+        Of local times: ``Europe/Berlin``, ``+02:00``.
+    lag : duration
+        The file's clock is that much late; its times are shifted back.
+    """
+
+    name: Text
+    time: Names = ()
+    unit: Text | None = None
+    zone: Text | None = None
+    lag: Lag | None = None
+
+
 class ColumnMap(Model):
-    """How one column of the log comes about, by exactly one of `value`, `quaternion`, `differentiate`, `text`, `lookup`
-    and `file_name`.
+    """How one column of the log comes about, by exactly one of `value`, `stamp`, `quaternion`, `differentiate`, `text`,
+    `lookup` and `file_name`.
 
     Attributes
     ----------
     value : formula
         Expression over the source.
+    stamp : list of names
+        Of `time_s`: a column of time stamps, or those of a date and a time of day.
+    zone : str
+        Of local time stamps: ``Europe/Berlin``, ``+02:00``.
     quaternion : list of four formulas
         Components x, y, z, w of the attitude (body to world, x forward, z up).
     give : str
@@ -93,6 +123,8 @@ class ColumnMap(Model):
     """
 
     value: Formula | None = None
+    stamp: Annotated[Names, Field(min_length=1, max_length=2)] | None = None
+    zone: Text | None = None
     quaternion: Annotated[tuple[Formula, ...], Field(min_length=4, max_length=4)] | None = None
     give: Literal["slope", "heading", "roll", "pitch"] = "slope"
     differentiate: Formula | None = None
@@ -175,6 +207,8 @@ class MapSpec(FileModel):
     ----------
     name, title : str
     table : TableMap
+    files : mapping
+        Several files of one run: short name → `FileMap`; signals are then ``file.column``.
     signals : mapping
         Short name → column or field of the source; needed for bags and for columns whose names are no identifiers.
     timeline : str or None
@@ -202,6 +236,7 @@ class MapSpec(FileModel):
     name: Name = "map"
     title: Text = ""
     table: TableMap = TableMap.model_construct()
+    files: dict[Alias, FileMap] = Field(default_factory=dict)
     signals: dict[Alias, Signal] = Field(default_factory=dict)
     timeline: Name | None = None
     stamp: Literal["header", "bag"] = "header"
@@ -259,6 +294,15 @@ class MapSpec(FileModel):
         for name, column in self.columns.items():
             for key, text in column.formulas():
                 yield self.formula_path(name, key), text
+
+    def words(self) -> frozenset[str]:
+        """Every name that the map reads of its source."""
+        found = {*self.refresh, *self.runs.by}
+        for _, text in self.formulas():
+            found |= compile_expression(text).names
+        for column in self.columns.values():
+            found |= set(column.stamp or ())
+        return frozenset(found)
 
     def formula_path(self, name: str, key: str | int) -> tuple[str | int, ...]:
         """Where a formula of a column stands in the file: a bare text stands for its `value`."""

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError
 from missionsim.labels import Labels
-from missionsim.logs.csvfile import iter_csv
-from missionsim.logs.parquetfile import iter_parquet, parquet_names
-from missionsim.logs.power import measured_batteries
 from missionsim.logs.raw import RawTable
-from missionsim.logs.read import PathLike, is_parquet, make_log
+from missionsim.logs.read import PathLike, make_log, read_log
+from missionsim.logs.readers import table_reader
 from missionsim.logs.table import LogTable
+from missionsim.logs.times import TimeAxis
 
 if TYPE_CHECKING:
     from missionsim.inputs import RobotSpec
@@ -49,27 +48,24 @@ def iter_blocks(
         As `read_log`; time that runs backwards from one block to the next.
     """
     path = Path(path)
-    wanted = None if columns is None else {"time_s", *columns}
-    if is_parquet(path):
-        if wanted is not None:
-            wanted |= {name for name in parquet_names(path, str(path)) if measured_batteries([name, _partner(name)])}
-        blocks = iter_parquet(path, str(path), rows, sorted(wanted) if wanted is not None else None)
-    else:
-        blocks = iter_csv(path, str(path), rows)
+    reader = table_reader(path)
+    wanted = None if columns is None else sorted({"time_s", *columns})
+    if reader.blocks is None:
+        yield read_log(path, robot=robot)
+        return
+    blocks = reader.blocks(path, rows, wanted)
+    axis = TimeAxis()
     before: RawTable | None = None
     current = next(blocks, None)
     if current is None:
         raise InputError(Fault(str(path), 0, 0, "there is a header but no rows", allowed="at least two rows"))
+    axis.apply(current)
     while current is not None:
         after = next(blocks, None)
+        if after is not None:
+            axis.apply(after)
         yield _block(path, before, current, after, robot)
         before, current = current, after
-
-
-def _partner(name: str) -> str:
-    if name.startswith("voltage_"):
-        return "current_" + name[len("voltage_") : -1] + "a"
-    return "voltage_" + name[len("current_") : -1] + "v" if name.startswith("current_") else name
 
 
 _EDGE = 64

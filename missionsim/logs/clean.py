@@ -85,7 +85,6 @@ def order_time(rows: Rows) -> None:
         rows.take(finite)
     if len(rows.time) < 2:
         raise InputError(Fault(file, 0, 0, f"the log has {len(rows.time)} rows with a time", allowed="at least two"))
-    _epoch(rows)
     step = np.diff(rows.time)
     back = step < 0
     if back.any():
@@ -95,34 +94,6 @@ def order_time(rows: Rows) -> None:
     if len(rows.time) < 2:
         raise InputError(Fault(file, 0, 0, "all rows have the same time", path="time_s", allowed="at least two times"))
     _gaps(rows)
-
-
-def _epoch(rows: Rows) -> None:
-    start = float(rows.time[0])
-    for limit, factor, unit in ((1e17, 1e9, "nanoseconds"), (1e14, 1e6, "microseconds"), (1e11, 1e3, "milliseconds")):
-        if start > limit:
-            raise InputError(
-                Fault(
-                    rows.raw.file,
-                    rows.raw.line(int(rows.row[0])),
-                    0,
-                    f"the times look like {unit} since 1970",
-                    "time_s",
-                    f"{start:.0f}",
-                    "seconds from the start of the run",
-                    f"a map with time_s: time_s / {factor:g}",
-                )
-            )
-    if start > 1e8:
-        rows.columns["time_s"] = rows.time - start
-        rows.remark(
-            "unit",
-            "time_s",
-            f"the times are clock times (first {start:.3f})",
-            "the start was moved to zero",
-            "warning",
-            0,
-        )
 
 
 def _sort(rows: Rows, step: Floats, back: Bools) -> None:

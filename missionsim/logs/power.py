@@ -39,6 +39,12 @@ def measured_batteries(names: Iterable[str]) -> dict[str, str]:
     return chosen
 
 
+def measures(name: str) -> bool:
+    """Whether a column belongs to what is measured of a battery."""
+    found = column_of(name)
+    return found is not None and "<battery>" in found[0].name
+
+
 def missing_columns(names: Iterable[str], file: str, header_line: Callable[[], int]) -> list[Fault]:
     """Faults for the columns that every log has to have (`header_line` is called only where there are any)."""
     names = list(names)

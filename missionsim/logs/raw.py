@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -34,6 +35,12 @@ class RawTable:
         What the reader of the format found.
     first_row : int
         Row number in the file of the first row of this table (blocks of a long file).
+    headless : bool
+        Whether the names were made up, because the file has no header.
+    local : set of str
+        Columns of times that a reader of the format made seconds of, whose zone is not known.
+    names : tuple of str
+        Every column of the file, also those that were not asked for.
     """
 
     file: str
@@ -41,6 +48,9 @@ class RawTable:
     lines: Callable[[int], int] = lambda _row: 0
     remarks: list[Remark] = field(default_factory=list)
     first_row: int = 0
+    headless: bool = False
+    local: set[str] = field(default_factory=set)
+    names: tuple[str, ...] = ()
 
     @property
     def rows(self) -> int:
@@ -88,6 +98,8 @@ def _column(data: Any, name: str, raw: RawTable) -> ColumnData:
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
         stamps = _floats(data.cast(pa.int64()))
         raw.remarks.append(Remark("format", name, "a timestamp, not a number", f"read as seconds ({kind})", "note"))
+        if pa.types.is_timestamp(kind) and kind.tz is None:
+            raw.local.add(name)
         return np.asarray(stamps, dtype=np.float64) * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
     if pa.types.is_boolean(kind):
         data = data.cast(pa.int8())
@@ -178,6 +190,18 @@ def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
         )
     )
     return numbers
+
+
+_WITH_UNIT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?:%|[A-Za-zµ°/]{1,5}\d?)?\s*\Z")
+
+
+def numbers_in(labels: Labels) -> ColumnData:
+    """Texts that hold a number and perhaps its unit (``"28.2%"``, ``"24.1 V"``) as numbers, where most do."""
+    values = np.array([*(float(m[1]) if (m := _WITH_UNIT.match(word)) else np.nan for word in labels.names), np.nan])
+    numbers = np.asarray(values[labels.codes])
+    written = labels.codes >= 0
+    few = not written.any() or np.isfinite(numbers[written]).mean() < _MOSTLY_NUMBERS
+    return labels if few else numbers
 
 
 def _number(word: str) -> float:

@@ -11,26 +11,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.errors import Fault, InputError
 from missionsim.files import sha256
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs import suspect
 from missionsim.logs.clean import Rows, fill_missing, order_time
 from missionsim.logs.clock import clock_delay
-from missionsim.logs.csvfile import read_csv
-from missionsim.logs.parquetfile import MAGIC, read_parquet
 from missionsim.logs.power import battery_power, measured_batteries, missing_columns
 from missionsim.logs.raw import RawTable
+from missionsim.logs.readers import Options, log_suffixes, not_there, table_reader
 from missionsim.logs.remarks import Remark, merge
 from missionsim.logs.table import LogTable, row_durations
+from missionsim.logs.times import TimeAxis
 
 if TYPE_CHECKING:
     from missionsim.inputs import RobotSpec
 
 PathLike = str | os.PathLike[str]
-LOG_SUFFIXES = (".csv", ".parquet")
-_OTHER_MAGIC = {b"#ROSBAG": "a ROS 1 bag", b"ULog": "a PX4 ULog", b"\x89MCAP": "an MCAP bag", b"SQLite": "a ROS 2 bag"}
 
 
 def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> LogTable:
@@ -53,7 +51,9 @@ def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> LogTable:
     missionsim.errors.InputError
         The file cannot be read, a required column is missing, a cell is not a number, or time restarts.
     """
-    return make_log(read_raw(path), Path(path).stem, robot=robot)
+    raw = read_raw(path)
+    TimeAxis().apply(raw)
+    return make_log(raw, Path(path).stem, robot=robot)
 
 
 def read_logs(paths: Iterable[PathLike] | PathLike, *, robot: RobotSpec | None = None) -> list[LogTable]:
@@ -128,17 +128,23 @@ def _files(paths: Iterable[PathLike] | PathLike) -> list[Path]:
     for item in map(Path, given):
         if item.is_dir():
             inside = sorted(
-                p for p in item.iterdir() if p.suffix.lower() in LOG_SUFFIXES and not p.name.startswith(".")
+                p for p in item.iterdir() if p.suffix.lower() in log_suffixes() and not p.name.startswith(".")
             )
             if not inside:
                 faults.append(
-                    Fault(str(item), 0, 0, "the folder holds no log", allowed="files named *.csv or *.parquet")
+                    Fault(
+                        str(item),
+                        0,
+                        0,
+                        "the folder holds no log",
+                        allowed="files named " + ", ".join(f"*{suffix}" for suffix in log_suffixes()),
+                    )
                 )
             files.update(dict.fromkeys(inside))
         elif item.exists():
             files[item] = None
         else:
-            faults.append(_not_there(item))
+            faults.append(not_there(item))
     if not given:
         faults.append(Fault("", 0, 0, "no log was given", allowed="files or folders"))
     if faults:
@@ -146,49 +152,17 @@ def _files(paths: Iterable[PathLike] | PathLike) -> list[Path]:
     return list(files)
 
 
-def _not_there(path: Path) -> Fault:
-    near = did_you_mean(path.name, [p.name for p in path.parent.iterdir()]) if path.parent.is_dir() else ""
-    return Fault(str(path), 0, 0, "there is no such file", hint=near)
-
-
 def read_raw(path: PathLike) -> RawTable:
-    """A CSV or Parquet file as it stands, without checks of its values; the content decides, not the name.
+    """A table as it stands in its file, without checks of its values; the content decides, not the name.
 
     Raises
     ------
     missionsim.errors.InputError
         The file cannot be read as a table.
     """
-    path = Path(path)
-    return read_parquet(path, str(path)) if is_parquet(path) else read_csv(path, str(path))
-
-
-def is_parquet(path: Path) -> bool:
-    """Whether a file is Parquet, by its content; InputError where it cannot be opened or is a bag."""
-    if path.is_dir():
-        raise InputError(Fault(str(path), 0, 0, "this is a folder, not a log"))
-    if path.exists() and not path.is_file():  # opening a pipe would wait for a writer; a device may never end
-        raise InputError(Fault(str(path), 0, 0, "this is a pipe or a device, not a file", allowed="a file"))
-    try:
-        with open(path, "rb") as handle:
-            head = handle.read(8)
-    except FileNotFoundError:
-        raise InputError(_not_there(path)) from None
-    except OSError as error:
-        raise InputError(Fault(str(path), 0, 0, f"the file cannot be opened: {error.strerror}")) from None
-    for magic, kind in _OTHER_MAGIC.items():
-        if head.startswith(magic):
-            raise InputError(
-                Fault(
-                    str(path),
-                    0,
-                    0,
-                    f"this is {kind}, not a table",
-                    allowed="CSV or Parquet",
-                    hint="missionsim import SOURCE --map MAP.yaml --out LOG.parquet",
-                )
-            )
-    return head.startswith(MAGIC) or path.suffix.lower() == ".parquet"
+    reader = table_reader(Path(path))
+    assert reader.table is not None
+    return reader.table(Path(path), Options(typed=True))
 
 
 def make_log(

@@ -14,7 +14,7 @@ from missionsim.cli.app import run_command
 from missionsim.errors import InputError
 from missionsim.importer import transform
 from missionsim.importer.mapping import import_source
-from missionsim.importer.sources import list_fields
+from missionsim.importer.sources import fields_of
 from missionsim.importer.timeline import Signal, merge_signals
 from missionsim.inputs.loading import load_map
 from missionsim.logs import LogTable
@@ -82,18 +82,18 @@ def test_lone_mcap_and_file_inside_a_bag(tmp_path: Path) -> None:
 
 
 def test_fields_are_listed(tmp_path: Path) -> None:
-    fields = {field.name: field for field in list_fields(write_bag(tmp_path / "run", "sqlite3", 2.0))}
+    fields = {field.name: field for field in fields_of(write_bag(tmp_path / "run", "sqlite3", 2.0))}
     assert fields["/battery.voltage"].count == 4
     assert fields["/odom.child_frame_id"].kind == "text"
     assert {"/imu.orientation.w", "/odom.twist.twist.linear.x", "/battery.cell_voltage[0]"} <= fields.keys()
-    names = {field.name for field in list_fields(write_ulog(tmp_path / "a.ulg"))}
+    names = {field.name for field in fields_of(write_ulog(tmp_path / "a.ulg"))}
     assert {"battery_status.voltage_v", "vehicle_attitude.q[3]"} <= names
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message", "hint"),
     [
-        ("/battery.voltage", "/batery.voltage", "'/batery' is not in", "/battery"),
+        ("/battery.voltage", "/batery.voltage", "'/batery.voltage' is not in", "/battery.voltage"),
         ("/battery.voltage", "/battery.volts", "'/battery.volts' is not in", "/battery.voltage"),
         (
             "/battery.voltage",
@@ -101,7 +101,7 @@ def test_fields_are_listed(tmp_path: Path) -> None:
             "'/battery.cell_voltage[9]' is not in",
             "/battery.cell_voltage[1]",
         ),
-        ("/battery.voltage", "/battery.header", "neither a number nor text", ""),
+        ("/battery.voltage", "/battery.header", "'/battery.header' is not in", "/battery.charge"),
         ("/battery.voltage", "voltage", "'voltage' is not in", ""),
         ("/battery.voltage", "/battery.__class__", "'/battery.__class__' is not in", ""),
         ("timeline: v", "timeline: vv", "timeline 'vv' is not a signal", ""),
@@ -212,7 +212,7 @@ def test_the_extra_is_named_when_it_is_missing(tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(InputError, match=r"pip install 'missionsim\[logs\]'"):
-        list_fields(path)
+        fields_of(path)
 
 
 def test_signals_out_of_order_silent_and_late() -> None:
@@ -231,7 +231,12 @@ def test_signals_out_of_order_silent_and_late() -> None:
     assert raw.rows == 90
     np.testing.assert_allclose(raw.columns["time_s"], time[:90], atol=1e-12)
     np.testing.assert_allclose(np.asarray(raw.columns["p"])[:85], time[5:90])
-    assert sorted((r.kind, r.column) for r in raw.remarks) == [("gap", ""), ("gap", "q"), ("time_backwards", "p")]
+    assert sorted((r.kind, r.column) for r in raw.remarks) == [
+        ("gap", ""),
+        ("gap", ""),
+        ("gap", "q"),
+        ("time_backwards", "p"),
+    ]
 
 
 def test_unwrap_keeps_missing_values() -> None:

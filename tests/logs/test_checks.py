@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from missionsim.logs import LogTable, Remark, check_log, read_log
+from missionsim.logs import LogTable, Remark, check_log, iter_blocks, read_log
 from missionsim.logs.clock import clock_delay
 from missionsim.logs.power import power_from_energy, refreshes
 from tests.logs.conftest import motion, write_csv
@@ -280,18 +280,20 @@ def test_charging_sign(tmp_path: Path) -> None:
     assert "what it delivers is positive" in remark.message
 
 
-def test_clock_times(tmp_path: Path, faults_of) -> None:
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1, "seconds"), (1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")]
+)
+def test_epochs_of_every_unit(tmp_path: Path, factor: float, unit: str) -> None:
     columns = motion()
-    start = columns["time_s"].copy()
-    columns["time_s"] = start + 1_700_000_000.0
-    path = tmp_path / "run.csv"
-    rows = zip(columns["time_s"], columns["power_robot_w"], strict=True)
-    path.write_text("time_s,power_robot_w\n" + "".join(f"{t:.3f},{p:.4f}\n" for t, p in rows))
+    stamps = [f"{1_700_000_000 * factor + t * factor:.{3 if factor == 1 else 0}f}" for t in columns["time_s"]]
+    path = write_csv(tmp_path / "a.csv", {**columns, "time_s": stamps})
     log = read_log(path)
-    assert log.time_s[0] == 0.0
-    assert "clock times" in found(log, "unit").message
-    path.write_text("time_s,power_robot_w\n" + "".join(f"{t * 1e9:.0f},1\n" for t in columns["time_s"]))
-    assert "nanoseconds since 1970" in faults_of(read_log, path).faults[0].message
+    assert log.time_s[0] == 0
+    np.testing.assert_allclose(np.diff(log.time_s), 0.5, atol=2e-3)
+    assert f"recognised as {unit} since 1970" in found(log, "clock").message
+    blocks = list(iter_blocks(path, rows=100))
+    assert [round(float(block.time_s[0])) for block in blocks] == sorted({round(float(b.time_s[0])) for b in blocks})
+    assert blocks[-1].time_s[-1] == pytest.approx(log.time_s[-1], abs=1e-3)
 
 
 def test_names(tmp_path: Path) -> None:

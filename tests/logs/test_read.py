@@ -201,11 +201,14 @@ def test_binary_and_bags(tmp_path: Path, faults_of) -> None:
     for head, said in [
         (b"\x00\x01\x02", "this is not a text file"),
         (b"#ROSBAG V2.0\n", "this is a ROS 1 bag, not a table"),
-        (b"ULog\x01\x12\x35", "this is a PX4 ULog, not a table"),
+        (b"ULog\x01\x12\x35", "this is a ULog, not a table"),
     ]:
         path.write_bytes(head + b"\x00" * 50)
         assert faults_of(read_log, path).faults[0].message == said
     path.write_bytes(b"time_s,power_robot_w\n0.5,10\n1.5,\xff\n")
+    fault = faults_of(read_log, path).faults[0]
+    assert (fault.message, fault.line, fault.column) == ("this is not a number", 3, 5)
+    path.write_bytes("time_s,power_robot_w,größe\n0.5,10,1\n".encode() + b"1.5,\xff,1\n")
     fault = faults_of(read_log, path).faults[0]
     assert (fault.message, fault.line, fault.column) == ("a byte that is not UTF-8 text", 3, 5)
 
@@ -216,7 +219,8 @@ def test_broken_parquet(tmp_path: Path, faults_of) -> None:
     whole = path.read_bytes()
     for cut in (0, 3, 20, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:cut])
-        assert "cannot be read" in faults_of(read_log, path).faults[0].message
+        message = faults_of(read_log, path).faults[0].message
+        assert "cannot be read" in message or "this is no Parquet file" in message
     path.write_bytes(b"PAR1" + whole[40:])
     assert faults_of(read_log, path).faults
 

@@ -9,8 +9,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from missionsim.errors import Fault
-from missionsim.logs.csvdialect import MISSING_WORDS, Dialect, field_position, is_number
+from missionsim.logs.formats.dialect import MISSING_WORDS, Dialect, field_position, is_number
 from missionsim.logs.raw import wanted_kind
+from missionsim.logs.times import is_stamp
 
 _MOST_FAULTS = 20
 
@@ -65,7 +66,7 @@ def _line_faults(line: str, number: int, file: str, dialect: Dialect, typed: boo
         return
     for index, (name, cell) in enumerate(zip(dialect.names, cells, strict=True)):
         word = cell.strip()
-        if wanted_kind(name) != "number" or word in MISSING_WORDS:
+        if wanted_kind(name) != "number" or word in MISSING_WORDS or (name == "time_s" and is_stamp(word)):
             continue
         if not is_number(word.replace(",", ".") if dialect.decimal == "," else word) or "_" in word:
             yield Fault(

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from missionsim.errors import InputError
+from missionsim.logs.power import measures
 from missionsim.logs.raw import RawTable, from_arrow
-
-MAGIC = b"PAR1"
+from missionsim.logs.readers import Options, Reader
 
 
 @contextlib.contextmanager
@@ -30,31 +30,33 @@ def _open(path: Path, file: str) -> Iterator[Any]:
         ) from None
 
 
-def parquet_names(path: Path, file: str) -> tuple[str, ...]:
-    """Column names of a Parquet file, without reading its rows."""
-    with _open(path, file) as handle:
-        return tuple(handle.schema_arrow.names)
-
-
-def read_parquet(path: Path, file: str) -> RawTable:
-    """Read a whole Parquet file.
+def read_parquet(path: Path, options: Options) -> RawTable:
+    """Read a whole Parquet file, or the columns that are wanted.
 
     Raises
     ------
     missionsim.errors.InputError
         Not a Parquet file, cut short, or with a column twice.
     """
-    with _open(path, file) as handle:
-        _check_names(handle.schema_arrow.names, file)
-        return from_arrow(handle.read(), file, lambda _row: 0)
-
-
-def iter_parquet(path: Path, file: str, rows: int, columns: Sequence[str] | None = None) -> Iterator[RawTable]:
-    """Read a Parquet file in blocks of at most `rows` rows, in bounded memory."""
+    file = str(path)
     with _open(path, file) as handle:
         names = handle.schema_arrow.names
         _check_names(names, file)
-        chosen = None if columns is None else [name for name in names if name in columns]
+        raw = from_arrow(handle.read(columns=list(filter(options.wants, names))), file, lambda _row: 0)
+        raw.names = tuple(names)
+        return raw
+
+
+def iter_parquet(path: Path, rows: int, columns: Sequence[str] | None = None) -> Iterator[RawTable]:
+    """Read a Parquet file in blocks of at most `rows` rows, in bounded memory.
+
+    With `columns`, the batteries' columns are read as well.
+    """
+    file = str(path)
+    with _open(path, file) as handle:
+        names = handle.schema_arrow.names
+        _check_names(names, file)
+        chosen = None if columns is None else [name for name in names if name in columns or measures(name)]
         first = 0
         for batch in handle.iter_batches(batch_size=rows, columns=chosen):
             yield from_arrow(batch, file, lambda _row: 0, first)
@@ -65,3 +67,6 @@ def _check_names(names: Sequence[str], file: str) -> None:
     twice = sorted({name for name in names if list(names).count(name) > 1})
     if twice:
         raise InputError.single(f"the column '{twice[0]}' stands twice", file=file, path=twice[0])
+
+
+READERS = (Reader("parquet", "Parquet file", (".parquet",), (b"PAR1",), table=read_parquet, blocks=iter_parquet),)

@@ -1,0 +1,412 @@
+"""A first map for files that nobody has described: what is seen in them, and how sure that is."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.errors import InputError
+from missionsim.expressions import FUNCTIONS
+from missionsim.importer import suggest_motion, suggest_power
+from missionsim.importer.roles import ROLES, UNITS, Guess, guess_all, guess_role, words_of
+from missionsim.importer.runs import recognised_runs
+from missionsim.importer.sources import Field, fields_of, identifier, stamps_of
+from missionsim.labels import Labels
+from missionsim.logs.raw import RawTable
+from missionsim.logs.readers import Options, reader_of
+
+Floats = NDArray[np.float64]
+_MOST_ROWS = 200_000
+PLACEHOLDER = re.compile(r"\b(RATE|RADIUS|POWER|TIME)\b")
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """A suggested map.
+
+    Attributes
+    ----------
+    text : str
+        YAML.
+    columns : dict
+        Column of the log → the guess behind it.
+    missing : tuple of str
+        What was not found and has to be filled in before the map can be used.
+    """
+
+    text: str
+    columns: dict[str, Guess]
+    missing: tuple[str, ...]
+
+
+@dataclass
+class Draft:
+    """A map in the making.
+
+    Attributes
+    ----------
+    fields : dict
+        Field → what was read of it; fields of joined files as ``file.column``.
+    direct : bool
+        Whether formulas may name the columns themselves (a single table).
+    time_s : ndarray or None
+        Times of the rows of a single table, once they are known.
+    """
+
+    fields: dict[str, Field]
+    direct: bool
+    time_s: Floats | None = None
+    guesses: dict[str, Guess] = field(default_factory=dict)
+    signals: dict[str, str] = field(default_factory=dict)
+    fills: dict[str, str] = field(default_factory=dict)
+    head: dict[str, str] = field(default_factory=dict)
+    let: dict[str, str] = field(default_factory=dict)
+    columns: dict[str, tuple[str, Guess]] = field(default_factory=dict)
+    missing: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+    def best(self, role: str, least: float = 0.3) -> list[Guess]:
+        """The guesses for a role, best first."""
+        used = {guess.field for _, guess in self.columns.values()} | set(self.signals.values())
+        found = [guess for guess in self.all_of(role) if guess.score > least and guess.field not in used]
+        return sorted(found, key=lambda guess: (-guess.score, len(guess.field)))
+
+    def all_of(self, role: str) -> list[Guess]:
+        """Every field that may be of a role, also where another role fits better."""
+        wanted = next(one for one in ROLES if one.name == role)
+        return [guess for one in self.fields.values() if (guess := guess_role(one, wanted)) is not None]
+
+    def values(self, name: str, unit: str = "") -> Floats:
+        """Numbers of a field in the glossary's unit."""
+        return np.asarray(self.fields[name].values, dtype=np.float64) * (UNITS[unit][2] if unit else 1.0)
+
+    def ref(self, name: str, alias: str) -> str:
+        """How a formula names a field: itself, or a short name in `signals`."""
+        if self.direct and identifier(name) == name and name not in FUNCTIONS and name != "pi":
+            return name
+        for known, there in self.signals.items():
+            if there == name:
+                return known
+        taken = {identifier(other) for other in self.fields} if self.direct else set()
+        while alias in taken or alias in self.signals or alias in FUNCTIONS:
+            alias += "_"
+        self.signals[alias] = name
+        return alias
+
+    def column(self, name: str, formula: str, guess: Guess, **more: str) -> None:
+        """A column of the log; the first that is given stays."""
+        if name in self.columns:
+            return
+        unit = {"unit": _quoted(guess.unit)} if guess.unit else {}
+        more = {**unit, **more}
+        if more:
+            inner = ", ".join(f"{key}: {value}" for key, value in {"value": _quoted(formula), **more}.items())
+            formula = f"{{{inner}}}"
+        else:
+            formula = _quoted(formula)
+        self.columns[name] = (formula, guess)
+
+
+def suggest_map(paths: Sequence[Path]) -> Suggestion:
+    """Read a file, or the files of a run, and write a first map for it.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        One file (the first of several of the same kind), or files of one run that have to be joined.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        A file that cannot be read.
+    """
+    joined = _to_join(paths)
+    draft = _joined(joined) if joined else _single(paths[0])
+    draft.guesses = guess_all(list(draft.fields.values()))
+    if draft.direct:
+        _time(draft, paths[0])
+    elif "time_s" not in draft.columns:
+        draft.column("time_s", "time_s", Guess("time", "time_s", "", 2.0, "time of the messages", "sure"))
+    suggest_power.suggest(draft)
+    suggest_motion.suggest(draft)
+    _others(draft)
+    if draft.direct:
+        draft.head |= recognised_runs(draft.fields, draft.time_s, {draft.columns["time_s"][1].field})
+    used = {guess.field for _, guess in draft.columns.values()}
+    return Suggestion(
+        _text(draft, joined or [paths[0]], used),
+        {name: guess for name, (_, guess) in draft.columns.items()},
+        tuple(draft.missing),
+    )
+
+
+def _single(path: Path) -> Draft:
+    reader = reader_of(path)
+    fields = fields_of(path, reader, _MOST_ROWS if reader.table else 5_000)
+    draft = Draft({one.name: one for one in fields}, reader.table is not None)
+    if reader.table is not None:
+        raw = reader.table(path, Options(most=100))
+        draft.remarks += [f"{r.message}; {r.action}" for r in raw.remarks if r.kind == "format" and not r.column]
+        if raw.headless:
+            draft.head["table"] = f"{{header: [{', '.join(raw.names)}]}}"
+            suggest_power.name_headless(draft)
+    return draft
+
+
+def _layout(path: Path) -> tuple[str, ...]:
+    reader = reader_of(path)
+    return tuple(one.name for one in fields_of(path, reader, 50)) if reader.table is not None else (reader.name,)
+
+
+def _to_join(paths: Sequence[Path]) -> list[Path]:
+    """The files of one run: one of each layout, where no file has both power and motion; nothing for a lone file."""
+    layouts: dict[tuple[str, ...], Path] = {}
+    for path in paths[:50]:
+        layouts.setdefault(_layout(path), path)
+    if len(layouts) < 2:
+        return []
+    whole = 0
+    for path in layouts.values():
+        roles = {guess.role for guess in guess_all(fields_of(path, most=2_000)).values() if guess.score > 0.8}
+        whole += bool(roles & {"power", "voltage"}) and bool(roles & {"speed", "left"})
+    return [] if whole else list(layouts.values())
+
+
+def _joined(paths: Sequence[Path]) -> Draft:
+    """Fields of several files under ``file.column``, with the time of each."""
+    draft = Draft({}, False)
+    prefix = _common(paths)
+    files = []
+    for path in paths:
+        alias = identifier(path.stem[len(prefix) :].strip("_- ") or path.stem).lower()
+        reader = reader_of(path)
+        fields = fields_of(path, reader, _MOST_ROWS)
+        pattern = ("{run}" + path.name[len(prefix) - 1 :]) if prefix else path.name
+        if reader.table is None:
+            draft.fields |= {f"{alias}.{one.name}": Field(f"{alias}.{one.name}", *_rest(one)) for one in fields}
+            files.append(f"  {alias}: {{name: {_quoted(pattern)}}}")
+            continue
+        own = Draft({one.name: one for one in fields}, True)
+        _time(own, path)
+        if own.missing:
+            draft.missing.append(f"{path.name}: no column looks like a time")
+            continue
+        time = own.columns["time_s"][1]
+        names = [name for name in time.field.split("\n") if name]
+        assert own.time_s is not None
+        draft.fields |= {
+            f"{alias}.{one.name}": Field(f"{alias}.{one.name}", one.kind, one.count, one.values, own.time_s, path.name)
+            for one in fields
+            if one.name not in names
+        }
+        unit = f", unit: {_quoted(time.unit)}" if time.unit else ""
+        times = f"time: [{', '.join(map(_quoted, names))}]{unit}"
+        files.append(f"  {alias}: {{name: {_quoted(pattern)}, {times}}}  # {time.sure}: {time.why}")
+    draft.head["files"] = "\n" + "\n".join(files)
+    return draft
+
+
+def _rest(one: Field) -> tuple[str, int, NDArray[np.float64] | Labels, Floats | None, str]:
+    return one.kind, one.count, one.values, one.time_s, one.title
+
+
+def _common(paths: Sequence[Path]) -> str:
+    """What the names of the files of a run begin with, up to and with a mark."""
+    names = [path.stem for path in paths]
+    common = names[0]
+    for name in names:
+        while not name.startswith(common):
+            common = common[:-1]
+    match = re.match(r".*[_\- ]", common)
+    return match[0] if match else ""
+
+
+def _time(draft: Draft, path: Path) -> None:
+    """Column or columns of the time of a table, and the times themselves."""
+    found = draft.best("time")
+    for guess in found:
+        if _distinct(draft.fields[guess.field].values) < 0.3:
+            found = [other for other in found if other is not guess] + [guess]
+    texts = [guess for guess in found if isinstance(draft.fields[guess.field].values, Labels)]
+    raw = RawTable(str(path), {one.name: one.values for one in draft.fields.values()})
+    if found and found[0] not in texts:
+        guess = found[0]
+        names, formula = [guess.field], draft.ref(guess.field, "t")
+    elif texts:
+        days = [g for g in texts if ":" not in _first(draft, g)]
+        clocks = [g for g in texts if ":" in _first(draft, g) and not re.search(r"\d{4}", _first(draft, g))]
+        whole = [g for g in texts if g not in days and g not in clocks]
+        chosen = whole[:1] or ([days[0], clocks[0]] if days and clocks else clocks[:1])
+        if not chosen:
+            draft.missing.append("dates without a time of day: give time_s a column of times")
+            return
+        names = [g.field for g in chosen]
+        refs = [draft.ref(name, alias) for name, alias in zip(names, ("date", "clock"), strict=False)]
+        guess = Guess("time", "\n".join(names), "", 2.0, "time stamps", "sure")
+        draft.columns["time_s"] = (f"{{stamp: [{', '.join(refs)}]}}", guess)
+        formula = ""
+    else:
+        index = _index(draft)
+        message = (
+            f"no column is a time; '{index}' counts the rows: put their rate in the place of RATE"
+            if index
+            else ("no column looks like a time: write it in the place of TIME")
+        )
+        draft.missing.append(message)
+        guess = Guess("time", index or "", "", 0.0, message, "not found")
+        if index:
+            draft.head["constants"] = "{rate: RATE Hz}"
+        draft.columns["time_s"] = (f"{draft.ref(index, 'index')} / rate" if index else "TIME", guess)
+        if index:
+            draft.time_s = draft.values(index) * 0.01
+        return
+    unit = guess.unit or None
+    try:
+        stamps = stamps_of(raw, names, None, unit)
+    except InputError as error:
+        draft.missing.append(str(error.faults[0].message))
+        draft.columns.setdefault("time_s", ("TIME", guess))
+        return
+    draft.time_s = stamps.seconds
+    if formula:
+        words = "" if stamps.kind == "own" else f", {stamps.form}"
+        draft.column(
+            "time_s", formula, Guess("time", guess.field, guess.unit, guess.score, guess.why + words, guess.sure)
+        )
+    else:
+        told = Guess("time", guess.field, "", 2.0, stamps.form, "sure")
+        draft.columns["time_s"] = (draft.columns["time_s"][0], told)
+
+
+def _first(draft: Draft, guess: Guess) -> str:
+    values = draft.fields[guess.field].values
+    return values.names[0] if isinstance(values, Labels) and values.names else ""
+
+
+def _distinct(values: NDArray[np.float64] | Labels) -> float:
+    """Share of the rows at which a column changes."""
+    codes = values.codes if isinstance(values, Labels) else values
+    return float(np.mean(codes[1:] != codes[:-1])) if len(codes) > 1 else 1.0
+
+
+def _index(draft: Draft) -> str:
+    """A column that counts the rows."""
+    for name, one in draft.fields.items():
+        if not isinstance(one.values, Labels) and len(one.values) > 2 and (np.diff(one.values) == 1).all():
+            return name
+    return ""
+
+
+def _others(draft: Draft) -> None:
+    """Temperatures, load, floor, and what else a model may depend on."""
+    names = {
+        "temp_ambient": "temp_ambient_c", "temp_motor": "temp_motor_c", "payload": "payload_kg", "cpu_load": "cpu_load",
+        "cpu_freq": "cpu_freq_hz", "surface": "surface", "scheme": "scheme",
+    }  # fmt: skip
+    for role, name in names.items():
+        for guess in draft.best(role, 0.5)[:1]:
+            draft.column(name, draft.ref(guess.field, role), guess)
+    used = {guess.field for _, guess in draft.columns.values()}
+    for guess in draft.best("power"):
+        words, _ = words_of(guess.field)
+        values = draft.values(guess.field)
+        known = values[np.isfinite(values)]
+        consumer = re.search(r"\b(heat\w*|air ?con\w*|motors?|cpu|load|charger|servo\w*|fan|pump)\b", words)
+        if guess.field in used or not consumer or re.search("request|max|min", words) or not np.ptp(known):
+            continue
+        factor = UNITS[guess.unit][2] if guess.unit else 1.0
+        ref = draft.ref(guess.field, identifier(words.replace(" ", "_")))
+        why = "a consumer of its own, for an effect of yours"
+        formula = ref if factor == 1.0 else f"{ref} * {factor:g}"
+        draft.column(
+            identifier(words.replace(" ", "_")) + "_w", formula, Guess("", guess.field, "", 0.6, why, "a guess")
+        )
+    for name, one in draft.fields.items():
+        component = switch_name(one)
+        if component is None or name in used:
+            continue
+        guess = Guess("on", name, "", 0.5, "changes between on and off", "a guess")
+        ref = draft.ref(name, f"{component}_state")
+        if isinstance(one.values, Labels):
+            table = ", ".join(f"{_quoted(word)}: {int(_is_on(word))}" for word in one.values.names)
+            draft.columns.setdefault(f"on_{component}", (f"{{lookup: {ref}, values: {{{table}}}}}", guess))
+        else:
+            draft.column(f"on_{component}", ref, guess)
+
+
+_ON = re.compile(r"\b(on|active|enabled|running|true|open|started|working)\b", re.IGNORECASE)
+_OFF = re.compile(r"\b(off|inactive|disabled|stopped|false|closed|idle|unconfigured|finalized)\b", re.IGNORECASE)
+_SWITCH = re.compile(r"\b(on|enabled?|active|switch|state|running|power(ed)? on|label|status)\b")
+
+
+def _is_on(word: str) -> bool:
+    return _ON.search(word) is not None and _OFF.search(word) is None
+
+
+def switch_name(one: Field) -> str | None:
+    """Name of a component that a field may switch on and off; None where it does not look so."""
+    words, _ = words_of(one.name)
+    if not _SWITCH.search(words) or re.search(
+        r"\b(joy|calib\w*|previous|start state|charg\w*|battery|emergency|alert)\b", words
+    ):
+        return None
+    if isinstance(one.values, Labels):
+        names = one.values.names
+        if len(names) < 2 or len(names) > 8 or not any(map(_is_on, names)) or not any(map(_OFF.search, names)):
+            return None
+    elif set(np.unique(one.values[np.isfinite(one.values)])) != {0.0, 1.0}:
+        return None
+    left = [
+        w
+        for w in words.split()
+        if not _SWITCH.match(w) and w not in ("transition", "event", "goal", "data", "is", "diagnostics")
+    ]
+    return identifier("_".join(left)) or None if left else None
+
+
+def _text(draft: Draft, paths: Sequence[Path], used: set[str]) -> str:
+    """The map as YAML, each guess with a comment that says how sure it is."""
+    lines = [
+        f"# suggested for {', '.join(path.name for path in paths)}: correct it, then",
+        f"#   missionsim import {' '.join(path.name for path in paths)} --map THIS_FILE --out LOG.parquet",
+        *(f"# {remark}" for remark in draft.remarks),
+        *(f"# TO DO: {message}" for message in draft.missing),
+        "kind: map",
+        f"name: {identifier(paths[0].stem).lower()[:60]}",
+    ]
+    for key in ("table", "files"):
+        if key in draft.head:
+            lines.append(f"{key}:{draft.head[key] if key == 'files' else ' ' + draft.head[key]}")
+    if draft.signals:
+        lines.append("signals:")
+        for alias, name in draft.signals.items():
+            fill = draft.fills.get(alias)
+            value = f"{{field: {_quoted(name)}, fill: {fill}}}" if fill else _quoted(name)
+            lines.append(f"  {alias}: {value}")
+    for key in ("timeline", "constants"):
+        if key in draft.head:
+            lines.append(f"{key}: {draft.head[key]}")
+    if draft.let:
+        lines += ["let:", *(f"  {name}: {formula}" for name, formula in draft.let.items())]
+    lines += [f"{key}: {draft.head[key]}" for key in ("keep", "runs", "refresh", "step") if key in draft.head]
+    lines.append("columns:")
+    for name, (formula, guess) in draft.columns.items():
+        lines.append(f"  {name}: {formula}  # {guess.sure}: {guess.why}")
+    left = sorted((name for name in draft.fields if name not in used and name not in draft.signals.values()), key=len)
+    if left:
+        lines.append("# not used: " + ", ".join(left[:30]) + (f", … ({len(left)} in all)" if len(left) > 30 else ""))
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    """A text as YAML: bare where it is a word or a plain formula."""
+    plain = re.fullmatch(r"[A-Za-z_/][\w ./+*()-]*", text) is not None and text.lower() not in (
+        "yes", "no", "on", "off", "true", "false", "null", "y", "n",
+    )  # fmt: skip
+    return text if plain else json.dumps(text, ensure_ascii=False)

@@ -1,0 +1,184 @@
+"""Suggestions for motion: speed, wheel speeds, turn rate, slope from an attitude or an elevation, position."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.importer import transform
+from missionsim.importer.roles import Guess
+from missionsim.labels import Labels
+
+if TYPE_CHECKING:
+    from missionsim.importer.suggest import Draft
+
+Floats = NDArray[np.float64]
+
+
+def suggest(draft: Draft) -> None:
+    """Add the columns of motion to a draft, as far as they are seen."""
+    speed = _speed(draft)
+    for role, name in (("yaw_rate", "yaw_rate_rad_s"), ("x", "x_m"), ("y", "y_m")):
+        for guess in draft.best(role, 0.5)[:1]:
+            draft.column(name, _moving(draft, guess.field, role if role != "yaw_rate" else "turn"), guess)
+    slopes = draft.best("slope", 0.5)
+    if slopes:
+        draft.column("slope_rad", draft.ref(slopes[0].field, "slope"), slopes[0])
+    _attitude(draft, speed)
+    if "slope_rad" not in draft.columns and speed:
+        _from_elevation(draft)
+    if "heading_rad" not in draft.columns:
+        for guess in draft.best("heading", 0.5)[:1]:
+            draft.column("heading_rad", draft.ref(guess.field, "heading"), guess)
+    if not speed:
+        draft.remarks.append("no speed was found: only what stands still can be explained without one")
+
+
+def _moving(draft: Draft, name: str, alias: str) -> str:
+    """A reference to a signal of motion; between slower messages than the power's it is interpolated."""
+    ref = draft.ref(name, alias)
+    power = draft.fields.get(draft.signals.get(draft.head.get("timeline", "").split(" ")[0], ""))
+    mine = draft.fields[name].time_s
+    if ref in draft.signals and power is not None and power.time_s is not None and mine is not None:
+        steps = [float(np.median(np.diff(t))) if len(t) > 1 else np.inf for t in (power.time_s, mine)]
+        draft.fills[ref] = "linear" if steps[1] > 0.7 * steps[0] else "mean"
+    return ref
+
+
+def _speed(draft: Draft) -> str:
+    """The forward speed; the reference or formula of it, empty where there is none."""
+    found = draft.best("speed", 0.5)
+    north = next((name for name in draft.fields if name.endswith("vehicle_local_position.vx")), None)
+    if north is not None:
+        refs = [_moving(draft, north[:-1] + axis, f"v{axis}") for axis in "xy"]
+        guess = Guess("speed", north, "", 1.0, "speed over ground; without its sign", "likely")
+        draft.column("speed_m_s", f"hypot({', '.join(refs)})", guess)
+    elif found:
+        guess = _speed_unit(draft, found[0])
+        draft.column("speed_m_s", _moving(draft, guess.field, "v"), guess)
+    elif draft.best("left", 0.5) and draft.best("right", 0.5):
+        _wheels(draft, draft.best("left", 0.5)[0], draft.best("right", 0.5)[0])
+    return "speed_m_s" if "speed_m_s" in draft.columns else ""
+
+
+def _speed_unit(draft: Draft, guess: Guess) -> Guess:
+    """Unit of a speed whose name has none, by the distance that grows meanwhile."""
+    if "unit" in guess.why or draft.time_s is None or guess.score >= 3.0:
+        return guess
+    time, speed = draft.time_s, np.abs(np.asarray(draft.fields[guess.field].values, dtype=np.float64))
+    for far in draft.best("distance", 0.3):
+        grown = draft.values(far.field, far.unit)
+        known = np.isfinite(time) & np.isfinite(speed) & np.isfinite(grown)
+        way = float(grown[known][-1] - grown[known][0]) if known.any() else 0.0
+        area = float(np.trapezoid(speed[known], time[known])) if known.any() else 0.0
+        if way <= 0 or area <= 0:
+            continue
+        for unit, factor in (("", 1.0), ("km/h", 1 / 3.6), ("mm/s", 1e-3), ("mph", 0.44704)):
+            if 0.93 < area * factor / way < 1.07:
+                why = f"the name, {unit or 'm/s'} because '{far.field}' grows by it"
+                return replace(guess, unit=unit, sure="sure", why=why)
+    return guess
+
+
+def _wheels(draft: Draft, left: Guess, right: Guess) -> None:
+    refs = [draft.ref(left.field, "wheel_left"), draft.ref(right.field, "wheel_right")]
+    mean = 0.5 * (draft.values(left.field, left.unit) + draft.values(right.field, right.unit))
+    guess = replace(left, role="speed", unit="", sure="a guess", why="the mean of both wheels")
+    radius = _radius(draft, mean)
+    if radius is None:
+        draft.head["constants"] = "{wheel_radius: RADIUS m}"
+        draft.missing.append("speeds of wheels and no path: put the wheels' radius in the place of RADIUS")
+        guess = replace(guess, why="the mean of both wheels times their radius, which is not known")
+    elif abs(radius - 1.0) > 0.03:
+        draft.head["constants"] = (
+            f"{{wheel_radius: {radius:.3g} m}}  # fitted: the path of the positions over that of the wheels"
+        )
+        guess = replace(guess, sure="likely", why="the mean of both wheels times a radius that fits the positions")
+    else:
+        guess = replace(guess, sure="likely", why="the mean of both wheels, which fits the positions")
+        draft.column("speed_m_s", f"({refs[0]} + {refs[1]}) / 2", guess)
+        return
+    draft.column("speed_m_s", f"({refs[0]} + {refs[1]}) / 2 * wheel_radius", guess)
+
+
+def _radius(draft: Draft, wheel: Floats) -> float | None:
+    """Metres of path for each radian (or metre) of the wheels, from positions; None where there are none."""
+    x, y = draft.best("x", 0.5), draft.best("y", 0.5)
+    time = draft.time_s
+    if not x or not y or time is None:
+        return None
+    px, py = draft.values(x[0].field, x[0].unit), draft.values(y[0].field, y[0].unit)
+    known = np.isfinite(px) & np.isfinite(py) & np.isfinite(wheel) & np.isfinite(time)
+    t, px, py, wheel = time[known], px[known], py[known], np.abs(wheel[known])
+    if len(t) < 50:
+        return None
+    # whole seconds: positions are rough from row to row
+    stride = max(1, round(1.0 / max(float(np.median(np.diff(t))), 1e-3)))
+    path = np.hypot(np.diff(px[::stride]), np.diff(py[::stride]))
+    area = np.r_[0.0, np.cumsum(0.5 * (wheel[1:] + wheel[:-1]) * np.diff(t))]
+    turned = np.diff(area[::stride])
+    moving = turned > 0.2 * np.quantile(turned, 0.9)
+    if moving.sum() < 20:
+        return None
+    ratios = path[moving] / turned[moving]
+    middle = float(np.median(ratios))
+    spread = float(np.quantile(ratios, 0.75) - np.quantile(ratios, 0.25))
+    return middle if 0 < middle < 2.0 and spread < 0.4 * middle else None
+
+
+def _attitude(draft: Draft, speed: str) -> None:
+    """Slope and heading from a quaternion."""
+    groups: dict[str, dict[str, str]] = {}
+    for name, one in draft.fields.items():
+        match = re.match(r"(.*(?:quat\w*|orientation|rotation)[._]?|.*\bq_?)([xyzw])$", name, re.IGNORECASE)
+        if match and not isinstance(one.values, Labels) and "covariance" not in name:
+            groups.setdefault(match[1], {})[match[2].lower()] = name
+    best = None
+    for prefix, found in groups.items():
+        if len(found) != 4:
+            continue
+        x, y, z, w = (draft.values(found[axis]) for axis in "xyzw")
+        slope = transform.attitude(x, y, z, w, "slope")
+        known = slope[np.isfinite(slope)]
+        size = float(np.quantile(np.abs(known), 0.95)) if len(known) else 0.0
+        rank = (1e-4 < size < 0.6, "imu" in prefix.lower() or "icp" in prefix.lower())
+        if best is None or rank > best[0]:
+            best = (rank, found, size)
+    if best is None:
+        return
+    rank, found, size = best
+    alias = {"x": "qx", "y": "qy", "z": "qz", "w": "qw"}
+    refs = ", ".join(draft.ref(found[axis], alias[axis]) for axis in "xyzw")
+    if rank[0] and "slope_rad" not in draft.columns:
+        guess = Guess(
+            "slope", found["x"], "", 1.0, f"attitude, up to {np.degrees(size):.2g}°, nose up is uphill", "likely"
+        )
+        travel = f", travel: {speed}" if speed else ""
+        draft.columns["slope_rad"] = (f"{{quaternion: [{refs}], give: slope, average: 1 s{travel}}}", guess)
+    draft.columns.setdefault(
+        "heading_rad",
+        (f"{{quaternion: [{refs}], give: heading}}", Guess("heading", found["z"], "", 1.0, "attitude", "likely")),
+    )
+
+
+def _from_elevation(draft: Draft) -> None:
+    found = draft.best("elevation", 0.5)
+    if not found:
+        return
+    guess = found[0]
+    values = draft.values(guess.field, guess.unit)
+    if not np.ptp(values[np.isfinite(values)]):
+        return
+    why = f"'{guess.field}' over the way driven; averaged over 11 s"
+    draft.columns["climb_m_s"] = (
+        f"{{differentiate: {draft.ref(guess.field, 'z')}, average: 11 s}}",
+        replace(guess, sure="likely", why=f"rate of '{guess.field}'"),
+    )
+    draft.columns["slope_rad"] = (
+        '"where(abs(speed_m_s) > 0.5, arctan(climb_m_s / max(abs(speed_m_s), 0.5)), 0)"',
+        Guess("slope", guess.field, "", 0.9, why, "likely"),
+    )

@@ -1,0 +1,226 @@
+"""Suggestions for what a battery delivers: power, voltage times current, several drivers, signs, slow meters."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.importer.roles import UNITS, Guess, words_of
+from missionsim.importer.sources import Field
+from missionsim.labels import Labels
+from missionsim.logs.power import refreshes
+
+if TYPE_CHECKING:
+    from missionsim.importer.suggest import Draft
+
+Floats = NDArray[np.float64]
+
+_PAIRS = (("left", "right"), ("front", "rear"), ("_l", "_r"), ("1", "2"))
+
+
+def suggest(draft: Draft) -> None:
+    """Add the columns of the battery to a draft, or say that there are none."""
+    power = [guess for guess in draft.best("power", 0.7) if not _is_part(guess)]
+    volts, amps = draft.best("voltage", 0.7), draft.best("current", 0.7)
+    volts = [guess for guess in volts if guess.sure != "a guess"] or volts
+    pair = next(((v, i) for v, i in itertools.product(volts[:3], amps[:3]) if _beside(draft, v, i)), None)
+    sources: list[str] = []
+    if power and (power[0].score >= 0.9 or pair is None):
+        sources = _from_power(draft, power[0], pair)
+    elif pair is not None:
+        sources = _from_pair(draft, *pair)
+    elif drivers := _drivers(draft):
+        sources = _from_drivers(draft, drivers)
+    elif energy := draft.best("energy", 0.7):
+        _from_energy(draft, energy[0])
+        sources = [energy[0].field]
+    else:
+        message = "no column looks like power, or voltage and current: write one in the place of POWER"
+        draft.missing.append(message)
+        draft.columns["power_robot_w"] = ("POWER", Guess("power", "", "", 0.0, message, "not found"))
+        return
+    _rows(draft, sources)
+
+
+def _is_part(guess: Guess) -> bool:
+    words, _ = words_of(guess.field)
+    return (
+        re.search(r"\b(max|min|requested|heat\w*|air ?con\w*|motors?|cpu|status|supply|technology|health)\b", words)
+        is not None
+    )
+
+
+def _beside(draft: Draft, one: Guess, other: Guess) -> bool:
+    """Whether two fields come in the same rows: columns of a table, or fields of one topic or file."""
+    return draft.direct or one.field.rpartition(".")[0] == other.field.rpartition(".")[0]
+
+
+def _product(draft: Draft, volts: Guess, amps: Guess) -> Floats:
+    return draft.values(volts.field, volts.unit) * draft.values(amps.field, amps.unit)
+
+
+def _from_power(draft: Draft, guess: Guess, pair: tuple[Guess, Guess] | None) -> list[str]:
+    watts = draft.values(guess.field, guess.unit)
+    if pair is not None and _beside(draft, guess, pair[0]):
+        product = _product(draft, *pair)
+        known = np.isfinite(watts) & np.isfinite(product) & (np.abs(product) > 0.02 * np.nanmax(np.abs(product)))
+        ratio = float(np.median(watts[known] / product[known])) if known.any() else np.nan
+        if 0.85 < abs(ratio) < 1.18:
+            guess = replace(guess, sure="sure", why=f"{guess.why}; voltage × current agrees")
+        elif 0.85 < abs(ratio) * 1e-3 < 1.18:
+            guess = replace(guess, unit="mW", sure="likely", why="voltage × current says that it is in mW")
+            watts = watts * 1e-3
+        elif np.isfinite(ratio):
+            sources = _from_pair(draft, *pair)
+            draft.remarks.append(f"'{guess.field}' is {ratio:.3g} times voltage × current, so it was not taken")
+            return sources
+    sign = "-" if np.nanmean(watts) < 0 else ""
+    if sign:
+        guess = replace(guess, why=f"{guess.why}; negative on average, a log counts what is delivered as positive")
+    draft.column("power_robot_w", sign + draft.ref(guess.field, "watts"), guess)
+    if pair is not None and _beside(draft, guess, pair[0]):
+        draft.column("voltage_robot_v", draft.ref(pair[0].field, "volts"), pair[0])
+    return [guess.field]
+
+
+def _from_pair(draft: Draft, volts: Guess, amps: Guess) -> list[str]:
+    sign, why = _sign(draft, volts, amps)
+    v, i = draft.ref(volts.field, "volts"), draft.ref(amps.field, "amps")
+    draft.column("voltage_robot_v", v, volts)
+    sure = amps.sure if not why.startswith("?") else "a guess"
+    draft.column("current_robot_a", f"{sign}{i}", replace(amps, sure=sure, why=f"{amps.why}; {why.lstrip('?')}"))
+    return [volts.field, amps.field]
+
+
+def _sign(draft: Draft, volts: Guess, amps: Guess) -> tuple[str, str]:
+    """Sign of a current: what discharges is positive in a log; a battery's voltage falls while it delivers."""
+    v, i = draft.values(volts.field, volts.unit), draft.values(amps.field, amps.unit)
+    known = np.isfinite(v) & np.isfinite(i)
+    mean = float(np.mean(i[known])) if known.any() else 0.0
+    with np.errstate(invalid="ignore"):
+        drop = np.corrcoef(np.diff(v[known]), np.diff(i[known]))[0, 1] if known.sum() > 20 else np.nan
+    rises = np.isfinite(drop) and drop > 0.2
+    falls = np.isfinite(drop) and drop < -0.2
+    if mean < 0 and not falls:
+        return "-", "negative while discharging" + (": the voltage falls with it" if rises else " (on average)")
+    if mean >= 0 and not rises:
+        return "", "positive while discharging" + (": the voltage falls as it rises" if falls else " (on average)")
+    if mean < 0:
+        return "", "?its mean is negative, but the voltage falls as it rises: charged on average?"
+    return "-", "?its mean is positive, but the voltage rises with it: charged on average?"
+
+
+def _drivers(draft: Draft) -> list[tuple[str, str]]:
+    """(voltage, current) of several motor drivers, whose names differ in the side alone."""
+    named: dict[str, list[str]] = {"voltage": [], "current": []}
+    for name, one in draft.fields.items():
+        words, unit = words_of(name)
+        if isinstance(one.values, Labels):
+            continue
+        for kind, letters in (("voltage", r"volt(age|s)?"), ("current", r"current|amps?")):
+            if re.search(rf"\b({letters})\b", words) or (unit and UNITS[unit][0] == kind):
+                named[kind].append(name)
+    pairs = [
+        (v, i)
+        for v in named["voltage"]
+        for i in named["current"]
+        if re.sub(r"volt(age|s)?|_v$", "", v, flags=re.I) == re.sub(r"current|amps?|_a$", "", i, flags=re.I)
+    ]
+    sided = [
+        [pair for pair in pairs if side in pair[0].lower()]
+        for sides in _PAIRS
+        for side in sides
+        if all(any(s in pair[0].lower() for pair in pairs) for s in sides)
+    ]
+    found = [pair for group in sided[:2] for pair in group]
+    return list(dict.fromkeys(found))
+
+
+def _from_drivers(draft: Draft, drivers: list[tuple[str, str]]) -> list[str]:
+    terms = []
+    for index, (volts, amps) in enumerate(drivers):
+        terms.append(f"{draft.ref(volts, f'volts_{index}')} * {draft.ref(amps, f'amps_{index}')}")
+    why = "the sum of the drivers; what the battery feeds beside them is not in it"
+    draft.column("power_robot_w", " + ".join(terms), Guess("power", drivers[0][0], "", 1.0, why, "likely"))
+    zero = [draft.ref(volts, "volts") for volts, _ in drivers if _dead(draft.values(volts))]
+    if zero and draft.direct:
+        draft.head["keep"] = " and ".join(f"{name} > 0" for name in zero)
+    return [name for pair in drivers for name in pair]
+
+
+def _dead(volts: Floats) -> bool:
+    """Whether a voltage is zero for a while: its topic was not up yet."""
+    return bool((volts == 0).any()) and float(np.nanmedian(volts)) > 3.0
+
+
+def _from_energy(draft: Draft, guess: Guess) -> None:
+    values = draft.values(guess.field)
+    falls = values[-1] < values[0]
+    why = guess.why + ("; it falls: what is left, so its sign was changed" if falls else "; it grows")
+    ref = draft.ref(guess.field, "energy")
+    draft.column("energy_robot_wh", f"-{ref}" if falls else ref, replace(guess, why=why))
+
+
+def _rows(draft: Draft, sources: list[str]) -> None:
+    """Which rows: those of the power in a recording; one a refresh where it is repeated; means of a fast logger."""
+    if not draft.direct:
+        alias = next(alias for alias, name in draft.signals.items() if name == sources[-1])
+        draft.head["timeline"] = f"{alias}  # rows where the power is measured, so that it is never made up"
+        return
+    time = draft.time_s
+    if time is None or len(time) < 20:
+        return
+    known = np.isfinite(time)
+    rising = np.flatnonzero(np.diff(time[known]) < 0)
+    first = slice(0, int(rising[0]) + 1 if len(rising) else None)
+    slow = [
+        name
+        for name in sources
+        if (values := draft.values(name)[known][first]) is not None
+        and np.isfinite(values).all()
+        and refreshes(values, time[known][first]) is not None
+    ]
+    step = float(np.median(np.diff(time[known][first]))) if known.sum() > 2 else 1.0
+    if slow and len(slow) >= len(sources) / 2:
+        draft.head["refresh"] = f"[{', '.join(draft.ref(name, 'meter') for name in slow)}]  # a slow topic in fast rows"
+    elif 0 < step < 0.04 and "rate" not in draft.head.get("constants", ""):
+        draft.head["step"] = "0.1 s  # means: more rows say nothing more of a mission"
+
+
+def name_headless(draft: Draft) -> None:
+    """Name the columns of a file without header: where one is the product of two others they are P, V and I."""
+    names = [name for name, one in draft.fields.items() if not isinstance(one.values, Labels)]
+    numbers = {name: np.asarray(draft.fields[name].values, dtype=np.float64) for name in names}
+    moving = [name for name in names if np.ptp(numbers[name]) > 0 and not (np.diff(numbers[name]) == 1).all()]
+    best: tuple[float, str, str, str, float] | None = None
+    for p, (v, i) in itertools.product(moving, itertools.permutations(moving, 2)):
+        if p in (v, i):
+            continue
+        volts, amps, watts = numbers[v], numbers[i], numbers[p]
+        level = float(np.median(volts))
+        if not 3.0 <= level <= 1000.0 or np.std(volts) > 0.2 * level or np.median(np.abs(amps)) == 0:
+            continue
+        product = volts * amps
+        scale = float(np.median(watts[product != 0] / product[product != 0])) if (product != 0).any() else 0.0
+        factor = min((1.0, 1e-3, 1e3), key=lambda f: abs(np.log10(abs(scale) / f)) if scale else np.inf)
+        miss = float(np.median(np.abs(watts - factor * product)) / max(np.median(np.abs(watts)), 1e-12))
+        if miss < 0.05 and (best is None or miss < best[0]):
+            best = (miss, v, i, p, factor)
+    if best is None:
+        return
+    miss, v, i, p, factor = best
+    milli = float(np.median(np.abs(numbers[p]))) > 500.0
+    parts = {v: "bus_V", i: "current_mA" if milli else "current_A", p: "power_mW" if milli else "power_W"}
+    index = next((name for name in names if (np.diff(numbers[name]) == 1).all()), None)
+    parts |= {index: "index"} if index else {}
+    draft.remarks.append(f"{v} × {i} gives {p} within {100 * miss:.2g} %: taken for volts, amperes and watts")
+    draft.fields = {
+        parts.get(name, name): Field(parts.get(name, name), one.kind, one.count, one.values)
+        for name, one in draft.fields.items()
+    }
+    draft.head["table"] = f"{{header: [{', '.join(draft.fields)}]}}"

@@ -1,0 +1,246 @@
+"""Text tables into columns, whole or in blocks, through Arrow's reader."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from missionsim.errors import InputError
+from missionsim.logs.formats.cellfaults import explain, text_faults
+from missionsim.logs.formats.dialect import (
+    MISSING_WORDS,
+    Dialect,
+    count_rows,
+    has_cut_end,
+    has_utf8,
+    is_number,
+    line_finder,
+    one_byte_encoding,
+    sniff,
+)
+from missionsim.logs.power import measures
+from missionsim.logs.raw import RawTable, from_arrow, wanted_kind
+from missionsim.logs.readers import Options, Reader
+from missionsim.logs.remarks import Remark
+from missionsim.logs.times import is_stamp
+
+_BLOCK_BYTES = 1 << 22
+
+
+class TextColumn(Exception):
+    """A column that began with numbers and goes on with text, after so many batches."""
+
+    def __init__(self, name: str, given: int) -> None:
+        super().__init__(name)
+        self.name, self.given = name, given
+
+
+def read_csv(path: Path, options: Options) -> RawTable:
+    """Read a whole text table.
+
+    Parameters
+    ----------
+    path : Path
+    options : Options
+        `typed`, `header`, `delimiter`, `wants`, and `most`: rows that suffice.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        With line and column of every cell that cannot be read (the first 20, and the number of the others).
+    """
+    import pyarrow as pa
+
+    def whole(file: _File) -> RawTable:
+        held, rows, words = [], 0, frozenset[str]()
+        while True:
+            try:
+                for batch in file.batches(options.wants, words):
+                    held.append(batch)
+                    rows += batch.num_rows
+                    if options.most is not None and rows >= options.most:
+                        break
+                else:
+                    file.check(rows)
+                break
+            except TextColumn as text:
+                held, rows, words = [], 0, words | {text.name}
+        raw = from_arrow(pa.Table.from_batches(held, file.schema), str(path), file.lines)
+        raw.remarks[:0] = file.dialect.remarks
+        raw.headless, raw.names = file.dialect.headless, file.dialect.names
+        if file.cut and (options.most is None or rows < options.most):
+            raw.remarks.append(_cut_end(raw, raw.rows))
+        return raw
+
+    return _in_its_encoding(path, options, whole)
+
+
+def iter_csv(path: Path, rows: int, columns: Sequence[str] | None = None) -> Iterator[RawTable]:
+    """Read a text table in blocks of at least `rows` rows (the last may be shorter), in bounded memory."""
+    import pyarrow as pa
+
+    file = _in_its_encoding(path, Options(typed=True), _opened)
+    words, done = frozenset[str](), 0
+
+    def wants(name: str) -> bool:
+        return columns is None or name in columns or measures(name)
+
+    while True:
+        first, held, count = 0, [], 0
+        try:
+            for batch in file.batches(wants, words):
+                held.append(batch)
+                count += batch.num_rows
+                if count >= rows:
+                    raw = from_arrow(pa.Table.from_batches(held), str(path), file.lines, first)
+                    raw.remarks[:0] = file.dialect.remarks if not first else []
+                    first, held, count = first + count, [], 0
+                    if first > done:
+                        done = first
+                        yield raw
+            file.check(first + count)
+            break
+        except TextColumn as text:  # begin again with it as text, without what was given already
+            words |= {text.name}
+        except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError) as error:
+            raise InputError(explain(path, str(path), file.dialect, True, str(error))) from None
+    if count:
+        raw = from_arrow(pa.Table.from_batches(held), str(path), file.lines, first)
+        raw.remarks[:0] = file.dialect.remarks if not first else []
+        if file.cut:
+            raw.remarks.append(_cut_end(raw, count))
+        yield raw
+
+
+Result = TypeVar("Result")
+
+
+def _in_its_encoding(path: Path, options: Options, use: Callable[[_File], Result]) -> Result:
+    """Read as UTF-8; where a later byte is none, and no letter beyond ASCII was, as Latin-1."""
+    import pyarrow as pa
+
+    def attempt(dialect: Dialect) -> Result | Exception:
+        try:
+            return use(_File(path, dialect, options.typed))
+        except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError) as error:
+            return error
+
+    dialect = sniff(path, str(path), options.header, options.delimiter, options.typed)
+    found = attempt(dialect)
+    if isinstance(found, Exception) and dialect.encoding == "utf-8" and text_faults(path, str(path)):
+        data = path.read_bytes()
+        if not has_utf8(data):
+            told: list[Remark] = []
+            encoding = one_byte_encoding(data, told)
+            dialect = sniff(path, str(path), options.header, options.delimiter, options.typed, encoding)
+            dialect.remarks[:0] = told
+            found = attempt(dialect)
+    if isinstance(found, Exception):
+        raise InputError(explain(path, str(path), dialect, options.typed, str(found))) from None
+    return found
+
+
+def _opened(file: _File) -> _File:
+    next(file.batches(None), None)
+    return file
+
+
+class _File:
+    """One text table, opened with Arrow's streaming reader."""
+
+    def __init__(self, path: Path, dialect: Dialect, typed: bool) -> None:
+        self.path, self.dialect, self.typed = path, dialect, typed
+        self.cut = has_cut_end(path, dialect)
+        if self.cut and dialect.encoding == "utf-8" and text_faults(path, str(path)):
+            raise UnicodeError("bad text")  # Arrow cannot tell bad text from a ragged line
+        self.skipped: list[int] = []
+        self.lines = line_finder(path, dialect)
+        self.schema: Any = None
+
+    def batches(self, wants: Callable[[str], bool] | None, words: frozenset[str] = frozenset()) -> Iterator[Any]:
+        """Record batches of the file, numbers as float64; `words`: columns that are read as text."""
+        import pyarrow as pa
+        import pyarrow.csv as arrow_csv
+
+        chosen = list(filter(wants, self.dialect.names))
+        read, parse = self._options()
+
+        def convert(types: dict[str, Any]) -> Any:
+            return arrow_csv.ConvertOptions(
+                include_columns=chosen,
+                column_types={name: kind for name, kind in types.items() if name in chosen},
+                null_values=list(MISSING_WORDS),
+                strings_can_be_null=True,
+                decimal_point=self.dialect.decimal,
+                true_values=["true", "True", "TRUE"],
+                false_values=["false", "False", "FALSE"],
+            )
+
+        kinds = {"number": pa.float64(), "text": pa.dictionary(pa.int32(), pa.string())}
+        wanted = {name: wanted_kind(name) for name in self.dialect.names} if self.typed else {}
+        fixed = {name: kinds[kind] for name, kind in wanted.items() if kind in kinds and not self._is_stamp(name)}
+        fixed |= dict.fromkeys(words, pa.string())
+        probe = arrow_csv.open_csv(str(self.path), read, parse, convert(fixed)).schema
+        # the streaming reader fixes types from its first block: whole numbers there may be fractions later
+        loose = {f.name: pa.float64() for f in probe if pa.types.is_integer(f.type) or pa.types.is_null(f.type)}
+        self.skipped.clear()
+        given = 0
+        try:
+            reader = arrow_csv.open_csv(str(self.path), read, parse, convert({**loose, **fixed}))
+            self.schema = reader.schema
+            for batch in reader:
+                given += 1
+                yield batch
+        except pa.ArrowInvalid as error:
+            found = re.search(r"In CSV column #(\d+)", str(error))
+            name = chosen[int(found[1])] if found and int(found[1]) < len(chosen) else None
+            if name is None or name in fixed:
+                raise
+            raise TextColumn(name, given) from None
+
+    def _is_stamp(self, name: str) -> bool:
+        """Whether a column of times begins with no number: a date or a time of day."""
+        at = self.dialect.names.index(name)
+        first = self.dialect.first
+        return name == "time_s" and at < len(first) and not is_number(first[at]) and is_stamp(first[at])
+
+    def check(self, rows: int) -> None:
+        """ArrowInvalid where rows of the file are not in the table: an open quotation mark swallows what follows."""
+        import pyarrow as pa
+
+        counted = self.dialect.quoted and rows + len(self.skipped) != count_rows(self.path, self.dialect)
+        if len(self.skipped) > 1 or counted:
+            raise pa.ArrowInvalid(
+                "rows are lost in it: a quotation mark that does not end, or rows of the wrong length"
+            )
+
+    def _options(self) -> tuple[Any, Any]:
+        """Options of Arrow's reader; where the end is cut, rows of the wrong length are left out and noted."""
+        import pyarrow.csv as arrow_csv
+
+        def on_ragged(row: Any) -> str:
+            self.skipped.append(row.actual_columns)
+            return "skip"
+
+        utf8 = self.dialect.encoding in ("utf-8", "utf-8-sig")
+        return arrow_csv.ReadOptions(
+            column_names=list(self.dialect.names),
+            skip_rows=self.dialect.header_line,
+            encoding="utf8" if utf8 else self.dialect.encoding,
+            block_size=_BLOCK_BYTES,
+        ), arrow_csv.ParseOptions(
+            delimiter=self.dialect.delimiter,
+            quote_char='"' if self.dialect.quoted else False,
+            invalid_row_handler=on_ragged if self.cut else None,
+        )
+
+
+def _cut_end(raw: RawTable, row: int) -> Remark:
+    return Remark("format", "", "the last line is cut short", "it was left out", "warning", raw.line(row), 1)
+
+
+READERS = (
+    Reader("csv", "text table", (".csv", ".tsv"), table=read_csv, blocks=iter_csv, loose=(".txt", ".dat", ".log")),
+)

@@ -1,0 +1,310 @@
+"""How a text table is written: encoding, delimiter, decimal mark, header; and the line of each row."""
+
+from __future__ import annotations
+
+import codecs
+import collections
+import csv
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from missionsim.errors import Fault, InputError
+from missionsim.glossary import column_of
+from missionsim.logs.remarks import Remark
+
+_HEAD_BYTES = 65536
+_NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
+_ENCODINGS = {"utf-16": "UTF-16", "utf-16-le": "UTF-16 (without its mark)", "utf-16-be": "UTF-16 (without its mark)"}
+MISSING_WORDS: tuple[str, ...] = (
+    "",
+    "#N/A",
+    "#NA",
+    "-NaN",
+    "-nan",
+    "N/A",
+    "NA",
+    "NULL",
+    "NaN",
+    "n/a",
+    "nan",
+    "null",
+    "None",
+    "none",
+    "NAN",
+)
+_COMMA_NUMBER = re.compile(r"^[+-]?\d+,\d+$")
+
+
+@dataclass
+class Dialect:
+    """How a text table is written.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Column names, each once: one that stands twice in the header is numbered, ``name #1`` and ``name #2``.
+    delimiter, decimal, encoding : str
+    header_line : int
+        1-based line of the header; 0 for a file without one.
+    quoted : bool
+        Whether the start of the file has quotation marks; where it has none, a later one is part of its cell.
+    remarks : list of Remark
+        What is unusual.
+    first : tuple of str
+        Cells of the first row.
+    headless : bool
+        Whether the names were made up, because the first line holds numbers.
+    """
+
+    names: tuple[str, ...]
+    delimiter: str
+    decimal: str
+    encoding: str
+    header_line: int
+    quoted: bool = False
+    remarks: list[Remark] = field(default_factory=list)
+    first: tuple[str, ...] = ()
+    headless: bool = False
+
+
+def sniff(
+    path: Path,
+    file: str,
+    header: Sequence[str] = (),
+    delimiter: str | None = None,
+    typed: bool = True,
+    encoding: str | None = None,
+) -> Dialect:
+    """Read the start of a text table and find out how it is written.
+
+    Parameters
+    ----------
+    path, file
+        The file, and its name in messages.
+    header : sequence of str
+        Names of the columns of a file that has no header line.
+    delimiter, encoding : str, optional
+        Where they are known.
+    typed : bool
+        Whether the file has to be a log: a header, and names of the glossary once.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Empty, binary, without a header, or with a header that names a column of the glossary twice.
+    """
+    with open(path, "rb") as handle:
+        head = handle.read(_HEAD_BYTES)
+    if not head.strip():
+        raise InputError(Fault(file, 1, 1, "the file is empty", allowed="a header line and rows"))
+    remarks: list[Remark] = []
+    encoding = encoding or _encoding(head, file, remarks)
+    if encoding.startswith("utf-16"):
+        head = head[: len(head) // 2 * 2]
+    text = head.decode(encoding, errors="replace").removeprefix("\ufeff")
+    lines = text.splitlines()
+    skipped = 0
+    while skipped < len(lines) and (not lines[skipped].strip() or lines[skipped].lstrip().startswith("#")):
+        skipped += 1
+    if skipped == len(lines):
+        raise InputError(Fault(file, 1, 1, "there is no header line", allowed="a header line and rows"))
+
+    def note(message: str, action: str = "read as such", line: int = 0) -> None:
+        remarks.append(Remark("format", "", message, action, "note", line))
+
+    if skipped:
+        note(f"{skipped} lines before the header", "they were skipped", 1)
+    first = lines[skipped]
+    body = [line for line in lines[skipped + 1 : -1 if len(head) == _HEAD_BYTES else None] if line.strip()][:200]
+    delimiter = delimiter or _delimiter(first, body)
+    cells = tuple(name.strip() for name in next(csv.reader([first], delimiter=delimiter)))
+    names = tuple(header) or cells
+    headless = not header and all(is_number(name) or not name for name in names)
+    if headless and typed:
+        allowed = "a header line such as time_s,power_robot_w,speed_m_s"
+        message = "the first line holds numbers, not column names"
+        raise InputError(Fault(file, skipped + 1, 1, message, got=first[:80], allowed=allowed))
+    if headless:
+        names = tuple(f"col_{index}" for index in range(1, len(names) + 1))
+        note("the first line holds numbers, not column names", "the columns were called col_1, col_2, …", skipped + 1)
+    names = _once(names, first, delimiter, file, skipped + 1, typed, remarks)
+    decimal = _decimal(body, delimiter)
+    if delimiter != ",":
+        note(f"the columns are separated by {_NAMES.get(delimiter, delimiter)}, not commas")
+    if decimal == ",":
+        note("numbers are written with a decimal comma")
+    bare = bool(header) or headless
+    row = first if bare else (body[0] if body else "")
+    return Dialect(
+        names,
+        delimiter,
+        decimal,
+        encoding,
+        skipped + (not bare),
+        '"' in text,
+        remarks,
+        tuple(cell.strip() for cell in next(csv.reader([row], delimiter=delimiter), [])),
+        headless,
+    )
+
+
+def _encoding(head: bytes, file: str, remarks: list[Remark]) -> str:
+    """Encoding by the first bytes; what is no UTF-8 there is Latin-1 (or Windows-1252), as many loggers write it."""
+    encoding = "utf-8"
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        encoding = "utf-16"
+    elif head.startswith(codecs.BOM_UTF8):
+        remarks.append(Remark("format", "", "the text starts with a byte order mark", "it was skipped", "note"))
+        return "utf-8-sig"
+    elif b"\0" in head:
+        start = head[:200]
+        odd, even = start[1::2].count(0), start[::2].count(0)
+        if max(odd, even) < 0.4 * len(start) or min(odd, even):
+            raise InputError(Fault(file, 1, 1, "this is not a text file", allowed="CSV, or Parquet"))
+        encoding = "utf-16-le" if odd > even else "utf-16-be"
+    else:
+        try:
+            codecs.getincrementaldecoder("utf-8")().decode(head, final=len(head) < _HEAD_BYTES)
+        except UnicodeDecodeError:
+            if has_utf8(head):
+                return "utf-8"  # a damaged file: the place of the bad byte is told when it is read
+            return one_byte_encoding(head, remarks)
+    if encoding in _ENCODINGS:
+        remarks.append(Remark("format", "", f"the text is {_ENCODINGS[encoding]}", "read as such", "note"))
+    return encoding
+
+
+def one_byte_encoding(data: bytes, remarks: list[Remark]) -> str:
+    """Latin-1, or Windows-1252 where its printable letters between 0x80 and 0x9f occur; told."""
+    windows = any(0x80 <= byte <= 0x9F for byte in data) and not any(byte in b"\x81\x8d\x8f\x90\x9d" for byte in data)
+    encoding, name = ("cp1252", "Windows-1252") if windows else ("latin-1", "Latin-1")
+    remarks.append(Remark("format", "", f"the text is {name}, not UTF-8", "read as such", "note"))
+    return encoding
+
+
+def has_utf8(data: bytes) -> bool:
+    """Whether letters beyond ASCII are written as UTF-8 somewhere."""
+    return re.search(rb"[\xc3-\xf4][\x80-\xbf]", data) is not None
+
+
+def _once(
+    names: tuple[str, ...], line: str, delimiter: str, file: str, number: int, typed: bool, remarks: list[Remark]
+) -> tuple[str, ...]:
+    """Each name once: names that stand twice are numbered, columns without a name called by their position."""
+    count = collections.Counter(name for name in names if name)
+    twice = {name for name in count if count[name] > 1}
+    if faults := [
+        Fault(
+            file,
+            number,
+            field_position(line, delimiter, index),
+            f"the column '{name}' stands twice in the header",
+            path=name,
+        )
+        for index, name in enumerate(names)
+        if typed and name in names[:index] and name and column_of(name) is not None
+    ]:
+        raise InputError(faults)
+    if twice:
+        shown = ", ".join(sorted(f"'{name}'" for name in twice))
+        message = f"{shown} {'stands' if len(twice) == 1 else 'stand'} more than once in the header"
+        remarks.append(Remark("format", "", message, "numbered: 'name #1', 'name #2'", "note", number))
+    if "" in names:
+        message, action = "a column has no name", "it was called unnamed_<position>"
+        remarks.append(Remark("format", "", message, action, "note", number))
+    seen: collections.Counter[str] = collections.Counter()
+    result = []
+    for index, name in enumerate(names):
+        seen[name] += 1
+        result.append(f"unnamed_{index}" if not name else f"{name} #{seen[name]}" if name in twice else name)
+    return tuple(result)
+
+
+def _delimiter(header: str, body: list[str]) -> str:
+    counts = {mark: header.count(mark) for mark in (",", ";", "\t", "|")}
+    best = max(counts, key=lambda mark: counts[mark])
+    if counts[";"] and best == "," and all(line.count(";") == counts[";"] for line in body):
+        return ";"  # decimal commas, or commas within names
+    if counts[best]:
+        return best
+    return (
+        " " if " " in header.strip() and all(len(line.split(" ")) == len(header.split(" ")) for line in body) else ","
+    )
+
+
+def _decimal(body: list[str], delimiter: str) -> str:
+    if delimiter == ",":
+        return "."
+    cells = [cell.strip() for row in csv.reader(body, delimiter=delimiter) for cell in row]
+    with_comma = sum(bool(_COMMA_NUMBER.match(cell)) for cell in cells)
+    with_point = sum(bool(re.match(r"^[+-]?\d*\.\d+$", cell)) for cell in cells)
+    return "," if with_comma > with_point else "."
+
+
+def is_number(word: str) -> bool:
+    """Whether a text is a number as `float` reads it."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def line_finder(path: Path, dialect: Dialect) -> Callable[[int], int]:
+    """Function from row number (0-based, -1 the header) to line number (1-based); empty lines hold no row."""
+
+    blank: list[int] = []
+    scanned = False
+
+    def line_of(row: int) -> int:
+        nonlocal scanned
+        if row < 0:
+            return dialect.header_line
+        if not scanned:  # once, and only where a line is asked for
+            scanned = True
+            with open(path, encoding=dialect.encoding, errors="replace") as handle:
+                blank.extend(n for n, line in enumerate(handle, 1) if n > dialect.header_line and not line.strip())
+        line = dialect.header_line + 1 + row
+        for empty in blank:
+            if empty > line:
+                break
+            line += 1
+        return line
+
+    return line_of
+
+
+def count_rows(path: Path, dialect: Dialect) -> int:
+    """Lines after the header that are not empty."""
+    with open(path, encoding=dialect.encoding, errors="replace") as handle:
+        return sum(1 for number, line in enumerate(handle, 1) if number > dialect.header_line and line.strip())
+
+
+def has_cut_end(path: Path, dialect: Dialect) -> bool:
+    """Whether the last line has another number of cells than the header: the logger was switched off while writing."""
+    with open(path, "rb") as handle:
+        handle.seek(0, 2)
+        handle.seek(max(0, handle.tell() - _HEAD_BYTES))
+        lines = handle.read().rstrip().splitlines()
+    if dialect.encoding.startswith("utf-16") or len(lines) < 3:
+        return False
+    try:
+        cells = next(csv.reader([lines[-1].decode(dialect.encoding)], delimiter=dialect.delimiter))
+    except (UnicodeDecodeError, csv.Error):
+        return False
+    return len(cells) != len(dialect.names)
+
+
+def field_position(line: str, delimiter: str, index: int) -> int:
+    """1-based character position of a field in its line, quotes respected."""
+    quoted, fields = False, 0
+    for position, mark in enumerate(line):
+        if fields == index:
+            return position + 1
+        if mark == '"':
+            quoted = not quoted
+        elif mark == delimiter and not quoted:
+            fields += 1
+    return len(line) + 1 if fields <= index else 1

@@ -1,0 +1,301 @@
+"""ROS 1, ROS 2 and MCAP bags through rosbags: any numeric or text field of any topic, diagnostics by name and key."""
+
+from __future__ import annotations
+
+import array
+import contextlib
+import re
+from collections.abc import Callable, Collection, Iterator
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.errors import InputError
+from missionsim.labels import Labels
+from missionsim.logs.raw import ColumnData, numbers_in
+from missionsim.logs.readers import Options, Reader, Recording, Topic
+from missionsim.logs.remarks import Remark
+
+_STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[[^\]]+\])*)\Z")
+_STATUS = re.compile(r"(/[^.\[]+)\[(.+?)\]\.(.+)\Z", re.DOTALL)
+_MOST_ELEMENTS = 16
+"""Elements of an array that a listing shows."""
+_CLOCKS_APART_S = 5.0
+"""Header and bag differ by transport and buffering, tenths of a second; beyond this they are different clocks."""
+_Get = Callable[[Any], Any]
+
+
+@contextlib.contextmanager
+def open_bag(path: Path) -> Iterator[Any]:
+    """A rosbags reader of a ROS 1 bag, a ROS 2 bag (its folder, or a file in it), or a lone MCAP file.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        rosbags is not installed, or it cannot read the bag.
+    """
+    file = str(path)
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise InputError.single(
+            "reading bags needs the package rosbags", file=file, allowed="pip install 'missionsim[logs]'"
+        ) from None
+    if path.is_file() and path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists():
+        path = path.parent
+    try:
+        # bags of older ROS 2 carry no message definitions; the common types have not changed since
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            yield reader
+    except InputError:
+        raise
+    except Exception as error:  # a broken bag raises whatever its parsers and databases meet
+        reason = (str(error) or type(error).__name__).splitlines()[0][:200]
+        raise InputError.single(
+            "the bag cannot be read", file=file, got=reason, allowed="a whole ROS 1, ROS 2 or MCAP bag"
+        ) from None
+
+
+def read_bag(path: Path, options: Options) -> Recording:
+    """Fields of a bag, each topic at its own times from the start of the bag.
+
+    Parameters
+    ----------
+    path : Path
+    options : Options
+        `fields` as ``/topic.field.sub[0]``, a joint by its name (``/joint_states.effort[left]``), a diagnostic value as
+        ``/diagnostics[status name].key``; `most` messages of each topic; `clock`.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        An unreadable bag.
+    """
+    remarks: list[Remark] = []
+    held: dict[str, _Held] = {}
+    broken: list[str] = []
+    with open_bag(path) as reader:
+        wanted = None if options.fields is None else _wanted(options.fields)
+        infos = {topic: info for topic, info in reader.topics.items() if wanted is None or topic in wanted}
+        connections = [c for c in reader.connections if c.topic in infos]
+        seen = dict.fromkeys(infos, 0)
+        messages = reader.messages(connections=connections) if connections else iter(())
+        while True:
+            try:
+                connection, received, data = next(messages)
+                topic = connection.topic
+                seen[topic] += 1
+                if options.most is not None and seen[topic] > options.most:
+                    if all(count > options.most or count >= infos[name].msgcount for name, count in seen.items()):
+                        break
+                    continue
+                message = reader.deserialize(data, connection.msgtype)
+            except StopIteration:
+                break
+            except Exception as error:  # a damaged bag raises whatever its parsers meet
+                broken.append((str(error) or type(error).__name__).splitlines()[0][:120])
+                continue  # a reader that failed itself is at its end; the next message may be whole
+            stamp = _header_ns(message, received)
+            for name, values in _values(topic, message, None if wanted is None else wanted[topic]):
+                if name not in held:
+                    held[name] = _Held(infos[topic].msgtype or "", infos[topic].msgcount)
+                held[name].add(stamp, received, values)
+        expected = {topic: info.msgcount for topic, info in infos.items()}
+    if options.most is None:
+        remarks += _damage(expected, seen, broken)
+    times = _times({name: (topic.stamps, topic.received) for name, topic in held.items()}, options.clock, remarks)
+    topics = [Topic(name, times[name], topic.columns(), topic.title, topic.count) for name, topic in held.items()]
+    return Recording(topics, remarks)
+
+
+class _Held:
+    """What was read of one topic."""
+
+    def __init__(self, title: str, count: int) -> None:
+        self.title, self.count = title, count
+        self.stamps, self.received = array.array("q"), array.array("q")
+        self.values: dict[str, list[Any] | array.array[float]] = {}
+
+    def add(self, stamp: int, received: int, values: list[tuple[str, Any]]) -> None:
+        before = len(self.stamps)
+        self.stamps.append(stamp)
+        self.received.append(received)
+        for name, value in values:
+            column = self.values.get(name)
+            if column is None:
+                text = isinstance(value, str)
+                column = [""] * before if text else array.array("d", [np.nan] * before)
+                self.values[name] = column
+            column.append(value)
+        for column in self.values.values():
+            if len(column) <= before:  # an element that this message does not have
+                column.append("" if isinstance(column, list) else np.nan)  # type: ignore[arg-type]
+
+    def columns(self) -> dict[str, ColumnData]:
+        return {
+            name: numbers_in(Labels.of(column)) if isinstance(column, list) else np.array(column, dtype=np.float64)
+            for name, column in self.values.items()
+        }
+
+
+def _wanted(fields: Collection[str]) -> dict[str, dict[str, _Get | None]]:
+    """Topic → field → how to get it (None: a diagnostic value)."""
+    wanted: dict[str, dict[str, _Get | None]] = {}
+    for text in fields:
+        if match := _STATUS.match(text.strip()):
+            wanted.setdefault(match[1], {})[text.strip()] = None
+            continue
+        topic, _, rest = text.strip().partition(".")
+        get = _getter(rest)
+        if get is not None:
+            wanted.setdefault(topic if topic.startswith("/") else f"/{topic}", {})[rest] = get
+    return wanted
+
+
+def _getter(rest: str) -> _Get | None:
+    steps: list[_Get] = []
+    for part in rest.split("."):
+        match = _STEP.match(part)
+        if match is None or part.startswith("__"):
+            return None
+        steps.append(attrgetter(match.group(1)))
+        steps += [_element(index) for index in re.findall(r"\[([^\]]+)\]", match.group(2))]
+    if any(isinstance(step, _Named) for step in steps):
+        names = next(step for step in steps if isinstance(step, _Named))
+        first = steps[0]
+        return lambda message: first(message)[list(message.name).index(names.name)]
+
+    def get(message: Any) -> Any:
+        for step in steps:
+            message = step(message)
+        return message
+
+    return get
+
+
+class _Named:
+    """An element of an array by the name that stands at its place in the message's ``name``."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __call__(self, value: Any) -> Any:
+        raise IndexError(self.name)
+
+
+def _element(index: str) -> _Get:
+    if not index.isdigit():
+        return _Named(index)
+    number = int(index)
+    return lambda value: value[number]
+
+
+def _values(topic: str, message: Any, wanted: dict[str, _Get | None] | None) -> list[tuple[str, list[tuple[str, Any]]]]:
+    """(topic, [(field, value)]) of a message; each status of a diagnostic message is a topic of its own."""
+    statuses = getattr(message, "status", None)
+    if isinstance(statuses, list) and statuses and hasattr(statuses[0], "values"):
+        return [
+            (
+                f"{topic}[{status.name}]",
+                [("level", float(_level(status.level)))]
+                + [(item.key, item.value) for item in status.values if item.key],
+            )
+            for status in statuses
+            if wanted is None or any(field.startswith(f"{topic}[{status.name}].") for field in wanted)
+        ]
+    if wanted is None:
+        return [(topic, [(name, value) for name, value in _leaves(message)])]
+    found = []
+    for name, get in wanted.items():
+        try:
+            value = get(message) if get is not None else None
+        except (AttributeError, IndexError, TypeError, ValueError):
+            continue
+        if isinstance(value, (str, bool, int, float, np.number, np.bool_)):
+            found.append((name, value))
+    return [(topic, found)]
+
+
+def _level(level: Any) -> int:
+    return level[0] if isinstance(level, (bytes, bytearray)) else int(level)
+
+
+def _header_ns(message: Any, received_ns: int) -> int:
+    """Time of a message's header [ns]; when the bag received it, where it has none or none was set."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    if stamp is None or not (stamp.sec or stamp.nanosec):
+        return received_ns
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def _times(
+    stamps: dict[str, tuple[array.array[int], array.array[int]]], clock: str, remarks: list[Remark]
+) -> dict[str, NDArray[np.float64]]:
+    """Times of each topic's messages [s], all by the same clock.
+
+    Messages without a header have the bag's time only. Where the headers' clock is another one (simulated time, a
+    robot whose clock is off), both cannot be mixed, and the bag's is taken for all.
+    """
+    pairs = {name: np.array(pair, dtype=np.int64) for name, pair in stamps.items()}
+    which = 0 if clock == "header" else 1
+    bare = [name for name, (header, received) in pairs.items() if (header == received).all()]
+    apart = [
+        abs(float(np.median(header - received))) * 1e-9
+        for name, (header, received) in pairs.items()
+        if name not in bare
+    ]
+    if which == 0 and bare and apart and max(apart) > _CLOCKS_APART_S:
+        which = 1
+        message = f"the headers' clock is {max(apart):.4g} s off the bag's, and {', '.join(bare)} has no header"
+        remarks.append(Remark("clock", "", message, "the times at which the bag received the messages were taken"))
+    return {name: pair[which].astype(np.float64) * 1e-9 for name, pair in pairs.items()}
+
+
+def _damage(expected: dict[str, int], seen: dict[str, int], broken: list[str]) -> list[Remark]:
+    """What the bag's own statistics promise and the reading did not give."""
+    lost = {topic: count - seen[topic] for topic, count in expected.items() if count > seen[topic]}
+    if not lost and not broken:
+        return []
+    parts = [f"{count} of {expected[topic]} messages of {topic}" for topic, count in lost.items()]
+    if broken:
+        parts.append(f"{len(broken)} messages cannot be read ({broken[0]})")
+    count = sum(lost.values()) + len(broken)
+    return [Remark("damaged", "", f"part of the bag is missing: {', '.join(parts)}", DAMAGED, "error", 0, count)]
+
+
+DAMAGED = "what could be read was read"
+
+
+def _leaves(message: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Paths and values of the numeric and text fields inside a message."""
+    names = getattr(message, "name", None) if not prefix else None
+    for name in getattr(message, "__dataclass_fields__", ()):
+        if name.startswith("__") or name.isupper():  # constants of the message type stand among its fields
+            continue
+        value = getattr(message, name)
+        if name in ("position", "velocity", "effort") and isinstance(names, list) and len(names) == len(value):
+            for joint, item in zip(names, value, strict=True):
+                yield f"{name}[{joint}]", float(item)
+        else:
+            yield from _leaf(value, f"{prefix}{name}")
+
+
+def _leaf(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, (str, bool, int, float, np.number, np.bool_)):
+        yield path, value
+    elif isinstance(value, (list, np.ndarray)):
+        for index, item in enumerate(value[:_MOST_ELEMENTS]):
+            yield from _leaf(item, f"{path}[{index}]")
+    elif hasattr(value, "__dataclass_fields__"):
+        yield from _leaves(value, f"{path}.")
+
+
+READERS = (
+    Reader("rosbag1", "ROS 1 bag", (".bag",), (b"#ROSBAG",), recording=read_bag),
+    Reader("mcap", "MCAP file", (".mcap",), (b"\x89MCAP",), recording=read_bag),
+    Reader("rosbag2", "ROS 2 bag", (".db3",), (b"SQLite format 3",), recording=read_bag, folder="metadata.yaml"),
+)

@@ -1,0 +1,70 @@
+"""PX4 ULog through pyulog: any field of any topic."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from missionsim.errors import InputError
+from missionsim.logs.raw import ColumnData
+from missionsim.logs.readers import Options, Reader, Recording, Topic
+from missionsim.logs.remarks import Remark
+
+_FIELD = re.compile(r"(?P<topic>[A-Za-z0-9_]+(?:\[\d+\])?)\.(?P<field>[A-Za-z0-9_.\[\]]+)\Z")
+
+
+def read_ulog(path: Path, options: Options) -> Recording:
+    """Fields of a ULog (``topic.field``, ``topic[1].field[0]``), each topic at its ``timestamp`` (microseconds).
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        pyulog is not installed, or an unreadable file.
+    """
+    file = str(path)
+    try:
+        from pyulog import ULog
+    except ImportError:
+        raise InputError.single(
+            "reading ULog needs the package pyulog", file=file, allowed="pip install 'missionsim[logs]'"
+        ) from None
+    matches = [match for field in options.fields or () if (match := _FIELD.match(field.strip()))]
+    names = None if options.fields is None else sorted({match["topic"].split("[")[0] for match in matches})
+    try:
+        log = ULog(file, names)
+    except Exception as error:  # pyulog lets struct, index and type errors of a broken file through
+        reason = (str(error) or type(error).__name__).splitlines()[0][:200]
+        raise InputError.single("the ULog cannot be read", file=file, got=reason, allowed="a whole PX4 ULog") from None
+    wanted = {(match["topic"].removesuffix("[0]"), match["field"]) for match in matches}
+    topics: dict[str, Topic] = {}
+    for data in sorted(log.data_list, key=lambda item: (item.name, item.multi_id)):
+        name = data.name if data.multi_id == 0 else f"{data.name}[{data.multi_id}]"
+        stamps = data.data.get("timestamp")
+        if stamps is None or not len(stamps) or name in topics:
+            continue
+        columns: dict[str, ColumnData] = {
+            key: np.asarray(values, dtype=np.float64)
+            for key, values in data.data.items()
+            if key != "timestamp" and (names is None or (name, key) in wanted)
+        }
+        topics[name] = Topic(name, np.asarray(stamps, dtype=np.float64) * 1e-6, columns, data.name, len(stamps))
+    return Recording(list(topics.values()), _remarks(log))
+
+
+def _remarks(log: Any) -> list[Remark]:
+    remarks = []
+    if log.dropouts:
+        lost = sum(dropout.duration for dropout in log.dropouts) * 1e-3
+        message = f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s together"
+        remarks.append(Remark("gap", "", message, "the values before were held", "warning", 0, len(log.dropouts)))
+    if log.file_corruption:
+        remarks.append(
+            Remark("damaged", "", "part of the ULog is corrupt", "what could be read was read", "error", 0, 1)
+        )
+    return remarks
+
+
+READERS = (Reader("ulog", "ULog", (".ulg",), (b"ULog\x01",), recording=read_ulog),)

@@ -1,0 +1,224 @@
+"""The one registry of log formats: how a file is known, what it is called, and who reads it.
+
+A format is one module in `missionsim/logs/formats` with a tuple ``READERS``, or a `Reader` behind an entry point of the
+group ``missionsim.readers``. Formats of one table (CSV, Parquet) can be logs as they are; formats of messages
+(bags, ULog, JSON lines) need a map.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.logs.raw import ColumnData, RawTable
+from missionsim.logs.remarks import Remark
+
+ENTRY_POINTS = "missionsim.readers"
+_HEAD_BYTES = 4096
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a reader may be told.
+
+    Attributes
+    ----------
+    fields : collection of str, optional
+        Messages: fields that are wanted; all by default.
+    wants : callable, optional
+        Tables: whether a column is wanted; all by default.
+    most : int, optional
+        Rows, or messages of a topic, that suffice (listings and suggestions).
+    typed : bool
+        Tables: whether columns with names of the glossary have to hold what the glossary says.
+    header, delimiter
+        Text tables: names of the columns of a file without a header line, and what separates them.
+    clock : str
+        Messages: ``header`` or ``bag``, the time that counts.
+    """
+
+    fields: Collection[str] | None = None
+    wants: Callable[[str], bool] | None = None
+    most: int | None = None
+    typed: bool = False
+    header: tuple[str, ...] = ()
+    delimiter: str | None = None
+    clock: str = "header"
+
+
+@dataclass
+class Topic:
+    """Messages of one kind: a time and the same fields in each.
+
+    Attributes
+    ----------
+    name : str
+        A field is known as ``name.column``.
+    time_s : ndarray, shape (n,)
+        [s], in the clock of the recording.
+    columns : dict
+        Field → values, shape (n,).
+    title : str
+        Type of the messages.
+    count : int
+        Messages in the file, where only the first were read.
+    """
+
+    name: str
+    time_s: NDArray[np.float64]
+    columns: dict[str, ColumnData]
+    title: str = ""
+    count: int = 0
+
+
+@dataclass
+class Recording:
+    """What a reader of messages gives: topics, each at times of its own, and what was remarked on the way."""
+
+    topics: list[Topic]
+    remarks: list[Remark] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One format.
+
+    Attributes
+    ----------
+    name, title : str
+        Short name, and what a message calls such a file.
+    suffixes : tuple of str
+        With the dot, in small letters; files of a folder that count.
+    begins : tuple of bytes
+        First bytes that such a file always has; empty where the content tells nothing.
+    table, blocks : callable, optional
+        Formats of one table: read whole, and in blocks of at least so many rows in bounded memory.
+    recording : callable, optional
+        Formats of messages.
+    loose : tuple of str
+        Suffixes that other files have as well: taken by ``import`` only.
+    folder : str
+        Name of a file that makes its folder one source.
+    """
+
+    name: str
+    title: str
+    suffixes: tuple[str, ...]
+    begins: tuple[bytes, ...] = ()
+    table: Callable[[Path, Options], RawTable] | None = None
+    blocks: Callable[[Path, int, Sequence[str] | None], Iterator[RawTable]] | None = None
+    recording: Callable[[Path, Options], Recording] | None = None
+    loose: tuple[str, ...] = ()
+    folder: str = ""
+
+
+@functools.cache
+def registry() -> dict[str, Reader]:
+    """Every format, by name; the built-in ones first."""
+    import pkgutil
+    from importlib import import_module
+    from importlib.metadata import entry_points
+
+    from missionsim.logs import formats
+
+    found: dict[str, Reader] = {}
+    for module in pkgutil.iter_modules(formats.__path__):
+        readers: tuple[Reader, ...] = getattr(import_module(f"{formats.__name__}.{module.name}"), "READERS", ())
+        found |= {reader.name: reader for reader in readers}
+    for point in entry_points(group=ENTRY_POINTS):
+        reader = point.load()
+        if not isinstance(reader, Reader):
+            raise InputError.single(
+                f"the entry point {point.name} of {ENTRY_POINTS} is no Reader", got=point.value, allowed="a Reader"
+            )
+        found[reader.name] = reader
+    return found
+
+
+def log_suffixes() -> tuple[str, ...]:
+    """Suffixes of the files of a folder that are logs as they are."""
+    return tuple(suffix for reader in registry().values() if reader.table for suffix in reader.suffixes)
+
+
+def source_suffixes() -> tuple[str, ...]:
+    """Suffixes of the files of a folder that ``import`` reads."""
+    return tuple(suffix for reader in registry().values() for suffix in (*reader.suffixes, *reader.loose))
+
+
+def reader_of(path: Path) -> Reader:
+    """The reader of a file, by its first bytes and then by its name; text of an unknown name is a table.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Nothing there, a folder that is no source, a pipe, or a file that is not what its name says.
+    """
+    if path.is_dir():
+        for reader in registry().values():
+            if reader.folder and (path / reader.folder).exists():
+                return reader
+        raise InputError(Fault(str(path), 0, 0, "this is a folder, not a log"))
+    if path.exists() and not path.is_file():  # opening a pipe would wait for a writer; a device may never end
+        raise InputError(Fault(str(path), 0, 0, "this is a pipe or a device, not a file", allowed="a file"))
+    try:
+        with open(path, "rb") as handle:
+            head = handle.read(_HEAD_BYTES)
+    except FileNotFoundError:
+        raise InputError(not_there(path)) from None
+    except OSError as error:
+        raise InputError(Fault(str(path), 0, 0, f"the file cannot be opened: {error.strerror}")) from None
+    suffix = path.suffix.lower()
+    named = None
+    for reader in registry().values():
+        if reader.begins and head.startswith(reader.begins):
+            return reader
+        if suffix in (*reader.suffixes, *reader.loose):
+            named = reader
+    if named is not None and named.begins:
+        raise InputError(
+            Fault(
+                str(path),
+                0,
+                0,
+                f"this is no {named.title}, whatever its name says: it does not begin as one (damaged or compressed?)",
+                "",
+                "" if head else "an empty file",
+                f"a whole {named.title}; a table needs another suffix",
+            )
+        )
+    return named or registry()["csv"]
+
+
+def not_there(path: Path) -> Fault:
+    """The fault of a path where nothing is."""
+    near = did_you_mean(path.name, [p.name for p in path.parent.iterdir()]) if path.parent.is_dir() else ""
+    return Fault(str(path), 0, 0, "there is no such file", hint=near)
+
+
+def table_reader(path: Path) -> Reader:
+    """As `reader_of`, for files that have to be a table.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        A bag or another recording of messages, which needs a map.
+    """
+    reader = reader_of(path)
+    if reader.table is None:
+        raise InputError(
+            Fault(
+                str(path),
+                0,
+                0,
+                f"this is a {reader.title}, not a table",
+                allowed="CSV or Parquet",
+                hint="missionsim import FILE --suggest --out MAP.yaml; then import FILE --map MAP.yaml --out LOG",
+            )
+        )
+    return reader

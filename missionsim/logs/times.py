@@ -1,0 +1,296 @@
+"""Time stamps as loggers write them → seconds: ISO 8601, day first, time of day, date and time apart, epochs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.errors import Fault, InputError
+from missionsim.labels import Labels
+from missionsim.logs.raw import RawTable
+from missionsim.logs.remarks import Remark
+
+Floats = NDArray[np.float64]
+
+_CLOCK = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,]\d+)?)?"
+_ZONE = r"(?:\s*(?:Z|UTC|GMT|[+-]\d{2}(?::?\d{2})?))"
+_DAY = re.compile(rf"(?:-?\d+ days? )?{_CLOCK}(?:\s*[AP]M)?\Z", re.IGNORECASE)
+_ISO = re.compile(rf"\d{{4}}[-/.]?\d{{2}}[-/.]?\d{{2}}(?:[T _]+(?:{_CLOCK}|\d{{6}}(?:[.,]\d+)?))?{_ZONE}?\Z", re.I)
+_DATED = re.compile(rf"\d{{1,2}}([-/.])\d{{1,2}}\1\d{{4}}(?:,?[T ]+{_CLOCK}(?:\s*[AP]M)?)?{_ZONE}?\Z", re.IGNORECASE)
+_HOUR, _DAY_S = 3600.0, 86400.0
+_EPOCHS = ((1e17, 1e9, "nanoseconds"), (1e14, 1e6, "microseconds"), (1e11, 1e3, "milliseconds"), (1e8, 1.0, "seconds"))
+"""Times from 1973 to 5138 in each unit lie above its limit and below the one before."""
+NO_TIME = "no time stamp that is known: ISO 8601, 14.03.2025 09:21:33,250, 09:21:33.25, or a number"
+
+
+class TimeError(ValueError):
+    """Why texts or numbers cannot be read as times."""
+
+
+@dataclass
+class Stamps:
+    """Times of rows.
+
+    Attributes
+    ----------
+    seconds : ndarray, shape (n,)
+        [s] since 1970 for ``utc`` and ``local`` (wall time counted as if it were UTC), since midnight for ``day``,
+        since a zero of the logger's own for ``own``; NaN where there is none.
+    kind : str
+        ``utc``, ``local``, ``date``, ``day`` or ``own``.
+    form : str
+        What was recognised, in words.
+    remarks : list of Remark
+    """
+
+    seconds: Floats
+    kind: str
+    form: str
+    remarks: list[Remark] = field(default_factory=list)
+
+
+def is_stamp(text: str) -> bool:
+    """Whether a text is written like a time stamp, a date or a time of day."""
+    text = text.strip()
+    return any(pattern.match(text) for pattern in (_DAY, _ISO, _DATED))
+
+
+def read_stamps(parts: Sequence[Floats | Labels], name: str, zone: str | None = None, local: bool = False) -> Stamps:
+    """Times of one column, or of a date and a time of day in two.
+
+    Parameters
+    ----------
+    parts : sequence of columns, shape (n,)
+        Numbers (an epoch by their size, else seconds of the logger's own) or texts.
+    name : str
+        For remarks.
+    zone : str, optional
+        Zone of local times, such as ``Europe/Berlin`` or ``+02:00``.
+    local : bool
+        Whether numbers since 1970 are wall time of a zone that is not known.
+
+    Raises
+    ------
+    TimeError
+        Texts that are no time stamps; local times that do not say which of two hours they are in.
+    """
+    found = [_numbers(part) if not isinstance(part, Labels) else _texts(part) for part in parts]
+    whole = found[0]
+    if local and whole.kind == "utc":
+        whole = Stamps(whole.seconds, "local", "ISO 8601 without a zone")
+    if len(found) == 2:
+        date, clock = sorted(found, key=lambda part: part.kind == "day")
+        if clock.kind != "day" or date.kind not in ("date", "local"):
+            raise TimeError(f"a date and a time of day are wanted, not {found[0].form} and {found[1].form}")
+        whole = Stamps(date.seconds + clock.seconds, "local", f"{date.form} and {clock.form} in two columns")
+    elif whole.kind == "date":
+        raise TimeError("dates without a time of day; name both columns: [date, time]")
+    remarks: list[Remark] = []
+    if whole.kind == "day":
+        whole.seconds = _past_midnight(whole.seconds, name, remarks)
+    if whole.kind == "local" and zone is not None:
+        whole = Stamps(_in_zone(whole.seconds, zone), "utc", f"{whole.form}, {zone}")
+    elif whole.kind == "local":
+        whole.seconds = _clock_changes(whole.seconds, name, remarks)
+    if whole.kind != "own":
+        remarks.insert(0, Remark("clock", name, f"recognised as {whole.form}", "read as seconds", "note"))
+    whole.remarks = remarks
+    return whole
+
+
+class TimeAxis:
+    """Times of a log, from its first row on; remembers the start from block to block of a long file."""
+
+    def __init__(self) -> None:
+        self.start: float | None = None
+        self.days = 0.0
+        self.last = -np.inf
+
+    def apply(self, raw: RawTable) -> None:
+        """Turn the column ``time_s`` of a table into seconds, and remark on what it was.
+
+        Raises
+        ------
+        missionsim.errors.InputError
+            Texts that are no time stamps.
+        """
+        data = raw.columns.get("time_s")
+        if data is None or not raw.rows:
+            return
+        try:
+            found = read_stamps([data], "time_s", local="time_s" in raw.local)
+        except TimeError as error:
+            raise InputError(Fault(raw.file, raw.line(0), 0, str(error), "time_s")) from None
+        known = found.seconds[np.isfinite(found.seconds)]
+        if found.kind != "own" and len(known):
+            if found.kind == "day" and known[0] + self.days < self.last - 0.5 * _DAY_S:
+                self.days += _DAY_S
+            if self.start is None:
+                self.start = float(known[0])
+                raw.remarks += found.remarks
+            found.seconds = found.seconds + (self.days - self.start)
+            self.last = float(known[-1]) + self.days
+        raw.columns["time_s"] = found.seconds
+
+
+def _numbers(values: Floats) -> Stamps:
+    known = values[np.isfinite(values)]
+    middle = float(np.median(known[: 1 << 16])) if len(known) else 0.0
+    for limit, factor, unit in _EPOCHS:
+        if middle > limit:
+            return Stamps(values / factor, "utc", f"{unit} since 1970")
+    return Stamps(values, "own", "seconds")
+
+
+def _texts(labels: Labels) -> Stamps:
+    """Times of texts, each distinct text read once."""
+    import pandas as pd
+
+    texts = pd.Series([text.strip() for text in labels.names], dtype="object")
+    sample = next(iter(texts), "")
+    if _DAY.match(sample):
+        kind, form, values = "day", "a time of day", _times_of_day(texts)
+    elif _ISO.match(sample):
+        zoned = re.search(rf"\d{_ZONE}\Z", sample, re.IGNORECASE) is not None and ":" in sample
+        kind = "utc" if zoned else "local" if re.search(r"\d[T _]+\d", sample, re.IGNORECASE) else "date"
+        form = {"utc": "ISO 8601 with a zone", "local": "ISO 8601 without a zone", "date": "a date"}[kind]
+        plain = texts.str.replace(",", ".").str.replace("/", "-").str.replace("_", " ")
+        plain = plain.str.replace(r"(?<=\d)\s*(UTC|GMT)$", "Z", regex=True)
+        plain = plain.str.replace(r"^(\d{4})\.(\d{2})\.(\d{2})", r"\1-\2-\3", regex=True)
+        values = _seconds(pd.to_datetime(plain, format="ISO8601", utc=True, errors="coerce"))
+    elif _DATED.match(sample):
+        kind, form, values = _dated(texts)
+    else:
+        raise TimeError(f"'{sample[:40]}' is {NO_TIME}")
+    if len(values) and np.isnan(values).mean() > 0.05:
+        bad = texts[int(np.argmax(np.isnan(values)))]
+        raise TimeError(f"'{bad[:40]}' is {NO_TIME}")
+    return Stamps(np.r_[values, np.nan][labels.codes], kind, form)
+
+
+def _seconds(times: object) -> Floats:
+    """Seconds since 1970 of a pandas Series of times, NaT as NaN."""
+    import pandas as pd
+
+    series = pd.Series(times)
+    whole = series.to_numpy(dtype="datetime64[ns]").astype("int64").astype(np.float64) * 1e-9
+    return np.where(series.isna().to_numpy(), np.nan, whole)
+
+
+def _times_of_day(texts: object) -> Floats:
+    import pandas as pd
+
+    series = pd.Series(texts)
+    if series.str.contains("[AP]M", case=False, regex=True).any():
+        dates = pd.to_datetime("2000-01-01 " + series, format="mixed", errors="coerce", utc=True)
+        return _seconds(dates) - 946684800.0
+    full = series.str.replace(",", ".").where(series.str.count(":") > 1, series + ":00")
+    delta = pd.to_timedelta(full, errors="coerce")
+    return np.asarray(delta.dt.total_seconds(), dtype=np.float64)
+
+
+def _dated(texts: object) -> tuple[str, str, Floats]:
+    """Day first or month first: the one that every date fits, and then the one that spans less time."""
+    import pandas as pd
+
+    series = pd.Series(texts).str.replace(r"[-/.](?=.*\d{4})", "/", regex=True).str.replace(",", ".")
+    series = series.str.replace(r"(\d{4})\.?[T ]+", r"\1 ", regex=True)
+    kind = "local" if ":" in str(series.iloc[0]) else "date"
+    mark = "%I" if series.str.contains("[AP]M", case=False, regex=True).any() else "%H"
+    clock = series.str.contains(".", regex=False).any(), series.str.count(":").max() > 1
+    tail = (
+        ""
+        if kind == "date"
+        else f" {mark}:%M" + (":%S" if clock[1] else "") + (".%f" if clock[0] else "") + (" %p" if mark == "%I" else "")
+    )
+    if clock[0]:
+        series = series.where(series.str.contains(".", regex=False), series + ".0")
+    readings = []
+    for form, words in (("%d/%m/%Y", "day first"), ("%m/%d/%Y", "month first")):
+        values = _seconds(pd.to_datetime(series, format=form + tail, errors="coerce"))
+        known = values[np.isfinite(values)]
+        readings.append((float(np.isnan(values).mean()), float(np.ptp(known)) if len(known) else 0.0, words, values))
+    _, _, words, values = min(readings, key=lambda reading: reading[:2])
+    return kind, f"a date, {words}" + (", and time" if kind == "local" else ""), values
+
+
+def _past_midnight(seconds: Floats, name: str, remarks: list[Remark]) -> Floats:
+    """Times of day that go on after midnight."""
+    known = np.isfinite(seconds)
+    values = seconds[known]
+    back = np.r_[False, np.diff(values) < -0.5 * _DAY_S]
+    if not back.any():
+        return seconds
+    result = seconds.copy()
+    result[known] = values + _DAY_S * np.cumsum(back)
+    message = f"the time of day passes midnight {int(back.sum())} times"
+    remarks.append(Remark("clock", name, message, "a day was added each time", "note"))
+    return result
+
+
+def _clock_changes(seconds: Floats, name: str, remarks: list[Remark]) -> Floats:
+    """Local times over a night in which clocks change: the hour that stands twice or not at all is put right.
+
+    Back: a jump by one hour into an hour of the night. Forward: a Sunday's step from before a full hour of the night to
+    after the next one. Both with the usual step beside the hour.
+    """
+    known = np.flatnonzero(np.isfinite(seconds))
+    values = seconds[known]
+    step = np.diff(values)
+    if len(step) < 3:
+        return seconds
+    usual = max(float(np.median(np.abs(step))), 1e-6)
+    near = max(5 * usual, 2.0)
+    hour = (values[1:] % _DAY_S) / _HOUR
+    back = (np.abs(step + _HOUR) <= near) & (hour < 4.0)
+    sunday = np.floor(values[1:] / _DAY_S) % 7 == 3  # 1970-01-01 was a Thursday
+    full = np.round(values[:-1] / _HOUR) * _HOUR
+    forward = (np.abs(step - _HOUR) <= near) & (hour < 4.0) & sunday & (np.abs(full - values[:-1]) <= near)
+    if not (back.any() or forward.any()):
+        return seconds
+    shift = np.cumsum(np.r_[0.0, _HOUR * back - _HOUR * forward])
+    result = seconds.copy()
+    result[known] = values + shift
+    way = "back" if back.any() else "forward"
+    remarks.append(
+        Remark(
+            "clock",
+            name,
+            f"local time jumps {way} by one hour at night: the clocks were changed",
+            "the hour was put right; with the zone (zone: Europe/Berlin in a map) it need not be guessed",
+            "warning",
+            0,
+            int(back.sum() + forward.sum()),
+        )
+    )
+    return result
+
+
+def _in_zone(seconds: Floats, zone: str) -> Floats:
+    """Wall time of a zone to UTC."""
+    import pandas as pd
+
+    if match := re.fullmatch(r"(?:UTC)?([+-])(\d{1,2})(?::?(\d{2}))?", zone.strip()):
+        offset = int(match[2]) * _HOUR + int(match[3] or 0) * 60.0
+        return seconds - (offset if match[1] == "+" else -offset)
+    known = np.isfinite(seconds)
+    wall = pd.DatetimeIndex(np.round(seconds[known] * 1e9).astype("int64").astype("datetime64[ns]"))
+    try:
+        times = wall.tz_localize(zone, ambiguous="infer", nonexistent="raise")
+    except (KeyError, LookupError, TypeError) as error:
+        if type(error).__name__ in ("ZoneInfoNotFoundError", "UnknownTimeZoneError", "KeyError"):
+            raise TimeError(f"there is no zone '{zone}'; such as Europe/Berlin, UTC or +02:00") from None
+        raise TimeError(str(error)) from None
+    except ValueError as error:
+        reason = str(error).splitlines()[0]
+        raise TimeError(
+            f"in {zone} the clocks change within these times and they do not say on which side they are ({reason}); "
+            "give the offset in place of the zone: +02:00"
+        ) from None
+    result = seconds.copy()
+    result[known] = _seconds(pd.Series(times.tz_convert(None)))
+    return result
