@@ -13,17 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.base import Effect
-from missionsim.effects.library import all_effects, execution_effects, get_effect
+from missionsim.effects.library import SURFACE_FAMILIES, all_effects, execution_effects, logged_power_columns
 from missionsim.effects.model import ModelParameter, PowerModel
-from missionsim.fit.prepare import prepare
+from missionsim.fit.prepare import Prepared, prepare
 from missionsim.identify.data import Candidate, RunData
 from missionsim.runs.covariates import is_switch, logged_name
 
 Array = NDArray[np.float64]
-SURFACE = "surface_rolling_resistance"
+Covariates = Sequence[Mapping[str, Any]]
+"""Of each run."""
 MOST_SURFACES = 40
 """More names than that are no floors but numbers or places, and a column each would take for ever."""
 _TWIN_FAMILIES = ("rolling_friction", "viscous_friction", "standby_load", "component_power")
+CHARGED = 0.005
+"""Part of the rows in which a battery is charged from which on a descent may have a coefficient of its own."""
+STEADY = 0.01
+"""Relative standard deviation of a voltage below which losses with P² and with (P/U)² are one."""
+SAME_METER = 0.999
+"""Correlation with the measured power from which on a column of watts is that power once more, not a load."""
 
 
 @dataclass(frozen=True)
@@ -105,11 +112,20 @@ def make_features(
     names, covariates = {*ready.names, "load_w", "drive_w"}, ready.covariates
     components = _components(names, switchable)
     held = {*skip, *_held(model, battery)}
-    effects, untestable = _testable(names, surfaces, components, own, held, ready.remarks)
+    if _steady(f"voltage_{battery}_v", names, covariates):
+        held.add("battery_resistance")  # the same as conversion_loss there
+    if not {term.effect.id for term in model.of(battery)} & {"turning_scrub", "skid"}:
+        # an interaction enters after its main effect (Nelder 1977, marginality): any load that goes with turning is
+        # louder on one floor than on another
+        held.add("surface_turning_scrub")
+    watts = _loads(names, model.batteries, covariates, ready)
+    library = all_effects(tuple(components), surfaces if 1 < len(surfaces) <= MOST_SURFACES else (), watts, battery)
+    effects, untestable = _testable(names, surfaces, (*library, *own), held, ready.remarks)
     columns: list[dict[str, Array]] = [{} for _ in ready.runs]
+    charged = float(np.mean(ready.measured_w() < 0.0))
     candidates: list[Candidate] = []
     for effect in effects.values():
-        candidate = _add_columns(effect, covariates, columns)
+        candidate = _add_columns(effect, covariates, columns, charged)
         if candidate.covariate not in names or candidate.covariate.startswith(("on_time_", "starts")):
             candidate = replace(candidate, covariate=logged_name(candidate.covariate))
         candidates.append(_with_twin(candidate, columns, ready.gradients))
@@ -157,14 +173,14 @@ def at_size(features: Features, sizes: Mapping[str, float]) -> Features:
     for run, cov in zip(features.runs, features.covariates, strict=True):
         columns = dict(run.columns)
         for name, size in sizes.items():
-            columns[name] = _column(features.effects[name], cov, {}, "", size) / size
+            columns[name] = _column(features.effects[name], cov, {}, size=size) / size
         runs.append(replace(run, columns=columns))
     return replace(features, runs=tuple(runs))
 
 
 def _held(model: PowerModel, battery: str) -> set[str]:
     held = {term.effect.id for term in model.of(battery) if not term.base}
-    return held | {id.partition(":")[0] for id in held if id.startswith(SURFACE)}
+    return held | {family for id in held if (family := id.partition(":")[0]) in SURFACE_FAMILIES}
 
 
 def _components(names: set[str], switchable: Sequence[str]) -> dict[str, bool]:
@@ -174,22 +190,16 @@ def _components(names: set[str], switchable: Sequence[str]) -> dict[str, bool]:
 
 
 def _testable(
-    names: set[str],
-    surfaces: tuple[str, ...],
-    components: Mapping[str, bool],
-    own: Sequence[Effect],
-    skip: set[str],
-    remarks: list[str],
+    names: set[str], surfaces: tuple[str, ...], library: Sequence[Effect], skip: set[str], remarks: list[str]
 ) -> tuple[dict[str, Effect], dict[str, tuple[str, ...]]]:
     untestable: dict[str, tuple[str, ...]] = {}
     effects: dict[str, Effect] = {}
-    surface_effects = [get_effect(SURFACE, surfaces)] if 1 < len(surfaces) <= MOST_SURFACES else []
     if len(surfaces) > MOST_SURFACES:
         remarks.append(f"{len(surfaces)} different surfaces, more than {MOST_SURFACES}: what they add is not tested")
-        skip = skip | {SURFACE}
+        skip = skip | SURFACE_FAMILIES.keys()
     if len(surfaces) == 1:
         remarks.append(f"all runs are on one surface ({surfaces[0]}): its resistance is part of rolling friction")
-    for effect in (*all_effects(tuple(components)), *surface_effects, *own):
+    for effect in library:
         if effect.id in skip or effect.execution:
             continue
         lacking = tuple(dict.fromkeys(logged_name(name) for name in effect.needs if name not in names))
@@ -197,22 +207,24 @@ def _testable(
             untestable[effect.id] = lacking
         else:
             effects[effect.id] = effect
-    if not surfaces and SURFACE not in skip:
-        untestable[SURFACE] = tuple(name for name in ("surface", "speed_m_s") if name not in names)
+    for id, made in SURFACE_FAMILIES.items():
+        if not surfaces and id not in skip:
+            untestable[id] = tuple(name for name in made(()).needs if name not in names)
     for effect in execution_effects():
         untestable[effect.id] = ("mission", *(name for name in effect.needs if name not in names))
     return effects, untestable
 
 
-def _add_columns(effect: Effect, runs: Sequence[Mapping[str, Any]], columns: list[dict[str, Array]]) -> Candidate:
+def _add_columns(effect: Effect, runs: Covariates, columns: list[dict[str, Array]], charged: float) -> Candidate:
     """Evaluate an effect on every run; a grid of shape values or of surfaces gives one column each."""
     shape: tuple[dict[str, float], ...] = ()
     levels: tuple[str, ...] = ()
-    if effect.id == SURFACE:
-        levels = tuple(spec.name.removeprefix("k_") for spec in effect.parameters)
+    grid = _grid(effect, runs, charged)
+    if effect.parts:
+        levels = tuple(part.removeprefix("k_") for part in effect.parts)
         names = tuple(f"{effect.id}|{level}" for level in levels)
-    elif effect.shape:
-        shape = tuple(_grid(effect))
+    elif grid:
+        shape = tuple(grid)
         names = tuple(f"{effect.id}|{i}" for i in range(len(shape)))
     else:
         names = (effect.id,)
@@ -223,7 +235,7 @@ def _add_columns(effect: Effect, runs: Sequence[Mapping[str, Any]], columns: lis
     if shape:
 
         def refit(values: Mapping[str, float]) -> list[Array]:
-            return [_column(effect, cov, values, "") for cov in runs]
+            return [_column(effect, cov, values) for cov in runs]
 
     return Candidate(
         effect.id,
@@ -236,16 +248,26 @@ def _add_columns(effect: Effect, runs: Sequence[Mapping[str, Any]], columns: lis
         refit,
         effect.covariate,
         levels,
-        {spec.name: (spec.low, spec.high) for spec in effect.shape},
+        {spec.name: (spec.low, spec.high) for spec in effect.shape if shape},
     )
 
 
-def _grid(effect: Effect) -> list[dict[str, float]]:
-    """All combinations of the grids of an effect's shape parameters."""
+def _grid(effect: Effect, runs: Covariates, charged: float) -> list[dict[str, float]]:
+    """All combinations of the grids of an effect's shape parameters that these runs can tell."""
     from itertools import product
 
-    axes = [spec.grid or _default_grid(spec.low, spec.high, spec.default) for spec in effect.shape]
-    return [dict(zip((spec.name for spec in effect.shape), values, strict=True)) for values in product(*axes)]
+    free = [spec for spec in effect.shape if spec.name != effect.back or _tells_back(effect, runs, charged)]
+    axes = [spec.grid or _default_grid(spec.low, spec.high, spec.default) for spec in free]
+    return [dict(zip((spec.name for spec in free), values, strict=True)) for values in product(*axes)] if free else []
+
+
+def _tells_back(effect: Effect, runs: Covariates, charged: float) -> bool:
+    """Whether the share that an effect gives back is asked of the data: only where the robot file leaves it to them.
+
+    A descent first saves what the drive needs; where the battery is never charged there is no more to tell.
+    """
+    decided = any(float(cov.get("regeneration", 0.0)) > 0.0 for cov in runs)
+    return not decided and (not effect.recovers or charged >= CHARGED)
 
 
 def _default_grid(low: float, high: float, default: float) -> tuple[float, ...]:
@@ -256,12 +278,37 @@ def _default_grid(low: float, high: float, default: float) -> tuple[float, ...]:
     return (default if np.isfinite(default) else 1.0,)
 
 
-def _column(effect: Effect, cov: Mapping[str, Any], shape: Mapping[str, float], level: str, size: float = 1.0) -> Array:
+def _steady(column: str, names: set[str], runs: Covariates) -> bool:
+    """Whether a column hardly changes over all runs."""
+    values = np.concatenate([np.asarray(cov[column], dtype=float) for cov in runs]) if column in names else None
+    return values is not None and float(np.std(values)) < STEADY * abs(float(np.mean(values)))
+
+
+def _loads(names: set[str], batteries: Sequence[str], runs: Covariates, ready: Prepared) -> tuple[str, ...]:
+    """Columns of watts that may be loads of the battery, without those that are its own power under another name."""
+    found = []
+    measured = ready.measured_w()
+    for name in logged_power_columns(names, batteries):
+        own = np.concatenate([np.asarray(cov[name], dtype=float) for cov in runs])
+        both = np.isfinite(own) & np.isfinite(measured)
+        if not np.ptp(own[both]) > 0.0:
+            continue
+        if np.ptp(measured[both]) > 0.0 and abs(np.corrcoef(own[both], measured[both])[0, 1]) > SAME_METER:
+            ready.remarks.append(f"{name} follows the measured power: that power once more, not a load beside it")
+            continue
+        found.append(name)
+    return tuple(found)
+
+
+def _column(
+    effect: Effect, cov: Mapping[str, Any], shape: Mapping[str, float], level: str = "", size: float = 1.0
+) -> Array:
     rows = len(cov["time_s"])
     if level:
         values: dict[str, float] = {spec.name: float(spec.name == f"k_{level}") for spec in effect.parameters}
     else:
-        values = {effect.coefficient.name: size, **{s.name: s.default for s in effect.shape}, **shape}
+        given = {s.name: s.default for s in effect.shape if not s.optional}
+        values = {effect.coefficient.name: size, **given, **shape}
     power = np.broadcast_to(np.asarray(effect.power(cov, values), dtype=float), (rows,))
     return np.ascontiguousarray(np.nan_to_num(power, nan=0.0, posinf=0.0, neginf=0.0))
 

@@ -34,6 +34,13 @@ class ParameterSpec:
     low: float = 0.0
     high: float = float("inf")
     grid: tuple[float, ...] = ()
+    optional: bool = False
+    """Whether it may be absent without standing for a value."""
+
+    @property
+    def required(self) -> bool:
+        """Whether it must be given."""
+        return self.default != self.default and not self.optional
 
 
 @dataclass(frozen=True)
@@ -87,6 +94,11 @@ class Effect:
     memory: tuple[str, ...] = ()
     relief: Callable[[Parameters], Any] | None = field(default=None, compare=False)
     """The part of the drive's power that it can relieve; all of it where not given."""
+    parts: tuple[str, ...] = ()
+    """Parameters with a column each, where the power is linear in several (floors)."""
+    back: str = ""
+    """The parameter that says which share of its power braking or a descent gives back. It may be left out; the
+    robot's own ``regeneration`` decides then."""
     covariate: str = ""
     """The covariate that it is mostly about, for reports and shifted splits."""
     place: Place = field(default=Place(), repr=False, compare=False)
@@ -100,7 +112,7 @@ class Effect:
     @property
     def shape(self) -> tuple[ParameterSpec, ...]:
         """The parameters that set the form (time constants, reference temperatures)."""
-        return self.parameters[1:]
+        return tuple(spec for spec in self.parameters[1:] if spec.name not in self.parts)
 
     @property
     def stage(self) -> int:

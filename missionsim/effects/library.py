@@ -6,7 +6,7 @@ Coefficients are called ``k`` (``E`` for the start surge); each effect is linear
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,17 +14,24 @@ import numpy as np
 from missionsim.effects.base import Effect, ParameterSpec
 from missionsim.effects.covariates import Covariates, label_equals, number
 from missionsim.errors import InputError, did_you_mean
+from missionsim.glossary import column_of
 from missionsim.physics import electrical, motion
 
 ENTRY_POINT_GROUP = "missionsim.effects"
 TAU_GRID_S = (20.0, 60.0, 180.0, 540.0)
 REFERENCE_GRID_C = (25.0,)
+LOGGED = "logged"
+"""Component under which watts that are logged beside are booked."""
 _SPEED = ("speed_m_s",)
 _SOURCES = {
     "grade": "Newton: weight along the slope; in none of the four papers",
     "payload": "Coulomb friction of the added weight; Parasuraman 2012, Eq. 14 has it without the speed",
     "acceleration": "rover paper, Eq. 3 (m dv/dt); Jaiem 2021, Eq. 5, term C6 a v, without recovery",
     "turning_scrub": "Coulomb friction of tyres that slide sideways; in none of the four papers",
+    "surface_turning_scrub": "Coulomb friction of tyres that slide sideways, by floor; in none of the four papers",
+    "copper_loss": "Joule: current follows the torque of the drive; Hou et al. 2019, section 2, for four wheels",
+    "battery_resistance": "Joule: resistance times current squared, with the voltage that was measured",
+    "logged_power": "assumed: what another meter measured is drawn from this battery, with k the loss on the way",
     "rolling_friction": "Jaiem 2021, Eq. 6, term C3 v; rover paper, Eq. 4, term C_r",
     "viscous_friction": "Jaiem 2021, Eq. 6, term C2 v^2; rover paper, Eq. 4, term C_v",
     "aerodynamic_drag": "rover paper, Eqs. 1 and 5, k = rho C_d A / 2",
@@ -70,8 +77,20 @@ def _drive(
 
 def _grade(cov: Covariates, p: Mapping[str, Any]) -> Any:
     lifting = motion.grade_power(cov["speed_m_s"], cov["slope_rad"], number(cov, "mass_kg", 1.0), p["k"])
+    if "regeneration" in p:
+        return motion.two_sided(lifting, p["regeneration"])
     drive = motion.relieved_part(p["k"]) * number(cov, "drive_w")
     return motion.recovered_power(lifting, drive, number(cov, "regeneration"))
+
+
+def _acceleration(cov: Covariates, p: Mapping[str, Any]) -> Any:
+    back = p["regeneration"] if "regeneration" in p else number(cov, "regeneration")
+    return motion.acceleration_power(cov["speed_m_s"], cov["accel_m_s2"], number(cov, "mass_kg", 1.0), p["k"], back)
+
+
+def _copper(cov: Covariates, p: Mapping[str, Any]) -> Any:
+    slope, mass = number(cov, "slope_rad"), number(cov, "mass_kg", 1.0)
+    return motion.traction_copper_loss(cov["speed_m_s"], cov["accel_m_s2"], slope, mass, p["k"], p["rolling"])
 
 
 _TAU = ParameterSpec("tau", "s", "time constant", low=1.0, high=7200.0, default=120.0, grid=TAU_GRID_S)
@@ -79,14 +98,27 @@ _REFERENCE = ParameterSpec(
     "T0", "degC", "temperature at which nothing is added", low=-20.0, high=60.0, default=25.0, grid=REFERENCE_GRID_C
 )
 
+_BACK = ParameterSpec(
+    "regeneration",
+    "1",
+    "share of it that braking or a descent gives back; without it that of the robot's body",
+    high=1.0,
+    default=0.0,
+    grid=(0.0, 0.7),
+    optional=True,
+)
+_ROLLING = ParameterSpec("rolling", "1", "C_r of the rolling force", high=0.5, default=0.02, grid=(0.0, 0.02, 0.06))
+
 _EFFECTS: tuple[Effect, ...] = (
     _drive(
         "grade",
-        "k·m·g·v·sin θ, never below what the drive can give back",
+        "k·m·g·v·sin θ, never below what the drive can give back; downhill times regeneration where that is given",
         "1",
         "lifting the robot on a slope",
         ("slope_rad", "speed_m_s"),
         _grade,
+        shape=(_BACK,),
+        back="regeneration",
         recovers=True,
         relief=lambda p: motion.relieved_part(p["k"]),
     ),
@@ -100,14 +132,24 @@ _EFFECTS: tuple[Effect, ...] = (
     ),
     _drive(
         "acceleration",
-        "k·m·a·v when speeding up",
+        "k·m·a·v when speeding up, times regeneration when braking",
         "1",
-        "inertia of the robot when it speeds up",
+        "inertia of the robot when it speeds up, and what braking gives back",
         ("speed_m_s", "accel_m_s2"),
         covariate="accel_m_s2",
-        power=lambda c, p: motion.acceleration_power(
-            c["speed_m_s"], c["accel_m_s2"], number(c, "mass_kg", 1.0), p["k"]
-        ),
+        power=_acceleration,
+        shape=(_BACK,),
+        back="regeneration",
+    ),
+    _drive(
+        "copper_loss",
+        "k·F², F = m·(a + g·sin θ + C_r·g)",
+        "W/N^2",
+        "heat in the motors' windings, with the force of the drive squared",
+        ("speed_m_s", "accel_m_s2"),
+        covariate="accel_m_s2",
+        power=_copper,
+        shape=(_ROLLING,),
     ),
     _drive(
         "turning_scrub",
@@ -286,6 +328,73 @@ def surfaces_effect(surfaces: tuple[str, ...]) -> Effect:
         power,
         drive=True,
         covariate="surface",
+        parts=tuple(f"k_{name}" for name in surfaces),
+    )
+
+
+def surface_scrub_effect(surface: str) -> Effect:
+    """`surface_turning_scrub` on one surface: ``k_s |ω|`` where the floor is `surface`."""
+    one = surface_scrubs_effect((surface,))
+    k = f"k_{surface}"
+    return one.renamed(
+        id=f"surface_turning_scrub:{surface}",
+        parameters=(_k("W s/rad", f"scrub on {surface}"),),
+        parts=(),
+        power=lambda c, p: one.power(c, {k: p["k"]}),
+    )
+
+
+def surface_scrubs_effect(surfaces: tuple[str, ...]) -> Effect:
+    """`surface_turning_scrub` on several surfaces at once, one coefficient ``k_<surface>`` each."""
+
+    def power(c: Covariates, p: Mapping[str, Any]) -> Any:
+        scrub = motion.turning_power(c["yaw_rate_rad_s"], 1.0)
+        return sum((p[f"k_{name}"] * scrub * label_equals(c["surface"], name) for name in surfaces), start=0.0 * scrub)
+
+    return Effect(
+        "surface_turning_scrub",
+        "k_s·|ω| on surface s",
+        _SOURCES["surface_turning_scrub"],
+        "tyres scrubbing sideways in turns, by floor",
+        tuple(ParameterSpec(f"k_{name}", "W s/rad", f"scrub on {name}") for name in surfaces),
+        ("surface", "yaw_rate_rad_s"),
+        power,
+        drive=True,
+        covariate="yaw_rate_rad_s",
+        parts=tuple(f"k_{name}" for name in surfaces),
+    )
+
+
+def logged_power_effect(column: str) -> Effect:
+    """`logged_power:<column>`: ``k`` times the watts of a log column (``…_w``, or ``…_kw`` times 1000)."""
+    factor = 1000.0 if column.endswith("_kw") else 1.0
+    return Effect(
+        f"logged_power:{column}",
+        f"k·{column}" + (" in W" if factor > 1.0 else ""),
+        _SOURCES["logged_power"],
+        f"{column}, which is logged beside, drawn from this battery",
+        (_k("1", "battery power for each watt logged, near 1", 10.0),),
+        (column,),
+        lambda c, p: p["k"] * factor * c[column],
+        component=LOGGED,
+        covariate=column,
+    )
+
+
+def battery_resistance_effect(battery: str) -> Effect:
+    """`battery_resistance`: ``k (P/U)²`` of the load on a battery whose voltage is known."""
+    voltage = f"voltage_{battery}_v"
+    return Effect(
+        "battery_resistance",
+        "k·(P/U)² of the load on that battery",
+        _SOURCES["battery_resistance"],
+        "heat in the battery's leads",
+        (_k("ohm", "resistance", 10.0),),
+        (voltage,),
+        lambda c, p: electrical.resistance_loss(number(c, "load_w"), c[voltage], p["k"]),
+        component="conversion",
+        of_load=True,
+        covariate="load_w",
     )
 
 
@@ -326,7 +435,14 @@ _FAMILIES: dict[str, Callable[[str], Effect]] = {
     "component_power": component_power_effect,
     "component_warmup": component_warmup_effect,
     "surface_rolling_resistance": surface_effect,
+    "surface_turning_scrub": surface_scrub_effect,
+    "logged_power": logged_power_effect,
 }
+SURFACE_FAMILIES: dict[str, Callable[[tuple[str, ...]], Effect]] = {
+    "surface_rolling_resistance": surfaces_effect,
+    "surface_turning_scrub": surface_scrubs_effect,
+}
+"""Effects with a coefficient for each floor."""
 
 
 def effect_ids() -> tuple[str, ...]:
@@ -334,14 +450,16 @@ def effect_ids() -> tuple[str, ...]:
     plain = [effect.id for effect in (*_EFFECTS, *_EXECUTION)]
     return (
         *plain,
-        "surface_rolling_resistance",
+        *SURFACE_FAMILIES,
+        "battery_resistance",
         "component_power:<component>",
         "component_warmup:<component>",
+        "logged_power:<column>",
         *sorted(plugins()),
     )
 
 
-def get_effect(id: str, surfaces: tuple[str, ...] = ()) -> Effect:
+def get_effect(id: str, surfaces: tuple[str, ...] = (), battery: str = "<battery>") -> Effect:
     """The effect of an id.
 
     Parameters
@@ -350,7 +468,9 @@ def get_effect(id: str, surfaces: tuple[str, ...] = ()) -> Effect:
         ``grade``, ``component_power:kinect``, ``surface_rolling_resistance`` (with `surfaces`),
         ``surface_rolling_resistance:carpet``, or the name of a plug-in.
     surfaces : tuple of str
-        The surfaces of a robot's ``surface_rolling_resistance``.
+        The surfaces of a robot's ``surface_rolling_resistance`` or ``surface_turning_scrub``.
+    battery : str
+        The battery that ``battery_resistance`` loads.
 
     Raises
     ------
@@ -363,8 +483,10 @@ def get_effect(id: str, surfaces: tuple[str, ...] = ()) -> Effect:
     family, _, name = id.partition(":")
     if family in _FAMILIES and name:
         return _FAMILIES[family](name)
-    if id == "surface_rolling_resistance":
-        return surfaces_effect(surfaces)
+    if id in SURFACE_FAMILIES:
+        return SURFACE_FAMILIES[id](surfaces)
+    if id == "battery_resistance":
+        return battery_resistance_effect(battery)
     others = plugins()
     if id in others:
         return others[id]
@@ -377,14 +499,21 @@ def get_effect(id: str, surfaces: tuple[str, ...] = ()) -> Effect:
     )
 
 
-def all_effects(components: tuple[str, ...] = (), surfaces: tuple[str, ...] = ()) -> tuple[Effect, ...]:
-    """The whole library for a robot: plain effects, one per surface and two per component, and plug-ins.
+def all_effects(
+    components: tuple[str, ...] = (),
+    surfaces: tuple[str, ...] = (),
+    columns: tuple[str, ...] = (),
+    battery: str = "<battery>",
+) -> tuple[Effect, ...]:
+    """The whole library for a robot: plain effects, those by surface, component and column of watts, and plug-ins.
 
     Execution effects are not in it; they need a plan (`execution_effects`).
     """
     return (
         *_EFFECTS,
-        *(surface_effect(name) for name in surfaces),
+        battery_resistance_effect(battery),
+        *(one(surfaces) for one in SURFACE_FAMILIES.values() if surfaces),
+        *(logged_power_effect(name) for name in columns),
         *(component_power_effect(name) for name in components),
         *(component_warmup_effect(name) for name in components),
         *(effect for effect in plugins().values() if not effect.execution),
@@ -394,6 +523,25 @@ def all_effects(components: tuple[str, ...] = (), surfaces: tuple[str, ...] = ()
 def execution_effects() -> tuple[Effect, ...]:
     """`path_stretch`, `speed_tracking` and `dwell`."""
     return _EXECUTION
+
+
+_OWN_WATTS = frozenset(("drive_w", "load_w", "measured_w", "base_w"))
+_WHOLE = frozenset(("total", "battery", "batt", "pack", "bus", "sum"))
+
+
+def logged_power_columns(names: Iterable[str], batteries: Sequence[str]) -> tuple[str, ...]:
+    """Columns that hold watts of something beside the batteries: what may be a `logged_power`.
+
+    The name ends in ``_w`` or ``_kw``, is no column of the glossary (``power_<x>_w`` is one where the robot has a
+    battery x), and has no word for the whole (total, battery, pack, bus, sum).
+    """
+    found = []
+    for name in sorted(names):
+        of = name.removeprefix("power_").removesuffix("_w")
+        known = name in _OWN_WATTS or (column_of(name) is not None and of in batteries)
+        if name.endswith(("_w", "_kw")) and not known and _WHOLE.isdisjoint(name.split("_")):
+            found.append(name)
+    return tuple(found)
 
 
 @functools.cache

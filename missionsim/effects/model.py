@@ -93,6 +93,16 @@ class Term:
     link: tuple[str, float] = ("", 1.0)
     """Path and value of the efficiency that is in `scale`."""
 
+    @property
+    def limited(self) -> bool:
+        """Whether what it gives back ends where the drive needs nothing any more, but for the robot's regeneration."""
+        return self.effect.recovers and self.effect.back not in self.parameters
+
+    @property
+    def gives_back(self) -> bool:
+        """Whether the robot's regeneration acts on it."""
+        return self.limited or (bool(self.effect.back) and self.effect.back not in self.parameters)
+
     def name_of(self, parameter: str) -> str:
         """Name of a parameter within its battery."""
         return self.names.get(parameter, f"{self.key.name}.{parameter}")
@@ -114,6 +124,8 @@ class PowerModel:
     terms: tuple[Term, ...]
     batteries: tuple[str, ...]
     constants: Mapping[str, float] = field(default_factory=dict)
+    regeneration: ModelParameter | None = None
+    """`constants`' regeneration as a number that may be fitted; None where nothing gives back or it is zero."""
 
     def __post_init__(self) -> None:
         ordered = tuple(sorted(self.terms, key=lambda term: term.effect.stage))
@@ -127,10 +139,18 @@ class PowerModel:
     def parameters(self) -> dict[str, ModelParameter]:
         """Every parameter by ``battery/name`` (``robot/c3``, ``laptop/kinect.power``)."""
         return {
-            f"{term.key.battery}/{term.name_of(name)}": parameter
-            for term in self.terms
-            for name, parameter in term.parameters.items()
+            f"{battery}/{name}": parameter
+            for battery in self.batteries
+            for name, parameter in self.parameters_of(battery).items()
         }
+
+    def parameters_of(self, battery: str) -> dict[str, ModelParameter]:
+        """Every parameter of one battery by its name there."""
+        terms = self.of(battery)
+        found = {term.name_of(name): parameter for term in terms for name, parameter in term.parameters.items()}
+        if self.regeneration is not None and any(term.gives_back for term in terms):
+            found["regeneration"] = self.regeneration
+        return found
 
     @property
     def memory(self) -> frozenset[str]:
@@ -204,6 +224,8 @@ class PowerModel:
         drive: Any = 0.0
         relieving: dict[TermKey, Any] = {}
         parts: list[Any] = []
+        if f"{battery}/regeneration" in values:
+            cov = {**cov, "regeneration": values[f"{battery}/regeneration"]}
         for term in self.of(battery):
             effect = term.effect
             for name in effect.needs:
@@ -213,7 +235,7 @@ class PowerModel:
                 powers.update(_relieved(relieving, drive, cov, parts))
                 relieving = {}
             local = cov
-            if effect.recovers:
+            if term.limited:
                 local = {**cov, "drive_w": np.inf}  # whole; what the drive cannot take is braked away for all at once
             elif effect.of_load:
                 local = {**cov, "load_w": sum(powers.values(), start=0.0)}
@@ -225,11 +247,11 @@ class PowerModel:
             if np.ndim(scale) or scale != 1.0:
                 power = power * scale
             powers[term.key] = power
-            if effect.recovers:
+            if term.limited:
                 relieving[term.key] = power
                 parts.append(1.0 if effect.relief is None else effect.relief(own))
             elif effect.drive:
-                drive = drive + power
+                drive = drive + (np.maximum(power, 0.0) if effect.back else power)
         if relieving:
             powers.update(_relieved(relieving, drive, cov, parts))
         return powers
@@ -262,18 +284,13 @@ class PowerModel:
         """
         step = 1e-4
         result: dict[str, Any] = {}
-        for term in self.of(battery):
-            if base_only and not term.base:
+        found = {term.name_of(name) for term in self.of(battery) if not term.base for name in term.parameters}
+        for name, parameter in self.parameters_of(battery).items():
+            if parameter.value == 0.0 or (base_only and name in found):
                 continue
-            for name, parameter in term.parameters.items():
-                short = term.name_of(name)
-                if short in result or parameter.value == 0.0:
-                    continue
-                path = f"{battery}/{short}"
-                up, down = (
-                    self.total(cov, battery, {path: parameter.value * (1.0 + sign * step)}) for sign in (1.0, -1.0)
-                )
-                result[short] = (np.asarray(up) - np.asarray(down)) / (2.0 * step)
+            path = f"{battery}/{name}"
+            up, down = (self.total(cov, battery, {path: parameter.value * (1.0 + sign * step)}) for sign in (1.0, -1.0))
+            result[name] = (np.asarray(up) - np.asarray(down)) / (2.0 * step)
         return result
 
     def with_term(self, term: Term) -> PowerModel:
@@ -310,7 +327,11 @@ class PowerModel:
             )
             for term in self.terms
         )
-        return replace(self, terms=terms)
+        regeneration, constants = self.regeneration, self.constants
+        for battery in self.batteries:
+            if regeneration is not None and (new := values.get(f"{battery}/regeneration")) is not None:
+                regeneration, constants = replace(regeneration, value=new), {**constants, "regeneration": new}
+        return replace(self, terms=terms, constants=constants, regeneration=regeneration)
 
 
 def _relieved(powers: Mapping[TermKey, Any], drive_w: Any, cov: Covariates, parts: Sequence[Any]) -> dict[TermKey, Any]:

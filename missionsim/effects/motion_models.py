@@ -40,7 +40,7 @@ class MotionModel:
     @property
     def required(self) -> tuple[str, ...]:
         """Parameters that a robot file must give."""
-        return tuple(spec.name for spec in self.parameters if spec.default != spec.default)
+        return tuple(spec.name for spec in self.parameters if spec.required)
 
 
 _MODELS: dict[str, MotionModel] = {}

@@ -60,7 +60,7 @@ def doubts(
     back = _giving_back(model, line)
     for term in model.terms:
         joules = energies[term.key.battery].get(term.key)
-        if joules is None or term.effect.recovers or not (negative := joules < 0.0).any():
+        if joules is None or term.effect.recovers or term.effect.back or not (negative := joules < 0.0).any():
             continue
         parts = energies[term.key.battery].values()
         scale = float(sum(np.abs(part).sum() for part in parts))

@@ -111,9 +111,6 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
             told.setdefault(note, []).append(log.run)
         runs += drive_blocks(plan, [log])
     remarks += [note if len(of) == len(tables) else f"{_named(of)}: {note}" for note, of in told.items()]
-    parameters = {
-        term.name_of(name): parameter for term in model.of(battery) for name, parameter in term.parameters.items()
-    }
     gradients = [run.gradient(battery) for run in runs]
     # a term that one run cannot drive has no power there
     every = dict.fromkeys(name for slopes in gradients for name in slopes)
@@ -129,7 +126,7 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
         _texts(runs, names),
         tuple(np.ascontiguousarray(run.row_w(battery)) for run in runs),
         tuple(gradients),
-        parameters,
+        model.parameters_of(battery),
         remarks,
     )
 

@@ -232,7 +232,7 @@ def _parameters(
             )
     present = check.raw_keys(*where, "parameters")
     for name, spec in known.items():
-        if name not in given and name not in present and spec.default != spec.default:
+        if name not in given and name not in present and spec.required:
             check.add(
                 (*where, "parameters"),
                 f"parameter '{name}' of {what} is missing",
@@ -254,7 +254,8 @@ def _effects(check: Checker, robot: RobotSpec, batteries: list[str], components:
                 allowed="a 'name' of its own for each",
             )
         seen.setdefault(label, index)
-        if effect.effect in ("grade", "acceleration") and robot.body.mass is None and not effect.candidate:
+        of_mass = effect.effect in ("grade", "acceleration", "copper_loss")
+        if of_mass and robot.body.mass is None and not effect.candidate:
             check.add(
                 (*where, "effect"),
                 f"'{effect.effect}' needs the robot's mass, which counts as 1 kg here",

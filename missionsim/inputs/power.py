@@ -44,7 +44,12 @@ def build_power_model(robot: RobotSpec) -> PowerModel:
     terms: list[Term] = []
     for part in (_motion(robot), _components(robot), _switchboards(robot), _processor(robot), _effects(robot)):
         terms.extend(part)
-    return PowerModel(tuple(_unique(terms)), tuple(robot.batteries), constants)
+    for name, battery in robot.batteries.items():
+        voltage = f"voltage_{name}_v"
+        if battery.nominal_voltage is not None and any(voltage in term.effect.needs for term in terms):
+            constants[voltage] = battery.nominal_voltage.value  # a mission knows no other
+    back = model_parameter(robot.body.regeneration) if robot.body.regeneration.value > 0.0 else None
+    return PowerModel(tuple(_unique(terms)), tuple(robot.batteries), constants, back)
 
 
 def model_parameter(parameter: Parameter, unit: str = "") -> ModelParameter:
@@ -67,7 +72,7 @@ def build_effect(spec: EffectSpec, robot: RobotSpec | None = None) -> Effect:
     place = _place(robot, (*spec.where, "power" if spec.effect is None else "effect"))
     if spec.effect is not None:
         surfaces = tuple(name[2:] for name in spec.parameters if name.startswith("k_"))
-        effect = get_effect(spec.effect, surfaces)
+        effect = get_effect(spec.effect, surfaces, spec.battery)
     else:
         formula = _compiled(spec.power, place)
         specs = tuple(
@@ -110,7 +115,7 @@ def _complete(
     what: str, given: dict[str, ModelParameter], specs: tuple[ParameterSpec, ...]
 ) -> dict[str, ModelParameter]:
     """Parameters with the defaults of those that are left out; a fault for those that have none."""
-    missing = [spec.name for spec in specs if spec.name not in given and spec.default != spec.default]
+    missing = [spec.name for spec in specs if spec.name not in given and spec.required]
     unknown = [name for name in given if name not in {spec.name for spec in specs}]
     if missing or unknown:
         raise InputError.single(
@@ -124,7 +129,7 @@ def _complete(
     defaults = {
         spec.name: ModelParameter(spec.default, spec.unit, 0.0, spec.low, spec.high, "assumed", "default")
         for spec in specs
-        if spec.name not in given
+        if spec.name not in given and not spec.optional
     }
     return {**given, **defaults}
 

@@ -29,6 +29,11 @@ def conversion_loss(load_w: Value, k: Value) -> Value:
     return k * np.square(load_w)
 
 
+def resistance_loss(load_w: Value, voltage_v: Value, k: Value) -> Value:
+    """Heat in the leads of a battery whose voltage is known, ``k (P/U)²`` of the load on it (k in ohm; Joule)."""
+    return k * np.square(np.asarray(load_w) / voltage_v)
+
+
 def cpu_load_power(load: Value, k: Value) -> Value:
     """Processor power that follows its load, ``k u`` (k in W at full load)."""
     return k * load

@@ -43,12 +43,37 @@ def kinetic_power(speed_m_s: Value, accel_m_s2: Value, k: Value) -> Value:
     return k * accel_m_s2 * np.abs(speed_m_s)
 
 
-def acceleration_power(speed_m_s: Value, accel_m_s2: Value, mass_kg: Value, k: Value) -> Value:
-    """Power of speeding up, ``k m max(a, 0) |v|`` (library effect `acceleration`; k without unit).
+def two_sided(power_w: Value, regeneration: Value) -> Value:
+    """What a store of mechanical energy takes from a battery and gives back, ``max(P, 0) + r min(P, 0)``.
 
-    `accel_m_s2` is the rate of the speed itself, so for a robot driving backwards ``a v`` counts, not ``a |v|``.
+    With the efficiencies η into the store and η' out of it, P = P_mechanical/η and r = η η' (Guzzella and Sciarretta
+    2013, Vehicle Propulsion Systems, section 2.2).
     """
-    return k * mass_kg * np.maximum(accel_m_s2 * speed_m_s, 0.0)
+    return np.maximum(power_w, 0.0) + regeneration * np.minimum(power_w, 0.0)
+
+
+def acceleration_power(
+    speed_m_s: Value, accel_m_s2: Value, mass_kg: Value, k: Value, regeneration: Value = 0.0
+) -> Value:
+    """Power into and out of kinetic energy, ``k m a v``, times `regeneration` when braking (effect `acceleration`).
+
+    `accel_m_s2` is the rate of the speed itself, so for a robot driving backwards ``a v`` counts, not ``a |v|``. k is
+    without unit.
+    """
+    return two_sided(k * mass_kg * accel_m_s2 * speed_m_s, regeneration)
+
+
+def traction_copper_loss(
+    speed_m_s: Value, accel_m_s2: Value, slope_rad: Value, mass_kg: Value, k: Value, rolling: Value
+) -> Value:
+    """Heat in the windings of the drive, ``k F²`` with ``F = m (a + g sin θ + C_r g)`` along the direction of travel.
+
+    A motor's current follows its torque, so I² R follows the force squared (library effect `copper_loss`; k in W/N²,
+    `rolling` is C_r).
+    """
+    direction = np.sign(speed_m_s)
+    resisting = np.abs(direction) * GRAVITY_M_S2 * (np.sin(slope_rad) + rolling)
+    return k * np.square(mass_kg * (direction * accel_m_s2 + resisting))
 
 
 def acceleration_loss(accel_m_s2: Value, k: Value) -> Value:

@@ -346,7 +346,7 @@ def gradient(model: PowerModel, cov: Mapping[str, Any], battery: str) -> dict[st
     battery : str
     """
     rows = len(cov["time_s"])
-    coupled = any(
+    coupled = "regeneration" in model.parameters_of(battery) or any(
         (term.effect.recovers or term.effect.of_load) and any(p.value != 0.0 for p in term.parameters.values())
         for term in model.of(battery)
     )
