@@ -32,6 +32,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "effects": ("effects:app", "Show the library of effects."),
     "import": ("import_:import_", "Turn a bag, MCAP, ULog or CSV of any layout into a log."),
     "import-site": ("import_site:import_site", "Turn a map, route graph, track or order of another tool into a site."),
+    "import-robot": ("import_robot:import_robot", "Turn a fleet config of Open-RMF into a robot file."),
+    "export": ("export:app", "Write our numbers and missions into the files of other tools."),
     "validate": ("validate:validate", "Check YAML files and logs, all faults at once."),
     "schema": ("schema:schema", "Write the JSON Schema of each kind of YAML file."),
     "robots": ("robots:robots", "List the shipped robots."),

@@ -11,9 +11,9 @@ from missionsim.errors import Fault, InputError
 
 _FOLDER = {"run", "montecarlo", "compare", "reproduce", "schema"}
 """Commands whose ``--out`` is a folder."""
-_FILE = {"whatif", "calibrate", "add-effect", "improve", "import-site"}
+_FILE = {"whatif", "calibrate", "add-effect", "improve", "import-site", "import-robot", "export"}
 """Commands whose ``--out`` is a file; `import` takes either."""
-_ROBOT_FILE = {"calibrate", "add-effect", "improve"}
+_ROBOT_FILE = {"calibrate", "add-effect", "improve", "import-robot"}
 """Commands whose ``--out`` is a robot file."""
 _TARGETS = ("--json", "--out", "--report")
 _MORE_TARGETS = {"import-site": ("--mission",)}

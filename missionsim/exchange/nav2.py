@@ -6,9 +6,20 @@ geometry is for display. ``speed_limit`` is a share (or percentage) of the top s
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
 from missionsim.exchange.geo import LocalPlane
 from missionsim.exchange.site import Site, SiteOptions, says_charger
-from missionsim.exchange.source import Value
+from missionsim.exchange.source import Faults, JsonNode, Value, encoding_of, parse_json, read_text
+
+if TYPE_CHECKING:
+    from missionsim.inputs.robot import RobotSpec
 
 _TITLES = ("name", "label", "title")
 _SPEEDS = ("speed_limit", "abs_speed_limit")
@@ -134,3 +145,158 @@ def _left(properties: Value, site: Site, what: str, used: tuple[str, ...]) -> No
             for name, entry in value.items():
                 if name not in used:
                     site.tell(f"left out: metadata '{name[:40]}' of {what}", entry.line)
+
+
+@dataclass(frozen=True)
+class GraphCosts:
+    """A route graph with costs for a robot.
+
+    Attributes
+    ----------
+    raw : bytes
+        The file; all but ``cost`` and ``speed_limit`` of the edges is as it was, byte for byte.
+    edges : list of dict
+        ``id``, ``length_m``, ``speed_m_s``, ``energy_wh``, ``seconds``, ``cost`` of each edge, in the file's order.
+    remarks : tuple of str
+    """
+
+    raw: bytes
+    edges: list[dict[str, Any]]
+    remarks: tuple[str, ...]
+
+
+def export_costs(
+    path: str | Path,
+    robot: RobotSpec,
+    *,
+    battery: str = "",
+    wh_per_s: float = 0.0,
+    speed: float | None = None,
+    best_speed: bool = False,
+    payload_kg: float = 0.0,
+    scheme: str = "",
+) -> GraphCosts:
+    """Cost and speed limit of each edge for this robot, in the text of the graph.
+
+    Parameters
+    ----------
+    path : path-like
+        Nav2 route graph.
+    robot : RobotSpec
+    battery : str
+        Whose energy counts; all of them together by default.
+    wh_per_s : float
+        What a second is worth, Wh: the cost is energy + `wh_per_s` · time.
+    speed : float, optional
+        Wanted, m/s; the top speed by default. The limit of an edge holds as well.
+    best_speed : bool
+        Take the speed of the lowest cost, up to the limit, on each edge.
+    payload_kg : float
+    scheme : str
+        Control scheme; the robot's first that moves by default.
+
+    Returns
+    -------
+    GraphCosts
+
+    Raises
+    ------
+    missionsim.errors.InputError
+    """
+    from missionsim.exchange.steady import steady_power
+
+    text = read_text(path)
+    document = parse_json(text.removeprefix("\ufeff"), str(path))
+    faults = Faults()
+    root = Value(document, faults, document.root)
+    site = Site(str(path), "Nav2 route graph", "")
+    read(root, site, SiteOptions(robot))
+    faults.stop()
+    known = {edge["name"]: edge for edge in site.edges}
+    top = robot.body.max_speed.value
+    edges = [feature.get("properties") for feature in root.entries("features") if _is_edge(feature)]
+    drives: dict[tuple[float, float], float] = {}
+    wanted = []
+    for properties in edges:
+        edge = known.get(str(properties.data["id"]), {}) if properties else {}
+        limit = min(top, speed or top, edge.get("max_speed") or top)
+        slope = edge.get("slope", 0.0)
+        speeds = [limit * share for share in (np.linspace(0.1, 1.0, 19) if best_speed else [1.0])]
+        drives |= {(slope, pace): 0.0 for pace in speeds}
+        wanted.append((properties, edge, slope, speeds))
+    powers = steady_power(robot, list(drives), scheme=scheme, payload_kg=payload_kg)
+    watts = powers[battery] if battery else np.sum(list(powers.values()), axis=0)
+    drives = dict(zip(drives, watts.tolist(), strict=True))
+    edits: list[tuple[int, int, str]] = []
+    told = []
+    negative = 0
+    for properties, edge, slope, speeds in wanted:
+        if properties is None or not edge:
+            continue
+        length = edge.get("length") or site.straight(edge["from"], edge["to"]) or 0.0
+        costs = [(drives[slope, pace] / 3600.0 + wh_per_s) * length / pace for pace in speeds]
+        best = int(np.argmin(costs))
+        pace, cost = speeds[best], max(0.0, costs[best])
+        negative += costs[best] < 0.0
+        energy = drives[slope, pace] / 3600.0 * length / pace
+        row = {"id": properties.data["id"], "length_m": length, "speed_m_s": pace, "energy_wh": energy}
+        told.append({**row, "seconds": length / pace, "cost": cost})
+        _edit(properties, cost, pace / top, edits)
+    mark = "\ufeff" if text.startswith("\ufeff") else ""
+    body = text.removeprefix("\ufeff")
+    for begin, end, new in sorted(edits, reverse=True):
+        body = body[:begin] + new + body[end:]
+    remarks = ["starts, stops and turns are not in the costs: a route knows them, an edge does not"]
+    if negative:
+        remarks.append(
+            f"{negative} edges give energy back: their cost is 0, since the route server takes no negative one"
+        )
+    return GraphCosts((mark + body).encode(encoding_of(path)), told, tuple(remarks))
+
+
+def _is_edge(feature: Value) -> bool:
+    geometry = feature.get("geometry")
+    return geometry is not None and geometry.word("type") in ("LineString", "MultiLineString")
+
+
+def _edit(properties: Value, cost: float, share: float, edits: list[tuple[int, int, str]]) -> None:
+    """Where the text of an edge's properties changes: replaced where there is one, else put behind the last entry."""
+    added = []
+    for key, value in (("cost", _number(cost)),):
+        node = _node(properties.node, key)
+        if node is None:
+            added.append(f'"{key}": {value}')
+        else:
+            edits.append((node.start, node.end, value))
+    metadata = _node(properties.node, "metadata")
+    limit = f'"speed_limit": {_number(share)}'
+    if metadata is None or not isinstance(metadata.children, dict):
+        added.append(f'"metadata": {{ {limit} }}')
+        if metadata is not None:
+            edits.append((metadata.start, metadata.end, f"{{ {limit} }}"))
+            added.pop()
+    elif (node := _node(metadata, "speed_limit")) is not None:
+        edits.append((node.start, node.end, _number(share)))
+    else:
+        _append(metadata, [limit], edits)
+    _append(properties.node, added, edits)
+
+
+def _append(parent: Any, entries: Sequence[str], edits: list[tuple[int, int, str]]) -> None:
+    if not entries:
+        return
+    last = list(parent.children.values())
+    if last:
+        edits.append((last[-1].end, last[-1].end, "".join(f", {entry}" for entry in entries)))
+    else:
+        edits.append((parent.start + 1, parent.end - 1, f" {', '.join(entries)} "))
+
+
+def _node(parent: Any, key: str) -> JsonNode | None:
+    found = parent.children.get(key)
+    return found if isinstance(found, JsonNode) else None
+
+
+def _number(value: float) -> str:
+    """Six digits, always with a point: the route server reads costs as floating-point numbers."""
+    return repr(float(f"{value:.6g}")) if math.isfinite(value) else "0.0"

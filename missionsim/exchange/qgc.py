@@ -7,14 +7,19 @@ on the ground: altitudes, take-off and landing do not move it.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import Fault, InputError
 from missionsim.exchange.geo import LocalPlane
 from missionsim.exchange.site import Site, SiteOptions
 from missionsim.exchange.source import Value
 
+if TYPE_CHECKING:
+    from missionsim.inputs.mission import MissionSpec
+
+_ORIGIN = re.compile(r"metres east and north of (-?[\d.]+), (-?[\d.]+) \(WGS 84\)")
 WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF, SPLINE = 16, 17, 18, 19, 20, 21, 22, 82
 DELAY, CONDITION_DELAY, JUMP, CHANGE_SPEED, SET_HOME = 93, 112, 177, 178, 179
 _MOVING = {WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, LAND, TAKEOFF, SPLINE, 84, 85}
@@ -269,3 +274,75 @@ class _Route:
             return
         self.way(drives[0], item.line)
         self.site.segments[begin:] = [{"repeat": {"times": times + 1, "segments": block}}]
+
+
+def plan_of(mission: MissionSpec, origin: tuple[float, float] | None = None) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """A plan of QGroundControl for the way of a mission, and what of the mission it cannot say.
+
+    Parameters
+    ----------
+    mission : MissionSpec
+    origin : (float, float), optional
+        Latitude and longitude of the map's point 0, 0, degrees; by default what its notes say, as `import-site` writes.
+
+    Raises
+    ------
+    InputError
+        No origin, or places without positions.
+    """
+    from missionsim.exchange.route import stops_of
+
+    environment = mission.environment
+    stops, remarks = stops_of(mission)
+    assert environment is not None
+    if origin is None:
+        match = _ORIGIN.search(environment.notes)
+        if match is None:
+            raise InputError.single(
+                "where the map lies on the earth is unknown",
+                file=environment._file,
+                allowed="--origin LATITUDE,LONGITUDE",
+            )
+        origin = (float(match.group(1)), float(match.group(2)))
+    plane = LocalPlane(*origin)
+    points = {}
+    for name in dict.fromkeys(stop.place for stop in stops):
+        position = environment.places[name].position
+        if position is None:
+            raise InputError.single(f"place '{name}' has no position", file=environment._file, allowed="x and y")
+        points[name] = [round(degree, 9) for degree in plane.to_degrees(*position)]
+    items: list[dict[str, Any]] = []
+
+    def add(command: int, frame: int, parameters: list[float | None]) -> None:
+        more: dict[str, Any] = {"autoContinue": True, "command": command, "doJumpId": len(items) + 1, "frame": frame}
+        more |= {"AMSLAltAboveTerrain": None, "Altitude": 0, "AltitudeMode": 1} if command == WAYPOINT else {}
+        items.append({**more, "params": parameters, "type": "SimpleItem"})
+
+    speed = None
+    for stop in stops:
+        if stop.speed_m_s is not None and stop.speed_m_s != speed:
+            speed = stop.speed_m_s
+            add(CHANGE_SPEED, 2, [1, speed, -1, 0, 0, 0, 0])
+        hold = sum(seconds for _, seconds in stop.waits)
+        add(WAYPOINT, 3, [hold, 0, 0, None, *points[stop.place], 0])
+    if any(stop.recharge_until is not None for stop in stops):
+        remarks.append("charging has no command in it: the robot stops at the charger")
+    fastest = max((stop.speed_m_s or 0.0 for stop in stops), default=0.0)
+    plan = {
+        "fileType": "Plan",
+        "geoFence": {"circles": [], "polygons": [], "version": 2},
+        "groundStation": "QGroundControl",
+        "mission": {
+            "cruiseSpeed": fastest,
+            "firmwareType": 12,
+            "globalPlanAltitudeMode": 1,
+            "hoverSpeed": fastest,
+            "items": items,
+            "plannedHomePosition": [*points[stops[0].place], 0],
+            "vehicleType": 10,
+            "version": 2,
+        },
+        "rallyPoints": {"points": [], "version": 2},
+        "version": 1,
+    }
+    return plan, tuple(remarks)

@@ -83,7 +83,7 @@ def _read_level(level: _Level, site: Site, options: SiteOptions, flip: float) ->
     for part in _PARTS:
         if (found := level.value.get(part)) and found.data:
             site.tell(f"left out: {part}", found.line)
-    if level.value.data.get("elevation"):
+    if (height := level.value.get("elevation")) and height.data:
         site.tell("left out: elevation of a level; lanes are level ground", level.value.line)
 
 

@@ -19,7 +19,7 @@ from missionsim.inputs.robot import RobotSpec
 
 CHARGER_W = 100.0
 """Assumed where neither the file nor a robot tells: maps name chargers but not their power."""
-_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_/.-]*( [A-Za-z0-9_/.-]+)*")
+_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_/.-]*( [A-Za-z0-9_/.-]+)*|-?[0-9][0-9.e+-]* [A-Za-z%][A-Za-z0-9/^%]*")
 _RESERVED = {"true", "false", "null", "nan", "inf"}
 _UNITS = {"x": "m", "y": "m", "length": "m", "max_speed": "m/s", "slope": "rad", "heading": "rad"}
 _UNITS |= {"speed": "m/s", "duration": "s", "distance": "m"}

@@ -20,7 +20,6 @@ _MOST_FAULTS = 20
 _SPACE = re.compile(r"[ \t\n\r]*")
 _NUMBER = re.compile(r"-?(?:0|[1-9]\d*)(?:\.\d+)?(?:[eE][-+]?\d+)?")
 _WORDS = {"true": True, "false": False, "null": None}
-_BOMS = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig"))
 _ENCODING = re.compile(rb"""^<\?xml[^>]*encoding=["']([A-Za-z0-9._-]+)["']""")
 
 
@@ -72,9 +71,7 @@ def read_text(path: str | Path) -> str:
         raise InputError(Fault(shown, 0, 0, f"cannot read this file: {problem.strerror or problem}")) from None
     if len(raw) > MAX_BYTES:
         raise InputError(Fault(shown, 0, 0, "file too large", allowed=f"at most {MAX_BYTES // 10**6} MB"))
-    declared = _ENCODING.match(raw[:200])
-    encoding = next((name for mark, name in _BOMS if raw.startswith(mark)), None)
-    encoding = encoding or (declared.group(1).decode() if declared else "utf-8")
+    encoding = _encoding(raw)
     try:
         text = raw.decode(encoding)
     except LookupError:
@@ -88,6 +85,20 @@ def read_text(path: str | Path) -> str:
     if not text.strip():
         raise InputError(Fault(shown, 1, 1, "the file is empty"))
     return text
+
+
+def encoding_of(path: str | Path) -> str:
+    """Encoding in which `read_text` read a file, for writing it again: a mark at its start stays in the text."""
+    with open(path, "rb") as handle:
+        return _encoding(handle.read(200))
+
+
+def _encoding(raw: bytes) -> str:
+    declared = _ENCODING.match(raw[:200])
+    for mark, name in ((b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be")):
+        if raw.startswith(mark):
+            return name
+    return declared.group(1).decode() if declared else "utf-8"
 
 
 def parse_json(text: str, name: str) -> Document:

@@ -6,18 +6,33 @@ JSON schema of the order. Speed limits are ``maxSpeed`` (to 2.x) or ``maximumSpe
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from missionsim.errors import InputError
 from missionsim.exchange.lif import trajectory_length
 from missionsim.exchange.site import Site, SiteOptions
 from missionsim.exchange.source import Value
 
+if TYPE_CHECKING:
+    from missionsim.inputs.mission import MissionSpec
+
+VERSIONS = ("2.0.0", "2.1.0", "3.0.0")
 _CHARGING = {"startcharging"}
 _QUIET = {"stopcharging"}
 _NODE_USED = {"nodeId", "sequenceId", "nodePosition", "actions", "released", "nodeDescription", "nodeDescriptor"}
 _EDGE_USED = {"edgeId", "sequenceId", "actions", "released", "maxSpeed", "maximumSpeed", "trajectory", "length"}
 _EDGE_USED |= {"startNodeId", "endNodeId", "edgeDescription", "edgeDescriptor"}
+
+
+@dataclass(frozen=True)
+class Order:
+    """An order as JSON data, and what of the mission it cannot say."""
+
+    data: dict[str, Any]
+    remarks: tuple[str, ...]
 
 
 def read(root: Value, site: Site, options: SiteOptions) -> None:
@@ -149,3 +164,67 @@ def _duration(parameters: dict[str, Any]) -> float | None:
         if 0.0 < number < 1e7:
             return number
     return None
+
+
+def order_of(mission: MissionSpec, *, version: str = "3.0.0", timestamp: str = "", robot_id: str = "1") -> Order:
+    """An order for the way of a mission.
+
+    Parameters
+    ----------
+    mission : MissionSpec
+        Drives over the places of its environment.
+    version : str
+        Of VDA 5050: ``2.0.0``, ``2.1.0`` or ``3.0.0``.
+    timestamp : str
+        ISO 8601 in UTC, ``2026-01-01T00:00:00.000Z``; now where empty.
+    robot_id : str
+        Serial number; the manufacturer is the robot's name.
+
+    Returns
+    -------
+    Order
+    """
+    from datetime import UTC, datetime
+
+    from missionsim.exchange.route import stops_of
+
+    if version not in VERSIONS:
+        raise InputError.single("a version that is not written", got=version, allowed=", ".join(VERSIONS))
+    newer = version.startswith("3")
+    stops, remarks = stops_of(mission)
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z"
+    nodes, edges = [], []
+    for index, stop in enumerate(stops):
+        actions = [_action(f"{index}-{n}", "wait", duration=seconds) for n, (_, seconds) in enumerate(stop.waits)]
+        if stop.recharge_until is not None:
+            actions.append(_action(f"{index}-charge", "startCharging", until=stop.recharge_until))
+        node: dict[str, Any] = {"nodeId": stop.place, "sequenceId": 2 * index, "released": True, "actions": actions}
+        assert mission.environment is not None
+        spec = mission.environment.places[stop.place]
+        if spec.position is not None:
+            x, y = spec.position
+            node["nodePosition"] = {"x": x, "y": y, "mapId": str(mission.environment.name)}
+            if spec.heading is not None:
+                angle = math.remainder(spec.heading.value, 2 * math.pi)
+                node["nodePosition"]["theta"] = max(-3.14159265359, min(3.14159265359, angle))
+        nodes.append(node)
+        if index:
+            edge: dict[str, Any] = {"edgeId": stop.edge, "sequenceId": 2 * index - 1, "released": True}
+            if not newer:
+                edge |= {"startNodeId": stops[index - 1].place, "endNodeId": stop.place}
+            edge["maximumSpeed" if newer else "maxSpeed"] = stop.speed_m_s
+            edges.append({**edge, "length": stop.length_m, "actions": []})
+    head = {"headerId": 0, "timestamp": timestamp or now, "version": version, "manufacturer": mission.robot.name}
+    head |= {"serialNumber": robot_id, "orderId": str(mission.name), "orderUpdateId": 0}
+    if newer and mission.title:
+        head["orderDescription"] = mission.title
+    if any(stop.waits for stop in stops):
+        remarks.append(
+            "the action 'wait' (key duration, s) is ours: the specification names no action that waits a time"
+        )
+    return Order({**head, "nodes": nodes, "edges": edges}, tuple(remarks))
+
+
+def _action(identity: str, kind: str, **parameters: float) -> dict[str, Any]:
+    listed = [{"key": key, "value": value} for key, value in parameters.items()]
+    return {"actionId": identity, "actionType": kind, "blockingType": "HARD", "actionParameters": listed}

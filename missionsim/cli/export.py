@@ -1,0 +1,248 @@
+"""``missionsim export``: our numbers and missions in the files of other tools."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import App, Parameter
+
+from missionsim.cli.common import console, emit_json, shows_text, simple_table
+from missionsim.cli.options import JsonOption, QuietOption
+
+app = App(name="export", help="Write our numbers and missions into the files of other tools.")
+
+
+@app.command
+def nav2(
+    graph: Path,
+    /,
+    *,
+    robot: str,
+    out: Path,
+    battery: str = "",
+    time_weight: float = 0.0,
+    speed: float | None = None,
+    best_speed: Annotated[bool, Parameter(negative="")] = False,
+    payload: float = 0.0,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Write energy costs and speed limits into a Nav2 route graph; all else stays as it is, byte for byte.
+
+    Parameters
+    ----------
+    graph
+        Nav2 route graph (GeoJSON).
+    robot
+        Shipped robot or robot file.
+    out
+        Graph to write.
+    battery
+        Battery whose energy counts; all of them unless given.
+    time_weight
+        Wh that a second is worth: the cost is energy + weight x time.
+    speed
+        Wanted speed in m/s; the robot's top speed unless given.
+    best_speed
+        On each edge the speed of the lowest cost, up to its limit.
+    payload
+        Carried, kg.
+    json
+        Write costs, energies and times of the edges as JSON to this file, or - for standard output.
+    quiet
+        Print nothing but what was asked for.
+    """
+    from missionsim.errors import InputError
+    from missionsim.exchange.nav2 import export_costs
+    from missionsim.inputs.loading import load_robot
+
+    spec = load_robot(robot)
+    if battery and battery not in spec.batteries:
+        raise InputError.single(f"the robot has no battery '{battery}'", got=battery, allowed=", ".join(spec.batteries))
+    if not 0.0 <= time_weight <= 1e6 or not 0.0 <= payload <= 1e6 or (speed is not None and not 0.0 < speed <= 60.0):
+        raise InputError.single("--time-weight, --payload and --speed are not negative", allowed="0 or more")
+    found = export_costs(
+        graph, spec, battery=battery, wh_per_s=time_weight, speed=speed, best_speed=best_speed, payload_kg=payload
+    )
+    _write(out, found.raw)
+    emit_json(
+        {"schema": "missionsim.graph_costs/1", "graph": str(graph), "robot": spec.name, "edges": found.edges}, json
+    )
+    if shows_text(json, quiet):
+        costs = [edge["cost"] for edge in found.edges]
+        spread = f", cost {min(costs):.4g} to {max(costs):.4g}" if costs else ""
+        _tell(
+            f"{graph}: {len(costs)} edges{spread} (Wh{f' + {time_weight:g} Wh/s' if time_weight else ''})",
+            found.remarks,
+            out,
+        )
+    return 0
+
+
+@app.command
+def rmf(
+    config: Path,
+    /,
+    *logs: Path,
+    robot: str,
+    out: Path,
+    battery: str = "",
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Write friction, ambient and tool watts and capacity into a fleet config of Open-RMF, and say how far it follows.
+
+    Parameters
+    ----------
+    config
+        Fleet config; all but the numbers stays as it is.
+    logs
+        Logs or folders of them: friction and watts are those with which RMF's formula follows them best, and the errors
+        of both models are told. Without logs, it is laid through our model's power at steady speeds.
+    robot
+        Shipped robot or robot file.
+    out
+        Config to write.
+    battery
+        The robot's battery; that of its motion unless given.
+    json
+        Write numbers and errors as JSON to this file, or - for standard output.
+    quiet
+        Print nothing but what was asked for.
+    """
+    from missionsim.exchange.rmf_fleet import NUMBERS, export_fleet
+    from missionsim.inputs.loading import load_robot
+
+    spec = load_robot(robot)
+    found = export_fleet(config, spec, logs, battery)
+    _write(out, found.raw)
+    changed = {key: {"before": before, "after": after} for key, (before, after) in found.changed.items()}
+    result = {"schema": "missionsim.fleet_export/1", "config": str(config), "robot": spec.name, "changed": changed}
+    emit_json({**result, "errors": found.errors, "remarks": found.remarks}, json)
+    if shows_text(json, quiet):
+        terminal = console()
+        rows: list[tuple[Any, ...]] = [
+            (".".join(NUMBERS[key].path), f"{before:.6g}", f"{after:.6g}")
+            for key, (before, after) in found.changed.items()
+        ]
+        terminal.print(simple_table("Numbers", ["key", ("before", "right"), ("after", "right")], rows))
+        if found.errors:
+            rows = [(e["formula"], f"{e['energy_error_pct']:+.2f} %", f"{e['power_rmse_w']:.3g}") for e in found.errors]
+            heads: list[str | tuple[str, str]] = ["formula", ("energy error", "right"), ("power RMSE W", "right")]
+            terminal.print(simple_table("On the logs", heads, rows))
+        _tell("", found.remarks, out)
+    return 0
+
+
+@app.command
+def vda5050(
+    mission: Path,
+    /,
+    *,
+    out: Path,
+    robot: str | None = None,
+    version: str = "3.0.0",
+    timestamp: str = "",
+    serial: str = "1",
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Write a mission as an order of VDA 5050.
+
+    Parameters
+    ----------
+    mission
+        Mission file with an environment.
+    out
+        Order to write (JSON).
+    robot
+        Shipped robot or robot file in place of the mission's own.
+    version
+        2.0.0, 2.1.0 or 3.0.0.
+    timestamp
+        Of the order, such as 2026-01-01T00:00:00.000Z; now unless given.
+    serial
+        Serial number of the robot.
+    json
+        Write what was told as JSON to this file, or - for standard output.
+    quiet
+        Print nothing but what was asked for.
+    """
+    from missionsim.exchange.vda5050 import order_of
+    from missionsim.inputs.loading import load_mission
+
+    order = order_of(load_mission(mission, robot=robot), version=version, timestamp=timestamp, robot_id=serial)
+    title = f"order {order.data['orderId']}: {len(order.data['nodes'])} nodes, VDA 5050 {version}"
+    return _mission(order.data, title, order.remarks, out, json, quiet)
+
+
+@app.command
+def qgc(
+    mission: Path,
+    /,
+    *,
+    out: Path,
+    robot: str | None = None,
+    origin: str | None = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Write a mission as a plan of QGroundControl for a rover.
+
+    Parameters
+    ----------
+    mission
+        Mission file with an environment.
+    out
+        Plan to write (NAME.plan).
+    robot
+        Shipped robot or robot file in place of the mission's own.
+    origin
+        LATITUDE,LONGITUDE of the map's point 0, 0 in degrees; what the map's notes say unless given.
+    json
+        Write what was told as JSON to this file, or - for standard output.
+    quiet
+        Print nothing but what was asked for.
+    """
+    from missionsim.errors import InputError
+    from missionsim.exchange.qgc import plan_of
+    from missionsim.inputs.loading import load_mission
+
+    where = None
+    if origin is not None:
+        try:
+            latitude, longitude = (float(word) for word in origin.split(","))
+        except ValueError:
+            latitude = longitude = 1e9
+        if not (abs(latitude) <= 90.0 and abs(longitude) <= 360.0):
+            raise InputError.single("--origin is a latitude and a longitude", got=origin, allowed="47.05,8.3")
+        where = (latitude, longitude)
+    plan, remarks = plan_of(load_mission(mission, robot=robot), where)
+    title = f"plan of {len(plan['mission']['items'])} items"
+    return _mission(plan, title, remarks, out, json, quiet)
+
+
+def _mission(data: dict[str, Any], title: str, remarks: Sequence[str], out: Path, json: str | None, quiet: bool) -> int:
+    import json as encoder
+
+    _write(out, (encoder.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode())
+    emit_json({"schema": "missionsim.export/1", "out": str(out), "told": list(remarks)}, json)
+    if shows_text(json, quiet):
+        _tell(title, remarks, out)
+    return 0
+
+
+def _write(out: Path, raw: bytes) -> None:
+    from missionsim.files import atomic_write
+
+    with atomic_write(out) as temporary:
+        temporary.write_bytes(raw)
+
+
+def _tell(title: str, remarks: Sequence[str], out: Path) -> None:
+    terminal = console()
+    for line in (title, *(f"  {remark}" for remark in remarks), f"written: {out}"):
+        if line:
+            terminal.print(line, markup=False, soft_wrap=True)
