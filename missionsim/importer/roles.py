@@ -73,7 +73,7 @@ class Role:
 _COMMAND = (
     r"\b(cmd\w*|command\w*|target|desired|set ?point|requested|reference|ref|goal|limit|max|min|diff|status|level)\b"
 )
-_PART = r"\b(cell\w*|motors?|heat\w*|air ?con\w*|cpu|shunt|load|charger|solar|cabin|servo\w*|pwm|factor|supply)\b"
+_PART = r"\b(cell\w*|motors?|heat\w*|air ?con\w*|cpu|shunt|load|charger|solar|cabin|servo\w*|pwm|factor)\b"
 _WHOLE = r"\b(battery|batt?|bus|pack|system|total|robot|main|input|vbat|ibat)\b"
 _SIDES = r"\b(left|right|front|rear|l|r|fl|fr|rl|rr|wheel|joint\w*|motor\w*)\b"
 
@@ -95,7 +95,7 @@ ROLES: tuple[Role, ...] = (
         r"\b(t|time|times?tamp|stamp|elapsed)\b",
         r"\b(of|since|remaining|duration|charge|left|ros|header|flight|up)\b",
     ),
-    Role("power", "power", r"\b(power|watts?|pwr|p)\b", _WHOLE, f"{_PART}|{_COMMAND}", 0.05, 2e5),
+    Role("power", "power", r"\b(power|watts?|pwr|p)\b", _WHOLE, f"{_PART}|{_COMMAND}|\\bsupply\\b", 0.05, 2e5),
     Role(
         "voltage", "voltage", r"\b(voltage|volts?|vbat|ubat|u)\b", _WHOLE, f"{_PART}|{_COMMAND}|{_SIDES}", 1.0, 1000.0
     ),
@@ -122,7 +122,7 @@ ROLES: tuple[Role, ...] = (
         "speed",
         r"\b(speed|velocity|vel|v|linear x|vx|ground ?speed|kmh)\b",
         r"\b(linear x|vehicle|robot|odom\w*|speed)\b",
-        f"{_COMMAND}|{_SIDES}|\\b(angular|wind|y|z|fan|gps|rotational|imu|covariance)\\b",
+        f"{_COMMAND}|{_SIDES}|\\b(angular|omega|vy|vz|wind|y|z|fan|gps|rotational|imu|covariance)\\b",
         0.01,
         60.0,
     ),

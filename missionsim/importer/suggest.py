@@ -312,6 +312,11 @@ def _others(draft: Draft) -> None:
     for role, name in names.items():
         for guess in draft.best(role, 0.5)[:1]:
             draft.column(name, draft.ref(guess.field, role), guess)
+    weight = next((name for name in draft.fields if name.endswith("loads[0].weight")), None)
+    if weight is not None:
+        count = draft.ref(weight.replace("[0].weight", ".count"), "loads")
+        payload = Guess("payload", weight, "", 1.0, "the weight of the first load, none without a load", "likely")
+        draft.column("payload_kg", f"where({count} > 0, {draft.ref(weight, 'weight')}, 0)", payload)
     used = {guess.field for _, guess in draft.columns.values()}
     for guess in draft.best("power"):
         words, _ = words_of(guess.field)
@@ -342,7 +347,10 @@ def _others(draft: Draft) -> None:
 
 _ON = re.compile(r"\b(on|active|enabled|running|true|open|started|working)\b", re.IGNORECASE)
 _OFF = re.compile(r"\b(off|inactive|disabled|stopped|false|closed|idle|unconfigured|finalized)\b", re.IGNORECASE)
-_SWITCH = re.compile(r"\b(on|enabled?|active|switch|state|running|power(ed)? on|label|status)\b")
+_SWITCH = re.compile(r"(on|enabled?|active|switch|state|running|powered|label|status|data|is|goal|current)\Z")
+_NO_SWITCH = (
+    r"\b(joy|calib\w*|previous|start|charg\w*|battery|emergency|alert|driving|count|present|localized|paused|safety)\b"
+)
 
 
 def _is_on(word: str) -> bool:
@@ -351,23 +359,22 @@ def _is_on(word: str) -> bool:
 
 def switch_name(one: Field) -> str | None:
     """Name of a component that a field may switch on and off; None where it does not look so."""
-    words, _ = words_of(one.name)
-    if not _SWITCH.search(words) or re.search(
-        r"\b(joy|calib\w*|previous|start state|charg\w*|battery|emergency|alert)\b", words
-    ):
-        return None
+    topic, _, last = one.name.rpartition(".")
+    words = words_of(last)[0].split() if last else []
     if isinstance(one.values, Labels):
         names = one.values.names
         if len(names) < 2 or len(names) > 8 or not any(map(_is_on, names)) or not any(map(_OFF.search, names)):
             return None
     elif set(np.unique(one.values[np.isfinite(one.values)])) != {0.0, 1.0}:
         return None
-    left = [
-        w
-        for w in words.split()
-        if not _SWITCH.match(w) and w not in ("transition", "event", "goal", "data", "is", "diagnostics")
-    ]
-    return identifier("_".join(left)) or None if left else None
+    marked = any(map(_SWITCH.match, words)) or isinstance(one.values, Labels)
+    left = [word for word in words if not _SWITCH.match(word)]
+    if not left:  # /laser/transition_event.goal_state.label
+        marks = ("transition", "event", "goal", "state")
+        left = [word for word in words_of(topic.split(".")[0])[0].split() if word not in marks]
+    if not marked or not left or re.search(_NO_SWITCH, words_of(one.name)[0]):
+        return None
+    return identifier("_".join(left))
 
 
 def _text(draft: Draft, paths: Sequence[Path], used: set[str]) -> str:
@@ -378,7 +385,7 @@ def _text(draft: Draft, paths: Sequence[Path], used: set[str]) -> str:
         *(f"# {remark}" for remark in draft.remarks),
         *(f"# TO DO: {message}" for message in draft.missing),
         "kind: map",
-        f"name: {identifier(paths[0].stem).lower()[:60]}",
+        f"name: {identifier(paths[0].stem if len(paths) == 1 else paths[0].resolve().parent.name).lower()[:60]}",
     ]
     for key in ("table", "files"):
         if key in draft.head:

@@ -41,6 +41,9 @@ def suggest(draft: Draft) -> None:
         sources = [energy[0].field]
     else:
         message = "no column looks like power, or voltage and current: write one in the place of POWER"
+        gauge = r"\b(soc|charge|percentage|battery level|capacity)\b"
+        if name := next((name for name in draft.fields if re.search(gauge, words_of(name)[0])), ""):
+            message += f" ('{name}' is a gauge: there are no watts in it)"
         draft.missing.append(message)
         draft.columns["power_robot_w"] = ("POWER", Guess("power", "", "", 0.0, message, "not found"))
         return

@@ -1,0 +1,158 @@
+"""JSON lines: one message a line, as loggers and message brokers write them; VDA 5050 ``state`` messages among them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from missionsim.errors import Fault, InputError
+from missionsim.labels import Labels
+from missionsim.logs.raw import ColumnData, numbers_in
+from missionsim.logs.readers import Options, Reader, Recording, Topic
+from missionsim.logs.remarks import Remark
+from missionsim.logs.times import TimeError, read_stamps
+
+_TIMES = ("timestamp", "time", "stamp", "ts", "t", "time_s", "datetime", "date", "@timestamp")
+_INSIDE = ("payload", "data", "msg", "message")
+"""Where a broker's log keeps the message itself, beside its topic and time."""
+_MOST_ELEMENTS = 16
+_MOST_FAULTS = 20
+
+
+def read_json(path: Path, options: Options) -> Recording:
+    """Fields of JSON messages as ``topic.key.inner[0]``, each topic at its own times.
+
+    The topic is what the message says (``topic``), ``state`` for VDA 5050, else ``json``; where several vehicles write
+    into one file, ``state[serial number]``. Lists of objects give their length as ``.count``.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        No JSON, or messages without a time.
+    """
+    held: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    remarks: list[Remark] = []
+    faults: list[Fault] = []
+    lines = 0
+    for record in _records(path, faults):
+        lines += 1
+        topic, serial, flat = _message(record)
+        held.setdefault((topic, serial), []).append(flat)
+        if options.most is not None and lines >= 4 * options.most:
+            break
+    if not held:
+        raise InputError(faults or [Fault(str(path), 1, 1, "no JSON message in it", allowed="one JSON object a line")])
+    if faults:
+        message = f"{len(faults)} of {lines + len(faults)} lines are no JSON, first line {faults[0].line}"
+        action = "what could be read was read"
+        remarks.append(Remark("damaged", "", message, action, "error", faults[0].line, len(faults)))
+    several = {topic for topic, _ in held if sum(topic == other for other, _ in held) > 1}
+    topics = []
+    for (topic, serial), messages in held.items():
+        name = f"{topic}[{serial}]" if topic in several else topic
+        topics.append(_topic(name, messages, path, options, remarks))
+    return Recording(topics, remarks)
+
+
+def _records(path: Path, faults: list[Fault]) -> Iterator[dict[str, Any]]:
+    """Objects of a file: one a line, or one list of them."""
+    with open(path, encoding="utf-8-sig", errors="replace") as handle:
+        first = handle.read(1)
+        handle.seek(0)
+        if first == "[":
+            try:
+                found = json.load(handle)
+            except (ValueError, RecursionError) as error:
+                line = getattr(error, "lineno", 1)
+                faults.append(Fault(str(path), line, getattr(error, "colno", 1), f"this is no JSON: {error}"[:120]))
+                return
+            yield from (record for record in found if isinstance(record, dict))
+            return
+        for number, line in enumerate(handle, start=1):
+            if not line.strip():
+                continue
+            try:
+                record = json.loads(line)
+                if not isinstance(record, dict):
+                    raise ValueError("not an object")
+            except (ValueError, RecursionError) as error:
+                if len(faults) < _MOST_FAULTS or number % 1000 == 0:
+                    faults.append(Fault(str(path), number, 1, f"this line is no JSON: {error}"[:120], got=line[:60]))
+                continue
+            yield record
+
+
+def _message(record: dict[str, Any]) -> tuple[str, str, dict[str, Any]]:
+    """Topic, vehicle and flat fields of a message."""
+    topic = record.get("topic") if isinstance(record.get("topic"), str) else ""
+    inner = next((record[key] for key in _INSIDE if isinstance(record.get(key), dict)), None)
+    if inner is not None and topic:
+        times = {key: value for key, value in record.items() if key in _TIMES and not isinstance(value, (dict, list))}
+        record = {**times, **inner}
+    if not topic and "serialNumber" in record and "headerId" in record:
+        topic = "state"
+    topic = topic.strip("/").rpartition("/")[2] if "serialNumber" in record else topic.strip("/")
+    return topic or "json", str(record.get("serialNumber", "")), dict(_flat(record, ""))
+
+
+def _flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _flat(item, f"{path}.{key}" if path else str(key))
+    elif isinstance(value, list):
+        if not value or any(isinstance(item, dict) for item in value):
+            yield f"{path}.count", float(len(value))
+        for index, item in enumerate(value[:_MOST_ELEMENTS]):
+            yield from _flat(item, f"{path}[{index}]")
+    elif isinstance(value, bool):
+        yield path, float(value)
+    elif isinstance(value, (int, float, str)) and path:
+        yield path, value
+
+
+def _topic(name: str, messages: list[dict[str, Any]], path: Path, options: Options, remarks: list[Remark]) -> Topic:
+    key = next((one for one in _TIMES if one in messages[0]), None)
+    if key is None:
+        allowed = ", ".join(_TIMES)
+        raise InputError(Fault(str(path), 1, 1, f"the messages of {name} have no time", allowed=f"one of {allowed}"))
+    columns: dict[str, ColumnData] = {}
+    for field in dict.fromkeys(field for message in messages for field in message):
+        if field != key and options.fields is not None and f"{name}.{field}" not in options.fields:
+            continue
+        columns[field] = _column([message.get(field) for message in messages])
+    try:
+        stamps = read_stamps([columns.pop(key)], f"{name}.{key}")
+    except TimeError as error:
+        raise InputError(Fault(str(path), 1, 1, str(error), f"{name}.{key}")) from None
+    remarks += stamps.remarks
+    known = np.isfinite(stamps.seconds)
+    title = "VDA 5050 state" if "serialNumber" in messages[0] and "headerId" in messages[0] else ""
+    return Topic(
+        name, stamps.seconds[known], {field: data[known] for field, data in columns.items()}, title, len(messages)
+    )
+
+
+def _column(values: list[Any]) -> ColumnData:
+    if any(isinstance(value, str) for value in values):
+        return numbers_in(Labels.of(value if isinstance(value, str) else _plain(value) for value in values))
+    return np.array([np.nan if value is None else _finite(value) for value in values], dtype=np.float64)
+
+
+def _plain(value: Any) -> str | None:
+    return None if value is None else f"{value:g}"
+
+
+def _finite(value: float) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return float("nan")
+
+
+READERS = (
+    Reader("jsonlines", "JSON lines file", (".jsonl", ".ndjson"), (b"{", b"[", b"\xef\xbb\xbf{"), recording=read_json),
+)

@@ -1,0 +1,139 @@
+"""`import --suggest`: from a file that nobody described to a log, checked against the truth or a written map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from missionsim.cli.app import run_command as main
+from missionsim.logs import LogTable, read_log, read_logs
+from tests.logs import loggers
+from tests.logs.bag_writers import amps, battery_volts, speed, write_bag, write_ulog
+
+
+def suggested(tmp_path: Path, *sources: Path, exit_code: int = 0, change: tuple[str, str] = ("", "")) -> list[LogTable]:
+    """Logs of a source by nothing but its suggested map (`change`: what the user corrects)."""
+    given = [str(source) for source in sources]
+    made = tmp_path / "suggested.yaml"
+    assert main(["import", *given, "--suggest", "--out", str(made), "--quiet"]) == exit_code
+    made.write_text(made.read_text().replace(*change) if change[0] else made.read_text())
+    out = tmp_path / "logs"
+    assert main(["import", *given, "--map", str(made), "--out", str(out), "--quiet"]) == 0
+    return read_logs(out)
+
+
+def near(log: LogTable, column: str, truth: np.ndarray, within: float) -> None:
+    assert float(np.sqrt(np.mean((log.number(column) - truth) ** 2))) < within
+
+
+def test_three_loggers_of_one_run(tmp_path: Path) -> None:
+    loggers.write_three(tmp_path / "run")
+    (log,) = suggested(tmp_path, tmp_path / "run")
+    t = log.time_s + 0.1  # rows begin when every file has begun
+    assert np.abs(log.power_w["robot"] - loggers.power(t)).mean() < 0.02
+    near(log, "speed_m_s", loggers.speed(t), 0.02)
+    near(log, "yaw_rate_rad_s", loggers.turn(t), 0.02)
+    assert (log.number("on_lamp") == loggers.lamp(t)).mean() > 0.99
+
+
+def test_several_runs_of_three_loggers(tmp_path: Path) -> None:
+    for run in ("a", "b"):
+        loggers.write_three(tmp_path / "all", f"{run}_")
+    made = tmp_path / "m.yaml"
+    files = [str(tmp_path / "all" / f"a_{name}.csv") for name in ("power", "odometry", "events")]
+    assert main(["import", *files, "--suggest", "--out", str(made), "--quiet"]) == 0
+    assert "{run}_power.csv" in made.read_text()
+    assert main(["import", str(tmp_path / "all"), "--map", str(made), "--out", str(tmp_path / "logs"), "--quiet"]) == 0
+    assert sorted(path.name for path in (tmp_path / "logs").iterdir()) == ["a.parquet", "b.parquet"]
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap"])
+def test_bags(tmp_path: Path, kind: str) -> None:
+    bag = write_bag(tmp_path / ("run.bag" if kind == "ros1" else "run"), kind, 40.0)
+    (log,) = suggested(tmp_path, bag)
+    np.testing.assert_allclose(log.power_w["robot"], battery_volts(log.time_s) * amps(log.time_s), rtol=1e-5)
+    near(log, "speed_m_s", speed(log.time_s), 0.01)
+    near(log, "slope_rad", np.full(log.rows, 0.05), 1e-6)
+
+
+def test_ulog(tmp_path: Path) -> None:
+    (log,) = suggested(tmp_path, write_ulog(tmp_path / "a.ulg"))
+    np.testing.assert_allclose(log.power_w["robot"], battery_volts(log.time_s) * amps(log.time_s), rtol=1e-5)
+    near(log, "speed_m_s", speed(log.time_s), 0.01)
+
+
+def test_vda5050_states(tmp_path: Path) -> None:
+    (log,) = suggested(tmp_path, loggers.write_states(tmp_path / "agv.jsonl"))
+    np.testing.assert_allclose(log.power_w["robot"], loggers.power(log.time_s), rtol=1e-6)
+    near(log, "speed_m_s", loggers.speed(log.time_s), 1e-6)
+    assert set(log.number("payload_kg")) == {0.0, 12.5}
+    assert not [remark for remark in log.remarks if remark.severity == "error"]
+
+
+def test_a_gauge_is_no_meter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = loggers.write_states(tmp_path / "agv.jsonl", "2.1.0")
+    assert main(["import", str(path), "--suggest", "--out", str(tmp_path / "m.yaml")]) == 1
+    assert "'state.batteryState.batteryCharge' is a gauge: there are no watts in it" in capsys.readouterr().err
+    assert main(["import", str(path), "--map", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "a.parquet")]) == 2
+    assert not (tmp_path / "a.parquet").exists()
+
+
+def test_listing_shows_names_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = loggers.write_three(tmp_path / "run")
+    assert main(["import", *map(str, files)]) == 0
+    out = capsys.readouterr().out
+    for name in ("Strom [mA]", "Spannung [V]", "v_x [m/s]", "yaw_rate [deg/s]"):
+        assert name in out
+    assert "constant: Gehäuse [°C] = 31.5" in out
+    assert out.index("Strom [mA]") < out.index("constant")
+
+
+# the data of other people: what a suggestion gives, against the maps that were written by hand
+
+
+def test_warthog(tmp_path: Path, shared: Path, root: Path) -> None:
+    from missionsim.importer.mapping import import_source
+    from missionsim.inputs.loading import load_map
+
+    path = shared / "data" / "warthog_drive" / "grass_2024_7_29_14h8s51.csv"
+    (log,) = suggested(tmp_path, path)
+    (hand,) = import_source(path, load_map(root / "docs" / "maps" / "warthog.yaml"))
+    assert log.energy_wh("robot") == pytest.approx(hand.energy_wh("robot"), rel=0.03)
+    assert np.abs(log.number("speed_m_s")).mean() == pytest.approx(np.abs(hand.number("speed_m_s")).mean(), rel=0.05)
+
+
+@pytest.mark.parametrize("season", ["summer", "winter"])
+def test_car(tmp_path: Path, shared: Path, season: str) -> None:
+    path = shared / "data" / "i3_trips" / "raw" / f"{season}.csv"
+    (log,) = suggested(tmp_path, path)
+    rows = [line.split(";") for line in path.read_bytes().decode("latin-1").splitlines()]
+    at = {name: index for index, name in reversed(list(enumerate(rows[0])))}
+    cells = np.array([[float(row[at[n]]) for n in ("Battery Voltage [V]", "Battery Current [A]")] for row in rows[1:]])
+    assert log.energy_wh("robot") == pytest.approx(-cells.prod(axis=1).sum() * 0.1 / 3600, rel=0.01)
+    kmh = np.array([float(row[at["Velocity [km/h]"]]) for row in rows[1:]])
+    assert log.number("speed_m_s").max() == pytest.approx(kmh.max() / 3.6)
+    assert {"slope_rad", "temp_ambient_c"} <= log.columns.keys()
+
+
+def test_wheel(tmp_path: Path, shared: Path) -> None:
+    (log,) = suggested(tmp_path, shared / "data" / "wheel_ride" / "2020_05_16_08_02_06.csv")
+    assert log.number("speed_m_s").max() < 15  # km/h by the distance that grows with it
+    assert np.median(np.diff(log.time_s)) == pytest.approx(0.2, abs=0.1)
+
+
+def test_turtlebot(tmp_path: Path, shared: Path) -> None:
+    folder = shared / "data" / "turtlebot3_msr2021"
+    assert len(suggested(tmp_path, folder / "tb3_power_2hz.csv")) == 300
+    raw = folder / "raw_examples" / "A_movement_empty_1_baseline_run1_DATA.TXT"
+    (log,) = suggested(tmp_path / "raw", raw, exit_code=1, change=("RATE", "200"))
+    assert 3600 * log.energy_wh("robot") == pytest.approx(1458.63, rel=0.01)
+
+
+def test_rover_and_floors(tmp_path: Path, shared: Path) -> None:
+    assert len(suggested(tmp_path, shared / "data" / "ase_rover" / "ase_rover_10hz.csv")) == 300
+    path = shared / "data" / "husky_floors" / "train" / "ice_00.csv"
+    (log,) = suggested(tmp_path / "husky", path)
+    assert log.energy_wh("robot") == pytest.approx(read_log(path).energy_wh("robot"), rel=1e-9)
+    assert log.columns["surface"].names == ("ice",)  # type: ignore[union-attr]
