@@ -5,20 +5,23 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
 
 from missionsim.errors import Fault, InputError
 from missionsim.expressions import Place
 from missionsim.inputs.mission import AnchorSpec, MissionSpec
 from missionsim.inputs.values import Parameter
 from missionsim.plan.chance import failures, stopped_by_obstacles, told_at
+from missionsim.plan.draws import Odd, least, remainder, sign
 from missionsim.plan.legs import Activity, Leg, Limits, OnEdge, Plan, Recharge, SegmentInfo, Settings, Trigger
 from missionsim.plan.pace import Pace, pace_of
 from missionsim.plan.routes import Routes, Way, along
 from missionsim.plan.steps import group, slow_components
 
 if TYPE_CHECKING:
-    import numpy as np
+    from numpy.typing import NDArray
 
 MOST_SEGMENTS = 1_000_000
 _EXTRAS = (
@@ -62,6 +65,25 @@ def make_plan(
     return _Builder(mission, numbers or {}, rng).build()
 
 
+def plan_runs(mission: MissionSpec, numbers: Mapping[str, NDArray[np.float64]]) -> Plan:
+    """The plan of many runs at once, as arrays: what follows from a drawn number is an array of shape (runs,).
+
+    Parameters
+    ----------
+    mission : MissionSpec
+    numbers : mapping
+        Drawn values by path (see `make_plan`), arrays of shape (runs,).
+
+    Returns
+    -------
+    Plan
+        With `odd`: the runs whose plan has another shape, to be planned alone with `make_plan`. Nothing is left to
+        chance.
+    """
+    with np.errstate(all="ignore"):  # a run of which no plan can be made is odd
+        return _Builder(mission, cast("Mapping[str, float]", numbers), None).build()
+
+
 def legs_of(mission: MissionSpec, segments: Iterable[tuple[str, Any]]) -> Iterator[list[Leg]]:
     """The legs of single segments of a mission, each begun at a place of its own.
 
@@ -86,6 +108,7 @@ class _Builder:
         self.robot = mission.robot
         self.numbers = numbers
         self.rng = rng
+        self.odd = Odd()
         self.environment = environment = mission.environment
         self.routes = None if environment is None else Routes(environment, lambda p: self.number(p, "environment."))
         self.place = mission.start or ""
@@ -116,7 +139,7 @@ class _Builder:
     def number(self, parameter: Parameter, prefix: str = "") -> float:
         """Value of a parameter, drawn or nominal."""
         if self.numbers and parameter.path:
-            return float(self.numbers.get(prefix + parameter.path, parameter.value))
+            return self.numbers.get(prefix + parameter.path, parameter.value)
         return parameter.value
 
     def _robot(self, parameter: Parameter | None) -> float | None:
@@ -132,7 +155,9 @@ class _Builder:
             known = dict(before.settings.sensors)
             return any(name in slow and name not in known for name, _ in after.settings.sensors)
 
-        steps = group(self.legs, self.limits, breaks if slow else None)
+        steps = group(self.legs, self.limits, breaks if slow else None, self.odd)
+        if self.routes is not None and self.routes.drawn:
+            self.odd.mark(self.routes.others_shorter(self._routes))
         activities = tuple(self._activity(i, spec) for i, spec in enumerate(self.mission.activities))
         return Plan(
             tuple(self.legs),
@@ -143,6 +168,7 @@ class _Builder:
             start,
             tuple(sorted(self.chance.items())),
             tuple(self._routes),
+            self.odd.runs,
         )
 
     def fault(self, segment: Any, message: str, allowed: str = "") -> InputError:
@@ -165,8 +191,9 @@ class _Builder:
         if len(self.legs) == before:
             self.legs.append(Leg("stand", base))
         if segment.kind in ("drive", "arc", "turn", "move"):
-            dwell = (self._behaviour(segment, "dwell") or 0.0) + self._by_chance(segment, before)
-            if dwell:
+            given = self._behaviour(segment, "dwell")
+            dwell = (0.0 if given is None else given) + self._by_chance(segment, before)
+            if self.odd.most(dwell != 0.0):
                 self.legs.append(Leg("stand", self._still(base), duration_s=dwell))
         self.legs[before] = self.legs[before]._replace(first=True)
         self.legs[-1] = self.legs[-1]._replace(last=True, place=self.legs[-1].place or self.place)
@@ -276,12 +303,19 @@ class _Builder:
     def _pace(self, segment: Any, way_m_s: float = math.inf) -> Pace:
         tracking = self._given(segment, "speed_tracking")
         found = pace_of(self.mission, self.number, segment, self._scheme, tracking, way_m_s)
-        if found is None:
-            raise self.fault(segment, "a segment that drives needs a speed above 0")
+        self._above_0(found.asked, segment, "a segment that drives needs a speed above 0")
         return found
 
+    def _above_0(self, number: float, segment: Any, message: str) -> None:
+        """A fault of the segment where a number is not above 0; of many runs, those in which it is not are odd."""
+        if isinstance(number, np.ndarray):
+            self.odd.mark(~(number > 0.0))
+        elif not number > 0.0:
+            raise self.fault(segment, message)
+
     def _stretch(self, segment: Any) -> float:
-        return self._behaviour(segment, "path_stretch") or 1.0
+        given = self._behaviour(segment, "path_stretch")
+        return 1.0 if given is None else given
 
     def _instant(self, segment: Any) -> bool:
         return self.mission.setting(segment, "profile") == "constant_speed" or self.limits.accel_m_s2 is None
@@ -371,16 +405,15 @@ class _Builder:
         if heading is None:
             return
         if self.heading is not None and self.mission.defaults.turn_at_places:
-            turn = math.remainder(heading - self.heading, 2.0 * math.pi)
-            if abs(turn) > 1e-9:
+            turn = remainder(heading - self.heading)
+            if self.odd.most(abs(turn) > 1e-9):
                 self._turn_by(segment, base, turn)
         self.heading = heading
 
     def _turn_by(self, segment: Any, base: Settings, angle: float) -> None:
         given = self.mission.setting(segment, "yaw_rate")
         rate = self.limits.yaw_rate_rad_s if given is None else self.number(given)
-        if rate <= 0.0:
-            raise self.fault(segment, "a turn needs a yaw rate above 0")
+        self._above_0(rate, segment, "a turn needs a yaw rate above 0")
         instant = self.mission.setting(segment, "profile") == "constant_speed"
         settings = base._replace(slope_rad=0.0)
         self.legs.append(Leg("turn", settings, angle_rad=angle, yaw_rate_rad_s=rate, instant=instant))
@@ -392,22 +425,13 @@ class _Builder:
 
     def _arc(self, segment: Any, base: Settings) -> None:
         radius, angle = self.number(segment.radius), self.number(segment.angle)
-        if radius <= 0.0:
-            raise self.fault(segment, "an arc needs a radius above 0")
+        self._above_0(radius, segment, "an arc needs a radius above 0")
         given = self.mission.setting(segment, "yaw_rate")
         rate = self.limits.yaw_rate_rad_s if given is None else self.number(given)
         pace = self._pace(segment, rate * radius)
         length = radius * abs(angle) * self._stretch(segment)
         self.legs.append(
-            Leg(
-                "roll",
-                base,
-                length,
-                pace.speed,
-                math.copysign(1.0 / radius, angle),
-                instant=self._instant(segment),
-                pace=pace,
-            )
+            Leg("roll", base, length, pace.speed, sign(angle) / radius, instant=self._instant(segment), pace=pace)
         )
         self.place = ""
         self.heading = None if self.heading is None else self.heading + angle
@@ -457,7 +481,7 @@ class _Builder:
         for name, spec in self.robot.batteries.items():
             if name in batteries:
                 most = math.inf if spec.max_charge_power is None else self.number(spec.max_charge_power, "robot.")
-                power[name] = min(offered, most) * self.number(spec.charge_efficiency, "robot.")
+                power[name] = least(offered, most) * self.number(spec.charge_efficiency, "robot.")
         recharge = Recharge(
             self.place,
             power,

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from itertools import repeat
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.expressions import Place
+from missionsim.plan.draws import spread
 from missionsim.plan.pace import Pace
 
 Kind = Literal["roll", "turn", "slide", "stand", "dock"]
@@ -207,6 +212,13 @@ class Plan:
         where nothing is left to chance or no generator was given.
     routes : tuple of (str, str, tuple of int)
         The routes taken through the environment: begin, end, edges.
+    odd : ndarray of bool, shape (runs,), or None
+        Of a plan of many runs, those that this plan is not for.
+
+    Notes
+    -----
+    A plan of many runs (`missionsim.plan.build.plan_runs`) has an array with one number a run in place of each number
+    that is drawn; `each` gives the plans of single runs.
     """
 
     legs: tuple[Leg, ...]
@@ -217,8 +229,21 @@ class Plan:
     start: str = ""
     chance: tuple[tuple[str, int], ...] = ()
     routes: tuple[tuple[str, str, tuple[int, ...]], ...] = ()
+    odd: NDArray[np.bool_] | None = None
 
     @property
     def limited(self) -> bool:
         """Whether a drawn speed is above what the robot, or its control scheme, can do, so that it was cut to that."""
         return any(leg.pace.limited for leg in self.legs)
+
+    def each(self, count: int) -> list[Plan]:
+        """The plan of each of `count` runs."""
+
+        def runs(parts: tuple[Any, ...]) -> Iterable[tuple[Any, ...]]:
+            return spread(parts, count) or repeat(parts, count)
+
+        parts = zip(runs(self.legs), runs(self.steps), runs(self.activities), runs(self.limits), strict=True)
+        return [
+            Plan(legs, steps, self.segments, activities, limits, self.start, self.chance, self.routes)
+            for legs, steps, activities, limits in parts
+        ]

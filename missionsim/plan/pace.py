@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from missionsim.plan.draws import least
+
 if TYPE_CHECKING:
     from missionsim.inputs.mission import MissionSpec
     from missionsim.inputs.parameter import Parameter
@@ -33,12 +35,12 @@ class Pace(NamedTuple):
     @property
     def speed(self) -> float:
         """Speed driven."""
-        return min(self)
+        return least(least(self.asked, self.robot), least(self.scheme, self.way))
 
     @property
     def limited(self) -> bool:
         """Whether more was asked, by a draw, than the robot can do under this scheme."""
-        return self.asked > min(self.robot, self.scheme) * ROUNDING
+        return self.asked > least(self.robot, self.scheme) * ROUNDING
 
 
 ROUNDING = 1.0 + 1e-12
@@ -51,8 +53,8 @@ def pace_of(
     scheme_name: str,
     tracking: tuple[Parameter, str] | None,
     way: float = math.inf,
-) -> Pace | None:
-    """The pace of a segment, or None where the speed asked is not above 0.
+) -> Pace:
+    """The pace of a segment.
 
     Parameters
     ----------
@@ -79,6 +81,5 @@ def pace_of(
     if scheme is not None and scheme.max_speed is not None:
         of_scheme = number(scheme.max_speed, "robot.") * raised
     given = mission.setting(segment, "speed")
-    top_of_all = min(number(body.max_speed, "robot."), of_scheme / raised)
-    asked = top_of_all if given is None else number(given, "")
-    return Pace(asked * reached, robot, of_scheme, way) if asked > 0.0 else None
+    asked = least(number(body.max_speed, "robot."), of_scheme / raised) if given is None else number(given, "")
+    return Pace(asked * reached, robot, of_scheme, way)

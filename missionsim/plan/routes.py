@@ -6,16 +6,23 @@ thing that a run needs of it, the shortest path, is done here.
 
 from __future__ import annotations
 
+import functools
 import heapq
+import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.errors import InputError, did_you_mean
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.values import Parameter
+from missionsim.plan.draws import least
 from missionsim.plan.legs import Settings
 
+_ROUNDING = 1e-12
 RADIO_PIECE_M = 2.0
 """Edges are cut to this length where the distance to an access point changes along them."""
 Number = Callable[[Parameter], float]
@@ -40,6 +47,8 @@ class Way:
         ``temp_ambient_c``, ``access_point_distance_m`` and conditions where the edge gives them.
     edge : int
         Which of the environment's edges.
+    search_m : float
+        Length by which routes are found: that of the files where `length_m` is an array of draws.
     """
 
     begin: str
@@ -51,6 +60,7 @@ class Way:
     heading_rad: float | None
     extra: Mapping[str, float | str]
     edge: int = 0
+    search_m: float = 0.0
 
 
 class Routes:
@@ -66,6 +76,7 @@ class Routes:
     def __init__(self, environment: EnvironmentSpec, number: Number) -> None:
         self.environment = environment
         self.ways: dict[str, list[Way]] = {name: [] for name in environment.places}
+        self.drawn = False
         for index, edge in enumerate(environment.edges):
             length = number(edge.length) if edge.length is not None else environment.length_m(edge)
             if length is None:
@@ -74,6 +85,9 @@ class Routes:
                     file=str(environment.path),
                     allowed="length: 16 m",
                 )
+            search = length
+            if isinstance(length, np.ndarray):
+                search, self.drawn = environment.length_m(edge) or 0.0, True
             extra: dict[str, float | str] = {}
             if edge.temperature is not None:
                 extra["temp_ambient_c"] = number(edge.temperature)
@@ -89,7 +103,7 @@ class Routes:
                 ends.append((edge.to, edge.from_, -slope))
             for begin, end, grade in ends:
                 heading = self.heading(begin, end)
-                self.ways[begin].append(Way(begin, end, length, grade, surface, fastest, heading, extra, index))
+                self.ways[begin].append(Way(begin, end, length, grade, surface, fastest, heading, extra, index, search))
 
     def position(self, place: str) -> tuple[float, float] | None:
         """Coordinates of a place [m]."""
@@ -111,15 +125,15 @@ class Routes:
         a, b = self.position(way.begin), self.position(way.end)
         if a is None or b is None:
             return [(0.0, 1.0, None)]
-        count = max(1, math.ceil(way.length_m / RADIO_PIECE_M))
+        count = max(1, math.ceil(way.search_m / RADIO_PIECE_M))
         span = math.hypot(b[0] - a[0], b[1] - a[1]) / count
         pieces: list[tuple[float, float, float | None]] = []
         for i in range(count):
             low, high = i / count, (i + 1) / count
             middle = 0.5 * (low + high)
             x, y = a[0] + (b[0] - a[0]) * middle, a[1] + (b[1] - a[1]) * middle
-            square = min((x - px) ** 2 + (y - py) ** 2 for px, py in points) + span * span / 12.0
-            pieces.append((low, high, math.sqrt(square)))
+            square = functools.reduce(least, ((x - px) ** 2 + (y - py) ** 2 for px, py in points)) + span * span / 12.0
+            pieces.append((low, high, square**0.5))
         return pieces
 
     def shortest(self, begin: str, end: str) -> list[Way] | None:
@@ -136,7 +150,7 @@ class Routes:
                 continue
             done.add(here)
             for way in self.ways[here]:
-                there = length + way.length_m
+                there = length + way.search_m
                 known = best.get(way.end)
                 if known is None or there < known[0]:
                     best[way.end] = (there, way)
@@ -181,10 +195,26 @@ class Routes:
             )
         return next(way for way in self.ways[here] if way.edge == found[0])
 
-    def length(self, begin: str, end: str) -> float:
-        """Length of the shortest route [m], infinite where there is none."""
-        found = self.shortest(begin, end)
-        return math.inf if found is None else math.fsum(way.length_m for way in found)
+    def others_shorter(self, routes: Iterable[tuple[str, str, tuple[int, ...]]]) -> NDArray[np.bool_]:
+        """Runs in which another way is shorter than one of these routes, shape (runs,) (Bellman 1958, Ford 1956)."""
+        lengths = {way.edge: way.length_m for ways in self.ways.values() for way in ways}
+        count = next(len(length) for length in lengths.values() if isinstance(length, np.ndarray))
+        found = np.zeros(count, dtype=bool)
+        wanted = list(dict.fromkeys(routes))
+        for begin in dict.fromkeys(route[0] for route in wanted):
+            best = {name: np.full(count, 0.0 if name == begin else math.inf) for name in self.ways}
+            for _ in self.ways:
+                settled = True
+                for way in itertools.chain.from_iterable(self.ways.values()):
+                    there = best[way.begin] + way.length_m
+                    if (there < best[way.end]).any():
+                        best[way.end], settled = np.minimum(best[way.end], there), False
+                if settled:
+                    break
+            for start, end, edges in wanted:
+                if start == begin:
+                    found |= ~(best[end] >= sum(lengths[edge] for edge in edges) * (1.0 - _ROUNDING))
+        return found
 
 
 def along(base: Settings, way: Way, surface: str | None = None) -> Settings:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from missionsim.plan.kinematics import phases
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.plan.draws import Odd, sign
+from missionsim.plan.kinematics import ramp_phases
 from missionsim.plan.legs import Leg, Limits, Phase, Step
 
 SHORTEST_PHASE_S = 1e-12
@@ -15,7 +18,7 @@ SHORTEST_PHASE_S = 1e-12
 Breaks = Callable[[Leg, Leg], bool]
 
 
-def continues(before: Leg, after: Leg) -> bool:
+def continues(before: Leg, after: Leg, odd: Odd) -> bool:
     """Whether the robot keeps moving from one leg into the next.
 
     It does on straight pieces and arcs, and on sideways pieces in one direction, with the same payload (loading
@@ -23,14 +26,17 @@ def continues(before: Leg, after: Leg) -> bool:
     """
     if before.kind != after.kind or before.kind not in ("roll", "slide"):
         return False
-    if before.instant != after.instant or before.settings.payload_kg != after.settings.payload_kg:
+    payloads = before.settings.payload_kg, after.settings.payload_kg
+    if before.instant != after.instant or (payloads[0] is not payloads[1] and odd.most(payloads[0] != payloads[1])):
         return False
     if before.edge is not None and after.edge is not None and (before.edge.end, before.edge.begin) == after.edge[:2]:
         return False
-    return before.kind == "roll" or before.direction_rad == after.direction_rad
+    return before.kind == "roll" or odd.most(before.direction_rad == after.direction_rad)
 
 
-def group(legs: Sequence[Leg], limits: Limits, breaks: Breaks | None = None) -> tuple[Step, ...]:
+def group(
+    legs: Sequence[Leg], limits: Limits, breaks: Breaks | None = None, odd: Odd | None = None
+) -> tuple[Step, ...]:
     """Steps of a sequence of legs.
 
     Parameters
@@ -39,11 +45,14 @@ def group(legs: Sequence[Leg], limits: Limits, breaks: Breaks | None = None) -> 
     limits : Limits
     breaks : callable, optional
         ``(before, after) -> bool``: further reasons to stop between two legs (a component with a start-up time).
+    odd : Odd, optional
+        Of a plan of many runs.
     """
+    odd = Odd() if odd is None else odd
     spans: list[tuple[int, int]] = []
     begin = 0
     for i in range(1, len(legs) + 1):
-        if i < len(legs) and continues(legs[i - 1], legs[i]) and not (breaks and breaks(legs[i - 1], legs[i])):
+        if i < len(legs) and continues(legs[i - 1], legs[i], odd) and not (breaks and breaks(legs[i - 1], legs[i])):
             continue
         spans.append((begin, i))
         begin = i
@@ -51,42 +60,52 @@ def group(legs: Sequence[Leg], limits: Limits, breaks: Breaks | None = None) -> 
     return tuple(Step(legs[low].kind, _step_phases(legs, low, high, profiles.get(low))) for low, high in spans)
 
 
-Profile = tuple[list[list[float]], list[list[float]], list[list[float]]]
+Profile = list[list[tuple[float, float, float]]]
+"""Of each leg of a span: duration, speed at the start and acceleration of its phases."""
 
 
 def _profiles(legs: Sequence[Leg], spans: Sequence[tuple[int, int]], limits: Limits) -> dict[int, Profile]:
-    """Durations, speeds and accelerations of the phases of each span that moves, by its first leg.
+    """Profiles of the spans that move, by their first leg.
 
     Spans with the same number of pieces are computed in one call, since a call costs as much for one as for many.
     """
-    batches: dict[tuple[int, bool], list[tuple[int, int]]] = {}
-    for low, high in spans:
-        if legs[low].kind in ("roll", "slide", "turn"):
-            batches.setdefault((high - low, _is_instant(legs[low], limits)), []).append((low, high))
+    batches: dict[int, list[tuple[int, int]]] = {}
     found: dict[int, Profile] = {}
-    for (_, instant), members in batches.items():
-        distance = [[_size(leg) for leg in legs[low:high]] for low, high in members]
-        limit = [[_limit(leg) for leg in legs[low:high]] for low, high in members]
-        if instant:
-            made = phases(distance, limit)
+    for low, high in spans:
+        leg = legs[low]
+        if leg.kind not in ("roll", "slide", "turn"):
+            continue
+        if leg.instant or (limits.yaw_accel_rad_s2 if leg.kind == "turn" else limits.accel_m_s2) is None:
+            found[low] = [[(_size(leg) / _limit(leg), _limit(leg), 0.0)] for leg in legs[low:high]]
         else:
-            rates = [_rates(legs[low], limits) for low, _ in members]
-            made = phases(distance, limit, [rate[0] for rate in rates], [rate[1] for rate in rates])
-        tables = zip(made.duration_s.tolist(), made.speed_m_s.tolist(), made.accel_m_s2.tolist(), strict=True)
+            batches.setdefault(high - low, []).append((low, high))
+    for members in batches.values():
+        distance = _stacked([[_size(leg) for leg in legs[low:high]] for low, high in members])
+        limit = _stacked([[_limit(leg) for leg in legs[low:high]] for low, high in members])
+        rates = _stacked([_rates(legs[low], limits) for low, _ in members])
+        made = ramp_phases(distance, limit, rates[..., 0], rates[..., 1])
+        parts = [made.duration_s, made.speed_m_s, made.accel_m_s2]
+        if made.duration_s.ndim == 3:
+            tables: Any = zip(*(part.tolist() for part in parts), strict=True)
+        else:  # runs last, so that each number becomes an array of runs
+            tables = zip(*(np.ascontiguousarray(np.moveaxis(part, 1, -1)) for part in parts), strict=True)
         for (low, _), table in zip(members, tables, strict=True):
-            found[low] = table
+            found[low] = [list(zip(*rows, strict=True)) for rows in zip(*table, strict=True)]
     return found
 
 
-def _is_instant(leg: Leg, limits: Limits) -> bool:
-    return leg.instant or (limits.yaw_accel_rad_s2 if leg.kind == "turn" else limits.accel_m_s2) is None
+def _stacked(rows: Sequence[Sequence[float]]) -> NDArray[np.float64]:
+    """Numbers of members × pieces; of many runs, members × runs × pieces."""
+    if not any(isinstance(number, np.ndarray) for row in rows for number in row):
+        return np.array(rows)
+    count = next(len(number) for row in rows for number in row if isinstance(number, np.ndarray))
+    return np.stack([np.stack([np.broadcast_to(number, (count,)) for number in row], axis=-1) for row in rows])
 
 
 def _rates(leg: Leg, limits: Limits) -> tuple[float, float]:
-    if leg.kind == "turn":
-        return limits.yaw_accel_rad_s2 or 0.0, limits.yaw_accel_rad_s2 or 0.0
-    accel = limits.accel_m_s2 or 0.0
-    return accel, limits.decel_m_s2 or accel
+    accel = limits.yaw_accel_rad_s2 if leg.kind == "turn" else limits.accel_m_s2
+    assert accel is not None
+    return accel, accel if leg.kind == "turn" or limits.decel_m_s2 is None else limits.decel_m_s2
 
 
 def _size(leg: Leg) -> float:
@@ -100,15 +119,14 @@ def _limit(leg: Leg) -> float:
 def _step_phases(legs: Sequence[Leg], low: int, high: int, profile: Profile | None) -> tuple[Phase, ...]:
     """Phases of legs that follow each other without a standstill; at least one for each leg."""
     if profile is None:
-        return tuple(Phase(legs[i].duration_s, i) for i in range(low, high))
-    duration, speed, rate = profile
+        return tuple([Phase(legs[i].duration_s, i) for i in range(low, high)])
     made: list[Phase] = []
-    for row, i in enumerate(range(low, high)):
-        leg = legs[i]
+    for i, rows in zip(range(low, high), profile, strict=True):
         before = len(made)
-        for j in range(3):
-            if duration[row][j] > SHORTEST_PHASE_S:
-                made.append(_phase(leg, i, duration[row][j], speed[row][j], rate[row][j]))
+        for duration, speed, rate in rows:
+            lasts = duration > SHORTEST_PHASE_S
+            if lasts if isinstance(lasts, bool) else lasts.any():
+                made.append(_phase(legs[i], i, duration, speed, rate))
         if len(made) == before:
             made.append(Phase(0.0, i))
     return tuple(made)
@@ -116,12 +134,16 @@ def _step_phases(legs: Sequence[Leg], low: int, high: int, profile: Profile | No
 
 def _phase(leg: Leg, index: int, duration_s: float, speed: float, rate: float) -> Phase:
     if leg.kind == "turn":
-        sign = math.copysign(1.0, leg.angle_rad)
-        return Phase(duration_s, index, yaw_rad_s=sign * speed, yaw_rad_s2=sign * rate, moving=True)
+        left = sign(leg.angle_rad)
+        return Phase(duration_s, index, yaw_rad_s=left * speed, yaw_rad_s2=left * rate, moving=True)
     if leg.kind == "slide":
-        ahead, aside = math.cos(leg.direction_rad), math.sin(leg.direction_rad)
+        ahead, aside = np.cos(leg.direction_rad), np.sin(leg.direction_rad)
+        if isinstance(leg.direction_rad, float):
+            ahead, aside = float(ahead), float(aside)
         return Phase(duration_s, index, speed * ahead, rate * ahead, speed * aside, rate * aside, moving=True)
     bend = leg.curvature_1_m
+    if isinstance(bend, float) and bend == 0.0:
+        return Phase(duration_s, index, speed, rate, moving=True)
     return Phase(duration_s, index, speed, rate, yaw_rad_s=speed * bend, yaw_rad_s2=rate * bend, moving=True)
 
 
