@@ -146,7 +146,7 @@ class RunSetup:
 
     def number(self, parameter: Parameter, prefix: str = "") -> float:
         """Value of a parameter, drawn or nominal."""
-        return float(self.numbers.get(prefix + parameter.path, parameter.value)) if self.numbers else parameter.value
+        return self.numbers.get(prefix + parameter.path, parameter.value) if self.numbers else parameter.value
 
     def _initial(self, name: str, spec: BatterySpec) -> float:
         own = self.mission.initial_charge.get(name)

@@ -84,17 +84,18 @@ class MissionSpec(FileModel):
     _robot: Any = PrivateAttr(default=None)
     _environment: Any = PrivateAttr(default=None)
     _overrides: tuple[tuple[str, str], ...] = PrivateAttr(default=())
+    _equipment: dict[int, tuple[str, str, tuple[tuple[str, int], ...]]] = PrivateAttr(default_factory=dict)
 
     @property
     def robot(self) -> RobotSpec:
         """The robot, loaded."""
-        robot: RobotSpec = self._robot
+        robot: RobotSpec = (self.__pydantic_private__ or {})["_robot"]  # ten times as fast as self._robot
         return robot
 
     @property
     def environment(self) -> EnvironmentSpec | None:
         """The environment, loaded, or None."""
-        environment: EnvironmentSpec | None = self._environment
+        environment: EnvironmentSpec | None = (self.__pydantic_private__ or {})["_environment"]
         return environment
 
     @property
@@ -106,6 +107,15 @@ class MissionSpec(FileModel):
         """A setting of a segment, else of `defaults`, else None (``speed``, ``scheme``, ``payload``…)."""
         own = getattr(segment, key, None)
         return own if own is not None else getattr(self.defaults, key, None)
+
+    def equipment(self, segment: Any) -> tuple[str, str, tuple[tuple[str, int], ...]]:
+        """Control scheme, navigation (empty where none) and sensors of a segment; remembered for the next run."""
+        known = (self.__pydantic_private__ or {})["_equipment"]
+        found: tuple[str, str, tuple[tuple[str, int], ...]] | None = known.get(id(segment))
+        if found is None:
+            sensors = tuple(sorted(self.sensors_of(segment).items()))
+            found = known[id(segment)] = (self.scheme_of(segment) or "", self.navigation_of(segment) or "", sensors)
+        return found
 
     def scheme_of(self, segment: Any) -> str | None:
         """Control scheme of a segment: its own; for an inspection the robot's image-analysis scheme; the default's for

@@ -16,7 +16,7 @@ from missionsim.inputs.values import Parameter
 from missionsim.plan.chance import failures, stopped_by_obstacles, told_at
 from missionsim.plan.draws import Odd, least, remainder, sign
 from missionsim.plan.legs import Activity, Leg, Limits, OnEdge, Plan, Recharge, SegmentInfo, Settings, Trigger
-from missionsim.plan.pace import Pace, pace_of
+from missionsim.plan.pace import Pace
 from missionsim.plan.routes import Routes, Way, along
 from missionsim.plan.steps import group, slow_components
 
@@ -134,6 +134,8 @@ class _Builder:
         self._routes: list[tuple[str, str, tuple[int, ...]]] = []
         self._ambient_values = self._ambient()
         self._ambient_surface = (environment.ambient.surface or "") if environment is not None else ""
+        self._default_extras = {key: getattr(mission.defaults, key, None) for key, _ in _EXTRAS}
+        self._tops: dict[tuple[str, bool, float], tuple[float, float, float]] = {}
         self._behaviours_of: dict[str, tuple[tuple[Any, str], ...]] = {}
 
     def number(self, parameter: Parameter, prefix: str = "") -> float:
@@ -243,17 +245,18 @@ class _Builder:
         surface = mission.setting(segment, "surface")
         extra: dict[str, float | str] = dict(self._ambient_values)
         for key, column in _EXTRAS:
-            given = mission.setting(segment, key)
+            given = getattr(segment, key)
+            if given is None:
+                given = self._default_extras[key]
             if given is not None:
                 extra[column] = self.number(given)
         for source in (mission.defaults.conditions, segment.conditions):
-            extra |= {name: self._condition(value) for name, value in source.items()}
+            if source:
+                extra |= {name: self._condition(value) for name, value in source.items()}
         slope = segment.slope if segment.kind in ("drive", "arc", "move") else None
         made = Settings(
             len(self.segments) - 1,
-            mission.scheme_of(segment) or "",
-            mission.navigation_of(segment) or "",
-            tuple(sorted(mission.sensors_of(segment).items())),
+            *mission.equipment(segment),
             0.0 if payload is None else self.number(payload),
             0.0 if slope is None else self.number(slope),
             self._ambient_surface if surface is None else surface,
@@ -302,9 +305,28 @@ class _Builder:
 
     def _pace(self, segment: Any, way_m_s: float = math.inf) -> Pace:
         tracking = self._given(segment, "speed_tracking")
-        found = pace_of(self.mission, self.number, segment, self._scheme, tracking, way_m_s)
-        self._above_0(found.asked, segment, "a segment that drives needs a speed above 0")
-        return found
+        raised = 1.0 if tracking is None else max(1.0, tracking[0].value)
+        robot, scheme, top = self._top(segment.kind == "move", raised)
+        given = self.mission.setting(segment, "speed")
+        asked = top if given is None else self.number(given)
+        if tracking is not None:
+            asked = asked * self.number(*tracking)
+        self._above_0(asked, segment, "a segment that drives needs a speed above 0")
+        return Pace(asked, robot, scheme, way_m_s)
+
+    def _top(self, sideways: bool, raised: float) -> tuple[float, float, float]:
+        """Greatest speed of the robot and of the control scheme, raised, and the one driven where none is asked."""
+        key = (self._scheme, sideways, raised)
+        if key not in self._tops:
+            body, scheme = self.robot.body, self.robot.schemes.get(self._scheme)
+            robot = self.number(body.max_speed, "robot.")
+            given = None if scheme is None else scheme.max_speed
+            most = math.inf if given is None else self.number(given, "robot.")
+            top = robot
+            if sideways and body.max_lateral_speed is not None and body.max_lateral_speed.value > body.max_speed.value:
+                top = self.number(body.max_lateral_speed, "robot.")
+            self._tops[key] = (top * raised, most * raised, least(robot, most))
+        return self._tops[key]
 
     def _above_0(self, number: float, segment: Any, message: str) -> None:
         """A fault of the segment where a number is not above 0; of many runs, those in which it is not are odd."""

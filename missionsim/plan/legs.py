@@ -244,6 +244,6 @@ class Plan:
 
         parts = zip(runs(self.legs), runs(self.steps), runs(self.activities), runs(self.limits), strict=True)
         return [
-            Plan(legs, steps, self.segments, activities, limits, self.start, self.chance, self.routes)
+            Plan(legs, steps, self.segments, activities, Limits(*limits), self.start, self.chance, self.routes)
             for legs, steps, activities, limits in parts
         ]

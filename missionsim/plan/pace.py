@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 from missionsim.plan.draws import least
-
-if TYPE_CHECKING:
-    from missionsim.inputs.mission import MissionSpec
-    from missionsim.inputs.parameter import Parameter
 
 
 class Pace(NamedTuple):
@@ -44,42 +39,3 @@ class Pace(NamedTuple):
 
 
 ROUNDING = 1.0 + 1e-12
-
-
-def pace_of(
-    mission: MissionSpec,
-    number: Callable[[Parameter, str], float],
-    segment: Any,
-    scheme_name: str,
-    tracking: tuple[Parameter, str] | None,
-    way: float = math.inf,
-) -> Pace:
-    """The pace of a segment.
-
-    Parameters
-    ----------
-    mission : MissionSpec
-    number : callable
-        Parameter and prefix of its path → value, drawn or nominal.
-    segment : SegmentSpec
-    scheme_name : str
-        Control scheme in force.
-    tracking : tuple of (Parameter, str) or None
-        The `speed_tracking` in force and the prefix of its path.
-    way : float
-        Limit from elsewhere [m/s].
-    """
-    body = mission.robot.body
-    scheme = mission.robot.schemes.get(scheme_name)
-    top = body.max_speed
-    if segment.kind == "move" and body.max_lateral_speed is not None and body.max_lateral_speed.value > top.value:
-        top = body.max_lateral_speed
-    reached = 1.0 if tracking is None else number(*tracking)
-    raised = 1.0 if tracking is None else max(1.0, tracking[0].value)
-    robot = number(top, "robot.") * raised
-    of_scheme = math.inf
-    if scheme is not None and scheme.max_speed is not None:
-        of_scheme = number(scheme.max_speed, "robot.") * raised
-    given = mission.setting(segment, "speed")
-    asked = least(number(body.max_speed, "robot."), of_scheme / raised) if given is None else number(given, "")
-    return Pace(asked * reached, robot, of_scheme, way)

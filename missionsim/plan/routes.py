@@ -198,7 +198,7 @@ class Routes:
     def others_shorter(self, routes: Iterable[tuple[str, str, tuple[int, ...]]]) -> NDArray[np.bool_]:
         """Runs in which another way is shorter than one of these routes, shape (runs,) (Bellman 1958, Ford 1956)."""
         lengths = {way.edge: way.length_m for ways in self.ways.values() for way in ways}
-        count = next(len(length) for length in lengths.values() if isinstance(length, np.ndarray))
+        count = next(np.size(length) for length in lengths.values() if isinstance(length, np.ndarray))
         found = np.zeros(count, dtype=bool)
         wanted = list(dict.fromkeys(routes))
         for begin in dict.fromkeys(route[0] for route in wanted):

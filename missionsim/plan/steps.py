@@ -80,9 +80,9 @@ def _profiles(legs: Sequence[Leg], spans: Sequence[tuple[int, int]], limits: Lim
         else:
             batches.setdefault(high - low, []).append((low, high))
     for members in batches.values():
-        distance = _stacked([[_size(leg) for leg in legs[low:high]] for low, high in members])
-        limit = _stacked([[_limit(leg) for leg in legs[low:high]] for low, high in members])
-        rates = _stacked([_rates(legs[low], limits) for low, _ in members])
+        sizes = [[_size(leg) for leg in legs[low:high]] for low, high in members]
+        tops = [[_limit(leg) for leg in legs[low:high]] for low, high in members]
+        distance, limit, rates = _stacked(sizes, tops, [_rates(legs[low], limits) for low, _ in members])
         made = ramp_phases(distance, limit, rates[..., 0], rates[..., 1])
         parts = [made.duration_s, made.speed_m_s, made.accel_m_s2]
         if made.duration_s.ndim == 3:
@@ -94,12 +94,17 @@ def _profiles(legs: Sequence[Leg], spans: Sequence[tuple[int, int]], limits: Lim
     return found
 
 
-def _stacked(rows: Sequence[Sequence[float]]) -> NDArray[np.float64]:
-    """Numbers of members × pieces; of many runs, members × runs × pieces."""
-    if not any(isinstance(number, np.ndarray) for row in rows for number in row):
-        return np.array(rows)
-    count = next(len(number) for row in rows for number in row if isinstance(number, np.ndarray))
-    return np.stack([np.stack([np.broadcast_to(number, (count,)) for number in row], axis=-1) for row in rows])
+def _stacked(*tables: Sequence[Sequence[float]]) -> list[NDArray[np.float64]]:
+    """Tables of members × numbers as arrays; of many runs, members × runs × numbers."""
+    lengths = [np.size(x) for table in tables for row in table for x in row if isinstance(x, np.ndarray)]
+    if not lengths:
+        return [np.array(table) for table in tables]
+    return [
+        np.stack([np.stack([np.broadcast_to(x, lengths[:1]) for x in row], axis=-1) for row in table])
+        if any(isinstance(x, np.ndarray) for row in table for x in row)
+        else np.array(table)[:, None]
+        for table in tables
+    ]
 
 
 def _rates(leg: Leg, limits: Limits) -> tuple[float, float]:

@@ -1,57 +1,52 @@
-"""Many runs at once: draws × intervals, with the engine's own plan, kinematics and power model.
+"""Many runs at once: draws × intervals, with the engine's own planner, kinematics and power model.
 
 A mission qualifies when its events cannot change their order: no charger, no activities, no chance, batteries of
-constant energy. Its numbers are found by probing the planner, its phases by the planner's kinematics on arrays, its
-powers by the same `PowerModel`. Terms that no draw changes are evaluated once, in `compile`. Before use, runs at the
-edges and in the middle of the distributions are compared with SimPy; and a run in which a battery comes to a threshold
-is given back to SimPy, since there the events do change.
+constant energy. Its plan is made on arrays of draws (`missionsim.plan.build.plan_runs`), its powers by the same
+`PowerModel`; terms that no draw changes are evaluated once. Before use, runs at the edges and in the middle of the
+distributions are compared with SimPy; and a run in which a battery comes to a threshold, or whose plan has another
+shape, is given back to SimPy, since there the events do change.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.effects.covariates import Labels
 from missionsim.effects.integrate import GAUSS_WEIGHTS, NODES, WEIGHTS
 from missionsim.effects.model import PowerModel
-from missionsim.engine.simulate import RESERVE_TOLERANCE, split_values
+from missionsim.engine.batteries import ConstantEnergy
+from missionsim.engine.components import closure
+from missionsim.engine.outcome import J_PER_WH
+from missionsim.engine.simulate import RESERVE_TOLERANCE, RunSetup, simulate, split_values
+from missionsim.errors import MissionsimError
 from missionsim.inputs.mission import MissionSpec
-from missionsim.plan.kinematics import phases
-from missionsim.plan.legs import Leg, Plan
+from missionsim.plan.build import make_plan, plan_runs
+from missionsim.plan.legs import Leg, Phase, Plan
 from missionsim.uncertainty.draws import Draws, Sampler
-from missionsim.uncertainty.entries import (
-    SETTINGS,
-    Entries,
-    Interval,
-    Motion,
-    Progress,
-    at_nodes,
-    distance,
-    drawn_conditions,
-    running_sum,
-    take,
-)
-from missionsim.uncertainty.probe import Dependence
-from missionsim.uncertainty.run_table import RunTable
-from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, simulate_block
-from missionsim.uncertainty.ways import Edges
+from missionsim.uncertainty.matrices import Progress, at_nodes, matrix, running_sum, take
+from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, left_to_chance, simulate_block
 
 Array = NDArray[np.float64]
 AGREEMENT = 1e-9
 """Largest relative difference to SimPy that is accepted."""
 CACHED_RUNS = 2048
 """Runs evaluated at a time: their arrays of draws × intervals stay in the processor's cache."""
+MOST_NUMBERS = 2_000_000
+"""Numbers of a matrix of runs × intervals; runs are planned and evaluated in parts of at most so many."""
 _PARTS = np.linspace(0.0, 1.0, PROGRESS_POINTS)
 # the C library keeps what arrays of up to this size give back, in place of asking the system for each anew (malloc(3):
 # its threshold grows to the largest block that was ever freed)
 _largest = np.empty(24 << 20, dtype=np.uint8)
 del _largest
-_MOVES = ("roll", "slide", "turn")
+_CHECK_PROBABILITIES = (0.5, 0.002, 0.998, 0.25, 0.75)
+_CHECK_DRAWS, _TRIED = 3, 256
+_BELOW = "below its reserve: "
 
 
 @dataclass(frozen=True)
@@ -60,26 +55,20 @@ class ArrayMission:
 
     Attributes
     ----------
+    plan : Plan
+        At the nominal values.
     varying : PowerModel
         The terms that some draw changes.
     fixed : mapping
-        Battery and component → power of all other terms in each interval [W], shape (intervals,).
-    edges : Edges or None
-        Where the shortest ways may follow from draws.
+        Battery and component → power of all other terms on each leg [W], shape (legs,).
     """
 
     mission: MissionSpec
     model: PowerModel
     sampler: Sampler
     plan: Plan
-    dependence: Dependence
-    spans: tuple[tuple[int, int, bool], ...]
-    intervals: tuple[Interval, ...]
-    columns: Mapping[str, Any]
-    switched_on: Mapping[str, NDArray[np.intp]]
     varying: PowerModel
     fixed: Mapping[tuple[str, str], Array]
-    edges: Edges | None = None
 
     def block(self, seed: int, first: int, count: int) -> dict[str, NDArray[Any]]:
         """Columns of the runs ``first … first + count − 1``."""
@@ -88,15 +77,23 @@ class ArrayMission:
         columns = {"run": np.arange(first, first + count, dtype=np.int64), **columns}
         for name, values in draws.items():
             columns[f"drawn:{name}"] = values
-        for i in np.flatnonzero(again).tolist():
-            drawn = {name: values[i : i + 1] for name, values in draws.items()}
-            run = simulate_block(self.mission, self.model, self.sampler, seed, first + i, 1, draws=drawn)
+        chosen = np.flatnonzero(again)
+        if chosen.size:
+            drawn = {name: values[chosen] for name, values in draws.items()}
+            runs = simulate_block(
+                self.mission, self.model, self.sampler, seed, first, chosen.size, draws=drawn, numbers=first + chosen
+            )
             for name, values in columns.items():
-                values[i] = run[name][0]
+                values[chosen] = runs[name]
         return columns
 
+    @property
+    def intervals(self) -> int:
+        """Intervals of the nominal run."""
+        return sum(len(step.phases) for step in self.plan.steps)
+
     def evaluate(self, draws: Draws, count: int) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
-        """Columns at given draws, and the runs that need SimPy because a battery comes to a threshold.
+        """Columns at given draws, and the runs that need SimPy.
 
         Parameters
         ----------
@@ -104,33 +101,88 @@ class ArrayMission:
             Value name → ndarray of shape (count,).
         count : int
         """
-        table = RunTable(tuple(self.mission.robot.batteries), components_of(self.model), count)
-        changes, values = self.dependence.changes(draws, count), self.values(draws)
+        columns, again = self._empty(count), np.zeros(count, dtype=bool)
+        together = max(1, MOST_NUMBERS // self.intervals)
+        for low in range(0, count, together):
+            high = min(low + together, count)
+            part = {name: values[low:high] for name, values in draws.items()}
+            with np.errstate(all="ignore"):  # what is no number goes to SimPy, which tells why
+                self._part(part, high - low, {name: v[low:high] for name, v in columns.items()}, again[low:high])
+        columns["feasible"][:] = True
+        for name in self.mission.robot.batteries:
+            below = columns.pop(f"{_BELOW}{name}")
+            columns["feasible"] &= ~below
+            text = f"battery '{name}' ends below its reserve"
+            for i in np.flatnonzero(below).tolist():
+                before = columns["message"][i]
+                columns["message"][i] = f"{before}; {text}" if before else text
+        return columns, again
+
+    def _empty(self, count: int) -> dict[str, NDArray[Any]]:
+        columns: dict[str, NDArray[Any]] = {name: np.zeros(count, dtype=bool) for name in ("feasible", "speed_limited")}
+        batteries = tuple(self.mission.robot.batteries)
+        numbers = ["duration_s", "distance_m", "failed_at_s"]
+        numbers += [f"{what}_{name}_wh" for name in batteries for what in ("energy", "charge_left", "margin", "needed")]
+        numbers += [f"component_{battery}_{component}_wh" for battery, component in components_of(self.model)]
+        columns |= {name: np.zeros(count) for name in numbers}
+        columns["failed_at_s"][:] = np.nan
+        columns |= {name: np.full(count, "", dtype=object) for name in ("failed_segment", "failed_battery", "message")}
+        columns |= {f"charge_{name}_wh": np.empty((PROGRESS_POINTS, count)).T for name in batteries}
+        return columns | {f"{_BELOW}{name}": np.zeros(count, dtype=bool) for name in batteries}
+
+    def _part(self, draws: Draws, count: int, columns: Mapping[str, NDArray[Any]], again: NDArray[np.bool_]) -> None:
+        """Plan some runs and evaluate them in pieces."""
+        numbers, drawn = split_values(draws, self.model)
+        plan = plan_runs(self.mission, numbers)
+        setup = RunSetup(self.mission, plan, self.model, numbers, {})
+        values = {name: np.asarray(value)[:, None] for name, value in drawn.items()}
+        limited = [leg.pace.limited for leg in plan.legs]
+        columns["speed_limited"][:] = functools.reduce(np.logical_or, limited, False)
+        if plan.odd is not None:
+            again |= plan.odd
+        intervals = _Intervals.of(plan)
+        if len(plan.legs) != len(self.plan.legs) or not set(range(len(plan.legs))) <= set(intervals.leg_of.tolist()):
+            again[:] = True
+            return
         for low in range(0, count, CACHED_RUNS):
             part = slice(low, min(low + CACHED_RUNS, count))
-            with np.errstate(all="ignore"):  # what is no number goes to SimPy, which tells why
-                self._piece(changes[:, part], {name: value[part] for name, value in values.items()}, table, part)
-        if self.edges is not None:
-            table.again |= self.edges.others_shorter(draws, count)
-        return table.columns(), table.again
+            self._piece(
+                intervals,
+                part,
+                setup,
+                {name: value[part] for name, value in values.items()},
+                {name: column[part] for name, column in columns.items()},
+                again[part],
+            )
 
-    def _piece(self, changes: Array, values: Mapping[str, Array], table: RunTable, part: slice) -> None:
-        """Evaluate some runs into their part of the table."""
-        count = changes.shape[1]
-        numbers = table.numbers[:, part]
-        entries = Entries(self.plan, self.dependence, changes)
-        motion = self.motion(entries, count)
-        knots = running_sum(motion.duration_s.T)
-        cov, rates = self.covariates(entries, motion, knots)
-        energy, doubt = self._energies(cov, rates, motion, knots[-1], values, numbers, table.part)
-        numbers[0], numbers[1] = knots[-1], distance(cov, motion)
-        sound = np.isfinite(knots[-1]) & (motion.duration_s.min(axis=1) >= 0.0)
-        table.again[part], table.limited[part] = ~sound, motion.limited
+    def _piece(
+        self,
+        intervals: _Intervals,
+        part: slice,
+        setup: RunSetup,
+        values: Mapping[str, Array],
+        columns: Mapping[str, NDArray[Any]],
+        again: NDArray[np.bool_],
+    ) -> None:
+        """Evaluate some runs into their part of the columns, in J and Wh."""
+        duration = intervals.duration(part)
+        knots = running_sum(duration.T)
+        cov, rates = self.covariates(intervals, part, duration, knots)
+        parts = {(b, c): columns[f"component_{b}_{c}_wh"] for b, c in components_of(self.model)}
+        energy, doubt = self._energies(cov, rates, duration, knots[-1], values, parts, intervals.leg_of)
+        for joules in parts.values():
+            joules *= 1.0 / J_PER_WH
+        columns["duration_s"][:], columns["distance_m"][:] = knots[-1], _distance(cov, duration)
+        sound = np.isfinite(knots[-1]) & (duration.min(axis=1) >= 0.0)
+        again |= ~sound
         if not sound.all():
             knots = np.where(sound, knots, 0.0)
         progress = Progress(knots, PROGRESS_POINTS)
-        for b, name in enumerate(self.mission.robot.batteries):
-            capacity, initial, reserve = (entries.battery(b, i) for i in range(3))
+        for name, battery in setup.batteries.items():
+            capacity, initial, reserve = (
+                number[part] if isinstance(number, np.ndarray) else number
+                for number in (battery.capacity_j, battery.initial, setup.required[name])
+            )
             even = self._even.get(name)
             if even is None:
                 spent = running_sum(energy[name].T)
@@ -138,164 +190,86 @@ class ArrayMission:
             else:  # a power that never changes
                 total = most = even * knots[-1]
                 charge = np.multiply.outer(_PARTS, total)
-            np.subtract(initial, charge, out=table.charge[b, :, part])
+            np.subtract(initial, charge, out=charge)
+            np.multiply(charge, 1.0 / J_PER_WH, out=columns[f"charge_{name}_wh"].T)
             required, slack = capacity * reserve, RESERVE_TOLERANCE * capacity
             left = initial - total
             floor = required if self.mission.policy.on_empty == "return_to_dock" else 0.0
-            table.again[part] |= ~(initial - most > floor + slack)  # also where it is not a number
-            table.again[part] |= doubt > AGREEMENT * np.abs(total)
-            np.less(left, required - slack, out=table.below[b, part])
+            again |= ~(initial - most > floor + slack)  # also where it is not a number
+            again |= doubt > AGREEMENT * np.abs(total)
+            np.less(left, required - slack, out=columns[f"{_BELOW}{name}"])
             for quantity, joules in (
                 ("energy", total),
                 ("charge_left", left),
                 ("margin", left - required),
                 ("needed", np.maximum(most, 0.0)),
             ):
-                numbers[table.row(b, quantity)] = joules
+                np.multiply(joules, 1.0 / J_PER_WH, out=columns[f"{quantity}_{name}_wh"])
 
     @functools.cached_property
-    def _place(self) -> dict[tuple[int, int], int]:
-        return {(interval.leg, interval.phase): i for i, interval in enumerate(self.intervals)}
+    def _infos(self) -> dict[str, Any]:
+        setup = RunSetup(self.mission, self.plan, self.model, {}, {})
+        return {component.name: component for component in setup.components}
 
     @functools.cached_property
-    def _together(self) -> tuple[tuple[str, tuple[int, ...], list[int]], ...]:
-        """Kind, legs and their intervals of all legs that need no kinematics of ramps, to be evaluated as one."""
-        found: dict[str, tuple[list[int], list[int]]] = {}
-        for low, high, instant in self.spans:
-            kind = self.plan.legs[low].kind
-            if instant or kind not in _MOVES:
-                legs, places = found.setdefault(kind if kind in ("turn", "slide", "roll") else "stand", ([], []))
-                legs += range(low, high)
-                places += [self._place[leg, 1] for leg in range(low, high)]
-        return tuple((kind, tuple(legs), places) for kind, (legs, places) in found.items())
-
-    def motion(self, entries: Entries, count: int) -> Motion:
-        """When the intervals begin, and how fast."""
-        size = len(self.intervals)
-        duration = np.empty((size, count)).T
-        speed = np.zeros((size, count)).T
-        ramps = [span for span in self.spans if not span[2] and self.plan.legs[span[0]].kind in _MOVES]
-        rate = np.zeros((size, count)).T if ramps else np.zeros((1, size))
-        limited = np.zeros(1, dtype=bool)
-        for kind, legs, places in self._together:
-            if kind == "stand":
-                duration[:, places] = entries.legs(legs, "duration_s")
-                continue
-            way = np.abs(entries.legs(legs, "angle_rad")) if kind == "turn" else entries.legs(legs, "distance_m")
-            limit, above = entries.limits(legs, kind == "turn")
-            limited = limited | above
-            if places == list(range(size)) and len(limit) == count:
-                speed = limit
-                np.divide(way, limit, out=duration)
-            else:
-                speed[:, places] = limit
-                duration[:, places] = way / limit
-        for low, high, _ in ramps:
-            legs, turn = tuple(range(low, high)), self.plan.legs[low].kind == "turn"
-            way = np.abs(entries.legs(legs, "angle_rad" if turn else "distance_m"))
-            limit, above = entries.limits(legs, turn)
-            limited = limited | above
-            up = entries.limit("yaw_accel_rad_s2" if turn else "accel_m_s2")
-            down = up if turn else entries.limit("decel_m_s2")
-            made = phases(way, limit, up, down)
-            for k, i in enumerate(legs):
-                for phase in (0, 1, 2):
-                    j = self._place[i, phase]
-                    duration[:, j] = made.duration_s[:, k, phase]
-                    speed[:, j] = made.speed_m_s[:, k, phase]
-                    rate[:, j] = made.accel_m_s2[:, k, phase]
-        return Motion(duration, speed, rate, limited)
-
-    @functools.cached_property
-    def _legs(self) -> list[Leg]:
-        return [self.plan.legs[interval.leg] for interval in self.intervals]
-
-    @functools.cached_property
-    def _directions(self) -> tuple[Array, Array]:
-        """Parts of the speed that go ahead and aside in each interval."""
-        both = np.zeros((2, len(self._legs)))
-        for i, leg in enumerate(self._legs):
-            if leg.kind == "slide":
-                both[:, i] = np.cos(leg.direction_rad), np.sin(leg.direction_rad)
-            elif leg.kind == "roll":
-                both[0, i] = 1.0
-        return both[0], both[1]
-
-    @functools.cached_property
-    def _drawn_conditions(self) -> tuple[str, ...]:
-        return drawn_conditions(self.plan, self.dependence, self._bends[3])
+    def _units(self) -> dict[str, Array]:
+        """Units of each component that are on, on each leg."""
+        always = {name: info.units for name, info in self._infos.items() if info.always_on}
+        on = {leg.settings.sensors: closure(self._infos, leg.settings.sensors) for leg in self.plan.legs}
+        return {
+            name: np.array(
+                [float(max(on[leg.settings.sensors].get(name, 0), always.get(name, 0))) for leg in self.plan.legs]
+            )
+            for name in self._infos
+        }
 
     @functools.cached_property
     def _needs(self) -> frozenset[str]:
         terms = self.model.terms
         return frozenset(name for term in terms for name in (*term.effect.needs, *term.effect.memory))
 
-    def covariates(self, entries: Entries, motion: Motion, knots: Array) -> tuple[dict[str, Any], dict[str, Any]]:
+    def covariates(
+        self, intervals: _Intervals, part: slice, duration: Array, knots: Array
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Covariates at the start of each interval and their change per second.
 
         Parameters
         ----------
-        entries : Entries
-        motion : Motion
+        intervals : _Intervals
+        part : slice
+            The runs.
+        duration : ndarray, shape (runs, intervals)
         knots : ndarray, shape (intervals + 1, runs)
             Instants between the intervals.
         """
-        duration, speed, rate = motion.duration_s, motion.speed_m_s, motion.accel_m_s2
-        cov: dict[str, Any] = dict(self.columns)
-        rates: dict[str, Any] = {}
-        for name, part in zip(("", "lateral_"), self._directions, strict=True):
-            whole, none = bool(np.all(part == 1.0)), not part.any()
-            cov[f"{name}speed_m_s"] = speed if whole else part if none else speed * part
-            cov[f"{name}accel_m_s2"] = rate if whole else part if none else rate * part
-            rates[f"{name}speed_m_s"] = cov[f"{name}accel_m_s2"]
-        turns, rolls, bent, all_legs = self._bends
-        bend = turns
-        if rolls and (curvature := entries.legs(bent, "curvature_1_m")).any():
-            bend = np.empty((len(turns), len(curvature))).T
-            bend[:] = turns
-            bend[:, rolls] = curvature
-        straight = bend is turns and not turns.any()
-        cov["yaw_rate_rad_s"] = turns if straight else speed * bend
-        rates["yaw_rate_rad_s"] = turns if straight else rate * bend
-        for name in SETTINGS:
-            numbers = entries.legs(all_legs, name)
-            cov[name] = numbers if len(numbers) > 1 else numbers[0]
-        for name in self._drawn_conditions:
-            cov[name] = entries.legs(all_legs, name)
+        cov, rates = intervals.covariates(part)
+        for name, units in self._units.items():
+            cov[f"on_{name}"], cov[f"starting_{name}"] = units[intervals.leg_of], np.zeros(len(intervals.leg_of))
         if "moving_time_s" in self._needs:
-            moving = np.asarray(self.columns["moving"])
+            moving = cov["moving"]
             cov["moving_time_s"] = running_sum((duration * moving).T)[:-1].T
             rates["moving_time_s"] = moving
         start = knots[:-1].T
-        for name, began in self.switched_on.items():
-            on = began >= 0
-            cov[f"on_time_{name}_s"] = np.where(on, start - start[:, np.maximum(began, 0)], 0.0)
-            rates[f"on_time_{name}_s"] = on.astype(float)
+        for name in self._units:
+            if f"on_time_{name}_s" in self.model.memory:
+                on = cov[f"on_{name}"] > 0.0
+                places = np.arange(len(on))
+                # where it was switched on last: the first place after the last one where it was off
+                began = np.maximum.accumulate(np.where(on, -1, places)) + 1
+                cov[f"on_time_{name}_s"] = np.where(on, start - start[:, np.minimum(began, places)], 0.0)
+                rates[f"on_time_{name}_s"] = on.astype(float)
         if "time_s" in self._needs:
-            cov["time_s"], rates["time_s"] = start, np.ones(len(self.intervals))
+            cov["time_s"], rates["time_s"] = start, np.ones(len(intervals.leg_of))
         return cov, rates
-
-    @functools.cached_property
-    def _bends(self) -> tuple[Array, list[int], tuple[int, ...], tuple[int, ...]]:
-        """Yaw rate for a unit of speed of turns on the spot; intervals that roll, their legs; legs of all intervals."""
-        turns = np.array([np.copysign(1.0, leg.angle_rad) if leg.kind == "turn" else 0.0 for leg in self._legs])
-        rolls = [i for i, leg in enumerate(self._legs) if leg.kind == "roll"]
-        legs = tuple(interval.leg for interval in self.intervals)
-        return turns, rolls, tuple(legs[i] for i in rolls), legs
-
-    def values(self, draws: Draws) -> dict[str, Array]:
-        """Parameters of the power model that are drawn, each of shape (runs, 1)."""
-        drawn = split_values(draws, self.model)[1]
-        return {name: np.asarray(values)[:, None] for name, values in drawn.items()}
 
     @functools.cached_property
     def _fixed(self) -> tuple[dict[str, Any], dict[tuple[str, str], float], list[tuple[str, str]], Array]:
         """Powers that no draw changes.
 
-        Of each battery, by interval or one number for all; of the components that have the same in all intervals; the
-        components that do not, and theirs as columns.
+        Of each battery, by leg or one number for all; of the components that have the same on all legs; the components
+        that do not, and theirs as columns.
         """
-        total: dict[str, Any] = {name: np.zeros(len(self.intervals)) for name in self.model.batteries}
+        total: dict[str, Any] = {name: np.zeros(len(self.plan.legs)) for name in self.model.batteries}
         even, changing = {}, []
         for key, watts in self.fixed.items():
             total[key[0]] = total[key[0]] + watts
@@ -321,34 +295,35 @@ class ArrayMission:
             if not self._impulsive and not self.varying.of(name) and isinstance(watts, float) and watts >= 0.0
         }
 
-    @functools.cached_property
-    def _curved(self) -> NDArray[np.bool_]:
-        """The intervals in which power changes."""
+    def _curved(self, rates: Mapping[str, Any], count: int) -> NDArray[np.bool_]:
+        """The intervals in which power changes, shape (intervals,)."""
         if self.model.memory or "time_s" in self._needs:
-            return np.ones(len(self.intervals), dtype=bool)
-        return np.array([interval.phase != 1 for interval in self.intervals])
+            return np.ones(count, dtype=bool)
+        changing = [np.any(rate != 0.0, axis=0) if np.ndim(rate) > 1 else rate != 0.0 for rate in rates.values()]
+        return np.asarray(np.broadcast_to(functools.reduce(np.logical_or, changing), (count,)))
 
     def _energies(
         self,
         cov: dict[str, Any],
         rates: dict[str, Any],
-        motion: Motion,
+        duration: Array,
         time_s: Array,
         values: Mapping[str, Array],
-        numbers: Array,
-        part: Mapping[tuple[str, str], int],
+        parts: Mapping[tuple[str, str], Array],
+        leg_of: NDArray[np.intp],
     ) -> tuple[dict[str, Array], Any]:
-        """Energy by battery and interval, shape (runs, intervals), in J; by component it is added to `numbers`.
+        """Energy by battery and interval, shape (runs, intervals), in J; by component it is added to `parts`.
 
         Also how far two quadratures of each run differ [J]: far, where a term has a kink inside an interval.
         """
         doubt: Any = 0.0
-        duration = motion.duration_s
         total, even, changing, powers = self._fixed
+        total = {name: watts if isinstance(watts, float) else watts[leg_of] for name, watts in total.items()}
+        curved_at = self._curved(rates, duration.shape[1])
         for key, watts in even.items():
-            np.multiply(time_s, watts, out=numbers[part[key]])
-        for key, joules in zip(changing, (duration @ powers).T if changing else (), strict=True):
-            numbers[part[key]] = joules
+            np.multiply(time_s, watts, out=parts[key])
+        for key, joules in zip(changing, (duration @ powers[leg_of]).T if changing else (), strict=True):
+            parts[key][:] = joules
         steady_loads = [name for name in total if name not in self._even and not self.varying.of(name)]
         energy = {name: duration * total[name] for name in steady_loads}
 
@@ -369,7 +344,7 @@ class ArrayMission:
                         joules = lasts * watts[:, 0]
                     else:
                         joules = np.einsum("ij,ij->i", length, np.broadcast_to(watts, length.shape))
-                    numbers[part[battery, key.component]] += joules
+                    parts[battery, key.component] += joules
                     if np.shape(mean) == length.shape:
                         mean += watts
                     else:
@@ -381,10 +356,10 @@ class ArrayMission:
                         energy[battery] = np.zeros(duration.shape[::-1]).T
                     energy[battery][:, where] = length * mean
 
-        if self.varying.terms and not self._curved.any():
+        if self.varying.terms and not curved_at.any():
             book(self.varying.evaluate(cov, values), slice(None), duration, None)
         elif self.varying.terms:
-            steady, curved = np.flatnonzero(~self._curved), np.flatnonzero(self._curved)
+            steady, curved = np.flatnonzero(~curved_at), np.flatnonzero(curved_at)
             if steady.size:
                 book(self.varying.evaluate(take(cov, steady), values), steady, duration[:, steady], None)
             length = duration[:, curved]
@@ -394,5 +369,202 @@ class ArrayMission:
             for term, impulse in self.model.impulses(cov, values).items():
                 spread = np.broadcast_to(impulse, duration.shape)
                 energy[term.battery] += spread
-                numbers[part[term.battery, term.component]] += spread.sum(axis=1)
+                parts[term.battery, term.component] += spread.sum(axis=1)
         return energy, doubt
+
+
+@dataclass(frozen=True)
+class _Intervals:
+    """The phases of a plan of many runs, and the legs that they belong to."""
+
+    plan: Plan
+    phases: tuple[Phase, ...]
+    leg_of: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, plan: Plan) -> _Intervals:
+        phases = tuple(phase for step in plan.steps for phase in step.phases)
+        return cls(plan, phases, np.array([phase.leg for phase in phases], dtype=np.intp))
+
+    def duration(self, part: slice) -> Array:
+        """Of each interval [s], shape (runs, intervals)."""
+        lasting = matrix([phase.duration_s for phase in self.phases], part)
+        if len(lasting) == part.stop - part.start:
+            return lasting
+        return np.repeat(lasting, part.stop - part.start, axis=0).T.copy().T
+
+    @functools.cached_property
+    def _of_legs(self) -> dict[str, Any]:
+        """Covariates that no draw changes, of each interval."""
+        settings = [leg.settings for leg in self.plan.legs]
+        found: dict[str, Any] = {
+            name: Labels.of([getattr(item, name) for item in settings])[self.leg_of]
+            for name in ("scheme", "navigation", "surface")
+        }
+        moving = np.array([phase.moving for phase in self.phases])
+        # a leg that takes no time in any run is planned as standing
+        before = np.concatenate([[False], moving[:-1]])
+        found["moving"], found["starts"] = moving.astype(float), (moving & ~before).astype(float)
+        for name in sorted({name for item in settings for name, value in item.extra if isinstance(value, str)}):
+            found[name] = Labels.of([dict(item.extra).get(name, np.nan) for item in settings])[self.leg_of]
+        return found
+
+    def covariates(self, part: slice) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Covariates at the start of each interval, shape (runs, intervals) or (intervals,), and their rates."""
+        phases = self.phases
+        cov: dict[str, Any] = dict(self._of_legs)
+        rates: dict[str, Any] = {}
+        for name, level, rate in (
+            ("speed_m_s", "speed_m_s", "accel_m_s2"),
+            ("lateral_speed_m_s", "lateral_m_s", "lateral_m_s2"),
+            ("yaw_rate_rad_s", "yaw_rad_s", "yaw_rad_s2"),
+        ):
+            cov[name] = _flat(matrix([getattr(phase, level) for phase in phases], part))
+            rates[name] = _flat(matrix([getattr(phase, rate) for phase in phases], part))
+        cov["accel_m_s2"], cov["lateral_accel_m_s2"] = rates["speed_m_s"], rates["lateral_speed_m_s"]
+        legs: list[Leg] = [self.plan.legs[i] for i in self.leg_of.tolist()]
+        for name in ("payload_kg", "slope_rad"):
+            cov[name] = _flat(matrix([getattr(leg.settings, name) for leg in legs], part))
+        extra = [dict(leg.settings.extra) for leg in self.plan.legs]
+        for name in sorted({name for item in extra for name in item} - cov.keys()):
+            given = [item.get(name, np.nan) for item in extra]
+            cov[name] = _flat(matrix([given[i] for i in self.leg_of.tolist()], part))
+        return cov, rates
+
+
+def _flat(numbers: Array) -> Array:
+    """One row for all runs as a vector of intervals."""
+    return numbers if len(numbers) > 1 else numbers[0]
+
+
+def _distance(cov: Mapping[str, Any], duration: Array) -> Array:
+    """Distance driven [m], shape (runs,)."""
+    if not np.any(cov["accel_m_s2"]) and not np.any(cov["lateral_speed_m_s"]):
+        speed = np.broadcast_to(np.abs(cov["speed_m_s"]), duration.shape)
+        return np.asarray(np.einsum("ij,ij->i", speed, duration))
+    ahead = cov["speed_m_s"] * duration + 0.5 * cov["accel_m_s2"] * duration**2
+    aside = cov["lateral_speed_m_s"] * duration + 0.5 * cov["lateral_accel_m_s2"] * duration**2
+    return np.asarray(np.hypot(ahead, aside).sum(axis=1))
+
+
+def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) -> ArrayMission | str:
+    """Compile a mission for evaluation as arrays.
+
+    Parameters
+    ----------
+    mission : MissionSpec
+    model : PowerModel
+    sampler : Sampler
+
+    Returns
+    -------
+    ArrayMission or str
+        The compiled mission, or in words why its runs need SimPy.
+    """
+    try:
+        plan = make_plan(mission)
+        reason = _obstacle(mission, model, plan)
+    except MissionsimError as error:
+        reason = f"the nominal mission fails: {error}"
+    if reason:
+        return reason
+    made = _without_fixed_terms(ArrayMission(mission, model, sampler, plan, model, {}))
+    _, again = made.evaluate(sampler.draw(0, 0, _TRIED), _TRIED)
+    if again.mean() > 0.5:
+        return (
+            f"in {100 * again.mean():.0f} % of its runs a battery comes to a threshold, another way is shorter, a "
+            "value changes what the plan consists of, or a power has a kink inside an interval"
+        )
+    return _disagreement(made) or made
+
+
+def _obstacle(mission: MissionSpec, model: PowerModel, plan: Plan) -> str:
+    if plan.activities:
+        return "activities overlap with the segments, so that events may change their order"
+    if any(leg.recharge is not None for leg in plan.legs):
+        return "it recharges"
+    chance = left_to_chance(mission)
+    if chance:
+        return f"chance decides in each run: {', '.join(name.removeprefix('chance.') for name in chance)}"
+    setup = RunSetup(mission, plan, model, {}, {})
+    if any(not isinstance(battery, ConstantEnergy) for battery in setup.batteries.values()):
+        return "a battery is no constant store of energy"
+    if any(component.startup_s for component in setup.components):
+        return "components take time to start"
+    whole = simulate(mission, plan=plan, model=model)
+    if not whole.completed:
+        return "the nominal mission does not end"
+    if any(b.home_wh for b in whole.batteries.values()):
+        return "it ends away from its dock, so that each run has a way home of its own"
+    return ""
+
+
+def _without_fixed_terms(made: ArrayMission) -> ArrayMission:
+    """Evaluate the terms that no draw changes, once and for all.
+
+    Two runs with values of their own are evaluated: what follows from a draw, or changes along a leg, has two rows
+    then. A term with zero as its undrawn coefficient is nought whatever else it depends on.
+    """
+    draws = made.sampler.at({value.name: np.array([0.3, 0.7]) for value in made.sampler.values})
+    numbers, drawn = split_values(draws, made.model)
+    values = {name: np.asarray(value)[:, None] for name, value in drawn.items()}
+    intervals, part = _Intervals.of(plan_runs(made.mission, numbers)), slice(0, 2)
+    duration = intervals.duration(part)
+    cov, rates = made.covariates(intervals, part, duration, running_sum(duration.T))
+    for name, rate in rates.items():  # what changes along an interval counts as changing from run to run
+        if np.any(rate):
+            cov[name] = np.broadcast_to(cov[name], duration.shape) + np.array([[0.0], [1.0]])
+    powers = made.model.evaluate(cov, values)
+    first = np.unique(intervals.leg_of, return_index=True)[1]
+    if len(first) != len(made.plan.legs):
+        return made
+    fixed: dict[tuple[str, str], Array] = {}
+    kept = []
+    for battery, watts in powers.items():
+        terms = made.model.of(battery)
+        whole = any(term.effect.of_load for term in terms)
+        changing = {term.key for term in terms if np.ndim(watts[term.key]) == 2 and len(watts[term.key]) > 1}
+        nought = {
+            term.key
+            for term in terms
+            if [parameter.value for parameter in term.parameters.values()] == [0.0]
+            and f"{battery}/{term.name_of(next(iter(term.parameters)))}" not in values
+            and not np.any(watts[term.key])
+        }
+        relieved = any(term.effect.recovers and term.key in changing - nought for term in terms)
+        for term in terms:
+            together = relieved and (term.effect.drive or term.effect.recovers) and term.key not in nought
+            if whole or term.key in changing - nought or together:
+                kept.append(term)
+            elif term.key not in nought:
+                place = (battery, term.key.component)
+                row = np.broadcast_to(np.asarray(watts[term.key], dtype=float), (1, len(intervals.leg_of)))[0]
+                fixed[place] = fixed.get(place, np.zeros(len(first))) + row[first]
+    return replace(made, varying=replace(made.model, terms=tuple(kept)), fixed=fixed)
+
+
+def _disagreement(made: ArrayMission) -> str:
+    """Why the arrays are not to be trusted: the largest difference to SimPy on some draws; empty if none."""
+    values, sampler = made.sampler.values, made.sampler
+    few = sampler.draw(0, 0, _CHECK_DRAWS)
+    at = sampler.at({value.name: np.array(_CHECK_PROBABILITIES) for value in values})
+    draws = {name: np.concatenate([at[name], few[name]]) for name in few}
+    count = len(_CHECK_PROBABILITIES) + _CHECK_DRAWS
+    columns, again = made.evaluate(draws, count)
+    for i in range(count):
+        if again[i]:
+            continue
+        try:
+            result = simulate(made.mission, values={n: float(v[i]) for n, v in draws.items()}, model=made.model)
+        except MissionsimError as error:
+            return f"a drawn mission fails: {error}"
+        for name, battery in result.batteries.items():
+            ours = float(columns[f"energy_{name}_wh"][i])
+            if not abs(ours - battery.energy_wh) <= AGREEMENT * max(abs(battery.energy_wh), 1e-12):
+                return (
+                    f"arrays and SimPy differ by {abs(ours / battery.energy_wh - 1):.1e} on battery '{name}' "
+                    "(a term has a kink or fades inside an interval)"
+                )
+        if bool(columns["feasible"][i]) != result.feasible:
+            return "arrays and SimPy do not agree on what is feasible"
+    return ""

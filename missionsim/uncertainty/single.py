@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import RunSetup, simulate, split_values
 from missionsim.errors import MissionsimError
 from missionsim.inputs.mission import MissionSpec
-from missionsim.plan.build import make_plan
+from missionsim.plan.build import make_plan, plan_runs
 from missionsim.plan.legs import Plan
 from missionsim.uncertainty.draws import Draws, Sampler
 from missionsim.uncertainty.streams import run_generator
@@ -43,6 +43,18 @@ def _plan(mission: MissionSpec, model: PowerModel, values: Mapping[str, float], 
     return make_plan(mission, numbers, run_generator(seed, "chance", run))
 
 
+def _plans(mission: MissionSpec, model: PowerModel, draws: Draws, count: int) -> list[Plan | None]:
+    """The plans of many runs, made at once; None of those that are to be planned alone."""
+    try:
+        together = plan_runs(mission, split_values(draws, model)[0])
+    except MissionsimError:
+        return [None] * count
+    plans: list[Plan | None] = [*together.each(count)]
+    for i in [] if together.odd is None else np.flatnonzero(together.odd):
+        plans[int(i)] = None
+    return plans
+
+
 def _chance(plan: Plan) -> dict[str, float]:
     return {f"chance.{what}": float(times) for what, times in plan.chance}
 
@@ -64,19 +76,24 @@ def simulate_block(
     count: int,
     *,
     draws: Draws | None = None,
+    numbers: Sequence[int] | NDArray[np.intp] | None = None,
 ) -> dict[str, NDArray[Any]]:
     """A block of runs with SimPy, as columns; a run that fails is kept with its draws and its message.
 
-    `draws` are those of `sampler`, if they are there already.
+    `draws` are those of `sampler`, if they are there already; `numbers` the numbers of the runs, where they are not
+    those from `first` on.
     """
+    own = range(first, first + count) if numbers is None else numbers
     draws = dict(draws or sampler.draw(seed, first, count))
     rows: list[dict[str, Any]] = []
     counted: list[dict[str, float]] = []
+    chance = left_to_chance(mission)
+    plans: list[Plan | None] = [None] * count if chance else _plans(mission, model, draws, count)
     for i in range(count):
         counted.append({})
         values = {name: float(column[i]) for name, column in draws.items()}
         try:
-            plan = _plan(mission, model, values, seed, first + i)
+            plan = plans[i] or _plan(mission, model, values, seed, int(own[i]))
             counted[-1] = _chance(plan)
             row = _row(simulate(mission, values=values, plan=plan, model=model))
             rows.append({**row, "speed_limited": plan.limited})
@@ -84,9 +101,9 @@ def simulate_block(
             rows.append({"message": f"failed: {error}"})
         except (ArithmeticError, ValueError, RuntimeError) as error:
             rows.append({"message": f"failed: {type(error).__name__}: {error}"})
-    for name in left_to_chance(mission):
+    for name in chance:
         draws[name] = np.array([found.get(name, np.nan) for found in counted])
-    return _columns(rows, draws, first, batteries=tuple(mission.robot.batteries), components=components_of(model))
+    return _columns(rows, draws, own, batteries=tuple(mission.robot.batteries), components=components_of(model))
 
 
 class _Read(dict[str, float]):
@@ -152,13 +169,13 @@ def _row(result: RunResult) -> dict[str, Any]:
 def _columns(
     rows: list[dict[str, Any]],
     draws: Draws,
-    first: int,
+    own: Sequence[int] | NDArray[np.intp],
     *,
     batteries: tuple[str, ...],
     components: tuple[tuple[str, str], ...],
 ) -> dict[str, NDArray[Any]]:
     count = len(rows)
-    columns: dict[str, NDArray[Any]] = {"run": np.arange(first, first + count, dtype=np.int64)}
+    columns: dict[str, NDArray[Any]] = {"run": np.asarray(own, dtype=np.int64)}
     for name in ("feasible", "speed_limited"):
         columns[name] = np.array([bool(row.get(name, False)) for row in rows])
     numbers = ["duration_s", "distance_m", "failed_at_s"]

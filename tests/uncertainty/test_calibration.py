@@ -84,6 +84,7 @@ def test_intervals_of_differences_hold_the_truth(prepared: Prepared, tmp_path: P
     assert LEAST <= np.mean(held) <= MOST, np.mean(held)
 
 
+@pytest.mark.study
 def test_intervals_of_sobol_indices_hold_the_truth(prepared: Prepared) -> None:
     def indices(seed: int, samples: int) -> dict[str, dict[str, Any]]:
         rows = sobol_importance(prepared, seed, samples, [])

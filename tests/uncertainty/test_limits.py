@@ -11,7 +11,6 @@ import pytest
 
 from missionsim.cli.app import run_command
 from missionsim.uncertainty.batch import Task, prepare
-from missionsim.uncertainty.probe import probe
 from missionsim.uncertainty.single import simulate_block
 from tests.uncertainty.test_montecarlo import PATROL, assert_agree
 
@@ -121,28 +120,6 @@ def test_a_run_beyond_the_batch_is_refused(capsys: pytest.CaptureFixture[str]) -
     assert "0 to 19" in capsys.readouterr().err
     assert run_command(["montecarlo", PATROL, "--runs", "20", "--only", "19", "--quiet"]) == 0
     assert run_command(["montecarlo", PATROL, "--only", "5000", "--quiet"]) == 0
-
-
-def test_probing_takes_few_evaluations() -> None:
-    """Values that touch numbers of their own are varied together; those that touch the same, one after the other."""
-    count = 200
-    nominal = {f"v{i}": 1.0 + i / count for i in range(count)} | {"all": 2.0, "none": 3.0}
-    calls = 0
-
-    def numbers_of(values: dict[str, float]) -> np.ndarray:
-        nonlocal calls
-        calls += 1
-        own = np.array([values[f"v{i}"] for i in range(count)])
-        return np.concatenate([own * values["all"], np.roll(own, 1) / own, own + 3.0])
-
-    draw = {name: 1.1 * value for name, value in nominal.items()}
-    found = probe(numbers_of, nominal, [draw])
-    assert not isinstance(found, str)
-    assert calls < 90
-    assert found.powers["all"][0].tolist() == list(range(count))
-    assert "none" not in {**found.powers, **found.slopes}
-    changes = found.changes({name: np.array([value]) for name, value in draw.items()}, 1)
-    assert found.at(changes, tuple(range(3 * count)))[0] == pytest.approx(numbers_of(draw), rel=1e-12)
 
 
 def test_a_mission_with_hundreds_of_uncertain_values_compiles_quickly(tmp_path: Path) -> None:

@@ -21,7 +21,6 @@ from missionsim.engine.simulate import simulate
 from missionsim.uncertainty.answers import capacity_needed, proportion_interval, quantile_interval
 from missionsim.uncertainty.batch import Task, prepare
 from missionsim.uncertainty.paired import paired_difference
-from missionsim.uncertainty.probe import probe
 from missionsim.uncertainty.single import simulate_block, simulate_run, unread_values
 from missionsim.uncertainty.store import BlockStore
 
@@ -344,19 +343,6 @@ def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
         covered_q += low <= -np.log(0.05) <= high
     assert 920 <= covered_p <= 980
     assert 920 <= covered_q <= 980
-
-
-def test_probing_finds_products_and_sums_and_refuses_other_forms() -> None:
-    nominal = {"a": 2.0, "b": 3.0, "c": 0.0}
-    checks = [{"a": 2.2, "b": 2.5, "c": 0.4}, {"a": 1.7, "b": 3.3, "c": -0.2}]
-    found = probe(lambda v: np.array([v["a"] * v["b"], v["a"] / v["b"], 5.0 + v["c"], 7.0]), nominal, checks)
-    assert not isinstance(found, str)
-    changes = found.changes({name: np.array([check[name] for check in checks]) for name in nominal}, 2)
-    assert found.at(changes, (0, 2, 3))[:, 0] == pytest.approx([2.2 * 2.5, 1.7 * 3.3])
-    assert found.at(changes, (1,))[:, 0] == pytest.approx([2.2 / 2.5, 1.7 / 3.3])
-    assert found.at(changes, (0, 2, 3))[:, 1] == pytest.approx([5.4, 4.8])
-    assert found.at(changes, (3, 3)).tolist() == [[7.0, 7.0]]
-    assert isinstance(probe(lambda v: np.array([np.sin(v["a"]), v["a"] + v["b"] * v["a"]]), nominal, checks), str)
 
 
 def test_alternatives_share_their_draws_and_differences_are_judged(tmp_path: Path) -> None:
