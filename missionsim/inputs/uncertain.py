@@ -39,20 +39,27 @@ class UncertainReader:
         """SI value and unit of one number or text."""
         raise TypeError("only its subclasses know the unit")
 
-    def _spread(self, raw: Any, value: float | None, at: tuple[str | int, ...]) -> float:
+    def _spread(self, raw: Any, value: float | None, at: tuple[str | int, ...], unit: str = "") -> float:
         """Standard deviation, SI; a percentage is of the value."""
         if isinstance(raw, str) and raw.rstrip().endswith("%") and (parts := units.split(raw)):
             if value is None:
                 raise Issue("a relative sd needs a value", raw, "a sd with a unit", at=at)
             spread = abs(value) * parts[0] / 100
         else:
-            spread = self._number(raw, at)[0] - self._zero_of(raw)
+            spread = self._number(raw, at, unit)[0] - self._zero_of(raw)
         if spread < 0:
             raise Issue("standard deviation below zero", as_written(raw), "0 or more", at=at)
         return spread
 
+    def _alike(self, key: str, raw: Any, unit: str, other: str) -> None:
+        """Refuse a number of another kind than the one before it, where any unit may stand."""
+        if not self.dimension and unit and other and not units.same_dimension(unit, other):
+            raise Issue(f"{key} in another unit than its value", as_written(raw), f"a number in {other}", at=(key,))
+
     def _zero_of(self, raw: Any) -> float:
         """Where the unit of a number begins: 4 K of spread are 4 degrees, not −269 °C."""
+        if not self.dimension:
+            return 0.0  # units with an offset are refused there
         parts = units.split(raw) if isinstance(raw, str) else None
         try:
             return units.unit_factor(parts[1], self.dimension)[1] if parts and parts[1] else 0.0
@@ -94,14 +101,17 @@ class UncertainReader:
         for key in ("value", "low", "high"):
             if key in raw:
                 try:
-                    given[key], found = self._number(raw[key], (key,), unit)
+                    given[key], found = self._number(raw[key], (key,), texts["unit"])
+                    self._alike(key, raw[key], found, unit)
                     unit = unit or found
                 except Issue as issue:
                     issues.append(issue)
                     failed = True
         if "sd" in raw and not failed:
             try:
-                given["sd"] = self._spread(raw["sd"], given["value"], ("sd",))
+                given["sd"] = self._spread(raw["sd"], given["value"], ("sd",), texts["unit"])
+                if isinstance(raw["sd"], str) and not raw["sd"].rstrip().endswith("%"):
+                    self._alike("sd", raw["sd"], self._number(raw["sd"], ("sd",))[1], unit)
             except Issue as issue:
                 issues.append(issue)
                 failed = True
@@ -310,8 +320,12 @@ def _read_column(
             "{kind: empirical, file: values.csv, column: power_w}",
             at=where,
         )
-    path = (folder or Path()) / file
+    home = (folder or Path()).resolve()
+    path = (home / file).resolve()
     try:
+        # files of others may name any path: only what lies with them is read, and nothing that never ends
+        if not path.is_relative_to(home) or not path.is_file():
+            raise OSError
         with open(path, newline="", encoding="utf-8-sig") as handle:
             reader = csv.DictReader(handle)
             names = list(reader.fieldnames or ())
@@ -337,4 +351,4 @@ def _read_column(
     except (OSError, UnicodeDecodeError, csv.Error, ValueError) as problem:
         if isinstance(problem, Issue):
             raise
-        raise Issue(f"cannot read {file}", file, "a CSV file beside this YAML file", at=where) from None
+        raise Issue(f"cannot read {file}", file, "a CSV file beside or below this YAML file", at=where) from None

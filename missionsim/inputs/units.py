@@ -14,6 +14,8 @@ from typing import Any
 
 from missionsim.errors import did_you_mean
 
+_MOST_POWERS = 100
+"""Product of all exponents of a unit: (m^9)^9 is no unit of anything."""
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$", re.DOTALL)
 
 
@@ -292,17 +294,20 @@ def _dimension_by_pint(unit: str) -> tuple[int, ...] | None:
 
 
 def _pint_unit(unit: str, allowed: str, known: Iterable[str]) -> Any:
+    flat = unit.replace("²", "^2").replace("³", "^3").replace("·", "*").replace("**", "^")
+    powers = math.prod(int(digits) for digits in re.findall(r"\^[\s(]*[-+]?(\d+)", flat[:60]))
     if (
         len(unit) > 60
-        or not re.fullmatch(r"[A-Za-zµμΩ°/*^. ()0-9²³·-]+", unit)
-        or re.search(r"\d{3}|[\^*]\s*\d{2}", unit)
+        or not re.fullmatch(r"[A-Za-zµμΩ°/*^. ()0-9-]+", flat)
+        or re.search(r"\d{3}|[\^*]\s*\d{2}|\d[\s)]*\^", flat)  # powers of numbers, and of powers, never end
+        or powers > _MOST_POWERS
     ):
         raise UnitError("unknown unit", repr(unit)[:60], allowed)
     import pint
 
     registry = _registry()
     try:
-        quantity = registry.Quantity(1.0, unit.replace("²", "**2").replace("³", "**3").replace("·", "*"))
+        quantity = registry.Quantity(1.0, flat)
     except pint.OffsetUnitCalculusError:
         raise UnitError("unit with an offset", repr(unit), allowed) from None
     except Exception:  # pint raises whatever its tokenizer meets (TypeError, AttributeError, TokenError…)
