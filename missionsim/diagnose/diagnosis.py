@@ -16,12 +16,14 @@ from missionsim.diagnose.heldout import Tested, on_heldout, on_left_out
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
 from missionsim.diagnose.priors import priors_of
+from missionsim.diagnose.proposed import depends_on, proposed_laws, without_stand_ins
 from missionsim.diagnose.split import Split, choose_split
 from missionsim.diagnose.waterfall import noted
 from missionsim.effects.base import Effect
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.identify.align import Clock
+from missionsim.identify.data import RunData
 from missionsim.identify.findings import (
     BatteryDiagnosis,
     Diagnosis,
@@ -36,6 +38,7 @@ from missionsim.identify.findings import (
 from missionsim.identify.identification import Identification, identify
 from missionsim.identify.model import prediction
 from missionsim.identify.profile import at_shapes
+from missionsim.identify.proposed import Proposal
 from missionsim.identify.settings import (
     ALPHA,
     MOST_PASSES,
@@ -290,6 +293,7 @@ def diagnose_battery(
     settings: Settings,
     segments: Sequence[str] = (),
     clock: Clock | None = None,
+    laws: bool = True,
 ) -> BatteryDiagnosis:
     """The diagnosis of one battery.
 
@@ -300,11 +304,16 @@ def diagnose_battery(
     clock : Clock, optional
         At which held-out errors and series are told, so that several models can be held against each other; by default
         the one that is found.
+    laws : bool
+        Whether to look for a law that the library does not hold.
     """
     seen = examine(subject, split, battery, settings)
     features, found = seen.features, seen.found
     tested: Tested | None = None
+    held: tuple[RunData, ...] = ()
+    held_covariates: Sequence[Mapping[str, Any]] = ()
     if seen.heldout is not None:
+        held_covariates = seen.heldout.covariates
         held = at_shapes(seen.heldout.runs, seen.heldout.candidates, found.shapes)
         tested = on_heldout(
             found.choice,
@@ -343,11 +352,21 @@ def diagnose_battery(
         *seen_once(driven),
     ]
     remains = [s for s in found.unexplained.structures if s not in found.averages]
+    verdict = decide(effects, remains, found.demoted, execution=execution, averages=averages)
+    proposed: tuple[Proposal, ...] = ()
+    candidates = found.candidates
+    if laws and found.factor is None:
+        proposed = proposed_laws(found, features.covariates, held, held_covariates, clock)
+        effects, candidates = without_stand_ins(proposed, effects, candidates)
+        if proposed:
+            left = depends_on(proposed, left)
+            verdict = verdict if effects and verdict == "ambiguous" else "unexplained_structure"
     return noted(
         BatteryDiagnosis(
-            verdict=decide(effects, remains, found.demoted, execution=execution, averages=averages),
+            verdict=verdict,
             effects=effects,
-            candidates=(*found.candidates, *told_of(driven)),
+            candidates=(*candidates, *told_of(driven)),
+            proposed_laws=proposed,
             recalibration=_recalibrated(found, features),
             delay_s=found.delay_s,
             lag_s=found.lag_s,

@@ -389,6 +389,7 @@ def expression_term(
         component=component,
         drive=drive,
         sign=1 if specs and specs[0].low >= 0.0 else 0,
+        memory=tuple(name for name in needs if name == "moving_time_s" or name.startswith("on_time_")),
         covariate=needs[0] if needs else "time_s",
     )
 

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.identify.proposed import Proposal
+
 if TYPE_CHECKING:
     from missionsim.identify.align import Clock
 
@@ -357,6 +359,8 @@ class BatteryDiagnosis(Findings):
         Fitted runs.
     seconds : float
         Their time together [s].
+    proposed_laws : tuple of Proposal
+        A law that the library does not hold.
     clock : Clock, optional
         Clock of meter and motion that was found, for comparing other models at the same one.
     aligned : bool
@@ -372,6 +376,7 @@ class BatteryDiagnosis(Findings):
     runs: tuple[str, ...]
     seconds: float
     where: tuple[Where, ...] = ()
+    proposed_laws: tuple[Proposal, ...] = ()
     series: tuple[RunSeries, ...] = field(default=(), repr=False, compare=False)
     clock: Clock | None = field(default=None, repr=False, compare=False)
     aligned: bool = True
@@ -387,6 +392,7 @@ class BatteryDiagnosis(Findings):
             "noise": dict(self.noise),
             "untestable": [{"effect": name, "needs": list(needs)} for name, needs in self.untestable.items()],
             "unexplained": self.unexplained.to_json(),
+            "proposed_laws": [law.to_json() for law in self.proposed_laws],
             "next_experiment": [experiment.to_json() for experiment in self.next_experiments],
             "heldout": None if self.heldout is None else self.heldout.to_json(),
             "heldout_shifted": None if self.shifted is None else self.shifted.to_json(),

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from missionsim.identify.data import Array
 from missionsim.identify.design import Column, Design
+from missionsim.identify.identification import Identification
 from missionsim.identify.model import Model, log_likelihood
 from missionsim.identify.noise import Noise, fit_noise, for_rows, start_noise
-from missionsim.identify.result import Identification
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,162 @@
+"""A law that the library does not hold, as plain records: the forms that the data cannot tell apart, and one curve."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Law:
+    """One form of the set.
+
+    Attributes
+    ----------
+    formula : str
+        As a robot file writes it under ``power:``.
+    symbol : str
+        The same for people.
+    k, low, high : float
+        Coefficient with its 95 % interval, in `unit`.
+    energy_share : float
+    behind_nats : float
+        How far its likelihood lies behind the best.
+    variables : tuple of str
+    simulated : bool
+        Whether `run` can evaluate it.
+    """
+
+    formula: str
+    symbol: str
+    unit: str
+    k: float
+    low: float
+    high: float
+    energy_share: float
+    behind_nats: float
+    variables: tuple[str, ...]
+    simulated: bool = True
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields."""
+        return {
+            "formula": self.formula,
+            "parameters": {"k": {"value": self.k, "low": self.low, "high": self.high, "unit": self.unit}},
+            "energy_share": self.energy_share,
+            "behind_nats": self.behind_nats,
+            "depends_on": list(self.variables),
+            "simulated": self.simulated,
+        }
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Power of the law over its leading quantity [W], the others held; arrays of shape (points,).
+
+    ``low`` and ``high`` bound it for all forms of the set together (about 95 %).
+    """
+
+    variable: str
+    unit: str
+    x: tuple[float, ...]
+    watts: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    at: Mapping[str, float | str]
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields."""
+        return {
+            "variable": self.variable,
+            "unit": self.unit,
+            "x": list(self.x),
+            "watts": list(self.watts),
+            "low": list(self.low),
+            "high": list(self.high),
+            "at": dict(self.at),
+        }
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A law that the library does not hold.
+
+    Attributes
+    ----------
+    laws : tuple of Law
+        Forms that these data cannot tell apart; the plainest of the best first.
+    certain, possible : tuple of str
+        Quantities that every form depends on, and those that only some do.
+    curve : Curve or None
+        None for a law with a memory.
+    energy_share, share_sd : float
+    rise_nats, penalty_nats, tried
+        Rise of the likelihood, what chance makes of so many tries, and their number.
+    left_out_rmse_w, left_out_energy_pct : tuple of (float, float)
+        Errors of runs left out one at a time, without the law and with it.
+    better, runs : int
+        Left-out runs predicted better, of those in which it acts.
+    experiment : str
+        What to drive to tell the forms apart.
+    instead_of : tuple of str
+        Effects of the library that stood in for it.
+    looks_like : str
+        Effect of the library with the same column, if any.
+    heldout_rmse_w, heldout_energy_pct : tuple of (float, float) or None
+        Errors of runs that nothing was fitted to.
+    """
+
+    laws: tuple[Law, ...]
+    certain: tuple[str, ...]
+    possible: tuple[str, ...]
+    curve: Curve | None
+    energy_share: float
+    share_sd: float
+    rise_nats: float
+    penalty_nats: float
+    tried: int
+    left_out_rmse_w: tuple[float, float]
+    left_out_energy_pct: tuple[float, float]
+    better: int
+    runs: int
+    experiment: str
+    instead_of: tuple[str, ...] = ()
+    looks_like: str = ""
+    heldout_rmse_w: tuple[float, float] | None = None
+    heldout_energy_pct: tuple[float, float] | None = None
+
+    @property
+    def first(self) -> Law:
+        """The law that is shown first."""
+        return self.laws[0]
+
+    def to_json(self) -> dict[str, Any]:
+        """All fields."""
+
+        def pair(values: tuple[float, float] | None) -> dict[str, float | None] | None:
+            if values is None:
+                return None
+            before, after = (v if math.isfinite(v) else None for v in values)
+            return {"before": before, "after": after}
+
+        return {
+            "forms": [law.to_json() for law in self.laws],
+            "depends_on": list(self.certain),
+            "may_depend_on": list(self.possible),
+            "energy_share": self.energy_share,
+            "energy_share_sd": self.share_sd,
+            "rise_nats": self.rise_nats,
+            "penalty_nats": self.penalty_nats,
+            "forms_tried": self.tried,
+            "curve": None if self.curve is None else self.curve.to_json(),
+            "left_out_rmse_w": pair(self.left_out_rmse_w),
+            "left_out_energy_error_pct": pair(self.left_out_energy_pct),
+            "left_out_better": [self.better, self.runs],
+            "heldout_rmse_w": pair(self.heldout_rmse_w),
+            "heldout_energy_error_pct": pair(self.heldout_energy_pct),
+            "experiment": self.experiment,
+            "instead_of": list(self.instead_of),
+            "looks_like": self.looks_like,
+        }
