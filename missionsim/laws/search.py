@@ -37,6 +37,8 @@ FREER = 4.0
 """A form that the base explains to this part within so many prior standard deviations is recalibration, not a law."""
 LEAST_SHARE = 0.008
 """Below this part of the energy, half-moving rows and noisy covariates make forms out of nothing (measured)."""
+NEARLY = 0.7
+"""Forms below this part of the least share are not worth a fit."""
 LEAST_RISE = 6.0
 """Nats beyond the penalty for all tries."""
 BLOCK_S = 20.0
@@ -126,7 +128,7 @@ class Sieve:
         level = np.add.reduceat(noise.scale, self.starts) / self._counts(len(design.y))
         self.root = np.sqrt(weight).astype(np.float32)
         # means of several rows scatter less, as far as the noise is white or fast
-        self.scale = (level * noise.total_sd_w / arma_of(*self.shape)[2]).astype(np.float32)
+        self.unscale = (arma_of(*self.shape)[2] / (level * noise.total_sd_w)).astype(np.float32)
         rows = np.vstack([design.residual[None, :], design.gradient, design.phi[chosen], design.random])
         self.known = self.white(self.coarse(rows)).astype(float)
         sd = np.maximum(noise.random_sd(), 1e-12)
@@ -161,7 +163,7 @@ class Sieve:
 
         ar, ma, ratio = (np.asarray(x, dtype=np.float32) for x in arma_of(*self.shape))
         inverse, diagonal, _ = (np.asarray(x, dtype=np.float32) for x in start_factor(*self.shape))
-        scaled = rows / self.scale
+        scaled = rows * self.unscale
         scaled += NO_DENORMALS
         out = np.empty_like(scaled)
         for part in self.stretches:
@@ -222,9 +224,12 @@ class Search:
 
     @cached_property
     def rows(self) -> Array:
-        """Factors at the analysis rate, shape (factors, n), scaled to a mean size of 1."""
-        rows = self.ground.averaged(self.grammar.values)
-        return rows / np.maximum(np.mean(np.abs(rows), axis=1, keepdims=True), 1e-300)
+        """Factors of the first pass at the analysis rate, shape (factors, n), scaled to a mean size of 1; others are 0."""
+        first = [i for i, factor in enumerate(self.grammar.factors) if not factor.fine]
+        rows = self.ground.averaged([values[first] for values in self.grammar.values])
+        out = np.zeros((len(self.grammar.factors), rows.shape[1]))
+        out[first] = rows / np.maximum(np.mean(np.abs(rows), axis=1, keepdims=True), 1e-300)
+        return out
 
     def penalty(self, form: Sequence[int]) -> float:
         """Nats for all tries of a form's size."""
@@ -243,16 +248,17 @@ class Search:
                 x = factors[some[:, 0]]
                 for column in range(1, some.shape[1]):
                     x = x * factors[some[:, column]]
-                level = np.mean(np.abs(x), axis=1, dtype=float)
+                level = np.mean(np.abs(x), axis=1)
                 score, information, absorbed = sieve(x)
                 usable = (information > 0.0) & (absorbed < ABSORBED) & (level > 0.0)
                 usable &= (score > 0.0) | back[some].any(axis=1)
                 information = np.where(information > 0.0, information, 1.0)
                 gain = 0.5 * score**2 / information
                 share = score / information * level / mean_power
-                for i in np.flatnonzero(usable & (gain > penalty)):
-                    form = tuple(int(f) for f in some[i])
-                    found.append(Scored(form, float(gain[i]), float(share[i]), float(gain[i]) - penalty))
+                worth = usable & (gain > penalty) & (np.abs(share) > NEARLY * LEAST_SHARE)
+            for i in np.flatnonzero(worth):
+                form = tuple(int(f) for f in some[i])
+                found.append(Scored(form, float(gain[i]), float(share[i]), float(gain[i]) - penalty))
         return sorted(found, key=lambda one: -one.score)
 
     def watts(self, form: Sequence[int]) -> Array:

@@ -1,4 +1,4 @@
-"""How often the proposed law is right: ``python -m tests.laws.study --seeds 1:4 [--share 0.05] [--out FOLDER] [LAW ...]``.
+"""How often the proposed law is right: ``python -m tests.laws.study --seeds 1:4 [--share 0.05] [--out DIR] [LAW ...]``.
 
 Files in, the contract's JSON out, as a user sees it; one row a case, one table of rates.
 """
@@ -106,7 +106,7 @@ def _typical(made: Made, name: str) -> float:
 
 
 def removed(made: Made, report: dict[str, Any]) -> float:
-    """Part of the removable held-out power error that is removed: 0 = as recalibrated, 1 = as if the truth were known."""
+    """Part of the removable held-out power error that is removed: 0 as recalibrated, 1 as if the truth were known."""
     held = report["heldout"]["power_rmse_w"]
     before, after = held["recalibrated"], held["with_effects"]
     if report["proposed_laws"] and report["proposed_laws"][0]["heldout_rmse_w"]:
