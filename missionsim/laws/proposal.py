@@ -28,6 +28,7 @@ SYSTEMATIC = 0.10
 FLOOR = 0.03
 """Parts of the curve's height that rows do not resolve."""
 MOST_LAWS = 6
+MOST_BESIDE = 8
 REPLACED = 0.35
 """An effect that keeps less than this part of its size beside a law was standing in for it."""
 TWIN = 0.985
@@ -67,7 +68,7 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Any) -> Prop
     done = search.best()
     if done is None:
         return None
-    near = _set(done.near, grammar)
+    near, beside = _set(done.near, grammar)
     fitted = search.settled(done.best if near[0].form == done.best.form else search.fit(near[0].form))
     seen = gates(fitted)
     if not seen.all_passed:
@@ -80,7 +81,7 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Any) -> Prop
         other = again.best()
         if other is not None:
             search, ground = again, less
-            near = _set(other.near, grammar)
+            near, beside = _set(other.near, grammar)
             fitted = again.settled(other.best if near[0].form == other.best.form else again.fit(near[0].form))
             seen = gates(fitted)
             if not seen.all_passed:
@@ -89,7 +90,8 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Any) -> Prop
     sets = [set(law.variables) for law in laws]
     certain = tuple(v for v in laws[0].variables if all(v in s for s in sets))
     possible = tuple(dict.fromkeys(v for law in laws for v in law.variables if v not in certain))
-    curve = None if memory else _curve(laws, ground, seen, abs(fitted.share))
+    more = [_law(one, near[0], grammar, fitted, seen, search) for one in beside]
+    curve = None if memory else _curve([*laws, *more], ground, seen, abs(fitted.share))
     made = Proposal(
         laws,
         certain,
@@ -111,23 +113,29 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Any) -> Prop
     return Proposed(made, fitted, ground)
 
 
-def _set(near: Sequence[Scored], grammar: Grammar) -> list[Scored]:
-    """Forms within the margin, the plainest of the best first; none that adds a quantity to a better one."""
+def _set(near: Sequence[Scored], grammar: Grammar) -> tuple[list[Scored], list[Scored]]:
+    """Forms within the margin, the plainest of the best first, none of which adds a quantity to another; then those
+    beside them that differ in a threshold or a time constant only, for the band."""
     top = near[0]
     close = [one for one in near if one.score > top.score - max(LEAST_NATS, ALIKE * top.gain)]
     as_good = [one for one in close if one.score > top.score - max(0.5 * LEAST_NATS, AS_GOOD * top.gain)]
-    first = min(
-        as_good, key=lambda one: (len(grammar.variables(one.form)), len(one.form), grammar.rank(one.form), -one.score)
-    )
-    kept = [first]
+
+    def variables(one: Scored) -> set[str]:
+        return set(grammar.variables(one.form))
+
+    def kinds(one: Scored) -> list[str]:
+        return sorted(grammar.factors[i].kind or grammar.factors[i].text for i in one.form)
+
+    first = min(as_good, key=lambda one: (len(variables(one)), len(one.form), grammar.rank(one.form), -one.score))
+    kept, beside = [first], []
     for one in close:
-        own = set(grammar.variables(one.form))
-        wider = any(set(grammar.variables(k.form)) < own for k in kept)
-        kinds = sorted(grammar.factors[i].kind or grammar.factors[i].text for i in one.form)
-        twin = any(kinds == sorted(grammar.factors[i].kind or grammar.factors[i].text for i in k.form) for k in kept)
-        if one is not first and not wider and not twin:
+        if one is first or any(variables(k) < variables(one) for k in kept):
+            continue
+        if any(kinds(k) == kinds(one) for k in kept):
+            beside.append(one)
+        else:
             kept.append(one)
-    return kept[:MOST_LAWS]
+    return kept[:MOST_LAWS], beside[:MOST_BESIDE]
 
 
 def _law(one: Scored, first: Scored, grammar: Grammar, fitted: Fitted, seen: Gates, search: Search) -> Law:

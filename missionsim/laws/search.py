@@ -224,7 +224,7 @@ class Search:
 
     @cached_property
     def rows(self) -> Array:
-        """Factors of the first pass at the analysis rate, shape (factors, n), scaled to a mean size of 1; others are 0."""
+        """Factors of the first pass at the analysis rate, shape (factors, n), of mean size 1; the others are 0."""
         first = [i for i, factor in enumerate(self.grammar.factors) if not factor.fine]
         rows = self.ground.averaged([values[first] for values in self.grammar.values])
         out = np.zeros((len(self.grammar.factors), rows.shape[1]))
