@@ -180,10 +180,11 @@ def timeline(
         count, 14
     )
     start, duration, elapsed = numbers[:, 0], numbers[:, 1], numbers[:, 3]
-    leg_of = numbers[:, 2].astype(np.intp)
+    # only the settings of these rows: a mission is evaluated in as many parts as it comes to chargers
+    used, leg_of = np.unique(numbers[:, 2].astype(np.intp), return_inverse=True)
     accel, lateral_rate, yaw_rate = numbers[:, 8], numbers[:, 10], numbers[:, 12]
     moving = numbers[:, 13]
-    settings = [leg.settings for leg in legs]
+    settings = [legs[i].settings for i in used.tolist()]
     columns: dict[str, Any] = {
         "speed_m_s": numbers[:, 7] + accel * elapsed,
         "accel_m_s2": accel,

@@ -56,6 +56,7 @@ def home_energies(
     if only_last:
         wanted = [world.legs[world.recorder.rows[-1].leg].settings.segment] if world.recorder.rows else []
     moved = _moving_times(world)
+    driven_at = last_driven(world.legs)
     known: list[bool] = []
     cache: dict[Any, int] = {}
     same: list[int] = []
@@ -66,15 +67,18 @@ def home_energies(
             # stopped within a segment: the place is known where the robot stood
             end = world.recorder.rows[-1].leg
             ended = world.legs[end].kind != "roll"
-        driven = last_driven(world.legs, end) or next((leg for leg in world.legs if leg.kind == "roll"), None)
-        way = None
-        if end >= 0 and ended and driven is not None:
-            way = homing.from_place(world.legs[end].place, driven)
-        known.append(way is not None)
+        driven = driven_at[end]
+        place = world.legs[end].place
+        reachable = end >= 0 and ended and driven is not None and homing.ways(place) is not None
+        known.append(reachable)
+        if driven is None or not reachable:
+            same.append(position)
+            continue
         clock = moved.get(segment, 0.0) if "moving_time_s" in model.memory else 0.0
-        key = (world.legs[end].place, driven, clock) if way is not None else None
-        same.append(cache.setdefault(key, position) if key is not None else position)
-        if way and same[-1] == position:
+        # rounds that are repeated have the same ways home
+        key = (place, driven.settings._replace(segment=0), driven.speed_m_s, driven.instant, clock)
+        same.append(cache.setdefault(key, position))
+        if same[-1] == position and (way := homing.from_place(place, driven)):
             _append(world, homing, way, clock, legs, rows, states, owner, position)
     batteries = model.batteries
     totals = {name: np.zeros(max(1, len(wanted))) for name in batteries}

@@ -181,7 +181,7 @@ class RunSetup:
 
     def _detour(self, leg: Leg, done_m: float, brake_m: float) -> Any:
         index = next((i for i, item in enumerate(self.plan.legs) if item is leg), len(self.plan.legs) - 1)
-        driven = last_driven(self.plan.legs, index)
+        driven = last_driven(self.plan.legs[: index + 1])[-1]
         return self.homing.detour(leg, done_m, brake_m, len(self.plan.segments), driven)
 
     def reserves(self, alarms: list[Alarm]) -> dict[str, float]:

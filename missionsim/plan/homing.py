@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from missionsim.inputs.mission import MissionSpec
-from missionsim.plan.legs import Leg, Limits, OnEdge, Settings, Step
+from missionsim.plan.legs import Leg, Limits, OnEdge, Step
 from missionsim.plan.routes import Routes, Way, along
 from missionsim.plan.steps import group
 
@@ -30,6 +30,7 @@ class Homing:
         self.limits = limits
         self.routes = routes
         self.docks: tuple[str, ...] = ()
+        self._found: dict[str, list[Way] | None] = {}
         if routes is None or mission.environment is None:
             return
         chargers = tuple(name for name, place in mission.environment.places.items() if place.charger is not None)
@@ -40,8 +41,10 @@ class Homing:
         """Shortest way from a place to a dock; None where there is none or the place is not known."""
         if self.routes is None or place not in self.routes.ways:
             return None
-        found = [way for dock in self.docks if (way := self.routes.shortest(place, dock)) is not None]
-        return min(found, key=_length, default=None)
+        if place not in self._found:
+            found = [way for dock in self.docks if (way := self.routes.shortest(place, dock)) is not None]
+            self._found[place] = min(found, key=_length, default=None)
+        return self._found[place]
 
     def from_place(self, place: str, like: Leg) -> list[Leg] | None:
         """Legs home from a place, driven like a leg; [] at the dock, None where there is no way."""
@@ -95,14 +98,14 @@ class Homing:
         return legs, group(legs, self.limits)
 
 
-def default_leg(settings: Settings, speed_m_s: float, instant: bool) -> Leg:
-    """A leg that stands for the mission's defaults, where nothing has been driven yet."""
-    return Leg("roll", settings, 0.0, speed_m_s, instant=instant)
-
-
-def last_driven(legs: Sequence[Leg], upto: int) -> Leg | None:
-    """The last leg that drives among ``legs[:upto + 1]``; None where none has."""
-    return next((leg for leg in reversed(legs[: upto + 1]) if leg.kind == "roll"), None)
+def last_driven(legs: Sequence[Leg]) -> list[Leg | None]:
+    """Of each leg, itself or the last one before it that drives; before the first such, that one; None without any."""
+    last = next((leg for leg in legs if leg.kind == "roll"), None)
+    found: list[Leg | None] = []
+    for leg in legs:
+        last = leg if leg.kind == "roll" else last
+        found.append(last)
+    return found
 
 
 def _leg(like: Leg, way: Way) -> Leg:
