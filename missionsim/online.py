@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from missionsim.errors import InputError
 from missionsim.expected import ExpectedRun, expected_run
 from missionsim.glossary import STILL_SPEED_M_S
+from missionsim.inputs.activities import reserve_of
 
 Array = NDArray[np.float64]
 ARRIVED_SHARE, ARRIVED_M = 0.05, 0.05
@@ -125,7 +126,7 @@ class OnlinePredictor:
         spec = mission.robot.batteries[name]
         charge = mission.initial_charge.get(name, spec.initial_charge)
         available = spec.capacity_j * float(charge)
-        reserve = mission.policy.reserve if mission.policy.reserve is not None else spec.reserve
+        reserve = reserve_of(mission.policy.reserve, name) or spec.reserve
         return cls(expected, available, spec.capacity_j * float(reserve), **options)
 
     def update(self, time_s: float, power_w: float, speed_m_s: float = 0.0) -> None:

@@ -21,6 +21,7 @@ from missionsim.engine.remarks import doubts, never_on
 from missionsim.engine.reserve import home_energies
 from missionsim.engine.world import World
 from missionsim.errors import Fault, InputError
+from missionsim.inputs.activities import reserve_of
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
 from missionsim.inputs.robot import BatterySpec
@@ -127,10 +128,10 @@ class RunSetup:
             name: build_battery(name, spec, self._robot_number, self._initial(name, spec))
             for name, spec in robot.batteries.items()
         }
-        policy = mission.policy.reserve
+        asked = {name: reserve_of(mission.policy.reserve, name) for name in robot.batteries}
         self.required = {
-            name: (self.number(policy) if policy is not None else self._robot_number(spec.reserve))
-            for name, spec in robot.batteries.items()
+            name: self._robot_number(spec.reserve) if own is None else self.number(own)
+            for (name, spec), own in zip(robot.batteries.items(), asked.values(), strict=True)
         }
         self.components = [
             ComponentInfo(

@@ -2,11 +2,11 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, WrapValidator, model_validator
+from pydantic import Discriminator, Field, Tag, WrapValidator, model_validator
 
 from missionsim.inputs.base import Identifier, Model, Name
 from missionsim.inputs.names import Count, wrong
-from missionsim.inputs.values import Duration, Fraction, Period
+from missionsim.inputs.values import Duration, Fraction, Parameter, Period
 
 
 class AnchorSpec(Model):
@@ -60,11 +60,26 @@ class ActivitySpec(Model):
         return self
 
 
+def _one_or_each(raw: Any) -> str:
+    return "each" if isinstance(raw, dict) and not {"value", "low", "distribution"} & raw.keys() else "one"
+
+
+Reserve = Annotated[
+    Annotated[Fraction, Tag("one")] | Annotated[dict[Identifier, Fraction], Tag("each")], Discriminator(_one_or_each)
+]
+"""A fraction of all batteries, or one for each by name."""
+
+
+def reserve_of(given: Parameter | dict[str, Parameter] | None, battery: str) -> Parameter | None:
+    """The reserve asked for of a battery; None where nothing is said of it."""
+    return given.get(battery) if isinstance(given, dict) else given
+
+
 class PolicySpec(Model):
     """What to do when a battery reaches its reserve."""
 
     on_empty: Literal["stop", "return_to_dock"] = "stop"
-    reserve: Fraction | None = None
+    reserve: Reserve | None = None
     dock: Name | None = None
 
     @model_validator(mode="after")

@@ -248,6 +248,9 @@ class _MissionCheck(RouteCheck):
 
     def policy(self) -> None:
         policy = self.mission.policy
+        if isinstance(policy.reserve, dict) and self.robot is not None:
+            for name in policy.reserve:
+                self.check.known(("policy", "reserve", name), name, self.robot.batteries, "battery", key=True)
         if policy.dock is None or not self.place(("policy", "dock"), policy.dock) or self.environment is None:
             return
         place = self.environment.places.get(policy.dock)

@@ -109,8 +109,8 @@ class _TaskCheck:
             return
         for name in task.initial_charge:
             check.known(("initial_charge", name), name, robot.batteries, "battery", key=True)
-        for name in task.within.reserve:
-            if name:
+        if isinstance(task.within.reserve, dict):
+            for name in task.within.reserve:
                 check.known(("within", "reserve", name), name, robot.batteries, "battery", key=True)
         if isinstance(task.least.energy, dict):
             for name in task.least.energy:

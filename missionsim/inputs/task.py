@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
+from missionsim.inputs.activities import Reserve, reserve_of
 from missionsim.inputs.base import FileModel, Identifier, Model, Name, Text
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.names import Sensors, wrong
@@ -132,17 +133,11 @@ class EdgeChoice(Model):
     closed: bool = False
 
 
-def _reserve(raw: Any) -> Any:
-    return raw if isinstance(raw, dict) and "value" not in raw else {"": raw}
-
-
 class WithinSpec(Model):
     """What the plan must keep to."""
 
     deadline: Period | None = None
-    reserve: Annotated[
-        dict[str, Fraction], BeforeValidator(_reserve, json_schema_input_type=Fraction | dict[str, Fraction])
-    ] = Field(default_factory=dict)
+    reserve: Reserve | None = None
     reserve_throughout: bool = False
     max_payload: Mass | None = None
     with_probability: Chance | None = None
@@ -236,7 +231,7 @@ class TaskSpec(FileModel):
 
     def reserve_of(self, battery: str) -> float:
         """Fraction of a battery that must be left: of the task, else of the robot file."""
-        given = self.within.reserve.get(battery, self.within.reserve.get(""))
+        given = reserve_of(self.within.reserve, battery)
         return self.robot.batteries[battery].reserve.value if given is None else given.value
 
     def weights(self) -> tuple[dict[str, float], float]:

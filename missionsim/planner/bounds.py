@@ -65,6 +65,7 @@ def to_docks(site: Site, weights: Array, served: NDArray[np.bool_]) -> Array:
         if payload not in known:
             known[payload] = matrix(site, payload, weights)[:, docks].min(axis=1)
         found[state] = known[payload]
+    found[:, site.goal] = math.inf  # the mission ends there
     return found
 
 
@@ -99,7 +100,7 @@ def bounds_of(tour: Tour, multipliers: list[Array], *, objective: Array | None =
         least[:, 2 + b] = np.minimum(to_end, to_docks(site, unit[1 + b], served)).ravel()
     least[~np.isfinite(least[:, 1]), 0] = math.inf
     rows, rests, offsets = [], [], []
-    left = np.concatenate([[most[1]], most[2 : 2 + count] - reserve])
+    left = np.concatenate([[most[1]], most[2 : 2 + count] - reserve])  # limits of the vector itself
     for multiplier in [np.zeros(1 + count), *multipliers]:
         rows.append(np.concatenate([[1.0], multiplier, np.zeros(extra)]))
         rests.append(rest_of(site, base + multiplier).ravel())
@@ -113,3 +114,9 @@ def bounds_of(tour: Tour, multipliers: list[Array], *, objective: Array | None =
 def _deadline(site: Site) -> float:
     deadline = site.task.within.deadline
     return math.inf if deadline is None else deadline.value
+
+
+def limits_left(site: Site) -> Array:
+    """Seconds and Wh of each battery that a plan without charging may use, shape (1 + batteries,)."""
+    physics = site.physics
+    return np.concatenate([[_deadline(site)], physics.initial_wh - physics.reserve_wh])

@@ -303,7 +303,7 @@ def search(
                     continue
             _expand(network, label, bounds, slack, best + EPSILON if every_goal else outcome.objective - gap, push)
     except KeyboardInterrupt:
-        if outcome.label is None and not every_goal:
+        if outcome.label is None or every_goal:
             raise
         return outcome
     outcome.bound = outcome.objective if outcome.label is not None or math.isfinite(best) else math.inf

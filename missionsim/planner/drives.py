@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,11 +50,17 @@ class Drives:
     Parameters
     ----------
     road : Road
+
+    Attributes
+    ----------
+    complete : bool
+        False as soon as a search had to stop before it had all drives.
     """
 
     def __init__(self, road: Road) -> None:
         self.road = road
         self._network = _OnRoad(road)
+        self.complete = True
 
     def distances(self, weights: Array, nodes: NDArray[np.intp], *, back: bool = False) -> Array:
         """Least weighted use from nodes to every state, shape (nodes, states); with `back`, from every state to them.
@@ -64,6 +71,29 @@ class Drives:
             Of seconds and Wh; the weighted use may be negative on single arcs (downhill), not on circles.
         nodes : ndarray of int
         """
+        return self._shortest(weights, nodes, back=back)[0]
+
+    def shortest(self, weights: Array, source: int, target: int) -> Drive:
+        """The drive of least weighted use."""
+        _, before, arc_of = self._shortest(weights, np.array([source], dtype=np.intp), paths=True)
+        arcs: list[int] = []
+        here = target
+        while here != source:
+            earlier = int(before[0, here])
+            arcs.append(arc_of[earlier, here])
+            here = earlier
+        return self._drive(arcs[::-1])
+
+    def _drive(self, arcs: list[int]) -> Drive:
+        road = self.road
+        use = np.zeros(road.use.shape[1])
+        for arc in arcs:  # in the order in which a label adds them up
+            use = use + road.use[arc]
+        return Drive(use, tuple(road.driven[arc] for arc in arcs), tuple(road.use[arcs]))
+
+    def _shortest(
+        self, weights: Array, nodes: NDArray[np.intp], *, back: bool = False, paths: bool = False
+    ) -> tuple[Array, Any, dict[tuple[int, int], int]]:
         from scipy.sparse import csr_array
         from scipy.sparse.csgraph import bellman_ford, dijkstra
 
@@ -75,10 +105,17 @@ class Drives:
         pairs = begins[order] * size + ends[order]
         first = np.concatenate([[True], pairs[1:] != pairs[:-1]]) if len(pairs) else np.zeros(0, dtype=bool)
         kept = order[first]
+        # csgraph takes a stored zero for no arc
         least = np.where(cost[kept] == 0.0, 1e-300, cost[kept])
         graph = csr_array((least, (begins[kept], ends[kept])), shape=(size, size))
         solve = dijkstra if not (least < 0.0).any() else bellman_ford
-        return np.asarray(solve(graph, indices=nodes)).reshape(len(nodes), size)
+        found = solve(graph, indices=nodes, return_predecessors=paths)
+        if not paths:
+            return np.asarray(found).reshape(len(nodes), size), None, {}
+        arc_of = {
+            (int(begin), int(end)): int(arc) for begin, end, arc in zip(begins[kept], ends[kept], kept, strict=True)
+        }
+        return np.asarray(found[0]).reshape(len(nodes), size), found[1].reshape(len(nodes), size), arc_of
 
     def between(
         self,
@@ -135,10 +172,9 @@ class Drives:
             every_goal=True,
             most_labels=most_labels,
         )
+        self.complete = self.complete and outcome.labels <= most_labels
         found: dict[int, list[Drive]] = {int(target): [] for target in targets}
         for label in outcome.runners_up:
             if label.alive and label.parent is not None:
-                arcs = [step.move for step in chain_of(label)[1:]]
-                pieces = tuple(road.driven[arc] for arc in arcs)
-                found[label.node].append(Drive(label.points[0], pieces, tuple(road.use[arcs])))
+                found[label.node].append(self._drive([step.move for step in chain_of(label)[1:]]))
         return found

@@ -33,6 +33,7 @@ def mission_of(task: TaskSpec) -> MissionSpec:
     mission = MissionSpec.model_construct(
         kind="mission",
         name=task.name,
+        robot_ref=task.robot_ref,
         start=task.start,
         start_heading=task.start_heading,
         initial_charge=task.initial_charge,

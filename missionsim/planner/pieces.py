@@ -30,8 +30,9 @@ from missionsim.planner.physics import Physics
 Array = NDArray[np.float64]
 MOST_SPEEDS = 60
 """Speeds at a place; beyond it the speeds that come from braking over several short edges are left out."""
-FREE, OWED, ROLLED = 0, 1, 2
-"""A state's speed is explained already; must be explained by the next edge; is 0 without having stood."""
+FREE, OWED, ROLLED, STOPPED = 0, 1, 2, 3
+"""A state's speed is explained already; must be explained by the next edge; is 0 without having stood; or the drive
+ends here, at rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,8 +173,9 @@ def make_road(physics: Physics, pieces: dict[str, list[Piece]], stops: Sequence[
     decel = physics.limits.decel_m_s2 or accel
     places = {stop.place for stop in stops}
     binding = _binding(pieces, places, decel)
+    stops = [*stops, *(State(place, 0.0, STOPPED) for place in sorted(places))]
     index: dict[State, int] = {state: i for i, state in enumerate(dict.fromkeys(stops))}
-    waiting = deque(index)
+    waiting = deque(state for state in index if state.kind != STOPPED)
     tails: list[int] = []
     heads: list[int] = []
     driven: list[Piece] = []
@@ -183,6 +185,8 @@ def make_road(physics: Physics, pieces: dict[str, list[Piece]], stops: Sequence[
         here = index[state]
         for piece in pieces[state.place]:
             for end, final in _ends(state, piece, binding[piece.way.end], places, accel, decel):
+                if end.kind == ROLLED and not physics.impulsive:
+                    end = State(end.place)
                 if end not in index:
                     index[end] = len(index)
                     waiting.append(end)
@@ -227,33 +231,28 @@ def _ends(
     """States at the end of a piece that begins in a state, and the speeds there."""
     end = piece.way.end
     if _instant(piece):
-        yield State(end), 0.0
+        yield State(end, 0.0, FREE if piece.dwell is not None else ROLLED), 0.0
+        if end in places:
+            yield State(end, 0.0, STOPPED), 0.0
         return
     begin, limit, length = state.speed, piece.limit_m_s, piece.distance_m
     if begin > limit:
         return
-    if state.kind == OWED and begin != limit:
-        # then it must be braking on this piece that asks for no more than this speed
-        wanted = [
-            speed
-            for speed in ({0.0} if piece.dwell is not None else binding)
-            if math.sqrt(speed * speed + 2.0 * decel * length) == begin
-        ]
-        for speed in wanted:
-            yield State(end, speed, OWED if speed > 0.0 else FREE), speed
-        return
     top = math.sqrt(begin * begin + 2.0 * accel * length)
+    # braking on this piece must be what asks for no more than this speed, where nothing else does
+    owed = state.kind == OWED and begin != limit
 
     def possible(speed: float) -> bool:
-        # the last place rounds: a chain of braking edges has exactly this speed
-        return speed <= top and begin <= math.sqrt(speed * speed + 2.0 * decel * length) * (1.0 + 1e-15)
+        fastest = math.sqrt(speed * speed + 2.0 * decel * length)
+        return speed <= top and (begin == fastest if owed else begin <= fastest)
 
-    if piece.dwell is not None:
-        if possible(0.0):
+    if possible(0.0):
+        if piece.dwell is not None:
             yield State(end), 0.0
+        if end in places:
+            yield State(end, 0.0, STOPPED), 0.0
+    if piece.dwell is not None:
         return
-    if end in places and possible(0.0):
-        yield State(end), 0.0
     highest = min(top, limit)
     if possible(highest):
         yield State(end, highest), highest

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from missionsim.inputs.task import TaskSpec
 from missionsim.planner.answer import Answer, answer_of
 from missionsim.planner.bounds import bounds_of
-from missionsim.planner.core import Label, search
+from missionsim.planner.core import Label, Outcome, search
 from missionsim.planner.drives import Drive
+from missionsim.planner.dual import Prices, best_prices
 from missionsim.planner.tour import Site, Tour, make_site
 
 Array = NDArray[np.float64]
@@ -53,12 +54,57 @@ class Fronts:
         return self._found[key].get(int(into[head]), [])
 
 
-def solve(task: TaskSpec) -> Answer:
-    """The best plan of a task, or an answer that says that there is none."""
+MOST_GAP = 1e3
+FIRST_GAP = 0.002
+"""Drives whose price is within this (relative to the bound) of the cheapest are tried first."""
+
+
+def solve(task: TaskSpec, watch: Watch | None = None) -> Answer:
+    """The best plan of a task, or an answer that says that there is none.
+
+    Parameters
+    ----------
+    task : TaskSpec
+    watch : callable, optional
+        Told of the progress; stops the search where it returns True.
+    """
     site = make_site(task)
-    tour = Tour(site, Fronts(site))
-    bounds = bounds_of(tour, [])
-    outcome = search(tour, [Label(0 * tour.size, tour.start())], tour.is_goal, bounds)
-    if outcome.label is None:
+    prices = best_prices(Tour(site, Fronts(site)))
+    if prices.impossible:
         return Answer(site, False)
-    return answer_of(site, outcome.label, outcome.objective, outcome.bound)
+    return _search(site, prices, watch)
+
+
+def _search(site: Site, prices: Prices, watch: Watch | None) -> Answer:
+    """Labels over drives that are near the cheapest in price, more of them until the best plan is proved."""
+    best, objective = prices.plan, prices.objective
+    bound = prices.bound
+    scale = max(abs(bound), 1e-6)
+    gap = min(objective - bound, FIRST_GAP * scale)
+    stopped = False
+    bounds = bounds_of(Tour(site, Fronts(site)), [prices.best, *prices.others])
+    while not stopped:
+        gap = max(gap, 1e-9 * scale)
+        tour = Tour(site, Fronts(site, site.weights + prices.best, gap))
+
+        def told(outcome: Outcome, waiting: int, low: float = bound, high: float = prices.bound + gap) -> bool:
+            nonlocal stopped
+            if watch is not None:
+                stopped = watch("search", outcome.objective, min(max(outcome.bound, low), high))
+            return stopped
+
+        try:
+            outcome = search(tour, [Label(0, tour.start())], tour.is_goal, bounds, best=objective, watch=told)
+        except KeyboardInterrupt:
+            break
+        if outcome.label is not None:
+            best, objective = outcome.label, outcome.objective
+        bound = max(bound, min(outcome.bound, prices.bound + gap))
+        if objective <= prices.bound + gap or math.isinf(gap):
+            break
+        gap = min(max(4.0 * gap, 1e-6), objective - prices.bound)
+        if gap > MOST_GAP * scale:
+            gap = math.inf
+    if best is None:
+        return Answer(site, False)
+    return answer_of(site, best, objective, bound)

@@ -19,7 +19,7 @@ from missionsim.planner.core import Leaving
 from missionsim.planner.drives import Drive, Drives
 from missionsim.planner.orders import Order
 from missionsim.planner.physics import Physics
-from missionsim.planner.pieces import FREE, ROLLED, State, make_road, pieces_of
+from missionsim.planner.pieces import FREE, ROLLED, STOPPED, State, make_road, pieces_of
 
 Array = NDArray[np.float64]
 
@@ -136,11 +136,10 @@ class Site:
         if payload_kg not in self.roads:
             physics, stops = self.physics, self.stops
             leaving = [_leaving(physics, stop, i) for i, stop in enumerate(stops)]
-            arriving = [State(stop.place) for stop in stops]
-            road = make_road(physics, pieces_of(self.task, physics, payload_kg), [*arriving, *leaving])
+            road = make_road(physics, pieces_of(self.task, physics, payload_kg), leaving)
             self.roads[payload_kg] = Drives(road)
             out = np.array([road.index[state] for state in leaving], dtype=np.intp)
-            into = np.array([road.index[state] for state in arriving], dtype=np.intp)
+            into = np.array([road.index[State(stop.place, 0.0, STOPPED)] for stop in stops], dtype=np.intp)
             self.nodes[payload_kg] = out, into
         return self.roads[payload_kg]
 
@@ -177,7 +176,7 @@ def _leaving(physics: Physics, stop: Stop, number: int) -> State:
 
 def visit_segment(visit: VisitSpec, payload_kg: float) -> Any:
     """The segment of a mission in which a visit is made."""
-    common = {
+    common: dict[str, Any] = {
         "scheme": visit.scheme,
         "navigation": visit.navigation,
         "sensors": visit.sensors,
@@ -295,16 +294,24 @@ class Tour:
         use: list[Array] = []
         moves: list[Any] = []
         for head, after in self.nexts(state, stop):
-            there = site.standing(head, site.order.payload_kg(after))
-            left_out = 0.0
-            if self._missed is not None and head == site.goal:
-                done = site.order.done(after)
-                left_out = float(self._missed.sum() - self._missed[done].sum())
             for drive in self._drives(payload, stop, head):
-                total = drive.use + there
-                extra = [] if self._missed is None else [left_out]
-                use.append(np.array([float(site.objective(total)), *total, *extra]))
+                use.append(self.arc_use(drive, head, after))
                 heads.append(after * self.size + head)
                 moves.append((head, drive, use[-1]))
         width = 2 + self._batteries + (self._missed is not None)
         return Leaving(np.array(heads, dtype=np.intp), np.array(use).reshape(len(heads), width), moves)
+
+    @property
+    def valued(self) -> bool:
+        """Whether some visits may be left out."""
+        return self._missed is not None
+
+    def arc_use(self, drive: Drive, head: int, after: int) -> Array:
+        """What driving to a stop and what is done there add to the vector."""
+        site = self.site
+        total = drive.use + site.standing(head, site.order.payload_kg(after))
+        extra = []
+        if self._missed is not None:
+            done = site.order.done(after) if head == site.goal else slice(None)
+            extra = [float(self._missed.sum() - self._missed[done].sum())]
+        return np.array([float(site.objective(total)), *total, *extra])

@@ -40,7 +40,8 @@ def mission_text(answer: Answer, target: str | os.PathLike[str] | None) -> str:
     data = task.document.data if task.document is not None else {}
     if data.get("defaults"):
         lines.append(f"defaults: {_flow(data['defaults'])}")
-    policy: dict[str, Any] = {"dock": task.goal}
+    reserve = {name: task.reserve_of(name) for name in task.robot.batteries}
+    policy: dict[str, Any] = {"dock": task.goal, "reserve": reserve}
     lines.append(f"policy: {_flow(policy)}")
     lines.append("segments:")
     for leg in answer.legs:
