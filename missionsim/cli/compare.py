@@ -20,6 +20,7 @@ def compare(
     tolerance: float | None = None,
     report: Path | None = None,
     out: Path | None = None,
+    mcap: Path | None = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
 ) -> int:
@@ -44,6 +45,9 @@ def compare(
         Write an interactive page that needs no network, FILE.html.
     out
         Write tables (CSV) and pictures (PNG) into this folder.
+    mcap
+        Write measured and modelled power, residual, watts by term and all columns over time into this MCAP file, with a
+        layout for Foxglove and a map for import beside it.
     json
         Write the result as JSON to a file, or - for standard output.
     quiet
@@ -70,6 +74,11 @@ def compare(
 
         write_tables(result, out)
         write_figures(result, out)
+    if mcap is not None:
+        from missionsim.exchange.mcap import write_comparison
+        from missionsim.inputs import load_robot
+
+        write_comparison(load_robot(robot), logs, mcap)
     emit_json(result.to_json(), json)
     inside = tolerance is None or result.within(tolerance)
     if text:
@@ -79,7 +88,7 @@ def compare(
         print_comparison(result, terminal)
         if tolerance is not None:
             terminal.print(f"\n{'within' if inside else 'OUTSIDE'} the tolerance of ± {tolerance:g} %")
-        for path in (report, out):
+        for path in (report, out, mcap):
             if path is not None:
                 terminal.print(f"written: {path}")
     return 0 if inside else 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-_OPTIONS = {"run": {"--set", "--robot", "--out", "--format", "--json"}, "validate": {"--json"}}
+_OPTIONS = {"run": {"--set", "--robot", "--out", "--format", "--json", "--mcap"}, "validate": {"--json"}}
 """Options that take one value."""
 
 
@@ -63,6 +63,7 @@ def quick(arguments: Sequence[str]) -> int | None:
         None,
         one.get("--json"),
         quiet,
+        Path(one["--mcap"]) if "--mcap" in one else None,
     )
 
 

@@ -19,6 +19,7 @@ def run(
     out: Path | None = None,
     format: Literal["csv", "parquet"] = "csv",
     plot: Annotated[list[Literal["png", "svg"]] | None, Parameter(consume_multiple=True, negative="")] = None,
+    mcap: Path | None = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
 ) -> int:
@@ -43,9 +44,12 @@ def run(
     plot
         Also draw power over time, charge over time and energy by segment, as png (or svg, or both), into the folder
         of --out (else the present one).
+    mcap
+        Also write power, watts by term, charge, scheme, components and pose over time into this MCAP file, with a
+        layout for Foxglove and a map for import beside it.
     json
         Write the summary as JSON to this file, or - for standard output.
     quiet
         Print no tables.
     """
-    return run_mission(mission, set_, robot, out, format, plot, json, quiet)
+    return run_mission(mission, set_, robot, out, format, plot, json, quiet, mcap)

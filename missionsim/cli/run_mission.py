@@ -22,6 +22,7 @@ def run_mission(
     plot: Sequence[Literal["png", "svg"]] | None = None,
     json: str | None = None,
     quiet: bool = False,
+    mcap: Path | None = None,
 ) -> int:
     """Simulate, write and print; the parameters are those of `missionsim.cli.run.run`."""
     from missionsim.engine.simulate import simulate, with_provenance
@@ -41,6 +42,10 @@ def run_mission(
 
         for suffix in plot or ["png"]:
             written += write_figures(result, out or Path(), suffix)
+    if mcap is not None:
+        from missionsim.exchange.mcap import write_run
+
+        written += write_run(result, spec, mcap)
     emit_json(result.summary(), json)
     if shows_text(json, quiet):
         show(result)

@@ -15,7 +15,7 @@ _FILE = {"whatif", "calibrate", "add-effect", "improve", "import-site", "import-
 """Commands whose ``--out`` is a file; `import` takes either."""
 _ROBOT_FILE = {"calibrate", "add-effect", "improve", "import-robot"}
 """Commands whose ``--out`` is a robot file."""
-_TARGETS = ("--json", "--out", "--report")
+_TARGETS = ("--json", "--out", "--report", "--mcap")
 _MORE_TARGETS = {"import-site": ("--mission",)}
 """Options that name an output in one command, and an input in others."""
 _REFERENCE = re.compile(r"""(?:^|[\s{,])(?:robot|environment|mission)\s*:\s*["']?([^\s"'#,{}]+)""")

@@ -1,9 +1,9 @@
-"""Runs and comparisons as MCAP files of JSON messages, for Foxglove, PlotJuggler and Rerun, and for `missionsim import`.
+"""Runs and comparisons as MCAP files of JSON messages, for Foxglove and its like, and for `missionsim import`.
 
 Topics: ``/power/<battery>`` (modelled and measured power, residual, watts by term, charge), ``/state`` (all other
-columns: speed, scheme, components on), ``/pose`` (foxglove.PoseInFrame) where coordinates are known. Every message carries
-``time_s``; a number is written with all its digits, so that it reads back to the bit. Beside the file lie a layout for
-Foxglove and a map for `missionsim import`.
+columns: speed, scheme, components on), ``/pose`` (foxglove.PoseInFrame) where coordinates are known. Every message
+carries ``time_s``; a number is written with all its digits, so that it reads back to the bit. Beside the file lie a
+layout for Foxglove and a map for `missionsim import`.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _POWER = {
     "terms": "Modelled power by component/term [W]",
 }
 _NUMBER = {"type": "number"}
-_POINT = {"type": "object", "properties": {axis: _NUMBER for axis in "xyz"}}
+_POINT = {"type": "object", "properties": dict.fromkeys("xyz", _NUMBER)}
 _POSE_SCHEMA = {
     "title": "foxglove.PoseInFrame",
     "type": "object",
@@ -58,7 +58,7 @@ _POSE_SCHEMA = {
             "type": "object",
             "properties": {
                 "position": _POINT,
-                "orientation": {"type": "object", "properties": {axis: _NUMBER for axis in "xyzw"}},
+                "orientation": {"type": "object", "properties": dict.fromkeys("xyzw", _NUMBER)},
             },
         },
     },
@@ -66,7 +66,7 @@ _POSE_SCHEMA = {
 
 
 def write_run(result: RunResult, mission: MissionSpec, path: str | Path) -> list[Path]:
-    """Write a simulated run; each interval with its begin and its end, since power is its mean.
+    """Write a simulated run; each interval with its begin and its end: power is the mean of each.
 
     Returns
     -------
@@ -74,23 +74,28 @@ def write_run(result: RunResult, mission: MissionSpec, path: str | Path) -> list
         The MCAP file, the layout and the map.
     """
     line = result.timeline
-    index = np.repeat(np.arange(len(line)), 2)
-    offset = np.stack([np.zeros(len(line)), np.maximum(line.duration_s - _STEP_S, 0.5 * line.duration_s)], axis=1)
-    columns = {name: _flat(value, len(index)) for name, value in line.at(np.arange(len(line)), offset).items()}
+    every = np.arange(len(line))
+    index = np.append(np.repeat(every, 2), every[-1:])
+    inner = np.stack([np.zeros(len(line)), np.maximum(line.duration_s - _STEP_S, 0.5 * line.duration_s)], axis=1)
+    offset = np.append(inner.ravel(), line.duration_s[-1:])
+    columns = {name: _flat(value, len(index)) for name, value in line.at(index, offset[:, None]).items()}
     names = [segment.name for segment in result.segments]
     columns["segment"] = [names[i] if i >= 0 else "" for i in line.segment[index].tolist()]
-    time = (line.start_s[:, None] + offset).ravel()
     power = {}
     for battery, terms in result.energies.items():
         watts = {f"{key.component}/{key.name}": (joules / line.duration_s)[index] for key, joules in terms.items()}
-        before = np.concatenate([[result.batteries[battery].initial_wh], result.charge_wh[battery][:-1]])
-        charge = np.stack([before, result.charge_wh[battery]], axis=1).ravel()
+        charge = _ends(result.batteries[battery].initial_wh, result.charge_wh[battery])
         power[battery] = {"model_w": result.power_w(battery)[index], "charge_wh": charge, "terms": watts}
-    ends = line.at(np.arange(len(line)), np.stack([np.zeros(len(line)), line.duration_s], axis=1))
-    step = line.duration_s * np.abs(np.asarray(ends["speed_m_s"])).mean(axis=1)
-    driven = np.concatenate([[0.0], np.cumsum(step)])
-    pose = _planned_pose(mission, np.stack([driven[:-1], driven[1:]], axis=1).ravel())
-    return _write(path, [("", time, power, columns, pose)], "model_w")
+    ends = line.at(every, line.duration_s[:, None] * [[0.0, 1.0]])
+    speed = np.hypot(ends.get("speed_m_s", 0.0), ends.get("lateral_speed_m_s", 0.0)) * np.ones((len(line), 2))
+    pose = _planned_pose(mission, _ends(0.0, np.cumsum(line.duration_s * speed.mean(axis=1))))
+    return _write(path, [("", line.start_s[index] + offset, power, columns, pose)], "model_w")
+
+
+def _ends(first: float, after: Array) -> Array:
+    """What holds at the begin and the end of each interval, and once more at the end of all."""
+    before = np.concatenate([[first], after[:-1]])
+    return np.append(np.stack([before, after], axis=1).ravel(), after[-1:])
 
 
 def write_comparison(robot: RobotSpec, logs: Sequence[str | Path], path: str | Path) -> list[Path]:
@@ -205,7 +210,7 @@ def _write(path: str | Path, runs: Iterable[Rows], power: str) -> list[Path]:
                     raw = json.dumps(message, ensure_ascii=False, allow_nan=False).encode()
                     writer.add_message(channel, nanoseconds, raw, nanoseconds)
                 topics[topic] = list(fields)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     layout, mapping = target.with_suffix(".foxglove.json"), target.with_suffix(".map.yaml")
     write_text(layout, json.dumps(_layout(topics), indent=1) + "\n")
     write_text(mapping, _map(topics, target.stem, power))
@@ -300,12 +305,16 @@ def _map(topics: Mapping[str, Sequence[str]], name: str, power: str) -> str:
     for topic, fields in topics.items():
         if topic.startswith(f"{first}/power/"):
             battery = topic.rpartition("/")[2]
+            logged = topics.get(f"{first}/state", ())
+            if any(name in logged for name in (f"power_{battery}_w", f"voltage_{battery}_v", f"energy_{battery}_wh")):
+                continue
             signals[f"p_{battery}"] = f"{topic}.{power}"
             columns[f"power_{battery}_w"] = f"p_{battery}"
         elif topic == f"{first}/state":
             signals["t"] = f"{topic}.time_s"
             for field in fields:
-                if field.isidentifier() and column_of(field) is not None and field not in (*columns, "time_s"):
+                taken = field in columns or field == "time_s" or field.startswith("on_time_")
+                if not taken and column_of(field) is not None:
                     signals[f"s_{field}"] = f"{topic}.{field}"
                     columns[field] = f"s_{field}"
     lines = [f"# for missionsim import {name}.mcap", "kind: map", f"name: {scalar(name)}", "signals:"]

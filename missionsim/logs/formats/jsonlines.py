@@ -96,18 +96,19 @@ def _message(record: dict[str, Any]) -> tuple[str, str, dict[str, Any]]:
     if not topic and "serialNumber" in record and "headerId" in record:
         topic = "state"
     topic = topic.strip("/").rpartition("/")[2] if "serialNumber" in record else topic.strip("/")
-    return topic or "json", str(record.get("serialNumber", "")), dict(_flat(record, ""))
+    return topic or "json", str(record.get("serialNumber", "")), dict(flat(record, ""))
 
 
-def _flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+def flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+    """Leaves of a JSON value by their paths: ``key.inner[0]``."""
     if isinstance(value, dict):
         for key, item in value.items():
-            yield from _flat(item, f"{path}.{key}" if path else str(key))
+            yield from flat(item, f"{path}.{key}" if path else str(key))
     elif isinstance(value, list):
         if not value or any(isinstance(item, dict) for item in value):
             yield f"{path}.count", float(len(value))
         for index, item in enumerate(value[:_MOST_ELEMENTS]):
-            yield from _flat(item, f"{path}[{index}]")
+            yield from flat(item, f"{path}[{index}]")
     elif isinstance(value, bool):
         yield path, float(value)
     elif isinstance(value, (int, float, str)) and path:
@@ -123,7 +124,7 @@ def _topic(name: str, messages: list[dict[str, Any]], path: Path, options: Optio
     for field in dict.fromkeys(field for message in messages for field in message):
         if field != key and options.fields is not None and f"{name}.{field}" not in options.fields:
             continue
-        columns[field] = _column([message.get(field) for message in messages])
+        columns[field] = column([message.get(field) for message in messages])
     try:
         stamps = read_stamps([columns.pop(key)], f"{name}.{key}")
     except TimeError as error:
@@ -136,7 +137,8 @@ def _topic(name: str, messages: list[dict[str, Any]], path: Path, options: Optio
     )
 
 
-def _column(values: list[Any]) -> ColumnData:
+def column(values: list[Any]) -> ColumnData:
+    """Values of one field as a column: numbers, nan where missing, or texts."""
     if any(isinstance(value, str) for value in values):
         return numbers_in(Labels.of(value if isinstance(value, str) else _plain(value) for value in values))
     return np.array([np.nan if value is None else _finite(value) for value in values], dtype=np.float64)

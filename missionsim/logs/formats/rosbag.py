@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import InputError
+from missionsim.files import install_hint
 from missionsim.labels import Labels
+from missionsim.logs.formats.mcapjson import read_json_mcap
 from missionsim.logs.raw import ColumnData, numbers_in
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 from missionsim.logs.remarks import Remark
@@ -43,7 +45,7 @@ def open_bag(path: Path) -> Iterator[Any]:
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise InputError.single(
-            "reading bags needs the package rosbags", file=file, allowed="pip install 'missionsim[logs]'"
+            "reading bags needs the package rosbags", file=file, allowed=install_hint("logs")
         ) from None
     if path.is_file() and path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists():
         path = path.parent
@@ -75,6 +77,8 @@ def read_bag(path: Path, options: Options) -> Recording:
     missionsim.errors.InputError
         An unreadable bag.
     """
+    if path.suffix == ".mcap" and (recording := read_json_mcap(path, options)) is not None:
+        return recording
     remarks: list[Remark] = []
     held: dict[str, _Held] = {}
     broken: list[str] = []

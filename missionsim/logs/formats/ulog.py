@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.errors import InputError
+from missionsim.files import install_hint
 from missionsim.logs.raw import ColumnData
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 from missionsim.logs.remarks import Remark
@@ -29,7 +30,7 @@ def read_ulog(path: Path, options: Options) -> Recording:
         from pyulog import ULog
     except ImportError:
         raise InputError.single(
-            "reading ULog needs the package pyulog", file=file, allowed="pip install 'missionsim[logs]'"
+            "reading ULog needs the package pyulog", file=file, allowed=install_hint("logs")
         ) from None
     matches = [match for field in options.fields or () if (match := _FIELD.match(field.strip()))]
     names = None if options.fields is None else sorted({match["topic"].split("[")[0] for match in matches})
