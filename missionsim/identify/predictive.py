@@ -1,0 +1,168 @@
+"""Least squares that predicts left-out runs: Gram matrices by fold, folds left out in turn, jackknife errors.
+
+Where the base model is far from right, restricted maximum likelihood takes what is missing for slow noise: levels are
+let go and coefficients follow differences. Plain least squares over time does not, and predicting whole left-out runs
+tells honestly which effect helps, at which clock, and how sure the coefficients are (Stone 1974; cluster jackknife,
+CRV3: Cameron, Gelbach and Miller 2008).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.identify.data import Array
+from missionsim.identify.design import Design
+
+FEWEST_FOLDS = 8
+"""With fewer runs each is cut into stretches of time: a jackknife over two or three values says nothing."""
+SHORTEST_FOLD_S = 30.0
+INDEPENDENT_S = 20.0
+"""Rows this far apart count as independent where a prior is weighed against the data (length of the robust blocks)."""
+RIDGE = 1e-9
+
+
+@dataclass(frozen=True)
+class Left:
+    """Prediction of each fold from a fit to the others.
+
+    Attributes
+    ----------
+    square : time integral of the squared power error of each fold [W2 s], shape (folds,)
+    energy : predicted minus measured energy of each fold [J], shape (folds,)
+    coefficients : relative shifts of the base, then shares, without each fold, shape (folds, q + chosen)
+    """
+
+    square: Array
+    energy: Array
+    coefficients: Array
+
+    @property
+    def total(self) -> float:
+        """Squared error of all folds together [W2 s]."""
+        return float(self.square.sum())
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """Sums of products by fold: least squares of any set of columns without looking at the rows again.
+
+    Attributes
+    ----------
+    sums : rows are residual of the base, its gradient (q), candidate columns (p), one, measured power; each product
+        integrated over time, shape (folds, q + p + 3, q + p + 3)
+    seconds : length of each fold, shape (folds,)
+    prior_sd : relative standard deviation of each base parameter, shape (q,)
+    run : number of the run of each fold, shape (folds,)
+    """
+
+    sums: Array
+    seconds: Array
+    prior_sd: Array
+    run: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, design: Design) -> LeastSquares:
+        """Sums of a design; the folds are its runs, or stretches of them where there are few."""
+        q = len(design.layout.parameters)
+        rows = np.vstack([design.residual, design.gradient[:q], design.phi, np.ones_like(design.y), design.y])
+        folds = _folds(design)
+        sums = np.stack([(rows[:, part] * design.duration_s[part]) @ rows[:, part].T for part, _ in folds])
+        seconds = np.array([float(design.duration_s[part].sum()) for part, _ in folds])
+        return cls(sums, seconds, design.layout.prior_sd[:q], np.array([run for _, run in folds], dtype=np.intp))
+
+    @property
+    def q(self) -> int:
+        """Number of base parameters."""
+        return len(self.prior_sd)
+
+    @cached_property
+    def whole(self) -> Array:
+        """Sums over all folds."""
+        return np.asarray(self.sums.sum(axis=0))
+
+    @cached_property
+    def noise(self) -> float:
+        """Mean squared error of the recalibrated base, which weighs its priors [W2]; half of it a refit."""
+        index = np.arange(1, 1 + self.q)
+        inner = self.whole[np.ix_(index, index)] + RIDGE * np.diag(np.diag(self.whole)[index])
+        shift = np.linalg.lstsq(inner, self.whole[index, 0], rcond=1e-12)[0] if self.q else np.zeros(0)
+        rest = float(self.whole[0, 0] - shift @ self.whole[index, 0])
+        return max(rest, 1e-12 * float(self.whole[-1, -1])) / float(self.seconds.sum())
+
+    def index(self, chosen: Sequence[int]) -> NDArray[np.intp]:
+        """Rows of the base parameters and of the chosen columns in the sums."""
+        return np.r_[1 : 1 + self.q, 1 + self.q + np.asarray(chosen, dtype=np.intp)].astype(np.intp)
+
+    def _normal(self, sums: Array, index: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Normal equations with the priors of the base, for one or several sums (..., m, m)."""
+        inner = sums[..., index[:, None], index].copy()
+        side = np.arange(len(index))
+        inner[..., side, side] += RIDGE * np.maximum(np.diag(self.whole)[index], 1e-300)
+        inner[..., side[: self.q], side[: self.q]] += self.noise * INDEPENDENT_S / self.prior_sd**2
+        return inner, sums[..., index, 0]
+
+    def fit(self, chosen: Sequence[int], folds: NDArray[np.bool_] | None = None) -> Array:
+        """Relative shifts of the base parameters, then shares of the chosen columns, shape (q + chosen,)."""
+        sums = self.whole if folds is None else self.sums[folds].sum(axis=0)
+        inner, side = self._normal(sums, self.index(chosen))
+        return np.asarray(np.linalg.solve(inner, side)) if len(side) else np.zeros(0)
+
+    def leave_out(self, chosen: Sequence[int]) -> Left:
+        """Each fold predicted from a fit to all others."""
+        index = self.index(chosen)
+        if len(self.sums) < 2 or not len(index):
+            coefficients = np.zeros((len(self.sums), len(index)))
+        else:
+            inner, side = self._normal(self.whole - self.sums, index)
+            coefficients = np.linalg.solve(inner, side[..., None])[..., 0]
+        return self.errors(index, coefficients)
+
+    def errors(self, index: NDArray[np.intp], coefficients: Array) -> Left:
+        """Errors of each fold under given coefficients, shape (folds, m) or (m,)."""
+        b = np.broadcast_to(coefficients, (len(self.sums), len(index)))
+        inner = self.sums[:, index[:, None], index]
+        cross = self.sums[:, index, 0]
+        square = self.sums[:, 0, 0] - 2.0 * np.sum(b * cross, axis=1) + np.einsum("ji,jik,jk->j", b, inner, b)
+        energy = np.sum(b * self.sums[:, index, -2], axis=1) - self.sums[:, 0, -2]
+        return Left(np.maximum(square, 0.0), np.asarray(energy), np.array(b))
+
+    def measured(self) -> Array:
+        """Measured energy of each fold [J]."""
+        return np.asarray(self.sums[:, -1, -2])
+
+    def jackknife(self, chosen: Sequence[int], left: Left | None = None) -> tuple[Array, Array]:
+        """Coefficients and their covariance from leaving folds out (CRV3), shapes (m,) and (m, m)."""
+        left = left or self.leave_out(chosen)
+        value = self.fit(chosen)
+        count = len(self.sums)
+        off = left.coefficients - value
+        return value, (count - 1) / count * off.T @ off
+
+    def unbiased(self, chosen: Sequence[int], value: Array, covariance: Array) -> Array:
+        """The coefficients nearest to `value`, in the metric of their covariance, that give the measured energy.
+
+        The energy of all fitted runs together is one linear condition; what it takes is least where the data say least.
+        """
+        index = self.index(chosen)
+        ahead = self.whole[index, -2]
+        missing = float(self.whole[0, -2] - value @ ahead)
+        step = covariance @ ahead
+        size = float(ahead @ step)
+        return value + step * (missing / size) if size > 0.0 else value
+
+
+def _folds(design: Design) -> list[tuple[slice, int]]:
+    pieces = -(-FEWEST_FOLDS // len(design.runs)) if len(design.runs) < FEWEST_FOLDS - 2 else 1
+    found: list[tuple[slice, int]] = []
+    for number, run in enumerate(design.runs):
+        length = float(design.duration_s[run].sum())
+        count = max(1, min(pieces, int(length // SHORTEST_FOLD_S)))
+        edges = np.linspace(run.start, run.stop, count + 1).astype(int)
+        found += [(slice(int(a), int(b)), number) for a, b in itertools.pairwise(edges) if b > a]
+    return found
