@@ -38,6 +38,8 @@ def estimated(
     """
     model = choice.model
     on_ramps = _on_ramps(model)
+    value, _ = model.estimate(model.chosen)
+    sizes = dict(zip(model.chosen, value[len(model.design.layout.parameters) :].tolist(), strict=True))
     absorbed = absorption(model)
     out: list[Finding] = []
     for number in dict.fromkeys(int(constraints.effect[k]) for k in model.chosen):
@@ -51,17 +53,20 @@ def estimated(
             e = choice.evidence[k]
             column = model.design.layout.columns[k]
             unit = model.design.layout.mean_power_w / column.watts_per_unit
-            form = abs(e.share) * _form_error(model, k, on_ramps[k], settings)
+            form = abs(sizes[k]) * _form_error(model, k, on_ramps[k], settings)
             share_sd.append(float(np.linalg.norm([e.share_sd, e.shape_sd, form])))
-            half = Z95 * float(np.linalg.norm([e.share_sd, e.share * e.unit_shape_sd, form])) * unit
+            half = Z95 * float(np.linalg.norm([e.share_sd, sizes[k] * e.unit_shape_sd, form])) * unit
             level = candidate.levels[column.position] if candidate.levels else ""
             name = f"{candidate.coefficient}_{level}" if level else candidate.coefficient
-            value = e.share * unit
-            parameters[name] = Estimate(value, value - half, value + half, candidate.unit)
+            size = sizes[k] * unit
+            parameters[name] = Estimate(size, size - half, size + half, candidate.unit)
         parameters |= _shape_estimates(shapes.get(candidate.effect, {}))
         evidence = [choice.evidence[k] for k in own]
-        share, reach = float(sum(e.share for e in evidence)), Z95 * float(np.linalg.norm(share_sd))
-        similar = rivals(model, number, constraints, candidates, settings)
+        share, reach = sum(sizes[k] for k in own), Z95 * float(np.linalg.norm(share_sd))
+        if choice.forward is None:
+            similar = rivals(model, number, constraints, candidates, settings)
+        else:
+            similar = tuple(candidates[o].effect for o in choice.forward.rivals.get(number, ()))
         leads = {p.b: p.separation_nats for p in alike if p.a == candidate.effect}
         among = [leads[name] for name in similar if name in leads] or list(leads.values())
         out.append(

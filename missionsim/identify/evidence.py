@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,9 @@ from missionsim.identify.settings import (
 )
 
 Numbers = NDArray[np.intp]
+
+if TYPE_CHECKING:
+    from missionsim.identify.forward import Forward
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +74,8 @@ class Choice:
     empty: Model
     evidence: dict[int, Evidence]
     refused: dict[int, Evidence] = field(default_factory=dict)
+    forward: Forward | None = None
+    """The selection by prediction, where the base was far from right."""
 
 
 def evidence_of(model: Model, column: int, constraints: Constraints, settings: Settings) -> Evidence:

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from missionsim.identify.align import Clock
-from missionsim.identify.data import Array, Candidate, Settings
+from missionsim.identify.data import Array, Candidate
 from missionsim.identify.design import Layout, Source
-from missionsim.identify.gates import Evidence
+from missionsim.identify.evidence import Evidence
 from missionsim.identify.predictive import INDEPENDENT_S, LeastSquares, Left
+from missionsim.identify.settings import Settings
 
 ROUGH = 0.15
 """Error of the recalibrated base on left-out runs, as part of the mean power, from which its form is far from right:
@@ -92,23 +93,30 @@ class Forward:
         place = trial.columns.index(column)
         rest = [k for k in self.chosen if k not in trial.columns]
         without = self.squares.leave_out(rest)
-        fall = without.square - trial.left.square
         count = float(self.squares.seconds.sum()) / INDEPENDENT_S
         gain = 0.5 * count * float(np.log(without.total / max(trial.left.total, 1e-300)))
         sd = float(np.sqrt(trial.covariance[place, place]))
         return Evidence(
-            column,
-            gain,
-            1.0,
-            float(trial.shares[place]),
-            sd,
-            trial.p_value,
-            trial.p_value,
-            gain,
-            int(np.sum(fall > 0)),
-            len(fall),
-            dict(trial.passed),
+            column=column,
+            gain=gain,
+            share=float(trial.shares[place]),
+            share_sd=sd,
+            p_robust=trial.p_value,
+            p_runs=trial.p_value,
+            passed=dict(trial.passed),
         )
+
+    def smallest_detectable(self, columns: int, settings: Settings) -> Array:
+        """Share of energy of each column that four of five sets of runs would show, from the cluster jackknife."""
+        from scipy.stats import t
+
+        freedom = max(len(self.squares.sums) - 1, 1)
+        level = max(FAMILY_LEVEL, settings.alpha) / max(len(self.trials), 1)
+        factor = float(t.isf(0.5 * level, freedom)) + 0.84
+        out = np.full(columns, np.inf)
+        for trial in self.trials.values():
+            out[list(trial.columns)] = np.maximum(factor * np.sqrt(np.diag(trial.covariance)), settings.min_share)
+        return out
 
 
 def is_rough(squares: LeastSquares, mean_power_w: float) -> bool:
@@ -117,19 +125,38 @@ def is_rough(squares: LeastSquares, mean_power_w: float) -> bool:
     return bool(error > ROUGH * abs(mean_power_w))
 
 
-def forward(source: Source, candidates: Sequence[Candidate], settings: Settings) -> Forward | None:
-    """Select effects by the prediction of left-out runs; None where the base is near enough for the finer search."""
+def forward(
+    source: Source, candidates: Sequence[Candidate], settings: Settings, given: Sequence[str] | None = None
+) -> Forward | None:
+    """Select effects by the prediction of left-out runs, or fit given ones.
+
+    Returns
+    -------
+    Forward or None
+        None where the base is near enough for the finer search.
+
+    Raises
+    ------
+    ValueError
+        If a given effect is unknown or has no column that acts in these runs.
+    """
     still = Clock(0.0, 0.0, tuple(0.0 for _ in source.runs))
     squares = LeastSquares.of(source.design(still))
     if not is_rough(squares, source.layout.mean_power_w):
         return None
     clock = still
-    chosen = _select(squares, source.layout, candidates, settings)
+
+    def selected() -> tuple[int, ...]:
+        if given is None:
+            return _select(squares, source.layout, candidates, settings)
+        return _given(squares, source.layout, candidates, settings, given)
+
+    chosen = selected()
     if settings.align:
         clock = sober_clock(source, chosen)
         if clock != still:
             squares = LeastSquares.of(source.design(clock))
-            chosen = _select(squares, source.layout, candidates, settings)
+            chosen = selected()
     trials: dict[int, Trial] = {}
     rivals: dict[int, tuple[int, ...]] = {}
     inside = {source.layout.columns[k].candidate for k in chosen}
@@ -142,6 +169,8 @@ def forward(source: Source, candidates: Sequence[Candidate], settings: Settings)
         found = [t for t in tried if t is not None]
         if found:
             trials[number] = min(found, key=lambda t: t.left.total)
+        elif own:
+            trials[number] = _measure(squares, source.layout, candidates[number], number, own, rest, settings)
         if number in inside and found:
             rivals[number] = _rivals(squares, source.layout, candidates, trials[number], rest, inside, settings)
     return Forward(chosen, clock, squares, trials, rivals)
@@ -179,6 +208,22 @@ def _select(
     return chosen
 
 
+def _given(
+    squares: LeastSquares, layout: Layout, candidates: Sequence[Candidate], settings: Settings, effects: Sequence[str]
+) -> tuple[int, ...]:
+    """Columns of given effects: all levels of a label that act, of a grid the one that predicts best."""
+    chosen: tuple[int, ...] = ()
+    for name in effects:
+        options = [o for number, o in _options(layout, candidates) if candidates[number].effect == name]
+        if not options:
+            raise ValueError(f"effect {name} has no column that acts in these runs")
+        number = layout.columns[options[0][0][0]].candidate
+        tried = [_try(squares, layout, candidates, number, o, chosen, settings) for o in options[0]]
+        found = [t for t in tried if t is not None]
+        chosen = (*chosen, *(min(found, key=lambda t: t.left.total).columns if found else options[0][0]))
+    return chosen
+
+
 def _kept(
     squares: LeastSquares, layout: Layout, candidates: Sequence[Candidate], settings: Settings, chosen: tuple[int, ...]
 ) -> tuple[int, ...]:
@@ -205,18 +250,29 @@ def _try(
     settings: Settings,
 ) -> Trial | None:
     """An effect beside others; None where physics forbids the sign that it would take."""
-    from scipy.stats import f
-
-    candidate = candidates[number]
     own = list(columns)
+    candidate = candidates[number]
     while own:
         value = squares.fit([*beside, *own])[-len(own) :]
         wrong = candidate.sign * value if candidate.sign else np.abs(value)
         if wrong.min() >= 0.0:
             break
         own.pop(int(np.argmin(wrong)))
-    if not own:
-        return None
+    return _measure(squares, layout, candidate, number, own, beside, settings) if own else None
+
+
+def _measure(
+    squares: LeastSquares,
+    layout: Layout,
+    candidate: Candidate,
+    number: int,
+    own: Sequence[int],
+    beside: Sequence[int],
+    settings: Settings,
+) -> Trial:
+    """What speaks for an effect beside others, and the answer of every gate."""
+    from scipy.stats import f
+
     before = squares.leave_out(beside)
     after = squares.leave_out([*beside, *own])
     value, covariance = squares.jackknife([*beside, *own], after)

@@ -149,6 +149,15 @@ class Gram:
         inner = total[np.ix_(index, index)] + np.diag(precision)
         return np.linalg.solve(inner, total[index, 0])[:q], np.linalg.inv(inner)[:q, :q]
 
+    def joint(self, chosen: Sequence[int], count: int) -> tuple[Array, Array]:
+        """Relative shifts of the first `count` base parameters, then shares, and their posterior covariance."""
+        total = self.per_run.sum(axis=0)
+        index = np.r_[np.arange(1, 1 + self.q), 1 + self.q + np.asarray(chosen, dtype=int)].astype(int)
+        precision = np.concatenate([self.prior_precision, np.full(len(chosen), 1e-9)])
+        inner = total[np.ix_(index, index)] + np.diag(precision)
+        keep = np.r_[np.arange(count), np.arange(self.q, len(index))].astype(int)
+        return np.linalg.solve(inner, total[index, 0])[keep], np.linalg.inv(inner)[np.ix_(keep, keep)]
+
     def conditional(self, chosen: Sequence[int]) -> Array:
         """[y, Phi] after the chosen columns are projected out as well, shape (1+p, 1+p)."""
         if not len(chosen):

@@ -16,7 +16,7 @@ from missionsim.identify.factor import instead_of_effects, level_difference
 from missionsim.identify.findings import Finding, Findings, Judged, Recalibrated, Structure, Unexplained
 from missionsim.identify.identifiability import Pair, pairs
 from missionsim.identify.model import Model
-from missionsim.identify.profile import refit_shapes
+from missionsim.identify.profile import grid_shapes, refit_shapes
 from missionsim.identify.residual import dependences, low_frequency_noise, periodic, runs_apart, wrong_form
 from missionsim.identify.rules import Question, Remains, demoted, refusal
 from missionsim.identify.search import Constraints
@@ -101,7 +101,10 @@ def _told(
 ) -> Identification:
     """Everything that is said of a choice; with `given` effects, all of them are named."""
     constraints = Constraints.of(choice.model.source.layout, candidates)
-    choice, shapes = refit_shapes(choice, candidates, constraints, settings)
+    if choice.forward is None:
+        choice, shapes = refit_shapes(choice, candidates, constraints, settings)
+    else:
+        shapes = grid_shapes(choice.model, candidates)
     model = choice.model
     remains = _remains(model, candidates, constraints, settings)
     structures = _structures(model, remains)
@@ -109,7 +112,9 @@ def _told(
     factor: float | None = None
     averages: tuple[Structure, ...] = ()
     if not given:
-        unnamed = _unnamed(choice, candidates, constraints, settings, remains)
+        # forms are never exact where much was missing: what is left is told, and takes nothing back that predicts
+        if choice.forward is None:
+            unnamed = _unnamed(choice, candidates, constraints, settings, remains)
         chosen = tuple(dict.fromkeys(candidates[int(constraints.effect[k])].effect for k in model.chosen))
         factor = instead_of_effects(model) if set(chosen) - set(unnamed) else None
         if factor is not None:
@@ -204,7 +209,10 @@ def _judged(
     factor: float | None,
 ) -> tuple[Judged, ...]:
     """Every candidate with its reason and its detection limit."""
-    limits = smallest_detectable(choice.model, constraints, settings)
+    if choice.forward is None:
+        limits = smallest_detectable(choice.model, constraints, settings)
+    else:
+        limits = choice.forward.smallest_detectable(len(constraints.effect), settings)
     rival_of = {rival: one.effect for one in effects for rival in one.indistinguishable_from}
     out = []
     for number, candidate in enumerate(candidates):
@@ -242,7 +250,7 @@ def _judged(
 
 def _recalibration(model: Model) -> tuple[Recalibrated, ...]:
     layout = model.design.layout
-    shifts, covariance = model.gram.shifts(model.chosen)
+    shifts, covariance = model.estimate(model.chosen)
     return tuple(
         Recalibrated(
             parameter=name,

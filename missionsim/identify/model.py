@@ -14,6 +14,7 @@ from missionsim.identify.data import Array
 from missionsim.identify.design import Design, Source
 from missionsim.identify.gram import Gram, eliminate_random, make_gram, project, random_effects, raw_blocks
 from missionsim.identify.noise import Noise, fit_noise, start_noise
+from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.settings import CLOCK_RISE_NATS, LARGEST_RUN_DELAY_S, RUN_DELAY_SD_S, UNUSUAL_GAIN, USUAL_GAIN
 from missionsim.identify.whitening import start_factor
 
@@ -33,6 +34,8 @@ class Model:
     clock: Clock
     design: Design
     noise: Noise
+    squares: LeastSquares | None = None
+    """Least squares at this clock, where it predicts left-out runs better than the noise model does."""
 
     @cached_property
     def gram(self) -> Gram:
@@ -43,6 +46,32 @@ class Model:
     def innovations(self) -> Array:
         """Whitened residual, shape (n,)."""
         return np.asarray(project(self.design, self.noise, self.design.residual[None, :], self.chosen).rows[0])
+
+    def estimate(self, chosen: Sequence[int], runs: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
+        """Coefficients that a robot file can hold: relative shifts of the base, then shares of columns.
+
+        They give the measured energy of the fitted runs together (see `LeastSquares.unbiased`).
+
+        Parameters
+        ----------
+        chosen : columns in the model
+        runs : which runs to fit, shape (runs,); all by default
+
+        Returns
+        -------
+        value : shape (q + chosen,)
+        covariance : from leaving runs out where least squares is used, of the noise model elsewhere
+        """
+        squares = self.squares or LeastSquares.of(self.design)
+        q = squares.q
+        if self.squares is not None:
+            kept = squares if runs is None else squares.only(runs[squares.run])
+            value, covariance = kept.jackknife(chosen)
+        else:
+            gram = self.gram if runs is None else Gram(self.gram.per_run[runs], self.gram.prior_precision)
+            kept = squares if runs is None else squares.only(runs[squares.run])
+            value, covariance = gram.joint(chosen, q)
+        return kept.unbiased(chosen, value, covariance), covariance
 
 
 def score(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> float:
@@ -161,11 +190,9 @@ def prediction(model: Model, chosen: Sequence[int], design: Design, fitted: NDAr
     offsets and gains of single runs, and the nuisances of clock, curvature and switching. With `fitted`, from these
     runs of the model only.
     """
-    gram = model.gram if fitted is None else Gram(model.gram.per_run[fitted], model.gram.prior_precision)
-    shifts, _ = gram.shifts(chosen)
+    value, _ = model.estimate(chosen, fitted)
     count = len(design.layout.parameters)
-    power = design.base + shifts[:count] @ design.gradient[:count]
+    power = design.base + value[:count] @ design.gradient[:count]
     if len(chosen):
-        shares, _ = gram.coefficients(chosen)
-        power = power + shares @ design.phi[list(chosen)]
+        power = power + value[count:] @ design.phi[list(chosen)]
     return np.asarray(power)

@@ -20,6 +20,7 @@ from missionsim.identify.whitening import Packed, Shape, arma_of, start_factor
 
 if TYPE_CHECKING:
     from missionsim.identify.gram import Blocks
+    from missionsim.identify.predictive import LeastSquares
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,13 @@ def start_noise(design: Design) -> Noise:
         np.ones(n),
         np.ones(n),
     )
+
+
+def bounded_noise(design: Design, squares: LeastSquares, chosen: Sequence[int]) -> Noise:
+    """The first guess at the size of what least squares leaves: noise without a slow part that could take a signal."""
+    noise = start_noise(design)
+    error = float(np.sqrt(squares.leave_out(chosen).total / float(squares.seconds.sum())))
+    return replace(noise, sigma_w=noise.sigma_w * error / noise.total_sd_w, slow_share=0.0)
 
 
 def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None, thorough: bool = True) -> Noise:

@@ -123,6 +123,10 @@ class LeastSquares:
             coefficients = np.linalg.solve(inner, side[..., None])[..., 0]
         return self.errors(index, coefficients)
 
+    def only(self, folds: NDArray[np.bool_]) -> LeastSquares:
+        """Some of the folds."""
+        return LeastSquares(self.sums[folds], self.seconds[folds], self.prior_sd, self.run[folds])
+
     def errors(self, index: NDArray[np.intp], coefficients: Array) -> Left:
         """Errors of each fold under given coefficients, shape (folds, m) or (m,)."""
         b = np.broadcast_to(coefficients, (len(self.sums), len(index)))

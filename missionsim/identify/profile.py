@@ -34,6 +34,17 @@ def refit_shapes(
     return choice, shapes
 
 
+def grid_shapes(model: Model, candidates: Sequence[Candidate]) -> dict[str, dict[str, float]]:
+    """The grid's shape of every chosen effect that has one, without limits."""
+    found: dict[str, dict[str, float]] = {}
+    for column in model.chosen:
+        here = model.source.layout.columns[column]
+        candidate = candidates[here.candidate]
+        if candidate.shape and not candidate.levels and candidate.shape[here.position]:
+            found[candidate.effect] = dict(candidate.shape[here.position])
+    return found
+
+
 def refit_shapes_of(
     choice: Choice,
     columns: Iterable[int],

@@ -87,6 +87,13 @@ GATES: tuple[Gate, ...] = (
 )
 
 
+REFUSALS = {gate.name: gate.refusal for gate in GATES} | {
+    "runs": "left-out runs are not predicted better",
+    "energy": "the energy of left-out runs is predicted worse",
+}
+"""What is said where a gate does not hold; the last two are those of `missionsim.identify.forward`."""
+
+
 def weigh(
     model: Model, column: int, constraints: Constraints, candidates: Sequence[Candidate], settings: Settings
 ) -> Evidence:
@@ -98,7 +105,7 @@ def weigh(
 
 def refusal(evidence: Evidence) -> str:
     """In words, why an effect did not enter."""
-    words = [gate.refusal for gate in GATES if not evidence.passed.get(gate.name, True)]
+    words = [text for name, text in REFUSALS.items() if not evidence.passed.get(name, True)]
     return f"{100 * evidence.share:.2g} % of the energy ± {100 * evidence.share_sd:.2g}: " + "; ".join(words)
 
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from missionsim.identify.data import Candidate
 from missionsim.identify.design import Source
 from missionsim.identify.evidence import Choice, Evidence, at_a_glance, nats_needed, tails
+from missionsim.identify.forward import Forward, forward
 from missionsim.identify.model import Model, fit_model, log_likelihood
+from missionsim.identify.noise import bounded_noise
 from missionsim.identify.profile import refit_shapes_of
 from missionsim.identify.rules import weigh
 from missionsim.identify.search import Constraints, best_set, single_gains
@@ -18,6 +21,9 @@ from missionsim.identify.settings import CLOSE, CLOSE_NATS, GLANCE, JOINT_NATS, 
 
 def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) -> Choice:
     """Search for the missing effects."""
+    selected = forward(source, candidates, settings)
+    if selected is not None:
+        return _by_prediction(source, selected)
     constraints = Constraints.of(source.layout, candidates)
     empty = fit_model(source, ())
     found = Choice(empty, empty, {})
@@ -31,6 +37,17 @@ def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) 
         found = refit_shapes_of(step, new, candidates, constraints, settings)
         source = found.model.source
     return found
+
+
+def _by_prediction(source: Source, selected: Forward) -> Choice:
+    """The choice that the selection by prediction made, with a noise model that cannot take the signal."""
+    design = source.design(selected.clock)
+    noise = bounded_noise(design, selected.squares, selected.chosen)
+    model = Model(source, selected.chosen, selected.clock, design, noise, selected.squares)
+    empty = replace(model, chosen=(), noise=bounded_noise(design, selected.squares, ()))
+    inside = {k: selected.evidence(k) for k in selected.chosen}
+    outside = {k: selected.evidence(k) for t in selected.trials.values() for k in t.columns if k not in inside}
+    return Choice(model, empty, inside, outside, selected)
 
 
 def _next_step(
@@ -112,6 +129,9 @@ def forced(source: Source, candidates: Sequence[Candidate], effects: Sequence[st
     ValueError
         If an effect is unknown or has no column that acts in these runs.
     """
+    selected = forward(source, candidates, settings, effects)
+    if selected is not None:
+        return _by_prediction(source, selected)
     layout = source.layout
     constraints = Constraints.of(layout, candidates)
     empty = fit_model(source, ())
