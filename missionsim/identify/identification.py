@@ -16,7 +16,7 @@ from missionsim.identify.factor import instead_of_effects, level_difference
 from missionsim.identify.findings import Finding, Findings, Judged, Recalibrated, Structure, Unexplained
 from missionsim.identify.identifiability import Pair, pairs
 from missionsim.identify.model import Model
-from missionsim.identify.profile import grid_shapes, refit_shapes
+from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import dependences, low_frequency_noise, periodic, runs_apart, wrong_form
 from missionsim.identify.rules import Question, Remains, demoted, refusal
 from missionsim.identify.search import Constraints
@@ -101,10 +101,7 @@ def _told(
 ) -> Identification:
     """Everything that is said of a choice; with `given` effects, all of them are named."""
     constraints = Constraints.of(choice.model.source.layout, candidates)
-    if choice.forward is None:
-        choice, shapes = refit_shapes(choice, candidates, constraints, settings)
-    else:
-        shapes = grid_shapes(choice.model, candidates)
+    choice, shapes = refit_shapes(choice, candidates, constraints, settings)
     model = choice.model
     remains = _remains(model, candidates, constraints, settings)
     structures = _structures(model, remains)

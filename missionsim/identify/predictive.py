@@ -113,6 +113,13 @@ class LeastSquares:
         inner, side = self._normal(sums, self.index(chosen))
         return np.asarray(np.linalg.solve(inner, side)) if len(side) else np.zeros(0)
 
+    def score(self, chosen: Sequence[int]) -> float:
+        """Log-likelihood of a fit, up to a constant, with one independent observation every `INDEPENDENT_S`."""
+        index = self.index(chosen)
+        seconds = float(self.seconds.sum())
+        square = self.errors(index, self.fit(chosen)).total
+        return -0.5 * seconds / INDEPENDENT_S * float(np.log(max(square, 1e-300)))
+
     def leave_out(self, chosen: Sequence[int]) -> Left:
         """Each fold predicted from a fit to all others."""
         index = self.index(chosen)

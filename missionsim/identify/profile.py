@@ -11,6 +11,7 @@ from missionsim.identify.data import Array, Candidate, RunData
 from missionsim.identify.design import Column, Source
 from missionsim.identify.evidence import Choice
 from missionsim.identify.model import Model, score, shares
+from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.rules import weigh
 from missionsim.identify.search import Constraints
 from missionsim.identify.settings import LIMIT_NATS, SHAPE_EVALUATIONS, SHAPE_SD, Settings
@@ -32,17 +33,6 @@ def refit_shapes(
         elif candidate.shape and not candidate.levels and candidate.shape[here.position]:
             shapes[candidate.effect] = dict(candidate.shape[here.position])
     return choice, shapes
-
-
-def grid_shapes(model: Model, candidates: Sequence[Candidate]) -> dict[str, dict[str, float]]:
-    """The grid's shape of every chosen effect that has one, without limits."""
-    found: dict[str, dict[str, float]] = {}
-    for column in model.chosen:
-        here = model.source.layout.columns[column]
-        candidate = candidates[here.candidate]
-        if candidate.shape and not candidate.levels and candidate.shape[here.position]:
-            found[candidate.effect] = dict(candidate.shape[here.position])
-    return found
 
 
 def refit_shapes_of(
@@ -103,7 +93,7 @@ def _refit(
     def cost(x: Array) -> float:
         # where a free base leaves a shape open (a reference temperature beyond all that was met), it stays usual
         unusual = 0.5 * float(np.sum(((x - usual) / (SHAPE_SD * (high - low))) ** 2))
-        return unusual - score(with_shape(outer(x)), model.clock, model.noise, model.chosen)
+        return unusual - _score(model, with_shape(outer(x)))
 
     x0 = np.clip(inner([start[n] for n in names]), low, high)
     step = 0.25 * (high - low)
@@ -117,15 +107,19 @@ def _refit(
     best = outer(found.x)
     source = with_shape(best)
     design = source.design(model.clock)
-    refitted = Model(source, model.chosen, model.clock, design, model.noise)
-    evidence = {c: weigh(refitted, c, constraints, candidates, settings) for c in model.chosen}
+    squares = None if model.squares is None else LeastSquares.of(design)
+    refitted = Model(source, model.chosen, model.clock, design, model.noise, squares)
+    if squares is None:
+        evidence = {c: weigh(refitted, c, constraints, candidates, settings) for c in model.chosen}
+    else:
+        evidence = dict(choice.evidence)
     limits: dict[str, float] = {}
     if limited:
         limits = _limits(cost, found.x, float(found.fun), LIMIT_NATS, (low, high), outer, names)
 
         def size(shape: Mapping[str, float]) -> tuple[float, float]:
             trial = with_shape(shape)
-            share = float(shares(trial, model.clock, model.noise, model.chosen)[model.chosen.index(column)])
+            share = float(_shares(model, trial)[model.chosen.index(column)])
             return share, share / trial.layout.columns[column].watts_per_unit
 
         ends = [[size(best | {n: limits.get(f"{n}.{end}", best[n])}) for end in ("low", "high")] for n in names]
@@ -136,6 +130,21 @@ def _refit(
             evidence[column], shape_sd=float(share_sd), unit_shape_sd=float(unit_sd / unit) if unit > 0 else 0.0
         )
     return replace(choice, model=refitted, evidence=evidence), best | limits
+
+
+def _score(model: Model, source: Source) -> float:
+    """Log-likelihood of the model's columns as another source has them, or that of the least squares it rests on."""
+    if model.squares is None:
+        return score(source, model.clock, model.noise, model.chosen)
+    return LeastSquares.of(source.design(model.clock, model.chosen)).score(range(len(model.chosen)))
+
+
+def _shares(model: Model, source: Source) -> Array:
+    """Shares of the model's columns as another source has them, shape (chosen,)."""
+    if model.squares is None:
+        return shares(source, model.clock, model.noise, model.chosen)
+    squares = LeastSquares.of(source.design(model.clock, model.chosen))
+    return squares.fit(range(len(model.chosen)))[squares.q :]
 
 
 def _limits(
