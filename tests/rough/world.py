@@ -1,8 +1,8 @@
 """A rough little world: robots and a car whose base formula is far from right, with formulas of its own.
 
-Shares nothing with the library of effects: forces, converters and meters are written here anew. Each kind of world gives
-runs as data frames in the columns of a measured log, so that tests drive the product as users do: calibrate a formula
-of speed only, improve, compare on runs that were not used.
+Shares nothing with the library of effects: forces, converters and meters are written here anew. Each kind of world
+gives runs as data frames in the columns of a measured log, so that tests drive the product as users do: calibrate a
+formula of speed only, improve, compare on runs that were not used.
 """
 
 from __future__ import annotations
