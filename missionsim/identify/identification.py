@@ -109,9 +109,11 @@ def _told(
     factor: float | None = None
     averages: tuple[Structure, ...] = ()
     if not given:
-        # forms are never exact where much was missing: what is left is told, and takes nothing back that predicts
         if choice.forward is None:
             unnamed = _unnamed(choice, candidates, constraints, settings, remains)
+        else:  # what else is left is told, and takes nothing back that predicts; a label's levels are free as they are
+            wrong = [candidates[int(constraints.effect[k])] for k in remains.forms]
+            unnamed = tuple(dict.fromkeys(c.effect for c in wrong if not c.levels))
         chosen = tuple(dict.fromkeys(candidates[int(constraints.effect[k])].effect for k in model.chosen))
         factor = instead_of_effects(model) if set(chosen) - set(unnamed) else None
         if factor is not None:
