@@ -94,11 +94,15 @@ def start_noise(design: Design) -> Noise:
     )
 
 
+SLOW_LEFT = 0.01
+"""Part of a bounded noise that may be slow: hardly any, since that is where a missing effect hides."""
+
+
 def bounded_noise(design: Design, squares: LeastSquares, chosen: Sequence[int]) -> Noise:
     """The first guess at the size of what least squares leaves: noise without a slow part that could take a signal."""
     noise = start_noise(design)
     error = float(np.sqrt(squares.leave_out(chosen).total / float(squares.seconds.sum())))
-    return replace(noise, sigma_w=noise.sigma_w * error / noise.total_sd_w, slow_share=0.0)
+    return replace(noise, sigma_w=noise.sigma_w * error / noise.total_sd_w, slow_share=SLOW_LEFT)
 
 
 def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None, thorough: bool = True) -> Noise:

@@ -256,9 +256,9 @@ class Search:
                 gain = 0.5 * score**2 / information
                 share = score / information * level / mean_power
                 worth = usable & (gain > penalty) & (np.abs(share) > NEARLY * LEAST_SHARE)
-            for i in np.flatnonzero(worth):
-                form = tuple(int(f) for f in some[i])
-                found.append(Scored(form, float(gain[i]), float(share[i]), float(gain[i]) - penalty))
+                for i in np.flatnonzero(worth):
+                    form = tuple(int(f) for f in some[i])
+                    found.append(Scored(form, float(gain[i]), float(share[i]), float(gain[i]) - penalty))
         return sorted(found, key=lambda one: -one.score)
 
     def watts(self, form: Sequence[int]) -> Array:
