@@ -14,6 +14,8 @@ from missionsim.cli.diagnose import HoldoutOption, RobotOption
 from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
 
 if TYPE_CHECKING:
+    from missionsim.diagnose.split import Split
+    from missionsim.identify.settings import Settings
     from missionsim.inputs.robot import RobotSpec
     from missionsim.logs import LogTable
 
@@ -21,8 +23,9 @@ if TYPE_CHECKING:
 def add_effect(
     *logs: Path,
     robot: RobotOption,
-    effect: Annotated[str, Parameter(name="--effect")],
     out: Annotated[Path, Parameter(name="--out")],
+    effect: Annotated[str | None, Parameter(name="--effect")] = None,
+    formula: Annotated[str | None, Parameter(name="--formula")] = None,
     battery: Annotated[str | None, Parameter(name="--battery")] = None,
     holdout: HoldoutOption = None,
     alpha: Annotated[float, Parameter(name="--alpha")] = FALSE_ALARM_RATE,
@@ -42,10 +45,13 @@ def add_effect(
         Log files or folders of them; all are fitted unless --holdout says otherwise.
     robot
         Shipped robot's name or a robot file.
-    effect
-        Id in the library (missionsim effects), or the name of one of the robot file's candidates.
     out
         Robot file to write.
+    effect
+        Id in the library (missionsim effects), or the name of one of the robot file's candidates.
+    formula
+        In place of --effect, a law of your own over columns of the log, such as "k * abs(yaw_rate_rad_s) * payload_kg",
+        or the number of a form that diagnose proposes (1 is the first). Its k is fitted; the unit of k follows.
     battery
         Battery that the effect is on; by default the one that feeds the motors.
     holdout
@@ -65,21 +71,33 @@ def add_effect(
     """
     from missionsim.diagnose.adopt import NotSignificant, adopt
     from missionsim.diagnose.split import choose_split
+    from missionsim.errors import InputError
     from missionsim.files import write_text
     from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import for_folder, robot_text
-    from missionsim.inputs.loading import load_robot
+    from missionsim.inputs.loading import load_robot, robot_from_text
     from missionsim.logs import read_logs
 
     check_search(logs, alpha)
+    if (effect is None) == (formula is None):
+        raise InputError.single(
+            "add-effect needs either --effect or --formula",
+            got="both" if effect else "neither",
+            allowed='--effect turning_scrub, or --formula 1, or --formula "k * abs(yaw_rate_rad_s) * payload_kg"',
+        )
     spec = load_robot(robot)
     tables = read_logs(list(logs), robot=spec)
     tell_logs(tables, quiet)
     split = choose_split(tables, "none" if holdout is None else holdout)
     chosen = battery or motors_battery(spec, tables)
+    settings = Settings(alpha=alpha, align=not no_align)
+    text = robot_text(robot)
+    if formula is not None:
+        text, effect = _candidate(text, spec, split, chosen, formula, settings)
+        spec = robot_from_text(text)
+    assert effect is not None
     try:
-        settings = Settings(alpha=alpha, align=not no_align)
-        made = adopt(robot_text(robot), spec, split, effect, chosen, settings, force=force, recalibrate=not keep_base)
+        made = adopt(text, spec, split, effect, chosen, settings, force=force, recalibrate=not keep_base)
     except NotSignificant as error:
         emit_json(
             {
@@ -135,6 +153,20 @@ def add_effect(
             terminal.print("base: " + ", ".join(f"{n} = {v:.4g}" for n, (v, _) in made.base.items()), markup=False)
         terminal.print(f"written: {out}", markup=False)
     return 0
+
+
+def _candidate(
+    text: str, spec: RobotSpec, split: Split, battery: str, formula: str, settings: Settings
+) -> tuple[str, str]:
+    """The text of the robot with the formula as a candidate, and its name; a number means one of the forms proposed."""
+    from missionsim.diagnose.diagnosis import Subject, examine
+    from missionsim.diagnose.proposed import formula_of, proposed_laws, with_candidate
+    from missionsim.diagnose.split import Split
+
+    if formula.strip().isdigit():
+        seen = examine(Subject.of(spec), Split(split.train, (), split.how), battery, settings)
+        formula = formula_of(proposed_laws(seen.found, seen.features.covariates), formula)
+    return with_candidate(text, battery, formula)
 
 
 def motors_battery(spec: RobotSpec, tables: Sequence[LogTable]) -> str:

@@ -11,12 +11,15 @@ import numpy as np
 from missionsim.diagnose.adopt import adopt
 from missionsim.diagnose.diagnosis import Subject, diagnose_battery
 from missionsim.diagnose.priors import NO_PRIOR_SD, prior_before
+from missionsim.diagnose.proposed import as_finding, with_candidate
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.waterfall import noise_floor
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.settings import Settings
 
 MOST_ROUNDS = 8
+MOST_LAWS = 2
+"""Proposed laws that are offered once the library has nothing more to add."""
 
 Ask = Callable[[Finding, BatteryDiagnosis], bool]
 
@@ -113,6 +116,22 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         again = Subject.of(robot, priors={**_fitted_priors(robot, battery), **priors})
         last = diagnose_battery(again, split, battery, None, settings, clock=first.clock)
         steps.append(_step(f"+ {choice.effect}", last, "nominal"))
+    for _ in range(MOST_LAWS):
+        law = next((p for p in last.proposed_laws if p.first.simulated and p.first.formula not in declined), None)
+        if law is None:
+            break
+        if not ask(as_finding(law), last):
+            declined.append(law.first.formula)
+            continue
+        given, name = with_candidate(given, battery, law.first.formula)
+        as_given = robot_from_text(given)
+        added = [effect for effect in added if effect not in law.instead_of]
+        made = adopt(given, as_given, split, name, battery, settings, force=True, beside=added)
+        text, robot = made.text, robot_from_text(made.text)
+        added.append(name)
+        again = Subject.of(robot, priors={**_fitted_priors(robot, battery), **priors})
+        last = diagnose_battery(again, split, battery, None, settings, clock=first.clock)
+        steps.append(_step(f"+ {name}", last, "nominal"))
     stopped = _why(last, declined)
     steps.append(Step("noise floor", *noise_floor(last)))
     return Improved(

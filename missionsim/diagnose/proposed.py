@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,15 +11,31 @@ import numpy as np
 
 from missionsim.diagnose.heldout import energy_error_pct, power_rmse_w
 from missionsim.effects.base_terms import aliased
+from missionsim.errors import InputError
+from missionsim.expressions import compile_expression
 from missionsim.identify.align import Clock
 from missionsim.identify.data import RunData
 from missionsim.identify.design import make_source
-from missionsim.identify.findings import Finding, Judged, Unexplained
+from missionsim.identify.findings import Estimate, Finding, Judged, Unexplained
 from missionsim.identify.identification import Identification
 from missionsim.identify.model import prediction
 from missionsim.identify.proposed import Proposal
-from missionsim.laws.proposal import Proposed, evaluate, propose
+from missionsim.laws.proposal import Z95, Proposed, evaluate, propose
+from missionsim.laws.units import unit_of
 
+_SHORT = {
+    "speed_m_s": "speed",
+    "yaw_rate_rad_s": "turning",
+    "accel_m_s2": "acceleration",
+    "lateral_speed_m_s": "sideways",
+    "slope_rad": "slope",
+    "payload_kg": "payload",
+    "temp_ambient_c": "temperature",
+    "temp_motor_c": "motor_temperature",
+    "access_point_distance_m": "distance",
+    "time_s": "time",
+    "moving_time_s": "moving_time",
+}
 STANDS_IN = "stood in for a law that the library does not hold"
 
 
@@ -93,3 +110,97 @@ def depends_on(laws: Sequence[Proposal], left: Unexplained) -> Unexplained:
     """What remains, with the quantities of the law before those that one curve at a time showed."""
     certain = [name for law in laws for name in law.certain]
     return replace(left, depends_on=tuple(dict.fromkeys((*certain, *left.depends_on))))
+
+
+def law_name(formula: str) -> str:
+    """A name for a law that goes into a robot file: ``law_speed_turning_payload``."""
+    names = compile_expression(formula).names - {"k"}
+    words = [_SHORT.get(name, name) for name in sorted(names, key=formula.index)]
+    return "_".join(["law", *words])[:60]
+
+
+def with_candidate(text: str, battery: str, formula: str) -> tuple[str, str]:
+    """The text of a robot file with a law as a candidate of its own, and the candidate's name.
+
+    Parameters
+    ----------
+    text : str
+        Robot file.
+    battery : str
+    formula : str
+        ``k * …`` over columns of the log; its only parameter is ``k``, whose unit follows from the columns.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        For a formula that cannot be read or has no ``k``.
+    """
+    from missionsim.inputs import edit
+    from missionsim.inputs.loading import robot_from_text
+
+    expression = compile_expression(formula)
+    if "k" not in expression.names:
+        raise InputError.single("the formula has no coefficient k", got=formula, allowed="'k * abs(yaw_rate_rad_s)'")
+    held = {effect.name for effect in robot_from_text(text).effects}
+    name = law_name(formula)
+    while name in held:
+        name += "_again"
+    entry = {
+        "name": name,
+        "battery": battery,
+        "candidate": True,
+        "power": formula,
+        "parameters": {"k": {"value": 1.0, "unit": unit_of(formula)} | ({} if _may_give_back(formula) else {"low": 0})},
+    }
+    return edit.add_effect(text, entry), name
+
+
+def _may_give_back(formula: str) -> bool:
+    return any(part in formula for part in ("max(-accel_m_s2", "max(-slope_rad"))
+
+
+def formula_of(proposed: Sequence[Proposal], asked: str) -> str:
+    """The formula that a user asks for: as text, or by its number among the forms proposed.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        For a number that no form has, or a form that `run` cannot evaluate yet.
+    """
+    if not asked.strip().isdigit():
+        return asked
+    forms = [law for one in proposed for law in one.laws]
+    number = int(asked)
+    if not 1 <= number <= len(forms):
+        raise InputError.single(
+            "these logs propose no such form",
+            got=asked,
+            allowed=", ".join(f"{i}: {law.formula}" for i, law in enumerate(forms, 1)) or "none: nothing is proposed",
+        )
+    law = forms[number - 1]
+    if not law.simulated:
+        raise InputError.single(
+            "this form has a memory that missionsim cannot simulate yet",
+            got=law.formula,
+            allowed="a form without lag()",
+        )
+    return law.formula
+
+
+def as_finding(law: Proposal) -> Finding:
+    """A proposal as a finding, for whoever asks whether to add it."""
+    first = law.first
+    before, after = law.heldout_rmse_w or (None, None)
+    z = abs(law.energy_share) / max(law.share_sd, 1e-300)
+    return Finding(
+        effect=first.formula,
+        parameters={"k": Estimate(first.k, first.low, first.high, first.unit)},
+        energy_share=law.energy_share,
+        p_value=math.erfc(z / math.sqrt(2.0)),
+        share_low=law.energy_share - Z95 * law.share_sd,
+        share_high=law.energy_share + Z95 * law.share_sd,
+        gain_nats=law.rise_nats,
+        level="proposed: no effect of the library fits",
+        heldout_rmse_before_w=before,
+        heldout_rmse_after_w=after,
+    )

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from missionsim.effects.covariates import is_text
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
+from missionsim.laws.units import unit_of
 
 Array = NDArray[np.float64]
-Units = tuple[tuple[str, int], ...]
 MOST_FACTORS = 3
 MOST_LEVELS = 6
 MOST_FURTHER = 6
@@ -49,19 +49,6 @@ SYMBOLS = {
     "time_s": "t",
     "moving_time_s": "t_moving",
 }
-_PLAIN_UNITS: dict[str, Units] = {
-    "speed_m_s": (("m", 1), ("s", -1)),
-    "yaw_rate_rad_s": (("rad", 1), ("s", -1)),
-    "lateral_speed_m_s": (("m", 1), ("s", -1)),
-    "accel_m_s2": (("m", 1), ("s", -2)),
-    "slope_rad": (("rad", 1),),
-    "payload_kg": (("kg", 1),),
-    "temp_ambient_c": (("K", 1),),
-    "temp_motor_c": (("K", 1),),
-    "cpu_freq_hz": (("Hz", 1),),
-    "access_point_distance_m": (("m", 1),),
-    "time_s": (("s", 1),),
-}
 
 
 @dataclass(frozen=True)
@@ -76,8 +63,6 @@ class Factor:
         As the robot file writes it.
     symbol : str
         For people.
-    unit : tuple of (str, int)
-        Base units and exponents of the factor.
     rank : int
         0 for the plain quantity; higher for forms that bend it. Of forms that fit alike the plainest is shown first.
     gives_back : bool
@@ -93,7 +78,6 @@ class Factor:
     variable: str
     text: str
     symbol: str
-    unit: Units = ()
     rank: int = 0
     gives_back: bool = False
     simulated: bool = True
@@ -156,13 +140,7 @@ class Grammar:
 
     def unit(self, form: Sequence[int]) -> str:
         """Unit of the coefficient, such as ``W s/rad/kg``."""
-        total: dict[str, int] = {}
-        for i in form:
-            for name, power in self.factors[i].unit:
-                total[name] = total.get(name, 0) - power
-        over = [f"{n}^{p}" if p > 1 else n for n, p in total.items() if p > 0]
-        under = [f"/{n}^{-p}" if p < -1 else f"/{n}" for n, p in total.items() if p < 0]
-        return " ".join(["W", *over]) + "".join(under)
+        return unit_of(self.text(form))
 
     def variables(self, form: Sequence[int]) -> tuple[str, ...]:
         """Quantities that a law is about; a memory of a quantity counts as the quantity."""
@@ -249,34 +227,29 @@ def make_grammar(covariates: Sequence[Mapping[str, Any]], components: Sequence[s
     _turning(b)
     if b.has("lateral_speed_m_s"):
         u = [np.abs(x) for x in b.raw("lateral_speed_m_s")]
-        for power in (1, 2):
-            b.add(_power("lateral_speed_m_s", "abs(lateral_speed_m_s)", "|u|", power), [x**power for x in u])
-    _signed(b, "accel_m_s2", ("braking", "speeding up"))
-    _signed(b, "slope_rad", ("descending", "climbing"))
+        _powers(b, "lateral_speed_m_s", "abs(lateral_speed_m_s)", "|u|", u, (1, 2))
+    _signed(b, "accel_m_s2")
+    _signed(b, "slope_rad")
     if b.has("payload_kg"):
         m = b.raw("payload_kg")
-        b.add(_power("payload_kg", "payload_kg", "payload", 1), m)
-        b.add(_power("payload_kg", "payload_kg", "payload", 2), [x**2 for x in m])
-        b.add(Factor("payload_kg", "(payload_kg > 0)", "[payload > 0]", (), 1), [x > 0.0 for x in m])
+        _powers(b, "payload_kg", "payload_kg", "payload", m, (1, 2), fine=True)
+        b.add(Factor("payload_kg", "(payload_kg > 0)", "[payload > 0]", 1), [x > 0.0 for x in m])
     for name in ("temp_ambient_c", "temp_motor_c"):
         _about_thresholds(b, name)
     if b.has("cpu_load"):
         load = b.raw("cpu_load")
         b.add(Factor("cpu_load", "cpu_load", "load"), load)
-        b.add(Factor("cpu_load", "cpu_load**2", "load²", (), 1), [x**2 for x in load])
-        b.add(
-            Factor("cpu_load", "max(cpu_load - 0.5, 0)", "(load − 0.5)₊", (), 2), [np.maximum(x - 0.5, 0) for x in load]
-        )
+        b.add(Factor("cpu_load", "cpu_load**2", "load²", 1), [x**2 for x in load])
+        b.add(Factor("cpu_load", "max(cpu_load - 0.5, 0)", "(load − 0.5)₊", 2), [np.maximum(x - 0.5, 0) for x in load])
     for name, powers in (("cpu_freq_hz", (1, 3)), ("access_point_distance_m", (1, 2)), ("time_s", (1,))):
         if b.has(name):
-            for power in powers:
-                b.add(_power(name, name, SYMBOLS[name], power), [x**power for x in b.raw(name)])
+            _powers(b, name, name, SYMBOLS[name], b.raw(name), powers)
     if b.has("moving_time_s"):
         clock = b.raw("moving_time_s")
         for tau in (60.0, 240.0):
             text = f"exp(-moving_time_s / {tau:g})"
             symbol = f"exp(−t_moving/{tau:g} s)"
-            b.add(Factor("moving_time_s", text, symbol, (), 2), [np.exp(-x / tau) for x in clock])
+            b.add(Factor("moving_time_s", text, symbol, 2), [np.exp(-x / tau) for x in clock])
     for name in names:
         if name.startswith("on_") and not name.startswith("on_time_"):
             _switched(b, name)
@@ -303,38 +276,44 @@ def make_grammar(covariates: Sequence[Mapping[str, Any]], components: Sequence[s
     return Grammar(tuple(b.factors), runs)
 
 
-def _power(name: str, text: str, symbol: str, power: int) -> Factor:
-    unit = tuple((u, p * power) for u, p in _PLAIN_UNITS.get(name, ()))
-    if power == 1:
-        return Factor(name, text, symbol, unit)
-    return Factor(name, f"{text}**{power}", f"{symbol}{'⁰¹²³'[power]}", unit, power - 1)
+def _powers(
+    b: _Builder, name: str, text: str, symbol: str, x: Sequence[Array], powers: Sequence[int], fine: bool = False
+) -> None:
+    """Powers of a quantity; with `fine`, those between them too, for the second pass alone."""
+    kind = f"{name} {text}**#"
+    for power in powers:
+        shown = symbol if power == 1 else f"{symbol}{'⁰¹²³'[power]}"
+        one = Factor(name, text if power == 1 else f"{text}**{power}", shown, power - 1, kind=kind)
+        b.add(one, [v**power for v in x])
+    for part in (0.5, 0.7, 1.5) if fine else ():
+        between = Factor(name, f"{text}**{part:g}", f"{symbol}^{part:g}", 2, kind=kind, fine=True)
+        b.add(between, [np.abs(v) ** part for v in x])
 
 
 def _speeds(b: _Builder, name: str) -> None:
     if not b.has(name):
         return
     v = [np.abs(x) for x in b.raw(name)]
-    text, unit = f"abs({name})", _PLAIN_UNITS[name]
-    for power in (1, 2, 3):
-        b.add(_power(name, text, "v", power), [x**power for x in v])
+    text = f"abs({name})"
+    _powers(b, name, text, "v", v, (1, 2, 3), fine=True)
     turning = [np.abs(x) for x in b.raw("yaw_rate_rad_s")] if b.has("yaw_rate_rad_s") else [0.0 * x for x in v]
     moves = f"({text} >= {STILL_SPEED_M_S:g})"
     if b.has("yaw_rate_rad_s"):
         moves = f"({text} >= {STILL_SPEED_M_S:g} or abs(yaw_rate_rad_s) >= {STILL_YAW_RATE_RAD_S:g})"
     on = [(x >= STILL_SPEED_M_S) | (w >= STILL_YAW_RATE_RAD_S) for x, w in zip(v, turning, strict=True)]
-    b.add(Factor(name, moves, "[moving]", (), 1), on)
-    b.add(Factor(name, f"(1 - {moves})", "[still]", (), 1), [~x for x in on])
+    b.add(Factor(name, moves, "[moving]", 1), on)
+    b.add(Factor(name, f"(1 - {moves})", "[still]", 1), [~x for x in on])
     top = max((float(np.max(x, initial=0.0)) for x in v), default=0.0)
     gate = _round(0.05 * top)
-    b.add(Factor(name, f"({text} > {gate:g})", "[driving]", (), 1), [x > gate for x in v])
-    b.add(Factor(name, f"({text} <= {gate:g})", "[not driving]", (), 1), [x <= gate for x in v])
+    b.add(Factor(name, f"({text} > {gate:g})", "[driving]", 1), [x > gate for x in v])
+    b.add(Factor(name, f"({text} <= {gate:g})", "[not driving]", 1), [x <= gate for x in v])
     driven = [np.where(x > gate, x, 0.0) for x in v]
     levels = b.quantiles(driven, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
     low, middle, high = b.quantiles(driven, 0.25, 0.5, 0.75)
     if low <= 0.0:
         return
     b.family(
-        lambda n: Factor(name, f"max({text} - {n}, 0)", f"(v − {n})₊", unit, 2),
+        lambda n: Factor(name, f"max({text} - {n}, 0)", f"(v − {n})₊", 2),
         lambda x, n: np.maximum(x - n, 0.0),
         v,
         levels,
@@ -342,14 +321,10 @@ def _speeds(b: _Builder, name: str) -> None:
     )
     shapes = low * np.array([0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2])
     b.family(
-        lambda n: Factor(name, f"tanh({text} / {n})", f"tanh(v/{n})", (), 2),
-        lambda x, n: np.tanh(x / n),
-        v,
-        shapes,
-        (low,),
+        lambda n: Factor(name, f"tanh({text} / {n})", f"tanh(v/{n})", 2), lambda x, n: np.tanh(x / n), v, shapes, (low,)
     )
     b.family(
-        lambda n: Factor(name, f"{moves} * exp(-{text} / {n})", f"[moving]·exp(−v/{n})", (), 2),
+        lambda n: Factor(name, f"{moves} * exp(-{text} / {n})", f"[moving]·exp(−v/{n})", 2),
         lambda x, n: x[0] * np.exp(-x[1] / n),
         [np.vstack([o, x]) for o, x in zip(on, v, strict=True)],
         shapes,
@@ -357,7 +332,7 @@ def _speeds(b: _Builder, name: str) -> None:
     )
     width = _round(0.2 * high)
     b.family(
-        lambda n: Factor(name, f"exp(-(({text} - {n}) / {width:g})**2)", f"bump(v at {n})", (), 3),
+        lambda n: Factor(name, f"exp(-(({text} - {n}) / {width:g})**2)", f"bump(v at {n})", 3),
         lambda x, n: np.exp(-(((x - n) / width) ** 2)),
         v,
         levels,
@@ -366,7 +341,7 @@ def _speeds(b: _Builder, name: str) -> None:
     late = {tau: [_lagged(x, run["time_s"], tau) for x, run in zip(v, b.runs, strict=True)] for tau in LAGS_S}
     for tau, slow in late.items():
         symbol = f"(v lagged {tau:g} s − v)₊"
-        memory = Factor(f"{name} memory", f"max(lag({text}, {tau:g}) - {text}, 0)", symbol, unit, 3, simulated=False)
+        memory = Factor(f"{name} memory", f"max(lag({text}, {tau:g}) - {text}, 0)", symbol, 3, simulated=False)
         b.add(memory, [np.maximum(a - x, 0.0) for a, x in zip(slow, v, strict=True)])
 
 
@@ -375,25 +350,24 @@ def _turning(b: _Builder) -> None:
     if not b.has(name):
         return
     w = [np.abs(x) for x in b.raw(name)]
-    text, unit = f"abs({name})", _PLAIN_UNITS[name]
-    for power in (1, 2):
-        b.add(_power(name, text, "|ω|" if power == 1 else "ω", power), [x**power for x in w])
+    text = f"abs({name})"
+    _powers(b, name, text, "|ω|", w, (1, 2), fine=True)
     top = max((float(np.quantile(x, 0.99)) for x in w if len(x)), default=0.0)
     gate = _round(0.1 * top)
     if gate <= 0.0:
         return
     turned = [np.where(x > gate, x, 0.0) for x in w]
     low, middle, high = b.quantiles(turned, 0.25, 0.5, 0.75)
-    b.add(Factor(name, f"({text} > {gate:g})", "[turning]", (), 1), [x > gate for x in w])
+    b.add(Factor(name, f"({text} > {gate:g})", "[turning]", 1), [x > gate for x in w])
     b.family(
-        lambda n: Factor(name, f"tanh({text} / {n})", f"tanh(|ω|/{n})", (), 2),
+        lambda n: Factor(name, f"tanh({text} / {n})", f"tanh(|ω|/{n})", 2),
         lambda x, n: np.tanh(x / n),
         w,
         low * np.array([0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2]),
         (low,),
     )
     b.family(
-        lambda n: Factor(name, f"max({text} - {n}, 0)", f"(|ω| − {n})₊", unit, 2),
+        lambda n: Factor(name, f"max({text} - {n}, 0)", f"(|ω| − {n})₊", 2),
         lambda x, n: np.maximum(x - n, 0.0),
         w,
         b.quantiles(turned, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9),
@@ -401,16 +375,16 @@ def _turning(b: _Builder) -> None:
     )
 
 
-def _signed(b: _Builder, name: str, words: tuple[str, str]) -> None:
+def _signed(b: _Builder, name: str) -> None:
     """One-sided parts, size and square of a quantity that goes both ways."""
     if not b.has(name):
         return
     x = b.raw(name)
-    unit, symbol = _PLAIN_UNITS[name], SYMBOLS[name]
-    b.add(Factor(name, f"max({name}, 0)", f"{symbol}₊", unit), [np.maximum(a, 0.0) for a in x])
-    b.add(Factor(name, f"max(-{name}, 0)", f"{symbol}₋", unit, gives_back=True), [np.maximum(-a, 0.0) for a in x])
-    b.add(Factor(name, f"abs({name})", f"|{symbol}|", unit, 1), [np.abs(a) for a in x])
-    b.add(_power(name, name, symbol, 2), [a**2 for a in x])
+    symbol = SYMBOLS[name]
+    b.add(Factor(name, f"max({name}, 0)", f"{symbol}₊"), [np.maximum(a, 0.0) for a in x])
+    b.add(Factor(name, f"max(-{name}, 0)", f"{symbol}₋", gives_back=True), [np.maximum(-a, 0.0) for a in x])
+    b.add(Factor(name, f"abs({name})", f"|{symbol}|", 1), [np.abs(a) for a in x])
+    b.add(Factor(name, f"{name}**2", f"{symbol}²", 1), [a**2 for a in x])
 
 
 def _about_thresholds(b: _Builder, name: str) -> None:
@@ -418,20 +392,19 @@ def _about_thresholds(b: _Builder, name: str) -> None:
     if not b.has(name):
         return
     x, symbol = b.raw(name), SYMBOLS.get(name, name)
-    unit = _PLAIN_UNITS.get(name, ())
     every = np.concatenate(x)
     inside = [float(q) for q in np.quantile(every, np.linspace(0.1, 0.9, 9))]
     low, high = (float(q) for q in np.quantile(every, (0.35, 0.65)))
     first, last = (float(q) for q in np.quantile(every, (0.01, 0.99)))
     b.family(
-        lambda n: Factor(name, f"max({name} - {n}, 0)", f"({symbol} − {n})₊", unit, 1),
+        lambda n: Factor(name, f"max({name} - {n}, 0)", f"({symbol} − {n})₊", 1),
         lambda a, n: np.maximum(a - n, 0.0),
         x,
         [first, *inside],
         (low, high),
     )
     b.family(
-        lambda n: Factor(name, f"max({n} - {name}, 0)", f"({n} − {symbol})₊", unit, 1),
+        lambda n: Factor(name, f"max({n} - {name}, 0)", f"({n} − {symbol})₊", 1),
         lambda a, n: np.maximum(n - a, 0.0),
         x,
         [*inside, last],
@@ -443,13 +416,17 @@ def _further(b: _Builder, name: str) -> None:
     """A numeric column that the glossary does not hold: itself, and its parts above and below the middle."""
     x = b.raw(name)
     middle = _round(float(np.median(np.concatenate(x))))
-    b.add(Factor(name, name, name), x)
+    if all(float(np.min(a, initial=0.0)) >= 0.0 for a in x):
+        _powers(b, name, name, name, x, (1, 2), fine=True)
+    else:
+        b.add(Factor(name, name, name), x)
+        b.add(Factor(name, f"abs({name})", f"|{name}|", 1), [np.abs(a) for a in x])
     b.add(
-        Factor(name, f"max({name} - {middle:g}, 0)", f"({name} − {middle:g})₊", (), 1),
+        Factor(name, f"max({name} - {middle:g}, 0)", f"({name} − {middle:g})₊", 1),
         [np.maximum(a - middle, 0) for a in x],
     )
     b.add(
-        Factor(name, f"max({middle:g} - {name}, 0)", f"({middle:g} − {name})₊", (), 1),
+        Factor(name, f"max({middle:g} - {name}, 0)", f"({middle:g} − {name})₊", 1),
         [np.maximum(middle - a, 0) for a in x],
     )
 
@@ -465,7 +442,7 @@ def _switched(b: _Builder, name: str) -> None:
     since = b.raw(clock)
     for tau in WARM_S:
         b.add(
-            Factor(name, f"{name} * (1 - exp(-{clock} / {tau:g}))", f"[{part} on]·(1 − exp(−t_on/{tau:g} s))", (), 2),
+            Factor(name, f"{name} * (1 - exp(-{clock} / {tau:g}))", f"[{part} on]·(1 − exp(−t_on/{tau:g} s))", 2),
             [o * (1.0 - np.exp(-t / tau)) for o, t in zip(on, since, strict=True)],
         )
 
@@ -479,7 +456,7 @@ def _levels(b: _Builder, name: str) -> None:
         if "'" in text:
             continue
         rows = [_equals(run[name], text) for run in b.runs]
-        b.add(Factor(name, f"({name} == '{text}')", f"[{name} {text}]", (), 0), rows)
+        b.add(Factor(name, f"({name} == '{text}')", f"[{name} {text}]", 0), rows)
 
 
 def _texts(value: Any) -> set[str]:

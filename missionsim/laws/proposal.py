@@ -15,7 +15,7 @@ from missionsim.identify.proposed import Curve, Law, Proposal
 from missionsim.labels import Labels
 from missionsim.laws.adapter import Ground, ground_of, library_columns
 from missionsim.laws.grammar import Grammar, make_grammar
-from missionsim.laws.search import Fitted, Gates, Scored, Search, gates
+from missionsim.laws.search import LEAST_SHARE, Fitted, Gates, Scored, Search, gates
 
 ALIKE = 0.06
 """Part of the gain by which a form may lag behind and still be in the set: no form is exact, and rows blur them all."""
@@ -165,7 +165,7 @@ def _replaced(fitted: Fitted, ground: Ground) -> tuple[str, ...]:
     out = []
     for name, columns in ground.held:
         places = [ground.chosen.index(k) for k in columns]
-        if places and abs(after[places].sum()) < REPLACED * abs(before[places].sum()):
+        if places and abs(after[places].sum()) < max(REPLACED * abs(before[places].sum()), LEAST_SHARE):
             out.append(name)
     return tuple(out)
 

@@ -64,7 +64,7 @@ LAWS: dict[str, Law] = {
     "v2_m": Law(("payload_kg", "speed_m_s"), lambda s: s["payload_kg"] * _v(s) ** 2),
     "arm": Law(("arm_torque",), lambda s: np.abs(s["arm_torque"]) ** 1.5),
     "arm_v": Law(("arm_torque", "speed_m_s"), lambda s: s["arm_torque"] * _v(s)),
-    "turn_saturates": Law(("yaw_rate_rad_s", "payload_kg"), lambda s: np.tanh(_w(s) / 0.25) * (2.0 + s["payload_kg"])),
+    "turn_saturates": Law(("yaw_rate_rad_s", "payload_kg"), lambda s: np.tanh(_w(s) / 0.25) * s["payload_kg"]),
     "cpu_turn": Law(("cpu_load", "yaw_rate_rad_s"), lambda s: s["cpu_load"] * _w(s)),
     "duty_heater": Law(("time_s",), lambda s: s["duty"]),
     "hysteresis": Law(("speed_m_s",), lambda s: s["peak"]),
