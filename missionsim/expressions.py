@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import ast
 import functools
+import math
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -46,6 +48,7 @@ CONSTANTS: dict[str, float] = {"pi": float(np.pi)}
 _MAX_LENGTH = 2000
 _MAX_NODES = 400
 _MAX_POWER = 64.0
+_LARGEST = sys.float_info.max
 
 _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: np.add,
@@ -186,12 +189,13 @@ def _compile(node: ast.AST, allowed: frozenset[str] | None, found: set[str], fau
         return _compile(child, allowed, found, fault)
 
     match node:
-        case ast.Constant(value=bool() as flag):
-            return lambda _: float(flag)
-        case ast.Constant(value=int() | float() as number):
-            constant = float(number)
+        case ast.Constant(value=bool() | int() | float() as number):
+            constant = float(number) if abs(number) <= _LARGEST else math.inf
+            if constant == math.inf:
+                fault("number is too large", node, f"more than {_LARGEST:.3g}", f"at most {_LARGEST:.3g}")
             return lambda _: constant
         case ast.Constant(value=str() as word):
+            fault("a word stands alone", node, repr(word)[:40], "a comparison such as k * (surface == 'carpet')")
             return lambda _: word
         case ast.Name(id=name):
             return _name(node, name, allowed, found, fault)
@@ -207,16 +211,18 @@ def _compile(node: ast.AST, allowed: frozenset[str] | None, found: set[str], fau
             return recurse(operand)
         case ast.UnaryOp(op=ast.Not(), operand=operand):
             a = recurse(operand)
-            return lambda v: np.logical_not(a(v))
+            return lambda v: 1.0 * np.logical_not(a(v))  # truth counts as one, which NumPy's bool does not everywhere
         case ast.BoolOp(op=op, values=values):
             parts = [recurse(value) for value in values]
             both = np.logical_and if isinstance(op, ast.And) else np.logical_or
-            return lambda v: functools.reduce(both, [part(v) for part in parts])
+            return lambda v: 1.0 * functools.reduce(both, [part(v) for part in parts])
         case ast.Compare(left=left, ops=ops, comparators=comparators) if all(type(op) in _COMPARE for op in ops):
-            sides = [recurse(side) for side in (left, *comparators)]
+            words = all(isinstance(op, (ast.Eq, ast.NotEq)) for op in ops)
+            sides = [_word(side) if words and _is_word(side) else recurse(side) for side in (left, *comparators)]
             tests = [_COMPARE[type(op)] for op in ops]
-            return lambda v: functools.reduce(
-                np.logical_and, [test(sides[i](v), sides[i + 1](v)) for i, test in enumerate(tests)]
+            return lambda v: (
+                1.0
+                * functools.reduce(np.logical_and, [test(sides[i](v), sides[i + 1](v)) for i, test in enumerate(tests)])
             )
         case ast.IfExp(test=test, body=body, orelse=orelse):
             c, a, b = recurse(test), recurse(body), recurse(orelse)
@@ -262,6 +268,15 @@ def _call(node: ast.AST, name: str, args: list[ast.expr], parts: list[_Node], fa
         fault(f"'{name}' takes {wanted} argument{'s' if wanted > 1 else ''}", node, str(len(args)), str(wanted))
         return lambda _: np.nan
     return lambda v: function(*(part(v) for part in parts))
+
+
+def _is_word(node: ast.AST) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)
+
+
+def _word(node: ast.AST) -> _Node:
+    word = getattr(node, "value", "")
+    return lambda _: word
 
 
 def _too_high(value: object) -> bool:

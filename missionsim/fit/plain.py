@@ -16,6 +16,10 @@ from missionsim.fit.prepare import Prepared, prepare
 BLOCK_S = 20.0
 FREE_SD = 100.0
 """Relative prior standard deviation that leaves a parameter to the data."""
+LARGEST_W = 1e30
+"""Powers from here on are no numbers to compute with: their squares must still be finite."""
+LEAST_USABLE = 0.5
+"""Part of the rows in which a model must have a value to be fitted."""
 LARGEST_INFLATION = 1e8
 SETTLING_ROUNDS = 30
 
@@ -132,18 +136,19 @@ def told_apart(ready: Prepared) -> frozenset[str]:
 def _least_squares_start(model: PowerModel, ready: Prepared) -> PowerModel:
     """Ordinary least squares on the gradient, from the start values; rows count by the time that they stand for."""
     names = [name for name in ready.gradients[0] if any(np.any(g[name]) for g in ready.gradients)]
-    if not names:
-        return model
     weight = np.concatenate([np.sqrt(run.dt_s) for run in ready.runs])
     y = ready.measured_w() - np.concatenate(ready.base_w)
-    x = np.column_stack([np.concatenate([g[name] for g in ready.gradients]) for name in names])
-    usable = np.isfinite(y) & np.all(np.isfinite(x), axis=1)
-    if not usable.any():
+    x = np.array([np.concatenate([g[name] for g in ready.gradients]) for name in names]).reshape(len(names), len(y)).T
+    usable = (np.abs(y) < LARGEST_W) & np.all(np.abs(x) < LARGEST_W, axis=1)
+    if np.mean(usable) < LEAST_USABLE:
         raise InputError.single(
-            f"the model of battery '{ready.battery}' gives no number in any row of these logs",
+            f"the model of battery '{ready.battery}' gives no number in "
+            + (f"{np.mean(~usable):.0%} of the rows" if usable.any() else "any row of these logs"),
             got="nothing that can be fitted",
             allowed="a formula with a finite value (no division by nought?)",
         )
+    if not names:
+        return model
     size = np.linalg.norm(x[usable], axis=0)
     shift, *_ = np.linalg.lstsq(x[usable] / size * weight[usable, None], y[usable] * weight[usable], rcond=1e-9)
     shift = shift / size

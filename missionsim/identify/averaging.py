@@ -190,6 +190,8 @@ class Intervals:
 
     def _places(self, delay_s: Array, lag_s: float) -> tuple[NDArray[np.int32], Array, Array]:
         """Stacked row and place in it at every node of the lag and edge, shapes (nodes, edges); weights (nodes,)."""
+        if not np.isfinite(np.sum(delay_s) + lag_s):  # rows are taken without a check of their numbers
+            raise ValueError("the clock of the meter comes out as no number")
         nodes = np.array(LAG_NODES if lag_s > 0 else ((0.0, 1.0),))
         edge = self.at_edges
         late = (self.edges_s - delay_s[self.run] - edge.start_s) / edge.step_s

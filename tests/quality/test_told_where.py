@@ -54,7 +54,7 @@ def files(folder: Path, robot: tuple[str, str] = ("", ""), mission: tuple[str, s
         (("p1*1", "p1*rte"), "8:48", "'lidar' reads 'rte'", ""),
         (("c2*v", "c2*vv"), "6:51", "'motion' reads 'vv'", ""),
         (("k*1", "k*scheme"), "10:39", "computes with scheme, which holds words", ""),
-        (("k*1", "k*'drive'"), "10:39", "computes with words", ""),
+        (("k*1", "k*'drive'"), "10:41", "a word stands alone", ""),
         (("k*1", "k*1 +"), "10:39", "formula cannot be read: invalid syntax", ""),
         (("k*1", "k/payload_kg"), "10:39", "is not a number in segment", ""),
     ],
@@ -141,7 +141,8 @@ def test_effects_tell_columns_of_logs_alone(capsys: pytest.CaptureFixture[str]) 
     assert effects["start_surge"]["derived"] == ["starts"]
     assert effects["component_warmup:<component>"]["needs"] == ["on_<component>"]
     for effect in effects.values():
-        names = {"on_kinect" if name == "on_<component>" else name for name in effect["needs"]}
+        known = {"on_<component>": "on_kinect", "voltage_<battery>_v": "voltage_robot_v", "<column>": "speed_m_s"}
+        names = {known.get(name, name) for name in effect["needs"]}
         assert all(column_of(name) is not None for name in names)
 
 
