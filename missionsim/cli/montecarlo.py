@@ -189,7 +189,7 @@ def _batch(
 ) -> int:
     from missionsim.cli.common import to_json
     from missionsim.files import write_text
-    from missionsim.uncertainty.batch import block_span, identity, run_batch
+    from missionsim.uncertainty.batch import block_runs, block_span, identity, run_batch
     from missionsim.uncertainty.importance import refuse_correlated
     from missionsim.uncertainty.store import BlockStore
 
@@ -197,15 +197,11 @@ def _batch(
         refuse_correlated(prepared)
     engine = "simpy" if prepared.arrays is None else "arrays"
     store = BlockStore(out)
-    store.begin(identity(task, runs, engine), resume=resume)
-    if resume and (damaged := store.drop_damaged(lambda first: block_span(engine, runs, first)[1])):
-        print(
-            f"warning: computing again {len(damaged)} damaged block{'s' * (len(damaged) > 1)}, the first with run "
-            f"{damaged[0]}",
-            file=sys.stderr,
-        )
     try:
-        with progress(quiet) as bar, _executor(scheduler) as executor:
+        with progress(quiet) as bar, _executor(scheduler) as executor, store.locked():
+            store.begin(identity(task, runs, engine), resume=resume)
+            if resume:
+                _tell_damaged(store.drop_damaged(lambda first: block_span(block_runs(prepared), runs, first)[1]))
             row = bar.add_task(f"runs ({engine})", total=runs)
             firsts = run_batch(
                 task,
@@ -217,8 +213,8 @@ def _batch(
                 until=until,
                 advance=lambda count: bar.advance(row, count),
             )
-        answer = _answer(task, prepared, engine, store, firsts, sobol)
-        write_text(out / "summary.json", to_json(answer))
+            answer = _answer(task, prepared, engine, store, firsts, sobol)
+            write_text(out / "summary.json", to_json(answer))
         if plot:
             from missionsim.report.figures_montecarlo import write_figures
 
@@ -233,6 +229,15 @@ def _batch(
     if shows_text(json, quiet):
         _print(answer, prepared)
     return 0
+
+
+def _tell_damaged(damaged: list[int]) -> None:
+    if damaged:
+        print(
+            f"warning: computing again {len(damaged)} damaged block{'s' * (len(damaged) > 1)}, the first with run "
+            f"{damaged[0]}",
+            file=sys.stderr,
+        )
 
 
 def _answer(

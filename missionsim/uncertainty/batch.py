@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import hashlib
 import itertools
+import platform
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED as FIRST
-from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import CancelledError, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from numpy import __version__ as numpy_version
 
+import missionsim
 from missionsim import __version__
 from missionsim.errors import InputError
 from missionsim.files import sha256
@@ -28,12 +30,15 @@ from missionsim.uncertainty.draws import Sampler, make_sampler
 from missionsim.uncertainty.single import simulate_block
 from missionsim.uncertainty.store import BlockStore
 from missionsim.uncertainty.streams import run_generator
+from missionsim.workers import interrupts_held, process_pool
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 BLOCK_RUNS = {"simpy": 50, "arrays": 4096}
-"""Runs in a block; fixed, so that tables do not depend on the number of workers."""
+"""Runs in a block, at most; the mission alone decides, so that tables do not depend on the number of workers."""
+BLOCK_NUMBERS = {"simpy": 200_000, "arrays": 8_000_000}
+"""Runs × (intervals and uncertain values) in a block, at most: memory does not grow with a mission's length."""
 MOST_LOST = 3
 """So often a lost worker process is replaced."""
 
@@ -58,6 +63,14 @@ class Prepared:
     sampler: Sampler
     arrays: ArrayMission | None
     why_not_arrays: str
+    intervals: int
+
+
+def block_runs(prepared: Prepared) -> int:
+    """Runs in a block of a batch."""
+    engine = "simpy" if prepared.arrays is None else "arrays"
+    width = prepared.intervals + len(prepared.sampler.values)
+    return max(1, min(BLOCK_RUNS[engine], BLOCK_NUMBERS[engine] // max(1, width)))
 
 
 @functools.lru_cache(maxsize=4)
@@ -72,7 +85,8 @@ def prepare(task: Task) -> Prepared:
     mission = load_mission(task.mission, overrides=task.overrides, robot=task.robot)
     model = build_power_model(mission.robot)
     sampler = make_sampler(mission)
-    make_plan(mission, rng=run_generator(0, "chance", 0))  # what no run could do is told once, where it stands
+    plan = make_plan(mission, rng=run_generator(0, "chance", 0))  # what no run could do is told once, where it stands
+    intervals = sum(len(step.phases) for step in plan.steps)
     compiled = compile_arrays(mission, model, sampler) if task.engine != "simpy" else "SimPy was asked for"
     if isinstance(compiled, str):
         if task.engine == "arrays":
@@ -82,8 +96,8 @@ def prepare(task: Task) -> Prepared:
                 got=compiled,
                 allowed="--engine simpy, or auto",
             )
-        return Prepared(mission, model, sampler, None, compiled)
-    return Prepared(mission, model, sampler, compiled, "")
+        return Prepared(mission, model, sampler, None, compiled, intervals)
+    return Prepared(mission, model, sampler, compiled, "", intervals)
 
 
 def compute_block(task: Task, first: int, count: int) -> dict[str, NDArray[Any]]:
@@ -104,17 +118,28 @@ def identity(task: Task, runs: int, engine: str) -> dict[str, Any]:
             files[name] = sha256(path)
     return {
         "missionsim": __version__,
+        "code": _code(),
+        "python": platform.python_version(),
         # another version may draw other numbers
         "numpy": numpy_version,
         "engine": engine,
         "seed": task.seed,
         "runs": runs,
-        "block_runs": BLOCK_RUNS[engine],
+        "block_runs": block_runs(prepared),
         "overrides": [list(pair) for pair in task.overrides],
         "files": files,
         # what is drawn from may lie in further files
         "distributions": hashlib.sha256(repr(prepared.sampler.values).encode()).hexdigest(),
     }
+
+
+@functools.cache
+def _code() -> str:
+    """Hash of the package's sources: a version under development changes without its number."""
+    folder, found = Path(missionsim.__file__).parent, hashlib.sha256()
+    for path in sorted(folder.rglob("*.py")):
+        found.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
+    return found.hexdigest()
 
 
 def run_batch(
@@ -166,17 +191,18 @@ def run_batch(
     return counted
 
 
-def block_span(engine: str, runs: int, first: int) -> tuple[int, int]:
-    """First run and number of runs of the block that begins with run `first`."""
-    return first, min(BLOCK_RUNS[engine], runs - first)
+def block_span(size: int, runs: int, first: int) -> tuple[int, int]:
+    """First run and number of runs of the block that begins with run `first`; `size` is that of a whole block."""
+    return first, min(size, runs - first)
 
 
 def _finished(
     task: Task, engine: str, runs: int, store: BlockStore, workers: int, executor: Executor | None
 ) -> Iterator[tuple[int, int]]:
     """Spans in order of runs, each after its block is on disk."""
-    firsts = range(0, runs, BLOCK_RUNS[engine])
-    span = functools.partial(block_span, engine, runs)
+    size = block_runs(prepare(task))
+    firsts = range(0, runs, size)
+    span = functools.partial(block_span, size, runs)
     if executor is None and workers <= 1:
         for first in firsts:
             if not store.has(first):
@@ -197,15 +223,9 @@ def _finished(
                 allowed="with --out, finished blocks are kept: --resume and a scheduler that runs",
             ) from error
         return
-    import multiprocessing
-
     taken = lost = 0
     while taken < len(firsts):
-        pool = ProcessPoolExecutor(
-            min(workers, len(firsts) - taken),
-            mp_context=multiprocessing.get_context("spawn"),
-            initializer=_leave_interrupts_to_the_parent,
-        )
+        pool = process_pool(min(workers, len(firsts) - taken))
         write = functools.partial(_write_block, decided, store)
         try:
             for done in _pooled(pool, write, firsts[taken:], span, store, lambda: 2 * workers):
@@ -227,28 +247,6 @@ def _cluster_room(client: Any) -> int:
     return max(8, 2 * int(sum(client.nthreads().values())))
 
 
-def _leave_interrupts_to_the_parent() -> None:
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-@contextlib.contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Hold Ctrl-C back meanwhile: a process that starts here inherits that, and does not die of it while it starts."""
-    import signal
-    import threading
-
-    if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 def _write_block(task: Task, store: BlockStore, first: int, count: int) -> None:
     """Compute a block and write it here, so that its numbers need not travel between processes."""
     store.write(first, compute_block(task, first, count))
@@ -268,7 +266,7 @@ def _pooled(
 
     def fill() -> None:
         free = room() - len(under_way)
-        with _interrupts_held():  # a pool starts its processes when it gets work
+        with interrupts_held():  # a pool starts its processes when it gets work
             for first in itertools.islice(waiting, max(0, free)):
                 under_way[pool.submit(work, *span(first))] = first
 

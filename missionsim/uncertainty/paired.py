@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.uncertainty.answers import LEVEL, proportion_interval
-from missionsim.uncertainty.batch import BLOCK_RUNS, Task, compute_block, prepare
+from missionsim.uncertainty.batch import Task, block_runs, compute_block, prepare
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,9 @@ def compare_alternatives(
         quantities = ["feasible", "duration_s"]
         quantities += [f"{what}_{name}_wh" for name in batteries for what in ("energy", "margin")]
         parts: dict[str, list[NDArray[np.float64]]] = {name: [] for name in quantities}
-        for first in range(0, runs, BLOCK_RUNS[engine]):
-            count = min(BLOCK_RUNS[engine], runs - first)
+        size = block_runs(prepared)
+        for first in range(0, runs, size):
+            count = min(size, runs - first)
             block = compute_block(task, first, count)
             for name in quantities:
                 parts[name].append(np.asarray(block[name], dtype=float))

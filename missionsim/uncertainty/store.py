@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,6 +17,7 @@ from missionsim.errors import InputError
 from missionsim.files import atomic_write, write_text
 
 BATCH_FILE = "batch.json"
+LOCK_FILE = ".lock"
 KEPT_NUMBERS = 4_000_000
 """A column of at most so many numbers is read once and kept while it is described."""
 
@@ -160,6 +162,39 @@ class BlockStore:
 
         return reader
 
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep the folder for this process alone; a lock that a killed process held is free.
+
+        Raises
+        ------
+        missionsim.errors.InputError
+            Where another process writes a batch here.
+        """
+        try:
+            import fcntl
+        except ImportError:  # no such locks here
+            yield
+            return
+        new = not self.folder.exists()
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / LOCK_FILE
+        with path.open("w") as handle:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise InputError.single(
+                    "another process is writing a batch into this folder",
+                    file=str(self.folder),
+                    allowed="another --out, or to wait for it",
+                ) from None
+            try:
+                yield
+            finally:
+                path.unlink(missing_ok=True)
+                if new and not any(self.folder.iterdir()):
+                    self.folder.rmdir()
+
     def begin(self, identity: Mapping[str, Any], *, resume: bool) -> None:
         """Make the folder for a batch, or take up an interrupted one.
 
@@ -193,7 +228,7 @@ class BlockStore:
                     allowed=", ".join(f"{key}={_short(old.get(key))}" for key in differing) + "; or another --out",
                 )
             return
-        if self.folder.exists() and any(self.folder.iterdir()):
+        if self.folder.exists() and any(item.name != LOCK_FILE for item in self.folder.iterdir()):
             raise InputError.single("this folder is not empty and holds no batch", file=str(self.folder))
         write_text(path, json.dumps(identity, indent=2, sort_keys=True) + "\n")
 
