@@ -27,6 +27,7 @@ def whatif(
     robot: str | None = None,
     montecarlo: Annotated[int, Parameter(name="--montecarlo")] = 0,
     seed: Annotated[int, Parameter(name="--seed")] = 0,
+    workers: Annotated[int, Parameter(name="--workers")] = 1,
     out: Path | None = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
@@ -54,6 +55,8 @@ def whatif(
         differences are real.
     seed
         Of those draws.
+    workers
+        Processes on this machine that run the alternatives.
     out
         Table as CSV (or Parquet, by its suffix): a row an alternative, battery and term.
     json
@@ -95,9 +98,11 @@ def whatif(
         raise InputError(
             Fault("", 0, 0, "--montecarlo needs at least 2 runs", got=str(montecarlo), allowed="such as 500")
         )
+    if not 1 <= workers <= 1024:
+        raise InputError(Fault("", 0, 0, "--workers cannot be used so", got=str(workers), allowed="1 to 1024"))
     with progress(quiet or json == "-") as bar:
         task = bar.add_task("alternatives", total=len(alternatives))
-        found = run_alternatives(path, alternatives, lambda: bar.advance(task))
+        found = run_alternatives(path, alternatives, lambda: bar.advance(task), workers)
     tell_warnings(found.warnings, quiet)
     if out is not None:
         from missionsim.results.write import write_table

@@ -50,21 +50,6 @@ def _stacked(parts: list[Any]) -> Any:
     return np.concatenate(parts)
 
 
-def collapsed(line: Timeline, energies: Any, charge: Any) -> tuple[Timeline, Any, Any]:
-    """Totals by segment in place of the intervals."""
-    count = int(line.segment.max()) + 1 if len(line) else 0
-    duration = np.bincount(line.segment, weights=line.duration_s, minlength=count).astype(np.float64)
-    start = np.concatenate([[0.0], np.cumsum(duration)[:-1]]) if count else np.zeros(0)
-    return (
-        Timeline(start, duration, {}, {}, np.arange(count, dtype=np.int64)),
-        {
-            name: {key: np.bincount(line.segment, weights=joules, minlength=count) for key, joules in terms.items()}
-            for name, terms in energies.items()
-        },
-        {name: values[-1:] for name, values in charge.items()},
-    )
-
-
 def distance_of(line: Timeline) -> float:
     """Distance driven in all intervals [m], forward and sideways."""
     if not len(line):

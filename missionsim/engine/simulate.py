@@ -14,7 +14,7 @@ from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery, ConstantEnergy
 from missionsim.engine.battery_build import build_battery
 from missionsim.engine.components import ComponentInfo
-from missionsim.engine.joining import collapsed, distance_of, joined
+from missionsim.engine.joining import distance_of, joined
 from missionsim.engine.meter import Batch
 from missionsim.engine.outcome import J_PER_WH, Alarm, BatteryResult, RunResult
 from missionsim.engine.remarks import doubts, never_on
@@ -214,18 +214,15 @@ class RunSetup:
             places = {} if document is None else {name: document.place(("batteries", name)) for name in self.batteries}
             warnings = doubts(self.model, line, energies, charge, self.batteries, segments, places)
             off = never_on(line)
-        else:
-            line, energies, charge = collapsed(line, energies, charge)
-        distance = distance_of(line) if trace else distance_of(joined(batches, self.batteries)[0])
         mission = self.mission
-        return RunResult(
+        result = RunResult(
             mission.name,
             mission.robot.name,
             world.completed and not reasons,
             world.completed,
             "; ".join(reasons),
             duration,
-            distance,
+            distance_of(line),
             line,
             energies,
             charge,
@@ -238,6 +235,7 @@ class RunSetup:
             segments_driven=world.begun,
             interrupted=world.interrupted,
         )
+        return result if trace else replace(result.totals(), home=result.home)
 
     def _home_at_end(self, world: World) -> dict[str, float | None]:
         if self.mission.environment is None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
@@ -28,7 +30,18 @@ if TYPE_CHECKING:
 KINDS = ("robot", "environment", "mission", "study", "map", "task")
 Override = tuple[str, Any]
 Loaded = TypeVar("Loaded", bound=FileModel)
+_REMEMBERED: ContextVar[dict[Any, Any] | None] = ContextVar("remembered", default=None)
 ROBOT_FOLDER = Path(__file__).resolve().parent.parent / "robots"
+
+
+@contextlib.contextmanager
+def remembered() -> Iterator[None]:
+    """Meanwhile, files are read once: alternatives of a mission share what none of them changes."""
+    token = _REMEMBERED.set({})
+    try:
+        yield
+    finally:
+        _REMEMBERED.reset(token)
 
 
 def shipped_robots() -> dict[str, Path]:
@@ -186,8 +199,14 @@ def _finish(model: Loaded | None, faults: list[Fault]) -> Loaded:
 
 
 def _read(path: Path, faults: list[Fault]) -> Document | None:
+    known = _REMEMBERED.get()
     try:
-        return read_document(path)
+        if known is None:
+            return read_document(path)
+        if path not in known:
+            known[path] = read_document(path)
+        shared: Document = known[path]
+        return dataclasses.replace(shared, overrides={})
     except InputError as problem:
         faults.extend(problem.faults)
         return None
@@ -217,6 +236,26 @@ def _load(
     prefix: str = "",
 ) -> Loaded | None:
     """Read, set overrides, validate, run the checks; None where the file is too broken to say more."""
+    known = _REMEMBERED.get()
+    if known is None or document is not None or overrides:
+        return _load_anew(path, model, faults, overrides, document, prefix)
+    key = (path, model, prefix)
+    if key not in known:
+        found: list[Fault] = []
+        known[key] = _load_anew(path, model, found, overrides, None, prefix), found
+    faults.extend(known[key][1])
+    loaded: Loaded | None = known[key][0]
+    return loaded
+
+
+def _load_anew(
+    path: Path,
+    model: type[Loaded],
+    faults: list[Fault],
+    overrides: Sequence[Override],
+    document: Document | None,
+    prefix: str,
+) -> Loaded | None:
     document = document or _read(path, faults)
     if document is None:
         return None

@@ -9,11 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from missionsim.effects.model import PowerModel
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
 from missionsim.errors import Fault, InputError
-from missionsim.inputs.loading import load_mission, load_study
-from missionsim.inputs.mission import MissionSpec
+from missionsim.inputs.loading import load_mission, load_study, remembered
+from missionsim.inputs.power import build_power_model
+from missionsim.workers import interrupts_held, process_pool
 
 SCHEMA = "missionsim.whatif/1"
 BASELINE = "baseline"
@@ -41,7 +43,7 @@ class WhatIf:
     alternatives : tuple of Alternative
         The baseline first.
     results : tuple of RunResult
-        Of each, in the same order.
+        Of each, in the same order, with the totals of segments in place of intervals.
     warnings : tuple of Fault
         What the checks of their files found strange but possible, each once.
     """
@@ -176,8 +178,10 @@ def from_study(path: str | os.PathLike[str]) -> tuple[Path, list[Alternative]]:
 
 
 def run_alternatives(
-    mission: str | os.PathLike[str], alternatives: Sequence[Alternative],
-    done: Callable[[], object] | None = None,
+    mission: str | os.PathLike[str],
+    alternatives: Sequence[Alternative],
+    done: Callable[[], object] = lambda: None,
+    workers: int = 1,
 ) -> WhatIf:
     """Run every alternative in full.
 
@@ -187,31 +191,69 @@ def run_alternatives(
         Mission file.
     alternatives : sequence of Alternative
         The baseline first.
-    done : callable, optional
+    done : callable
         Called without arguments after each run (a progress bar).
+    workers : int
+        Processes on this machine.
 
     Raises
     ------
     missionsim.errors.InputError
         All faults of all alternatives.
     """
-    specs: list[MissionSpec] = []
+    size = max(1, min(_AT_ONCE, -(-len(alternatives) // workers)))
+    parts = [alternatives[i : i + size] for i in range(0, len(alternatives), size)]
     faults: list[Fault] = []
-    for alternative in alternatives:
-        try:
-            specs.append(load_mission(mission, list(alternative.set), alternative.robot))
-        except InputError as problem:
-            faults.extend(problem.faults)
+    results: list[RunResult] = []
+    warnings: list[Fault] = []
+
+    def take(tried: Iterable[_Tried]) -> None:
+        for result, found, told in tried:
+            faults.extend(found)
+            warnings.extend(told)
+            if result is not None:
+                results.append(result)
+            done()
+
+    if workers > 1 and len(parts) > 1:
+        with process_pool(min(workers, len(parts))) as pool, interrupts_held():
+            futures = [pool.submit(_run_part, mission, part) for part in parts]
+            for future in futures:
+                take(future.result())
+    else:
+        with remembered():
+            models: dict[int, PowerModel] = {}
+            take(_try(mission, alternative, models) for alternative in alternatives)
     if faults:
         raise InputError(faults)
-    results = []
-    for spec in specs:
-        results.append(simulate(spec))
-        if done is not None:
-            done()
-    told = [*(spec.warnings for spec in specs), *(result.warnings for result in results)]
-    warnings = tuple(dict.fromkeys(fault for faults in told for fault in faults))
-    return WhatIf(specs[0].name, tuple(alternatives), tuple(results), warnings)
+    return WhatIf(results[0].mission, tuple(alternatives), tuple(results), tuple(dict.fromkeys(warnings)))
+
+
+_AT_ONCE = 50
+"""Alternatives that a worker process runs before it gives them back."""
+_Tried = tuple[RunResult | None, Sequence[Fault], Sequence[Fault]]
+
+
+def _run_part(mission: str | os.PathLike[str], alternatives: Sequence[Alternative]) -> list[_Tried]:
+    models: dict[int, PowerModel] = {}
+    with remembered():
+        return [_try(mission, alternative, models) for alternative in alternatives]
+
+
+def _try(mission: str | os.PathLike[str], alternative: Alternative, models: dict[int, PowerModel]) -> _Tried:
+    """Result (its totals by segment), faults and warnings of an alternative; `models` are those of robots without change.
+
+    A robot that no alternative changes is remembered, so that its identity stays its own.
+    """
+    try:
+        spec = load_mission(mission, list(alternative.set), alternative.robot)
+        model = models.get(id(spec.robot)) or build_power_model(spec.robot)
+        if not any(path.startswith("robot.") for path, _ in alternative.set):
+            models[id(spec.robot)] = model
+        result = simulate(spec, model=model)
+    except InputError as problem:
+        return None, problem.faults, ()
+    return result.totals(), (), (*spec.warnings, *result.warnings)
 
 
 _SAYS_LITTLE = ("drive", "loads", "parameters")

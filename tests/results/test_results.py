@@ -19,8 +19,16 @@ from missionsim.results.tables import largest_consumers
 from missionsim.inputs.loading import load_mission
 
 CONTRACT = {
-    "energy_wh", "mean_power_w", "charge_left_wh", "charge_left_fraction", "reserve_wh", "empty_at_s",
-    "by_component_wh", "by_term_wh", "by_segment_wh", "audit_relative_error",
+    "energy_wh",
+    "mean_power_w",
+    "charge_left_wh",
+    "charge_left_fraction",
+    "reserve_wh",
+    "empty_at_s",
+    "by_component_wh",
+    "by_term_wh",
+    "by_segment_wh",
+    "audit_relative_error",
 }
 
 
@@ -55,12 +63,25 @@ def test_largest_consumers_are_in_order(patrol: Path) -> None:
 
 @pytest.mark.parametrize("format", ["csv", "parquet"])
 def test_files(patrol: Path, tmp_path: Path, format: str) -> None:
-    code = run_command(["run", str(patrol), "--out", str(tmp_path), "--format", format, "--quiet", "--set",
-                        "robot.batteries.robot.capacity=100 Wh"])
+    code = run_command(
+        [
+            "run",
+            str(patrol),
+            "--out",
+            str(tmp_path),
+            "--format",
+            format,
+            "--quiet",
+            "--set",
+            "robot.batteries.robot.capacity=100 Wh",
+        ]
+    )
     assert code == 0
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {f"{n}.{format}" for n in ("intervals", "segments", "energy", "summary")} | {
-        "run.json", "provenance.json"}
+        "run.json",
+        "provenance.json",
+    }
     summary = json.loads((tmp_path / "run.json").read_text())
     provenance = json.loads((tmp_path / "provenance.json").read_text())
     assert provenance["files"]["mission"]["sha256"] == sha256(patrol)

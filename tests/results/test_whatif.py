@@ -29,8 +29,16 @@ def whatif(arguments: list[str], target: Path) -> dict[str, Any]:
 
 
 def test_every_alternative_equals_a_full_run(corridor: Path, tmp_path: Path) -> None:
-    data = whatif([str(corridor), "--vary", "defaults.speed=0.3,0.46,0.75", "--vary",
-                   "defaults.sensors={},{laser: 1, kinect: 1}"], tmp_path / "w.json")
+    data = whatif(
+        [
+            str(corridor),
+            "--vary",
+            "defaults.speed=0.3,0.46,0.75",
+            "--vary",
+            "defaults.sensors={},{laser: 1, kinect: 1}",
+        ],
+        tmp_path / "w.json",
+    )
     assert data["schema"] == "missionsim.whatif/1"
     assert len(data["alternatives"]) == 1 + 6
     baseline = data["alternatives"][0]
@@ -43,7 +51,8 @@ def test_every_alternative_equals_a_full_run(corridor: Path, tmp_path: Path) -> 
             cells = row["batteries"][name]
             assert cells["energy_wh"] == battery.energy_wh
             assert cells["difference_wh"] == pytest.approx(
-                battery.energy_wh - baseline["batteries"][name]["energy_wh"], abs=1e-15)
+                battery.energy_wh - baseline["batteries"][name]["energy_wh"], abs=1e-15
+            )
             assert sum(cells["difference_by_term_wh"].values()) == pytest.approx(cells["difference_wh"], abs=1e-12)
 
 
@@ -84,8 +93,9 @@ def test_table_of_a_what_if(corridor: Path, tmp_path: Path) -> None:
 
 def test_all_faults_of_all_alternatives_at_once(corridor: Path) -> None:
     with pytest.raises(InputError) as caught:
-        run_alternatives(corridor, [Alternative("a", (("defaults.speed", "9 m/s"),)),
-                                    Alternative("b", (("defaults.sped", "0.3"),))])
+        run_alternatives(
+            corridor, [Alternative("a", (("defaults.speed", "9 m/s"),)), Alternative("b", (("defaults.sped", "0.3"),))]
+        )
     assert len(caught.value.faults) >= 2
 
 
@@ -111,3 +121,32 @@ def test_keys_of_the_robot_need_no_prefix(corridor: Path) -> None:
     (full,) = varied([("robot.batteries.robot.capacity", ["100 Wh"])])
     found = run_alternatives(corridor, [plain, full]).results
     assert found[0].batteries["robot"].capacity_wh == found[1].batteries["robot"].capacity_wh == pytest.approx(100)
+
+
+def test_workers_give_the_same_table_and_all_faults(corridor: Path, tmp_path: Path) -> None:
+    speeds = ",".join(f"0.{i}" for i in range(30, 46))
+    vary = [str(corridor), "--vary", f"defaults.speed={speeds}", "--vary", "robot.motion.parameters.c2=5,6,7,8"]
+    one = whatif(vary, tmp_path / "one.json")
+    assert whatif([*vary, "--workers", "2"], tmp_path / "two.json") == one
+    bad = [Alternative("a", (("defaults.speed", "fast"),)), Alternative("b", (("defaults.speed", "-1 m/s"),))]
+    with pytest.raises(InputError) as error:
+        run_alternatives(corridor, [Alternative("baseline"), *bad])
+    assert len(error.value.faults) == 2
+
+
+def test_alternatives_share_the_files_that_none_changes(corridor: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from missionsim.inputs import loading
+
+    read: list[str] = []
+    original = loading.read_document
+
+    def counted(path: Path) -> Any:
+        read.append(path.name)
+        return original(path)
+
+    monkeypatch.setattr(loading, "read_document", counted)
+    run_alternatives(corridor, [Alternative("baseline"), *varied([("defaults.speed", [0.3, 0.31, 0.32])])])
+    assert len(read) == len(set(read))
+    # outside of it, a file that was changed meanwhile is read anew
+    load_mission(corridor)
+    assert len(read) > len(set(read))
