@@ -84,7 +84,7 @@ class MissionSpec(FileModel):
     _robot: Any = PrivateAttr(default=None)
     _environment: Any = PrivateAttr(default=None)
     _overrides: tuple[tuple[str, str], ...] = PrivateAttr(default=())
-    _equipment: dict[int, tuple[str, str, tuple[tuple[str, int], ...]]] = PrivateAttr(default_factory=dict)
+    _equipment: dict[int, tuple[Any, tuple[str, str, tuple[tuple[str, int], ...]]]] = PrivateAttr(default_factory=dict)
 
     @property
     def robot(self) -> RobotSpec:
@@ -111,11 +111,13 @@ class MissionSpec(FileModel):
     def equipment(self, segment: Any) -> tuple[str, str, tuple[tuple[str, int], ...]]:
         """Control scheme, navigation (empty where none) and sensors of a segment; remembered for the next run."""
         known = (self.__pydantic_private__ or {})["_equipment"]
-        found: tuple[str, str, tuple[tuple[str, int], ...]] | None = known.get(id(segment))
+        found: tuple[Any, tuple[str, str, tuple[tuple[str, int], ...]]] | None = known.get(id(segment))
         if found is None:
             sensors = tuple(sorted(self.sensors_of(segment).items()))
-            found = known[id(segment)] = (self.scheme_of(segment) or "", self.navigation_of(segment) or "", sensors)
-        return found
+            # with the segment, which lives on with it: another one must not come to have its id
+            made = (self.scheme_of(segment) or "", self.navigation_of(segment) or "", sensors)
+            found = known[id(segment)] = (segment, made)
+        return found[1]
 
     def scheme_of(self, segment: Any) -> str | None:
         """Control scheme of a segment: its own; for an inspection the robot's image-analysis scheme; the default's for

@@ -30,6 +30,7 @@ def rest_of(site: Site, weights: Array) -> Array:
     order, size = site.order, len(site.stops)
     table = np.full((order.count, size), math.inf)
     known: dict[float, Array] = {}
+    stands: dict[tuple[int, float], float] = {}
     for state in order.states():
         payload = order.payload_kg(state)
         if payload < 0.0:
@@ -39,7 +40,10 @@ def rest_of(site: Site, weights: Array) -> Array:
         apart = known[payload]
         best = np.full(size, math.inf)
         for visit, after in order.after(state):
-            there = float(site.standing(1 + visit, order.payload_kg(after)) @ weights)
+            key = (visit, order.payload_kg(after))
+            if key not in stands:
+                stands[key] = float(site.standing(1 + visit, key[1]) @ weights)
+            there = stands[key]
             np.minimum(best, apart[:, 1 + visit] + there + table[after, 1 + visit], out=best)
         if order.may_end(state):
             np.minimum(best, apart[:, site.goal], out=best)

@@ -61,6 +61,11 @@ class Drives:
         self.road = road
         self._network = _OnRoad(road)
         self.complete = True
+        pairs = road.tails * len(road.states) + road.heads
+        self._by_pair = np.argsort(pairs, kind="stable")
+        self._pairs, self._begins, self._counts = np.unique(pairs[self._by_pair], return_index=True, return_counts=True)
+        self._distances: dict[tuple[bytes, bytes, bool], Array] = {}
+        self._trees: dict[tuple[bytes, int], Any] = {}
 
     def distances(self, weights: Array, nodes: NDArray[np.intp], *, back: bool = False) -> Array:
         """Least weighted use from nodes to every state, shape (nodes, states); with `back`, from every state to them.
@@ -71,18 +76,51 @@ class Drives:
             Of seconds and Wh; the weighted use may be negative on single arcs (downhill), not on circles.
         nodes : ndarray of int
         """
-        return self._shortest(weights, nodes, back=back)[0]
+        key = (weights.tobytes(), nodes.tobytes(), back)
+        if key not in self._distances:
+            self._distances[key] = self._solve(self._graph(weights, back)[0], nodes, paths=False)[0]
+        return self._distances[key]
 
     def shortest(self, weights: Array, source: int, target: int) -> Drive:
         """The drive of least weighted use."""
-        _, before, arc_of = self._shortest(weights, np.array([source], dtype=np.intp), paths=True)
+        graph, chosen = self._graph(weights, False)
+        key = (weights.tobytes(), source)
+        if key not in self._trees:
+            self._trees = {known: tree for known, tree in self._trees.items() if known[0] == key[0]}
+            self._trees[key] = self._solve(graph, np.array([source], dtype=np.intp), paths=True)[1][0]
+        before = self._trees[key]
         arcs: list[int] = []
-        here = target
+        here, size = target, len(self.road.states)
         while here != source:
-            earlier = int(before[0, here])
-            arcs.append(arc_of[earlier, here])
+            earlier = int(before[here])
+            arcs.append(int(chosen[np.searchsorted(self._pairs, earlier * size + here)]))
             here = earlier
         return self._drive(arcs[::-1])
+
+    def _graph(self, weights: Array, back: bool) -> tuple[Any, NDArray[np.intp]]:
+        """The cheapest arc between any two states, as a graph; which arcs these are."""
+        from scipy.sparse import csr_array
+
+        road = self.road
+        cost = (road.use @ weights)[self._by_pair]
+        least = np.minimum.reduceat(cost, self._begins) if len(cost) else cost
+        same = np.flatnonzero(cost == np.repeat(least, self._counts))
+        first = same[np.searchsorted(same, self._begins)] if len(cost) else same
+        chosen = self._by_pair[first]
+        # csgraph takes a stored zero for no arc
+        weight = np.where(least == 0.0, 1e-300, least)
+        size = len(road.states)
+        tails, heads = road.tails[chosen], road.heads[chosen]
+        return csr_array((weight, (heads, tails) if back else (tails, heads)), shape=(size, size)), chosen
+
+    @staticmethod
+    def _solve(graph: Any, nodes: NDArray[np.intp], *, paths: bool) -> tuple[Array, Any]:
+        from scipy.sparse.csgraph import bellman_ford, dijkstra
+
+        solve = bellman_ford if (graph.data < 0.0).any() else dijkstra
+        found = solve(graph, indices=nodes, return_predecessors=paths)
+        distance = found[0] if paths else found
+        return np.asarray(distance).reshape(len(nodes), -1), found[1].reshape(len(nodes), -1) if paths else None
 
     def _drive(self, arcs: list[int]) -> Drive:
         road = self.road
@@ -90,32 +128,6 @@ class Drives:
         for arc in arcs:  # in the order in which a label adds them up
             use = use + road.use[arc]
         return Drive(use, tuple(road.driven[arc] for arc in arcs), tuple(road.use[arcs]))
-
-    def _shortest(
-        self, weights: Array, nodes: NDArray[np.intp], *, back: bool = False, paths: bool = False
-    ) -> tuple[Array, Any, dict[tuple[int, int], int]]:
-        from scipy.sparse import csr_array
-        from scipy.sparse.csgraph import bellman_ford, dijkstra
-
-        road = self.road
-        cost = road.use @ weights
-        size = len(road.states)
-        begins, ends = (road.heads, road.tails) if back else (road.tails, road.heads)
-        order = np.lexsort((cost, ends, begins))
-        pairs = begins[order] * size + ends[order]
-        first = np.concatenate([[True], pairs[1:] != pairs[:-1]]) if len(pairs) else np.zeros(0, dtype=bool)
-        kept = order[first]
-        # csgraph takes a stored zero for no arc
-        least = np.where(cost[kept] == 0.0, 1e-300, cost[kept])
-        graph = csr_array((least, (begins[kept], ends[kept])), shape=(size, size))
-        solve = dijkstra if not (least < 0.0).any() else bellman_ford
-        found = solve(graph, indices=nodes, return_predecessors=paths)
-        if not paths:
-            return np.asarray(found).reshape(len(nodes), size), None, {}
-        arc_of = {
-            (int(begin), int(end)): int(arc) for begin, end, arc in zip(begins[kept], ends[kept], kept, strict=True)
-        }
-        return np.asarray(found[0]).reshape(len(nodes), size), found[1].reshape(len(nodes), size), arc_of
 
     def between(
         self,

@@ -31,6 +31,7 @@ class Order:
         if sequence is None and task.order == "given":
             sequence = tuple(range(len(self.visits)))
         self.sequence = sequence
+        self._changes = any(visit.take_up is not None or visit.set_down is not None for visit in self.visits)
         self._earlier = [sum(1 << other for other in needs) for needs in earlier_of(self.visits)]
         self._needed = sum(1 << i for i, visit in enumerate(self.visits) if visit.value is None)
         most = task.within.max_payload or task.robot.body.max_payload
@@ -47,6 +48,8 @@ class Order:
 
     def payload_kg(self, state: int) -> float:
         """Load carried in a state."""
+        if not self._changes:
+            return self.load_kg
         load = self.load_kg
         for i in self.done(state):
             visit = self.visits[i]
@@ -76,7 +79,7 @@ class Order:
 
     def _carries(self, state: int) -> bool:
         load = self.payload_kg(state)
-        return load >= -1e-9 and (self._most_kg is None or load <= self._most_kg * (1 + 1e-12))
+        return not self._changes or (load >= -1e-9 and (self._most_kg is None or load <= self._most_kg * (1 + 1e-12)))
 
     def may_end(self, state: int) -> bool:
         """Whether nothing that must be done is left."""

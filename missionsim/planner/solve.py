@@ -55,6 +55,8 @@ class Fronts:
 
 
 MOST_GAP = 1e3
+PROVED = 1e-10
+"""A plan whose objective is within this of the bound (relative) is the best."""
 FIRST_GAP = 0.002
 """Drives whose price is within this (relative to the bound) of the cheapest are tried first."""
 
@@ -82,6 +84,8 @@ def _search(site: Site, prices: Prices, watch: Watch | None) -> Answer:
     scale = max(abs(bound), 1e-6)
     gap = min(objective - bound, FIRST_GAP * scale)
     stopped = False
+    if best is not None and objective - bound <= PROVED * scale:
+        return answer_of(site, best, objective, objective)
     bounds = bounds_of(Tour(site, Fronts(site)), [prices.best, *prices.others])
     while not stopped:
         gap = max(gap, 1e-9 * scale)
