@@ -21,6 +21,7 @@ from missionsim.logs.raw import ColumnData, RawTable
 from missionsim.logs.read import PathLike, make_log
 from missionsim.logs.remarks import Remark
 from missionsim.logs.table import LogTable
+from missionsim.logs.times import close_jumps
 
 
 def import_source(
@@ -156,6 +157,7 @@ def _finish(
         time, number = time[order], number[order]
     if len(time) > 1 and not 0.0 <= time[0] <= 1.01 * float(np.median(np.diff(time))):
         run["time_s"] = time = time - time[0]  # a start within a step of zero is the middle of the first interval
+    run["time_s"] = time = close_jumps(time, remarks)
     lags = {key: float(column.lag) for key, column in mapper.spec.columns.items() if column.lag is not None}
     lines = mapper.raw.lines
     if mapper.spec.refresh:

@@ -16,7 +16,8 @@ class Remark:
     ----------
     kind : str
         Short name of the check: ``time_backwards``, ``duplicate``, ``gap``, ``missing``, ``repeated``, ``frozen``,
-        ``range``, ``unit``, ``sign``, ``clock``, ``name``, ``format``, ``disagreement``, ``reset``.
+        ``range``, ``unit``, ``sign``, ``clock``, ``name``, ``format``, ``disagreement``, ``obstacle`` (stands in the
+        way of a diagnosis), ``damaged`` (part of the file is missing).
     column : str
         The column it is about; empty for the whole file.
     message : str

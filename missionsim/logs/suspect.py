@@ -106,7 +106,7 @@ def check_magnitudes(rows: Rows, max_speed_m_s: float | None = None) -> None:
         limit, perhaps = _LARGE.get(found[0].name, (np.inf, ""))
         if name == "speed_m_s" and max_speed_m_s:
             limit, perhaps = 2.0 * max_speed_m_s, f"the robot drives {max_speed_m_s:g} m/s at most: km/h or mm/s"
-        if large > limit:
+        if large > limit and not _fits_a_vehicle(rows, name):
             rows.remark("unit", name, f"the values reach {large:.4g} {found[0].unit}; perhaps {perhaps}", _LEFT)
         if name == "cpu_freq_hz" and 0 < large < 1e6:
             rows.remark("unit", name, f"the values reach only {large:.4g} Hz; perhaps MHz or GHz", _LEFT)
@@ -114,6 +114,27 @@ def check_magnitudes(rows: Rows, max_speed_m_s: float | None = None) -> None:
             rows.remark(
                 "unit", name, f"the values reach only {large:.4g} V; perhaps kilovolts or a wrong column", _LEFT
             )
+
+
+def _fits_a_vehicle(rows: Rows, name: str) -> bool:
+    """Whether a great speed or power is that of a car: the force between both is one that a vehicle has."""
+    speed = rows.columns.get("speed_m_s")
+    found = column_of(name)
+    if found is None or speed is None or isinstance(speed, Labels) or found[0].name not in ("speed_m_s", _POWER):
+        return False
+    powers = [
+        np.asarray(rows.columns[n]) for n in rows.columns if (c := column_of(n)) is not None and c[0].name == _POWER
+    ]
+    if not powers:
+        return False
+    fast = float(np.quantile(np.abs(speed[:_SAMPLE]), 0.95))
+    force = float(np.quantile(np.abs(powers[0][:_SAMPLE]), 0.95)) / max(fast, 1e-9)
+    return 5.0 < fast < 45.0 and _FORCES_N[0] < force < _FORCES_N[1]
+
+
+_POWER = "power_<battery>_w"
+_FORCES_N = (150.0, 20_000.0)
+"""Power over speed of cars and trucks [N]; milliwatts or millimetres are far outside."""
 
 
 def _check_steps(rows: Rows) -> None:
@@ -324,6 +345,10 @@ def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools
     return result
 
 
+_HUNG = 4.0
+"""A sensor that hangs stands so many times longer than ever else; a coarse one stands often."""
+
+
 def _hung(data: Floats, time: Floats) -> tuple[int, int, Bools] | None:
     change = np.r_[True, data[1:] != data[:-1]]
     starts = np.flatnonzero(change)
@@ -335,7 +360,8 @@ def _hung(data: Floats, time: Floats) -> tuple[int, int, Bools] | None:
     longest = int(np.argmax(np.where(data[starts] == 0.0, 0, lengths)))
     first = int(starts[longest])
     last = first + int(lengths[longest]) - 1
-    if lengths[longest] < 20 or time[last] - time[first] < 5.0 or data[first] == 0.0:
+    second = float(np.partition(lengths, -2)[-2])
+    if lengths[longest] < max(20, _HUNG * second) or time[last] - time[first] < 5.0 or data[first] == 0.0:
         return None
     fresh = np.ones(len(data), dtype=bool)
     fresh[first + 1 : last + 1] = False

@@ -102,6 +102,39 @@ def read_stamps(parts: Sequence[Floats | Labels], name: str, zone: str | None = 
     return whole
 
 
+_JUMP_S = 3600.0
+"""A step that is longer, and a thousand usual ones, is no gap of a mission: the clock was set, or the robot was off."""
+
+
+def close_jumps(time_s: Floats, remarks: list[Remark], usual: float | None = None) -> Floats:
+    """Times without jumps of the clock: each becomes a short gap, which parts the run for a diagnosis.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        [s].
+    remarks : list of Remark
+        What is said is added.
+    usual : float, optional
+        Usual step [s], where it is known.
+    """
+    step = np.diff(time_s)
+    if len(step) < 2:
+        return time_s
+    usual = float(np.nanmedian(np.abs(step))) if usual is None else usual
+    jumps = np.flatnonzero(step > max(_JUMP_S, 1000.0 * usual))
+    if not len(jumps):
+        return time_s
+    left = max(6.0 * usual, usual + 1.0)
+    shift = np.zeros(len(time_s))
+    shift[jumps + 1] = step[jumps] - left
+    longest = float(step[jumps].max())
+    message = f"time jumps {len(jumps)} times, by up to {longest:.4g} s after {time_s[jumps[0]]:.6g} s"
+    action = "parted there: the clock was set or the logger was off, and no time is counted between the parts"
+    remarks.append(Remark("gap", "time_s", message, action, "warning", 0, len(jumps)))
+    return np.asarray(time_s - np.cumsum(shift))
+
+
 class TimeAxis:
     """Times of a log, from its first row on; remembers the start from block to block of a long file."""
 
@@ -109,6 +142,9 @@ class TimeAxis:
         self.start: float | None = None
         self.days = 0.0
         self.last = -np.inf
+        self.taken_out = 0.0
+        self.usual: float | None = None
+        self.end: float | None = None
 
     def apply(self, raw: RawTable) -> None:
         """Turn the column ``time_s`` of a table into seconds, and remark on what it was.
@@ -134,7 +170,23 @@ class TimeAxis:
                 raw.remarks += found.remarks
             found.seconds = found.seconds + (self.days - self.start)
             self.last = float(known[-1]) + self.days
-        raw.columns["time_s"] = found.seconds
+        raw.columns["time_s"] = self._without_jumps(found.seconds, raw.remarks)
+
+    def _without_jumps(self, seconds: Floats, remarks: list[Remark]) -> Floats:
+        """Times without jumps, also between this block and the one before."""
+        known = np.isfinite(seconds)
+        if not known.any():
+            return seconds
+        if self.usual is None and known.sum() > 2:
+            self.usual = float(np.median(np.abs(np.diff(seconds[known]))))
+        before = [] if self.end is None else [self.end]
+        values = seconds[known] - self.taken_out
+        closed = close_jumps(np.r_[before, values], remarks, self.usual)[len(before) :]
+        self.taken_out += float(values[-1] - closed[-1])
+        self.end = float(closed[-1])
+        result = seconds.copy()
+        result[known] = closed
+        return result
 
 
 def _numbers(values: Floats) -> Stamps:

@@ -72,6 +72,9 @@ def read_csv(path: Path, options: Options) -> RawTable:
         raw.headless, raw.names = file.dialect.headless, file.dialect.names
         if file.cut and (options.most is None or rows < options.most):
             raw.remarks.append(_cut_end(raw, raw.rows))
+        elif not file.ended:
+            action = "read as it is; if the file was cut there, its last number is wrong"
+            raw.remarks.append(Remark("format", "", "the last line has no end of line", action, "note"))
         return raw
 
     return _in_its_encoding(path, options, whole)
@@ -153,6 +156,9 @@ class _File:
     def __init__(self, path: Path, dialect: Dialect, typed: bool) -> None:
         self.path, self.dialect, self.typed = path, dialect, typed
         self.cut = has_cut_end(path, dialect)
+        with open(path, "rb") as handle:
+            handle.seek(-1, 2)
+            self.ended = handle.read(1) in b"\r\n\0"  # UTF-16 ends in a zero byte
         if self.cut and dialect.encoding == "utf-8" and text_faults(path, str(path)):
             raise UnicodeError("bad text")  # Arrow cannot tell bad text from a ragged line
         self.skipped: list[int] = []

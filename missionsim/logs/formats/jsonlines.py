@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -120,6 +121,12 @@ def _topic(name: str, messages: list[dict[str, Any]], path: Path, options: Optio
     if key is None:
         allowed = ", ".join(_TIMES)
         raise InputError(Fault(str(path), 1, 1, f"the messages of {name} have no time", allowed=f"one of {allowed}"))
+    numbers = [message.get("headerId") for message in messages]
+    if all(isinstance(number, int) for number in numbers):
+        lost = sum(now - before - 1 for before, now in itertools.pairwise(numbers) if 1 < now - before < 1_000_000)
+        if lost:
+            message = f"{lost} messages of {name} are missing: their numbers (headerId) jump"
+            remarks.append(Remark("damaged", "", message, "what is there was read", "error", 0, lost))
     columns: dict[str, ColumnData] = {}
     for field in dict.fromkeys(field for message in messages for field in message):
         if field != key and options.fields is not None and f"{name}.{field}" not in options.fields:

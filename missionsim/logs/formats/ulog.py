@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import mmap
 import re
 from pathlib import Path
 from typing import Any
@@ -14,6 +17,9 @@ from missionsim.logs.raw import ColumnData
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 from missionsim.logs.remarks import Remark
 
+_HEADER_BYTES = 16
+_KINDS = frozenset(b"BFIMPQARDLCSO")
+"""Types of message of the ULog specification."""
 _FIELD = re.compile(r"(?P<topic>[A-Za-z0-9_]+(?:\[\d+\])?)\.(?P<field>[A-Za-z0-9_.\[\]]+)\Z")
 
 
@@ -34,8 +40,10 @@ def read_ulog(path: Path, options: Options) -> Recording:
         ) from None
     matches = [match for field in options.fields or () if (match := _FIELD.match(field.strip()))]
     names = None if options.fields is None else sorted({match["topic"].split("[")[0] for match in matches})
+    said = io.StringIO()
     try:
-        log = ULog(file, names)
+        with contextlib.redirect_stdout(said):  # it prints what it finds corrupt
+            log = ULog(file, names)
     except Exception as error:  # pyulog lets struct, index and type errors of a broken file through
         reason = (str(error) or type(error).__name__).splitlines()[0][:200]
         raise InputError.single("the ULog cannot be read", file=file, got=reason, allowed="a whole PX4 ULog") from None
@@ -52,19 +60,34 @@ def read_ulog(path: Path, options: Options) -> Recording:
             if key != "timestamp" and (names is None or (name, key) in wanted)
         }
         topics[name] = Topic(name, np.asarray(stamps, dtype=np.float64) * 1e-6, columns, data.name, len(stamps))
-    return Recording(list(topics.values()), _remarks(log))
+    return Recording(list(topics.values()), _remarks(log, path, said.getvalue()))
 
 
-def _remarks(log: Any) -> list[Remark]:
+def _whole_bytes(path: Path) -> tuple[int, int]:
+    """Bytes up to which the messages of a file follow each other without a break, and all its bytes."""
+    size = path.stat().st_size
+    with open(path, "rb") as handle, mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        at = _HEADER_BYTES
+        while at + 3 <= size:
+            length = data[at] | data[at + 1] << 8
+            if data[at + 2] not in _KINDS or at + 3 + length > size:
+                break
+            at += 3 + length
+    return at, size
+
+
+def _remarks(log: Any, path: Path, said: str) -> list[Remark]:
     remarks = []
+    whole, size = _whole_bytes(path)
+    if whole != size or log.file_corruption or said.strip():
+        share = 100.0 * (size - whole) / size
+        where = f"from byte {whole:,} of {size:,} on ({share:.2g} % of the file) its messages are cut or broken"
+        message = where if whole != size else f"part of it is corrupt ({said.strip()[:80]})"
+        remarks.append(Remark("damaged", "", message, "what could be read was read", "error", 0, 1))
     if log.dropouts:
         lost = sum(dropout.duration for dropout in log.dropouts) * 1e-3
         message = f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s together"
         remarks.append(Remark("gap", "", message, "the values before were held", "warning", 0, len(log.dropouts)))
-    if log.file_corruption:
-        remarks.append(
-            Remark("damaged", "", "part of the ULog is corrupt", "what could be read was read", "error", 0, 1)
-        )
     return remarks
 
 
