@@ -84,10 +84,12 @@ def merge_signals(signals: dict[str, Signal], timeline: str | None, file: str) -
         fill = signal.fill or _fill(signal, time)
         columns[name] = _onto(signal, time, fill)
         silent = _longest_gap(signal.time_s, time)
-        if silent > max(1.0, 10.0 * usual_step(signal.time_s)):
+        usual = usual_step(signal.time_s)
+        long = silent > max(1.0, 10.0 * usual)
+        if long or (silent > 2.5 * usual and _even(signal.time_s, usual)):
             action = {"hold": "the value before was held", "linear": "interpolated"}.get(fill, "averaged")
             message = f"no message of {signal.topic} for {silent:.3g} s"
-            remarks.append(Remark("gap", name, message, action))
+            remarks.append(Remark("gap", name, message, action, "warning" if long else "note"))
     return RawTable(file, columns, remarks=remarks)
 
 
@@ -116,6 +118,11 @@ def _onto(signal: Signal, time: Floats, fill: str) -> ColumnData:
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = (total[edges[1:]] - total[edges[:-1]]) / rows
     return np.where(rows > 0, mean, signal.values[index])
+
+
+def _even(time: Floats, usual: float) -> bool:
+    """Whether messages come at an even pace, so that a hole of a few is one."""
+    return len(time) > 20 and float(np.mean(np.abs(np.diff(time) - usual) < 0.2 * usual)) > 0.9
 
 
 def usual_step(time: Floats) -> float:

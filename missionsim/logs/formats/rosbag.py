@@ -111,6 +111,9 @@ def read_bag(path: Path, options: Options) -> Recording:
         expected = {topic: info.msgcount for topic, info in infos.items()}
     if options.most is None:
         remarks += _damage(expected, seen, broken)
+        if not remarks and path.suffix == ".mcap" and not _index_fits(path):
+            message = "the index at its end does not fit the file: bytes are missing or were put in"
+            remarks.append(Remark("damaged", "", message, DAMAGED, "error", 0, 1))
     times = _times({name: (topic.stamps, topic.received) for name, topic in held.items()}, options.clock, remarks)
     topics = [Topic(name, times[name], topic.columns(), topic.title, topic.count) for name, topic in held.items()]
     return Recording(topics, remarks)
@@ -269,6 +272,26 @@ def _damage(expected: dict[str, int], seen: dict[str, int], broken: list[str]) -
         parts.append(f"{len(broken)} messages cannot be read ({broken[0]})")
     count = sum(lost.values()) + len(broken)
     return [Remark("damaged", "", f"part of the bag is missing: {', '.join(parts)}", DAMAGED, "error", 0, count)]
+
+
+def _index_fits(path: Path) -> bool:
+    """Whether the summary of an MCAP file stands where its footer says, and its records follow to the footer."""
+    tail = 8 + 29  # magic, and the footer: type, length, start of summary, of its offsets, checksum
+    size = path.stat().st_size
+    with open(path, "rb") as handle:
+        handle.seek(size - tail)
+        footer = handle.read(tail)
+        start = int.from_bytes(footer[9:17], "little")
+        if footer[0] != 2 or start == 0:
+            return footer[0] == 2
+        at = start
+        while at < size - tail:
+            handle.seek(at)
+            head = handle.read(9)
+            if len(head) < 9 or not 3 <= head[0] <= 15:
+                return False
+            at += 9 + int.from_bytes(head[1:], "little")
+    return at == size - tail
 
 
 DAMAGED = "what could be read was read"
