@@ -52,6 +52,23 @@ NODES = np.concatenate([-_NODES[:-1], [0.0], _NODES[:-1][::-1]])
 WEIGHTS = np.concatenate([_KRONROD[:-1], _KRONROD[-1:], _KRONROD[:-1][::-1]])
 GAUSS_WEIGHTS = np.zeros(15)
 GAUSS_WEIGHTS[1::2] = np.concatenate([_GAUSS[:-1], _GAUSS[-1:], _GAUSS[:-1][::-1]])
+_GAP = 1.0 - float(NODES[-1])
+_ENDS = np.outer([-1.0, 1.0], 1.0 - np.array([1e-7, 0.125 * _GAP])).ravel()
+"""More samples beyond the outermost nodes, which see no kink there; not at the very ends, where a power may jump."""
+_SAMPLES = np.concatenate([NODES, _ENDS])
+
+
+def _towards(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values of the polynomial through the nodes at other points, as a matrix of shape (nodes, points)."""
+    apart = NODES[:, None] - NODES[None, :] + np.eye(len(NODES))
+    weights = 1.0 / np.prod(apart, axis=1)  # barycentric (Berrut and Trefethen 2004)
+    terms = weights[:, None] / (points[None, :] - NODES[:, None])
+    return np.asarray(terms / terms.sum(axis=0))
+
+
+_TO_ENDS = _towards(_ENDS)
+_KINK = 0.25 * _GAP
+"""A kink beyond the outermost node that moves the power at the end by 1 moves the mean by this much at most."""
 
 
 def integrate(
@@ -127,21 +144,23 @@ def _quadrature(
         Interval, start within it and length of each piece.
     """
     half = 0.5 * length
-    times = offset[:, None] + half[:, None] * (NODES + 1.0)
+    times = offset[:, None] + half[:, None] * (_SAMPLES + 1.0)
     powers = model.evaluate(timeline.at(index, times), values)
     bad = np.zeros(index.size, dtype=bool)
     parts: dict[TermKey, NDArray[np.float64]] = {}
     for terms in powers.values():
         scale = np.zeros(index.size)
-        spread = np.zeros(index.size)
+        spread, bent = np.zeros(index.size), np.zeros(index.size)
         for key, power in terms.items():
-            samples = np.broadcast_to(np.asarray(power, dtype=float), times.shape)
+            whole = np.broadcast_to(np.asarray(power, dtype=float), times.shape)
+            samples, ends = whole[:, : len(NODES)], whole[:, len(NODES) :]
             with np.errstate(over="ignore", invalid="ignore"):
                 integral = half * (samples @ WEIGHTS)
                 parts[key] = integral
                 scale += half * (np.abs(samples) @ WEIGHTS)
                 spread += np.abs(half * (samples @ GAUSS_WEIGHTS) - integral)
-        bad |= spread > RELATIVE_TOLERANCE * scale
+                bent += length * np.abs(ends - samples @ _TO_ENDS).max(axis=1)
+        bad |= (spread > RELATIVE_TOLERANCE * scale) | (_KINK * bent > RELATIVE_TOLERANCE * scale)
     # a jump needs one piece a level; where pieces go on multiplying, the power is noise that no halving resolves
     if depth >= _MAX_DEPTH or (depth >= _NOISE_DEPTH and index.size > max(_MOST_PIECES, 8 * len(timeline))):
         bad[:] = False
