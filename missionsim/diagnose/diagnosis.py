@@ -11,7 +11,7 @@ import numpy as np
 
 from missionsim.diagnose.execution import ExecutionEffect, execution_effects, seen_once, told_of
 from missionsim.diagnose.experiments import Bench, propose, to_learn
-from missionsim.diagnose.features import Features, at_size, make_features
+from missionsim.diagnose.features import Features, at_size, lacks, make_features, steady_speed, with_same_causes
 from missionsim.diagnose.heldout import Tested, on_heldout, on_left_out
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
@@ -55,6 +55,7 @@ from missionsim.logs import describe
 if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
     from missionsim.inputs.robot import RobotSpec
+    from missionsim.runs.run import Run
 
 MOST_WHERE = 4
 WORTH_SAYING = 0.03
@@ -237,18 +238,11 @@ class Examined:
 
 def examine(subject: Subject, split: Split, battery: str, settings: Settings) -> Examined:
     """Features and identification of one battery, before anything is said about it."""
-    train = [log for log in split.train if battery in log.power_w]
-    held = [_renamed(log, {t.run for t in train}) for log in split.heldout if battery in log.power_w]
-    every = make_features(
-        subject.model,
-        [*train, *held],
-        battery,
-        subject.own.get(battery, ()),
-        switchable=subject.switchable.get(battery, ()),
-    )
-    every = replace(every, prior_sd=priors_of(subject, every, split.train))
-    features = every.select(range(len(train)))
-    tested = every.select(range(len(train), len(train) + len(held))) if held else None
+    own, batteries = subject.own.get(battery, ()), subject.model.batteries
+    measured = [log for log in split.train if battery in log.power_w]
+    train, left_out = with_same_causes(measured, batteries, own)
+    features = _features(subject, [steady_speed(log) for log in train], battery)
+    features = replace(features, prior_sd=priors_of(subject, features, split.train))
     if all(float(np.ptp(run.measured_w)) == 0.0 for run in features.runs):
         raise InputError.single(
             f"battery '{battery}': the measured power never changes in any run, so that nothing can be learned from it",
@@ -263,11 +257,25 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings) ->
             if all(abs(size / used.get(name, 1.0) - 1.0) < SAME_SIZE for name, size in sizes.items()):
                 break
             features, used = at_size(features, sizes), sizes
-            tested = None if tested is None else at_size(tested, sizes)
             found = identify(features.runs, features.candidates, features.prior_sd, settings)
     except ValueError as error:
         raise InputError.single(f"battery '{battery}': {error}") from error
-    return Examined(features, tested, found)
+    remarks = [left_out] if left_out else []
+    needed = [features.effects[effect.effect] for effect in found.effects]
+    held = [_renamed(log, {t.run for t in train}) for log in split.heldout if battery in log.power_w]
+    for log in list(held):
+        if lacking := lacks(log, needed, batteries, train):
+            remarks.append(f"{log.run}: no {', '.join(lacking)}, which an effect found depends on; not tested on it")
+            held.remove(log)
+    tested = _features(subject, held, battery) if held else None
+    if tested is not None and used:
+        tested = at_size(tested, {name: size for name, size in used.items() if name in tested.effects})
+    return Examined(replace(features, remarks=(*features.remarks, *remarks)), tested, found)
+
+
+def _features(subject: Subject, runs: Sequence[Run], battery: str) -> Features:
+    own, switchable = subject.own.get(battery, ()), subject.switchable.get(battery, ())
+    return make_features(subject.model, runs, battery, own, switchable=switchable)
 
 
 def _limited(found: Identification, features: Features) -> dict[str, float]:

@@ -22,12 +22,6 @@ from missionsim.identify.settings import (
     Settings,
 )
 
-SLOW_ROWS_S = 0.4
-"""Faster logs average the noise of their covariates within an analysis interval."""
-JITTER_ROWS = 2
-NOISY = 0.1
-AGREE = 4.5
-"""Three standard deviations of a difference, in units of the median difference."""
 KEPT_CURVES = 4
 HEAD_ROWS = 4
 """Rows before the gradient in a run's columns: base, motion, switching, speed change inside a row."""
@@ -263,29 +257,6 @@ class Source:
         return self._kept_weights[1]
 
 
-def without_jitter(rows: Array) -> Array:
-    """Columns (k, n) with their measurement noise averaged out over up to five rows that agree within it.
-
-    Noise of a covariate (speed above all) goes into the base model and into every column but not into the power, and
-    pulls their coefficients down, those of steep curves most (errors in variables). Neighbours that differ by more
-    than the noise, at ramps and steps, are left out (sigma filter); a column without noise stays as it is.
-    """
-    step = np.abs(np.diff(rows, axis=1))
-    acting = (rows[:, 1:] != 0) | (rows[:, :-1] != 0)
-    typical = np.array([float(np.median(s[a])) if np.any(a) else 0.0 for s, a in zip(step, acting, strict=True)])
-    level = np.array([float(np.median(np.abs(r[r != 0]))) if np.any(r) else 0.0 for r in rows])
-    # a column that jumps about by its own size (an acceleration) shows signal, not noise
-    limit = np.where(typical < NOISY * level, AGREE * typical, 0.0)[:, None]
-    total, count = rows.copy(), np.ones_like(rows)
-    for shift in range(1, JITTER_ROWS + 1):
-        near = (np.abs(rows[:, shift:] - rows[:, :-shift]) <= limit) & (limit > 0)
-        total[:, shift:] += near * rows[:, :-shift]
-        count[:, shift:] += near
-        total[:, :-shift] += near * rows[:, shift:]
-        count[:, :-shift] += near
-    return np.asarray(total / count)
-
-
 def switch_jumps(run: RunData) -> Array:
     """Power that terms of the base model switch on or off at the edge of each row [W], shape (n,).
 
@@ -346,13 +317,9 @@ def make_source(
         speed = np.abs(run.covariates.get("speed_m_s", zero))
         motion = np.nan_to_num(speed)
         rows = [run.base_w, motion, switch_jumps(run), _speed_spread(run, motion)]
-        rows += [run.gradient[name] for name in layout.parameters]
+        rows += [run.gradient.get(name, zero) for name in layout.parameters]
         rows += [_raw_column(run, c) for c in layout.columns]
-        even = RunColumns.of(run, b, rows)
-        if even.step_s >= SLOW_ROWS_S:
-            noisy = [0, 1, *range(HEAD_ROWS, len(rows))]
-            even.values[noisy] = without_jitter(even.values[noisy])
-        columns.append(even)
+        columns.append(RunColumns.of(run, b, rows))
     # a unit of the random "motion gain" is the mean measured power
     moving = np.concatenate([c.values[1] for c in columns])
     level = float(np.mean(moving))

@@ -79,8 +79,9 @@ def _close_ones(
     rest = [k for k in model.chosen if constraints.effect[k] != effect]
     base = gram.gain(rest)
     gain = gram.gain(model.chosen) - base
+    gain -= float(constraints.grid_nats[own[0]])
     found: dict[int, float] = {}
-    singles = single_gains(gram, constraints, rest)
+    singles = single_gains(gram, constraints, rest) - constraints.grid_nats
     for k, value in enumerate(singles):
         other = int(constraints.effect[k])
         if other != effect and np.isfinite(value) and value > found.get(other, 0.0):

@@ -21,7 +21,7 @@ from missionsim.identify.residual import dependences, low_frequency_noise, perio
 from missionsim.identify.rules import Question, Remains, demoted, refusal
 from missionsim.identify.search import Constraints
 from missionsim.identify.settings import SEVERAL_RUNS, Settings
-from missionsim.identify.stepwise import choose, forced
+from missionsim.identify.stepwise import choose, confirmed, forced
 from missionsim.identify.verdict import decide
 
 
@@ -102,6 +102,10 @@ def _told(
     """Everything that is said of a choice; with `given` effects, all of them are named."""
     constraints = Constraints.of(choice.model.source.layout, candidates)
     choice, shapes = refit_shapes(choice, candidates, constraints, settings)
+    if not given:
+        choice = confirmed(choice, candidates, constraints, settings)
+        inside = {candidates[int(constraints.effect[k])].effect for k in choice.model.chosen}
+        shapes = {name: shape for name, shape in shapes.items() if name in inside}
     model = choice.model
     remains = _remains(model, candidates, constraints, settings)
     structures = _structures(model, remains)

@@ -277,6 +277,12 @@ def for_rows(design: Design, noise: Noise) -> Noise:
     return replace(noise, weight=np.ones(len(design.y)), scale=np.exp(noise.exponent * _log_level(design)))
 
 
+def without_outliers(design: Design, noise: Noise) -> Noise:
+    """The same noise with no row called an outlier: what a model lacks looks like outliers to it."""
+    ramp, switch = _edge_variance(design, noise, noise.scale)
+    return replace(noise, weight=1.0 / (1.0 + noise.ramp_error * ramp + noise.switch_error * switch))
+
+
 def _edge_variance(design: Design, noise: Noise, scale: Array) -> tuple[Array, Array]:
     """Squared change of the base model around each row, and squared jumps of its switching terms, both in innovation
     variances and with their echo in the next row.

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from missionsim.identify.data import Array
 from missionsim.identify.evidence import block_numbers
 from missionsim.identify.findings import Structure
-from missionsim.identify.gram import project
-from missionsim.identify.model import Model
+from missionsim.identify.gram import project, random_effects
+from missionsim.identify.model import Model, log_likelihood
 from missionsim.identify.settings import (
     CURVE_LEVEL,
     CURVE_NATS,
@@ -28,6 +28,7 @@ from missionsim.identify.settings import (
     LARGEST_GAIN,
     LINE_RATIO,
     LONG_BLOCK_S,
+    ODDS_NATS,
     ONE_SPEED,
     PERIODIC_LEVEL,
     RAMP,
@@ -40,6 +41,7 @@ from missionsim.identify.settings import (
     STANDS,
     SUPPORT_S,
     UNUSUAL_GAIN,
+    USUAL_GAIN,
     Settings,
 )
 
@@ -332,13 +334,23 @@ def stands_without(model: Model, column: int, structure: Structure) -> bool:
 
 
 def runs_apart(model: Model) -> Structure | None:
-    """Runs that differ in what the same motion costs, by several times what meters and drives usually do."""
-    size = max(model.noise.gain, model.noise.motion_gain)
-    if len(model.design.runs) < SEVERAL_RUNS or size < UNUSUAL_GAIN:
+    """Runs that differ in what the same motion costs, by several times what meters and drives usually do.
+
+    By the spread of the runs' gains, not by their size: gains that all runs share are the base model's, however the
+    fit divided them. And only where the likelihood says that the spread is not the usual one.
+    """
+    noise = model.noise
+    if len(model.design.runs) < SEVERAL_RUNS or max(noise.gain, noise.motion_gain) < UNUSUAL_GAIN:
         return None
-    at_least = "at least " if size > 0.99 * LARGEST_GAIN else ""
+    gains = random_effects(model.design, noise, model.chosen)[:, 1:3]
+    size = float(np.max(np.std(gains, axis=0, ddof=1)))
+    usual = replace(noise, gain=min(noise.gain, USUAL_GAIN), motion_gain=min(noise.motion_gain, USUAL_GAIN))
+    lead = log_likelihood(model) - log_likelihood(replace(model, noise=usual))
+    if size < UNUSUAL_GAIN or lead < ODDS_NATS:
+        return None
+    at_least = "at least " if max(noise.gain, noise.motion_gain) > 0.99 * LARGEST_GAIN else ""
     words = (
         f"the runs differ by {at_least}{100 * size:.2g} % in what the same motion costs, several times what meters and "
         "drives usually do: something that changes from run to run is missing"
     )
-    return Structure("run", 0.0, 0.0, size, words)
+    return Structure("run", 0.0, lead, size, words)

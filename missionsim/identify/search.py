@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -36,6 +37,11 @@ class Constraints:
             np.array([c.candidate for c in layout.columns], dtype=np.intp),
             np.array([bool(c.levels) for c in own]),
         )
+
+    @cached_property
+    def grid_nats(self) -> Array:
+        """Nats that each column owes to its grid of shapes: a grid is one effect, not several, shape (p,)."""
+        return np.where(self.joint, 0.0, np.log(np.bincount(self.effect)[self.effect]))
 
     def compatible(self, column: int, chosen: Iterable[int]) -> bool:
         """Whether a column may join a set."""

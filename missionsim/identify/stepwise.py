@@ -11,8 +11,9 @@ from missionsim.identify.data import Candidate
 from missionsim.identify.design import Source
 from missionsim.identify.evidence import Choice, Evidence, at_a_glance, nats_needed, tails
 from missionsim.identify.forward import Forward, forward
+from missionsim.identify.gram import make_gram
 from missionsim.identify.model import Model, fit_model, log_likelihood
-from missionsim.identify.noise import bounded_noise
+from missionsim.identify.noise import bounded_noise, without_outliers
 from missionsim.identify.profile import refit_shapes_of
 from missionsim.identify.rules import weigh
 from missionsim.identify.search import Constraints, best_set, single_gains
@@ -31,11 +32,7 @@ def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) 
         step = _next_step(source, candidates, constraints, settings, found)
         if step is None:
             break
-        new = set(step.model.chosen) - set(found.model.chosen)
-        # what is left beside an effect is judged with that effect at its best: a reference temperature 5 K off leaves
-        # a constant friction over
-        found = refit_shapes_of(step, new, candidates, constraints, settings)
-        source = found.model.source
+        found, source = step, step.model.source
     return found
 
 
@@ -66,22 +63,46 @@ def _next_step(
             options.append((log_likelihood(fitted) - before, Choice(fitted, found.empty, weighed)))
         else:
             refused.update({c: e for c, e in weighed.items() if c not in model.chosen and not e.accepted})
+    while options:
+        best = _best(options, constraints)
+        # what is left beside an effect is judged with that effect at its best: a reference temperature 5 K off leaves
+        # a constant friction over; and the effect itself is asked again there
+        new = set(best.model.chosen) - set(model.chosen)
+        bent = refit_shapes_of(best, new, candidates, constraints, settings)
+        failed = {k: e for k, e in bent.evidence.items() if not e.accepted}
+        if not failed:
+            bent.refused.update(refused)
+            return bent
+        refused.update({k: e for k, e in failed.items() if k in new})
+        options = [option for option in options if option[1] is not best]
     found.refused.update(refused)
-    if not options:
-        return None
-    best = _best(options, constraints)
-    best.refused.update(refused)
-    return best
+    return None
+
+
+def confirmed(choice: Choice, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings) -> Choice:
+    """The choice without effects that fail a gate now that all are in: the weakest goes first, the others are asked
+    again."""
+    while failed := [k for k, e in choice.evidence.items() if not e.accepted]:
+        weakest = min(failed, key=lambda k: choice.evidence[k].gain)
+        rest = tuple(k for k in choice.model.chosen if k != weakest)
+        model = fit_model(choice.model.source, rest, choice.model, thorough=False)
+        evidence = {k: weigh(model, k, constraints, candidates, settings) for k in rest}
+        choice = replace(
+            choice, model=model, evidence=evidence, refused={**choice.refused, weakest: choice.evidence[weakest]}
+        )
+    return choice
 
 
 def _trials(
     model: Model, constraints: Constraints, settings: Settings, refused: dict[int, Evidence]
 ) -> list[tuple[int, ...]]:
     """Sets that are worth a fit with a noise of their own: the best single additions, and the best set of that size."""
-    gains = single_gains(model.gram, constraints, model.chosen)
+    # what the model lacks looks like outliers to it, so that their weights would hide what is loudest
+    gram = make_gram(model.design, without_outliers(model.design, model.noise))
+    gains = single_gains(gram, constraints, model.chosen)
     needed = nats_needed(float(np.max(tails(constraints, settings, bool(model.chosen)))))
     order = [int(k) for k in np.argsort(-gains) if np.isfinite(gains[k]) and gains[k] > PROMISING * needed]
-    rest = model.gram.conditional(model.chosen)
+    rest = gram.conditional(model.chosen)
     best: list[int] = []
     for k in order:
         if any(constraints.effect[k] == constraints.effect[o] for o in best):
@@ -94,7 +115,7 @@ def _trials(
         best.append(k)
     trials: list[tuple[int, ...]] = [(*model.chosen, k) for k in best[:TRIED]]
     if trials and model.chosen:
-        swapped, _ = best_set(model.gram, constraints, len(model.chosen) + 1, trials[0])
+        swapped, _ = best_set(gram, constraints, len(model.chosen) + 1, trials[0])
         if set(swapped) not in [set(t) for t in trials]:
             trials.append(swapped)
     return trials
@@ -102,23 +123,16 @@ def _trials(
 
 def _best(options: Sequence[tuple[float, Choice]], constraints: Constraints) -> Choice:
     """The option with the highest likelihood; those that come close are compared with the noise of each in turn."""
+    grid = constraints.grid_nats
     top = max(rise for rise, _ in options)
     close = [choice for rise, choice in options if rise > top - CLOSE_NATS]
     best = close[0]
     for other in close[1:]:
-        lead = 2.0 * (_grids(best, constraints) - _grids(other, constraints))
+        lead = 2.0 * float(grid[list(best.model.chosen)].sum() - grid[list(other.model.chosen)].sum())
         lead += sum(m.gram.gain(other.model.chosen) - m.gram.gain(best.model.chosen) for m in (best.model, other.model))
         if lead > 0:
             best = other
     return best
-
-
-def _grids(choice: Choice, constraints: Constraints) -> float:
-    """Nats that a set owes to the grids its columns were picked from: each grid is one effect, not several."""
-    sizes = [
-        np.sum(constraints.effect == constraints.effect[k]) for k in choice.model.chosen if not constraints.joint[k]
-    ]
-    return float(np.sum(np.log(sizes)))
 
 
 def forced(source: Source, candidates: Sequence[Candidate], effects: Sequence[str], settings: Settings) -> Choice:
