@@ -162,8 +162,8 @@ LIMIT_NATS = 1.92
 
 # Credible set
 
-ODDS_NATS = 3.0
-"""A rival 3 nats behind has one twentieth of the weight: 95 % sets."""
+ODDS_NATS = 4.6
+"""ln 99: a rival further behind has less than a hundredth of the weight. A name that stands alone should be as sure."""
 SAME_COLUMN = 0.995
 """Columns this much alike away from ramps are one: what then prefers one of them is noise."""
 NOISY_SLOPE = 1.5
