@@ -152,7 +152,7 @@ def with_same_causes(runs: Sequence[Run], batteries: Sequence[str], own: Sequenc
     One file without a column must not take the effects of that column from the hypotheses of all others: what is left
     would be named instead of it.
     """
-    effects = (*all_effects(()), get_effect(SURFACE, ("",)), *own)
+    effects = (*all_effects((), ("",)), *own)
     causes = {logged_name(name) for effect in effects for name in effect.needs}
     have = [causes & set(filled(run, batteries, [])) for run in runs]
     most = {name for name in causes if sum(name in own_names for own_names in have) > 0.5 * len(runs)}
