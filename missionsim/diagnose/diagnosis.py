@@ -322,7 +322,7 @@ def diagnose_battery(
     held_covariates: Sequence[Mapping[str, Any]] = ()
     if seen.heldout is not None:
         held_covariates = seen.heldout.covariates
-        held = at_shapes(seen.heldout.runs, seen.heldout.candidates, found.shapes)
+        held = tuple(at_shapes(seen.heldout.runs, seen.heldout.candidates, found.shapes))
         tested = on_heldout(
             found.choice,
             held,

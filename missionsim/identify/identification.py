@@ -102,7 +102,7 @@ def _told(
     """Everything that is said of a choice; with `given` effects, all of them are named."""
     constraints = Constraints.of(choice.model.source.layout, candidates)
     choice, shapes = refit_shapes(choice, candidates, constraints, settings)
-    if not given:
+    if not given and choice.forward is None:  # the selection by prediction has gates of its own
         choice = confirmed(choice, candidates, constraints, settings)
         inside = {candidates[int(constraints.effect[k])].effect for k in choice.model.chosen}
         shapes = {name: shape for name, shape in shapes.items() if name in inside}
