@@ -50,8 +50,10 @@ class QuantityOf(UncertainReader):
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
+        from missionsim.inputs.schema_names import unit_pattern
+
         plain = units.DIMENSIONS[self.dimension].plain if self.dimension else "SI"
-        text = {"type": "string", "pattern": r"^\s*[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?\s*\S*.*$"}
+        text = {"type": "string", "pattern": unit_pattern(self.dimension, self.percent_slope)}
         number: dict[str, Any] = {"type": "number", "description": f"in {plain}"}
         if self.dimension and not self.percent_slope:
             factor = units.plain_to_si(1.0, self.dimension)
@@ -59,7 +61,7 @@ class QuantityOf(UncertainReader):
                 number["exclusiveMinimum" if self.strict_low else "minimum"] = self.low / factor
             if math.isfinite(self.high):
                 number["exclusiveMaximum" if self.strict_high else "maximum"] = self.high / factor
-        part = {"anyOf": [{"type": "number"}, text]}
+        part = {"anyOf": [{"type": "number"}, {"type": "string", "pattern": unit_pattern("")}]}
         mapping = {
             "x-quantity": "mapping",
             "description": "an uncertain number, or one with its status and source",

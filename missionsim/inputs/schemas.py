@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import InputError, did_you_mean
 from missionsim.inputs.loading import KINDS, model_of
+from missionsim.inputs.schema_names import add_descriptions, add_models, add_names
 from missionsim.inputs.segments import SEGMENT_KINDS
+
+if TYPE_CHECKING:
+    from missionsim.inputs.robot import RobotSpec
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 SCHEMA_FOLDER = Path(__file__).resolve().parent.parent / "schemas"
@@ -20,11 +24,13 @@ def schema_kinds() -> tuple[str, ...]:
     return KINDS
 
 
-def schema(kind: str) -> dict[str, Any]:
+def schema(kind: str, robot: RobotSpec | None = None) -> dict[str, Any]:
     """JSON Schema (2020-12) of a kind of file.
 
     Parameters
     ----------
+    robot : RobotSpec, optional
+        Whose batteries, components and schemes are the only ones.
     kind : str
         ``robot``, ``environment``, ``mission``, ``study``, ``map`` or ``task``.
 
@@ -43,13 +49,19 @@ def schema(kind: str) -> dict[str, Any]:
     definitions = {**body.pop("$defs", {}), **shared}
     for definition in definitions.values():
         _unwrap_segment(definition)
+    for name, definition in [("", body), *definitions.items()]:
+        if not name.startswith("quantity"):
+            add_descriptions(name, definition, definitions)
+    add_models(definitions)
+    if robot is not None:
+        add_names(definitions, body, robot)
     head = {"$schema": DIALECT, "title": f"missionsim {kind} file"}
     return {**head, **body, "$defs": dict(sorted(definitions.items()))}
 
 
-def schema_text(kind: str) -> str:
+def schema_text(kind: str, robot: RobotSpec | None = None) -> str:
     """The schema as it is written to files."""
-    return json.dumps(schema(kind), indent=1, ensure_ascii=False) + "\n"
+    return json.dumps(schema(kind, robot), indent=1, ensure_ascii=False) + "\n"
 
 
 def _unwrap_segment(definition: dict[str, Any]) -> None:

@@ -92,6 +92,11 @@ def allowed_text(dimension: str) -> str:
     return f"{article} {dimension} such as {DIMENSIONS[dimension].example}"
 
 
+def units_of(dimension: str) -> tuple[str, ...]:
+    """Units of a dimension that robot files use; any other of pint's is known as well."""
+    return tuple(_FACTORS[dimension])
+
+
 def plain_to_si(number: float, dimension: str) -> float:
     """A plain YAML number in the field's plain unit to SI (Wh to J, Ah to C; others unchanged)."""
     return number * _PLAIN[dimension]
