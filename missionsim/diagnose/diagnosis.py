@@ -363,7 +363,8 @@ def diagnose_battery(
     verdict = decide(effects, remains, found.demoted, execution=execution, averages=averages)
     proposed: tuple[Proposal, ...] = ()
     candidates = found.candidates
-    if laws and found.factor is None:
+    # where the base is far from right, effects that predict come first; a law is looked for in what they leave
+    if laws and found.factor is None and (found.choice.forward is None or not found.effects):
         proposed = proposed_laws(found, features.covariates, held, held_covariates, clock)
         effects, candidates = without_stand_ins(proposed, effects, candidates)
         if proposed:

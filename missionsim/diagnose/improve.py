@@ -14,6 +14,7 @@ from missionsim.diagnose.priors import NO_PRIOR_SD, prior_before
 from missionsim.diagnose.proposed import as_finding, with_candidate
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.waterfall import noise_floor
+from missionsim.errors import InputError
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.settings import Settings
 
@@ -109,8 +110,13 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
             declined.append(choice.effect)
             continue
         # from the file as it was given: no round moves a base or an effect on from where another left it
-        made = adopt(given, as_given, split, choice.effect, battery, settings, force=True, beside=added)
-        text, robot = made.text, robot_from_text(made.text)
+        try:
+            made = adopt(given, as_given, split, choice.effect, battery, settings, force=True, beside=added)
+            robot = robot_from_text(made.text)
+        except InputError:  # beside those found before, it would need a coefficient that physics forbids
+            declined.append(choice.effect)
+            continue
+        text = made.text
         added.append(choice.effect)
         # the file's own base values came from these logs: what was known before them stays the prior
         again = Subject.of(robot, priors={**_fitted_priors(robot, battery), **priors})

@@ -163,9 +163,14 @@ class LeastSquares:
         index = self.index(chosen)
         ahead = self.whole[index, -2]
         missing = float(self.whole[0, -2] - value @ ahead)
-        step = covariance @ ahead
-        size = float(ahead @ step)
-        return value + step * (missing / size) if size > 0.0 else value
+        base = np.arange(len(index)) < self.q
+        for free in (np.ones(len(index), dtype=bool), base):
+            step = np.where(free, covariance @ np.where(free, ahead, 0.0), 0.0)
+            size = float(ahead @ step)
+            moved = value + step * (missing / size) if size > 0.0 else value
+            if np.all(moved[self.q :] * value[self.q :] >= 0.0):  # no effect may change its sign for it
+                return moved
+        return value
 
 
 def _folds(design: Design) -> list[tuple[slice, int]]:

@@ -13,7 +13,8 @@ from missionsim.identify.data import Array
 from missionsim.identify.design import Column, Design
 from missionsim.identify.identification import Identification
 from missionsim.identify.model import Model, log_likelihood
-from missionsim.identify.noise import Noise, fit_noise, for_rows, start_noise
+from missionsim.identify.noise import Noise, bounded_noise, fit_noise, for_rows, start_noise
+from missionsim.identify.predictive import LeastSquares
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,10 @@ class Ground:
         """
         design = self.extended(watts)
         chosen = tuple(range(len(design.phi)))
+        if self.model.squares is not None:
+            squares = LeastSquares.of(design)
+            noise = bounded_noise(design, squares, chosen)
+            return Model(self.model.source, chosen, self.model.clock, design, noise, squares)
         noise = fit_noise(design, chosen, start, thorough=start is None)
         return Model(self.model.source, chosen, self.model.clock, design, noise)
 
