@@ -80,11 +80,10 @@ def show(answer: Answer) -> None:
     rows = []
     for leg in answer.legs:
         piece = leg.piece
-        what = {"drive": "drive", "visit": "visit", "charge": "charge"}[leg.kind]
         scheme = piece.legs[0].settings.scheme if piece is not None else ""
         speed = f"{piece.limit_m_s:.2f}" if piece is not None else ""
         edge = piece.name if piece is not None else ""
-        cells = [what, leg.place, edge, scheme, speed, f"{leg.duration_s:.1f}"]
+        cells = [leg.kind, leg.place, edge, scheme, speed, f"{leg.duration_s:.1f}"]
         cells += [f"{leg.energy_wh[name]:.3f}" for name in batteries]
         cells += [f"{leg.charge_wh[name]:.1f}" for name in batteries]
         rows.append(cells)

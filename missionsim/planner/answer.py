@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 
 from missionsim.planner.core import Label, chain_of
 from missionsim.planner.pieces import Piece
-from missionsim.planner.tour import Site
+from missionsim.planner.tour import Site, Tour
 
 Array = NDArray[np.float64]
 SCHEMA = "missionsim.plan/1"
@@ -24,7 +26,7 @@ class Leg:
     Attributes
     ----------
     kind : str
-        ``drive``, ``visit`` or ``charge``.
+        ``drive``, ``visit``, ``wait`` or ``charge``.
     place : str
         Where it ends.
     duration_s : float
@@ -118,13 +120,14 @@ class Answer:
         return [visits[leg.visit].label for leg in self.legs if leg.visit is not None]
 
 
-def answer_of(site: Site, label: Label, objective: float, bound: float) -> Answer:
+def answer_of(tour: Tour, label: Label, objective: float, bound: float) -> Answer:
     """The legs of the best way that the search found."""
+    site = tour.site
     names = site.physics.names
     made = Answer(site, True, objective=objective, bound=min(bound, objective))
     size = len(site.stops)
     chain = chain_of(label)
-    vectors = _vectors(chain)
+    vectors = _vectors(chain, tour)
     clock, missing = 0.0, vectors[0][2 : 2 + len(names)]
     capacity = site.physics.capacity_wh
     used = np.zeros(len(names))
@@ -163,6 +166,9 @@ def answer_of(site: Site, label: Label, objective: float, bound: float) -> Answe
         drive = step.move[1]
         for piece, use in zip(drive.pieces, drive.costs, strict=True):
             add("drive", piece.way.end, use, piece=piece, payload_kg=payload)
+        waited = float(vectors[k][1] - vectors[k - 1][1] - step.move[2][1])
+        if waited > 1e-9:
+            add("wait", stop.place, site.waiting * waited, payload_kg=payload)
         if stop.visit is not None:
             load = site.order.payload_kg(state[0])
             add("visit", stop.place, site.standing(state[1], load), visit=stop.visit, payload_kg=load)
@@ -172,7 +178,7 @@ def answer_of(site: Site, label: Label, objective: float, bound: float) -> Answe
     return made
 
 
-def _vectors(chain: list[Label]) -> list[Array]:
+def _vectors(chain: list[Label], tour: Tour) -> list[Array]:
     """The vector at each label of a way, where labels are chains of points: chosen from the end backwards."""
     last = chain[-1].points
     point = last[int(np.argmin(last[:, 0]))]
@@ -183,9 +189,25 @@ def _vectors(chain: list[Label]) -> list[Array]:
         elif len(earlier.points) == 1:
             point = earlier.points[0]
         else:
-            point = point - label.move[2]
+            point = _before(point, earlier.points + label.move[2], tour.opens(label.node)) - label.move[2]
         vectors.append(point)
     return vectors[::-1]
+
+
+def _before(point: Array, points: Array, wait: Callable[[Array], Array] | None) -> Array:
+    """The point of a chain that waiting takes to another."""
+    if wait is None:
+        return point
+    best, found = math.inf, points[0]
+    for first, second in itertools.pairwise(points):
+        begin, end = wait(first[None, :])[0], wait(second[None, :])[0]
+        step = end - begin
+        size = float(step @ step)
+        share = min(1.0, max(0.0, float((point - begin) @ step) / size)) if size > 0.0 else 0.0
+        off = float(np.abs(wait((first + share * (second - first))[None, :])[0] - point).max())
+        if off < best:
+            best, found = off, first + share * (second - first)
+    return found
 
 
 def _leg_json(answer: Answer, leg: Leg) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from missionsim.planner.core import Bounds
 from missionsim.planner.tour import Site, Tour
 
 Array = NDArray[np.float64]
+LONGEST_S = 1e6
 
 
 def matrix(site: Site, payload_kg: float, weights: Array) -> Array:
@@ -89,7 +90,7 @@ def bounds_of(tour: Tour, multipliers: list[Array], *, objective: Array | None =
     count = len(physics.names)
     base = site.weights if objective is None else objective
     reserve = np.maximum(physics.reserve_wh, 0.0)
-    most = np.array([math.inf, _deadline(site), *physics.capacity_wh])
+    most = np.array([math.inf, _horizon(site), *physics.capacity_wh])
     if task.within.reserve_throughout:
         most[2:] -= reserve
         reserve = np.zeros(count)
@@ -103,6 +104,12 @@ def bounds_of(tour: Tour, multipliers: list[Array], *, objective: Array | None =
         served = np.array([stop.charger is not None and bool(stop.charger.served[b]) for stop in site.stops])
         least[:, 2 + b] = np.minimum(to_end, to_docks(site, unit[1 + b], served)).ravel()
     least[~np.isfinite(least[:, 1]), 0] = math.inf
+    for i, visit in enumerate(task.visits):
+        if visit.window is not None and visit.window.until is not None:
+            for state in range(site.order.count):
+                node = state * tour.size + 1 + i
+                stand = float(site.standing(1 + i, max(0.0, site.order.payload_kg(state)))[0])
+                least[node, 1] = max(least[node, 1], most[1] - visit.window.until.value - stand)
     rows, rests, offsets = [], [], []
     left = np.concatenate([[most[1]], most[2 : 2 + count] - reserve])  # limits of the vector itself
     for multiplier in [np.zeros(1 + count), *multipliers]:
@@ -112,15 +119,19 @@ def bounds_of(tour: Tour, multipliers: list[Array], *, objective: Array | None =
             float(np.sum(np.where(multiplier > 0.0, multiplier * np.where(multiplier > 0.0, left, 0.0), 0.0)))
         )
     rest = np.stack(rests, axis=1)
-    return Bounds(most, least, np.array(rows), rest, np.array(offsets))
+    shear = None
+    if site.windowed:
+        shear = tour.waiting()
+        shear[1] = 0.0
+    return Bounds(most, least, np.array(rows), rest, np.array(offsets), shear)
 
 
-def _deadline(site: Site) -> float:
-    deadline = site.task.within.deadline
-    return math.inf if deadline is None else deadline.value
+def _horizon(site: Site) -> float:
+    """The deadline; where there is none but windows end, a time that is long enough."""
+    return min(site.deadline_s, LONGEST_S) if site.windowed else site.deadline_s
 
 
 def limits_left(site: Site) -> Array:
     """Seconds and Wh of each battery that a plan without charging may use, shape (1 + batteries,)."""
     physics = site.physics
-    return np.concatenate([[_deadline(site)], physics.initial_wh - physics.reserve_wh])
+    return np.concatenate([[site.deadline_s], physics.initial_wh - physics.reserve_wh])

@@ -83,6 +83,9 @@ class Bounds:
         Each row bounds the objective: ``x · weights + rest[node] - offset``.
     rest : ndarray, shape (nodes, multipliers)
     offset : ndarray, shape (multipliers,)
+    shear : ndarray, shape (resources,), optional
+        What waiting for a unit of the second resource takes of each: where labels may have to wait, an earlier one is
+        no better than a later one by more than waiting would cost it.
     """
 
     most: Array
@@ -90,6 +93,11 @@ class Bounds:
     weights: Array
     rest: Array
     offset: Array
+    shear: Array | None = None
+
+    def sheared(self, points: Array) -> Array:
+        """Vectors as they are compared."""
+        return points if self.shear is None else points - points[:, 1:2] * self.shear
 
     def of(self, nodes: Any, x: Array) -> Array:
         """Lower bounds of the objective by way of vectors ``x`` at nodes, shape (n,)."""
@@ -126,11 +134,10 @@ class _Front:
         self.values = np.empty((8, resources))
         self.labels: list[Label] = []
         self.count = 0
-        self.chains: list[Label] = []
+        self.chains: list[tuple[Label, Array]] = []
 
-    def add(self, label: Label) -> bool:
-        """Add a label unless it is dominated, and drop those that it dominates."""
-        points = label.points
+    def add(self, label: Label, points: Array) -> bool:
+        """Add a label unless it is dominated, and drop those that it dominates; `points` are what is compared."""
         single = len(points) == 1
         if self.count:
             known = self.values[: self.count]
@@ -139,20 +146,18 @@ class _Front:
                     return False
             elif all((known <= point + EPSILON * (1.0 + np.abs(point))).all(axis=1).any() for point in points):
                 return False
-        if self.chains and any(_chain_dominates(chain.points, points) for chain in self.chains):
+        if self.chains and any(_chain_dominates(chain, points) for _, chain in self.chains):
             return False
         if self.chains:
             kept = []
-            for chain in self.chains:
-                if (points[0] <= chain.points + EPSILON).all() or (
-                    not single and _chain_dominates(points, chain.points)
-                ):
-                    chain.alive = False
+            for other, chain in self.chains:
+                if (points[0] <= chain + EPSILON).all() or (not single and _chain_dominates(points, chain)):
+                    other.alive = False
                 else:
-                    kept.append(chain)
+                    kept.append((other, chain))
             self.chains = kept
         if not single:
-            self.chains.append(label)
+            self.chains.append((label, points))
             return True
         known = self.values[: self.count]
         beaten = (points[0] <= known).all(axis=1)
@@ -274,7 +279,7 @@ def search(
         front = fronts.get(label.node)
         if front is None:
             front = fronts[label.node] = _Front(label.points.shape[1])
-        if front.add(label):
+        if front.add(label, bounds.sheared(label.points)):
             serial += 1
             heapq.heappush(heap, (value, serial, label))
 

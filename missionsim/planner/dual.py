@@ -131,7 +131,11 @@ def best_prices(tour: Tour) -> Prices:
         use, objective = label.points[0][1 : 1 + count].copy(), float(label.points[0][0])
         use[1:] -= tour.start()[0, 2 : 1 + count]
         over = np.where(np.isfinite(left), use - np.where(np.isfinite(left), left, 0.0), -1.0)
-        if (over <= 1e-12 * (1.0 + np.abs(use))).all() and objective < result.objective and not tour.valued:
+        if (
+            (over <= 1e-12 * (1.0 + np.abs(use))).all()
+            and objective < result.objective
+            and not (tour.valued or site.windowed)
+        ):
             result.plan, result.objective = label, objective
         cuts.append((objective, np.where(np.isfinite(left), over, 0.0)))
         # max θ with θ ≤ objective + prices · over for every tour so far

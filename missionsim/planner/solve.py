@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,9 +46,9 @@ class Fronts:
         key = (payload_kg, int(out[stop]))
         if key not in self._found:
             most = None
-            if site.task.within.deadline is not None:
+            if math.isfinite(site.deadline_s):
                 most = np.full(1 + len(site.physics.names), math.inf)
-                most[0] = site.task.within.deadline.value
+                most[0] = site.deadline_s
             self._found[key] = road.between(
                 int(out[stop]), np.unique(into), weights=self.weights, gap=self.gap, most=most
             )
@@ -70,26 +71,41 @@ def solve(task: TaskSpec, watch: Watch | None = None) -> Answer:
     watch : callable, optional
         Told of the progress; stops the search where it returns True.
     """
-    site = make_site(task)
-    prices = best_prices(Tour(site, Fronts(site)))
+    return solve_site(make_site(task), watch)
+
+
+def solve_site(site: Site, watch: Watch | None = None) -> Answer:
+    """The best plan of a site; where visits may be left out, first as much value as can be."""
+    values = np.array([visit.value or 0.0 for visit in site.task.visits])
+    if not any(visit.value is not None for visit in site.task.visits):
+        return _solve(site, None, math.inf, watch)
+    first = _solve(replace(site, weights=np.zeros_like(site.weights)), values, math.inf, watch, by_value=True)
+    if not first.feasible:
+        return first
+    return _solve(site, values, first.objective, watch)
+
+
+def _solve(
+    site: Site, missed: Array | None, most_missed: float, watch: Watch | None, *, by_value: bool = False
+) -> Answer:
+    """The plan of least objective, or (`by_value`) the one that leaves out least value."""
+    tour = Tour(site, Fronts(site), missed, by_value=by_value)
+    prices = Prices(np.zeros(len(site.weights)), 0.0) if by_value else best_prices(tour)
     if prices.impossible:
         return Answer(site, False)
-    return _search(site, prices, watch)
-
-
-def _search(site: Site, prices: Prices, watch: Watch | None) -> Answer:
-    """Labels over drives that are near the cheapest in price, more of them until the best plan is proved."""
     best, objective = prices.plan, prices.objective
     bound = prices.bound
     scale = max(abs(bound), 1e-6)
-    gap = min(objective - bound, FIRST_GAP * scale)
-    stopped = False
     if best is not None and objective - bound <= PROVED * scale:
-        return answer_of(site, best, objective, objective)
-    bounds = bounds_of(Tour(site, Fronts(site)), [prices.best, *prices.others])
+        return answer_of(tour, best, objective, objective)
+    gap = math.inf if by_value else min(objective - bound, FIRST_GAP * scale)
+    stopped = False
+    bounds = bounds_of(tour, [] if by_value else [prices.best, *prices.others])
+    if missed is not None:
+        bounds.most[-1] = most_missed
     while not stopped:
         gap = max(gap, 1e-9 * scale)
-        tour = Tour(site, Fronts(site, site.weights + prices.best, gap))
+        tour = Tour(site, Fronts(site, site.weights + prices.best, gap), missed, by_value=by_value)
 
         def told(outcome: Outcome, waiting: int, low: float = bound, high: float = prices.bound + gap) -> bool:
             nonlocal stopped
@@ -111,4 +127,4 @@ def _search(site: Site, prices: Prices, watch: Watch | None) -> Answer:
             gap = math.inf
     if best is None:
         return Answer(site, False)
-    return answer_of(site, best, objective, bound)
+    return answer_of(tour, best, objective, bound)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -116,12 +118,19 @@ class Site:
     ----------
     stops : list of Stop
         First the start, then the visits, the goal, the docks.
+    deadline_s : float
+    weights : ndarray, shape (1 + batteries,)
+        Of seconds and Wh in the objective.
+    waiting : ndarray, shape (1 + batteries,)
+        Seconds and Wh of waiting for a second.
     """
 
     task: TaskSpec
     physics: Physics
     order: Order
     stops: list[Stop] = field(default_factory=list)
+    deadline_s: float = math.inf
+    weights: Array = field(default_factory=lambda: np.zeros(0))
     roads: dict[float, Drives] = field(default_factory=dict)
     nodes: dict[float, tuple[NDArray[np.intp], NDArray[np.intp]]] = field(default_factory=dict)
     _standing: dict[tuple[int, float], Array] = field(default_factory=dict)
@@ -157,15 +166,19 @@ class Site:
 
     def objective(self, use: Array) -> Array:
         """Weighted seconds and Wh."""
-        energy, time = self.task.weights()
-        weights = np.array([time, *(energy[name] for name in self.physics.names)])
-        return np.asarray(use @ weights)
+        return np.asarray(use @ self.weights)
 
     @property
-    def weights(self) -> Array:
-        """Of seconds and Wh in the objective, shape (1 + batteries,)."""
-        energy, time = self.task.weights()
-        return np.array([time, *(energy[name] for name in self.physics.names)])
+    def windowed(self) -> bool:
+        """Whether some visit must begin within a window."""
+        return any(visit.window is not None for visit in self.task.visits)
+
+    @cached_property
+    def waiting(self) -> Array:
+        """Seconds and Wh of waiting for a second."""
+        wait = WaitSegment.model_construct(kind="wait", duration=Parameter(1.0, unit="s"))
+        leg = next(legs_of(self.physics.mission, [(self.task.start, wait)]))[0]
+        return np.concatenate([[1.0], self.physics.standing_wh(leg.settings, 3600.0) / 3600.0])
 
 
 def _leaving(physics: Physics, stop: Stop, number: int) -> State:
@@ -192,7 +205,10 @@ def visit_segment(visit: VisitSpec, payload_kg: float) -> Any:
 def make_site(task: TaskSpec, order: Order | None = None) -> Site:
     """Stops with their costs; roads are made when they are asked for."""
     physics = Physics(task)
-    site = Site(task, physics, order or Order(task))
+    energy, time = task.weights()
+    weights = np.array([time, *(energy[name] for name in physics.names)])
+    deadline = math.inf if task.within.deadline is None else task.within.deadline.value
+    site = Site(task, physics, order or Order(task), deadline_s=deadline, weights=weights)
     nothing = np.zeros(1 + len(physics.names))
     site.stops.append(Stop(task.start, nothing))
     stands = [(visit.place, visit_segment(visit, 0.0)) for visit in task.visits]
@@ -237,16 +253,24 @@ class Tour:
         ``(payload, from stop, to stop) -> list of Drive``.
     missed : ndarray, optional
         Value of each visit, where some may be left out: then one more resource counts what was left out.
+    by_value : bool
+        What was left out is the objective.
     """
 
     def __init__(
-        self, site: Site, drives: Callable[[float, int, int], list[Drive]], missed: Array | None = None
+        self,
+        site: Site,
+        drives: Callable[[float, int, int], list[Drive]],
+        missed: Array | None = None,
+        *,
+        by_value: bool = False,
     ) -> None:
         self.site = site
         self.size = len(site.stops)
         self.nodes = site.order.count * self.size
         self._drives = drives
         self._missed = missed
+        self._by_value = by_value
         self._known: dict[int, Leaving] = {}
         self._batteries = len(site.physics.names)
 
@@ -272,8 +296,31 @@ class Tour:
         return self.site.stops[node % self.size].charger
 
     def opens(self, node: int) -> Callable[[Array], Array] | None:
-        """No waiting yet."""
-        return None
+        """Waiting at a visit until its window opens."""
+        visit = self.site.stops[node % self.size].visit
+        window = None if visit is None else self.site.task.visits[visit].window
+        if window is None or window.from_.value <= 0.0:
+            return None
+        state = node // self.size
+        stand = float(self.site.standing(node % self.size, self.site.order.payload_kg(state))[0])
+        begin, waiting = window.from_.value + stand, self.waiting()
+
+        def wait(points: Array) -> Array:
+            kept = [points[0]]
+            for first, second in itertools.pairwise(points):
+                if first[1] < begin < second[1]:
+                    kept.append(first + (begin - first[1]) / (second[1] - first[1]) * (second - first))
+                kept.append(second)
+            made = np.array(kept)
+            return np.asarray(made + np.maximum(begin - made[:, 1:2], 0.0) * waiting)
+
+        return wait
+
+    def waiting(self) -> Array:
+        """What waiting for a second adds to the vector."""
+        waiting = self.site.waiting
+        extra = [] if self._missed is None else [0.0]
+        return np.array([float(self.site.objective(waiting)), *waiting, *extra])
 
     def nexts(self, state: int, stop: int) -> list[tuple[int, int]]:
         """Stops that may come next and the state after each."""
@@ -310,8 +357,12 @@ class Tour:
         """What driving to a stop and what is done there add to the vector."""
         site = self.site
         total = drive.use + site.standing(head, site.order.payload_kg(after))
-        extra = []
-        if self._missed is not None:
-            done = site.order.done(after) if head == site.goal else slice(None)
-            extra = [float(self._missed.sum() - self._missed[done].sum())]
-        return np.array([float(site.objective(total)), *total, *extra])
+        if self._missed is None:
+            return np.array([float(site.objective(total)), *total])
+        left_out = 0.0
+        if head == site.goal:
+            left_out = float(self._missed.sum() - self._missed[self._done(after)].sum())
+        return np.array([left_out if self._by_value else float(site.objective(total)), *total, left_out])
+
+    def _done(self, state: int) -> list[int]:
+        return self.site.order.done(state)

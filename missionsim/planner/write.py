@@ -82,6 +82,8 @@ def _segment(answer: Answer, leg: Leg) -> list[str]:
                 body[key] = getattr(visit, key)
         body["payload"] = leg.payload_kg
         return [f"  - {kind}: {_flow(body)}  # {_charges(leg)}"]
+    elif leg.kind == "wait":
+        return [f"  - wait: {_flow({'duration': leg.duration_s})}  # until the window opens: {_charges(leg)}"]
     else:
         recharge = {"until": leg.level} if leg.level is not None else {"duration": leg.duration_s}
         return [f"  - dock: {_flow({'recharge': recharge})}  # at {leg.place}: {_charges(leg)}"]
