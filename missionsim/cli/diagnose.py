@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -69,24 +70,31 @@ def diagnose(
         from missionsim.files import write_text
         from missionsim.report.diagnosis_page import diagnosis_page
 
-        write_text(report, diagnosis_page(result, footer=_footer()))
+        write_text(report, diagnosis_page(result, footer=_footer(), robot=robot, logs=logs))
     if shows_text(json, quiet):
-        show(result)
+        show(result, robot, logs)
         if report is not None:
             console().print(f"report written: {report}", markup=False)
     return 0
 
 
-def show(result: Diagnosis) -> None:
-    """Print a diagnosis as headline and report lines."""
+def show(result: Diagnosis, robot: str, logs: Sequence[Path]) -> None:
+    """Print a diagnosis: what is missing, how sure, the error, what to type; then the report lines."""
     from rich.table import Table
     from rich.text import Text
 
-    from missionsim.diagnose import words
+    from missionsim.diagnose import sentences, words
 
     terminal = console()
     for battery in result.batteries.values():
         terminal.print(Text(words.headline(battery), style="bold"))
+        for line in (sentences.sure(battery), sentences.errors(battery)):
+            if line:
+                terminal.print(Text(line))
+        command = sentences.next_step(battery, robot, logs, len(result.batteries) > 1)
+        if command:
+            terminal.print(Text("Next, type:"))
+            terminal.print(Text(f"    {command}", style="cyan"), soft_wrap=True)
         grid = Table.grid(padding=(0, 2))
         grid.add_column(no_wrap=True)
         grid.add_column()

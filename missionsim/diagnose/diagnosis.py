@@ -387,7 +387,7 @@ def diagnose_battery(
             confounding=found.confounding,
             battery=battery,
             untestable=untestable,
-            next_experiments=_next(subject, seen, effects, settings),
+            next_experiments=() if proposed and not effects else _next(subject, seen, effects, settings),
             heldout=None if tested is None else tested.summary,
             shifted=_shifted(seen),
             execution=execution,

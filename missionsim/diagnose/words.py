@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
+from missionsim.diagnose import sentences
 from missionsim.diagnose.execution import TOLD
 from missionsim.diagnose.numbers import watts
 from missionsim.identify.findings import BatteryDiagnosis, Experiment, Finding, HeldOut, Judged
+from missionsim.identify.proposed import Proposal
 
 MOST_NOT_SEEN = 8
 RECALIBRATION_SD = 4.0
@@ -21,10 +23,7 @@ def headline(battery: BatteryDiagnosis) -> str:
     found = [f for f in battery.effects if not f.indistinguishable_from]
     unsure = [f for f in battery.effects if f.indistinguishable_from]
     driven = [f for f in battery.execution if f.effect]
-    said = []
-    if found:
-        told = _listed([f"{f.effect} ({_share(f)})" for f in found])
-        said.append(f"Battery {name}: missing from the model {'is' if len(found) == 1 else 'are'} {told}.")
+    said = [f"Battery {name}: {sentences.missing(f)}; that is {f.effect}." for f in found]
     for effect in unsure:
         names = (effect.effect, *effect.indistinguishable_from)
         said.append(
@@ -33,7 +32,14 @@ def headline(battery: BatteryDiagnosis) -> str:
         )
     if driven:
         said.append("The robot drove otherwise than planned: " + "; ".join(_execution(f) for f in driven) + ".")
-    if battery.verdict == "unexplained_structure" and not battery.unexplained.depends_on:
+    for law in battery.proposed_laws:
+        fits = f"it looks like {law.looks_like}" if law.looks_like else "no effect of the library fits"
+        if law.instead_of:
+            fits += f"; {' and '.join(law.instead_of)} would only stand in for it"
+        said.append(f"Battery {name}: {sentences.law(law)}; {fits}.")
+    if battery.proposed_laws:
+        pass
+    elif battery.verdict == "unexplained_structure" and not battery.unexplained.depends_on:
         said.append(f"Battery {name}: {battery.unexplained.shape}.")
     elif battery.verdict == "unexplained_structure":
         on = ", ".join(battery.unexplained.depends_on)
@@ -78,6 +84,10 @@ def report(battery: BatteryDiagnosis) -> list[tuple[str, str]]:
         if effect.indistinguishable_from:
             lines.append(("UNSURE", unsure_line(effect)))
     lines += [("DOUBTFUL", doubtful_line(c)) for c in battery.candidates if c.doubtful_share is not None]
+    for law in battery.proposed_laws:
+        lines += [("LAW", line) for line in law_lines(law)]
+        if law.experiment:
+            lines.append(("NEXT", law.experiment))
     for experiment in battery.next_experiments:
         lines.append(("NEXT", next_line(experiment)))
     if not battery.next_experiments and any(e.indistinguishable_from for e in battery.effects):
@@ -117,6 +127,23 @@ def found_line(effect: Finding) -> str:
         f"{effect.effect}: {100 * effect.energy_share:.1f} % of energy{interval}; {numbers}; {effect.level}, "
         f"p = {effect.p_value:.1g}{runs}"
     )
+
+
+def law_lines(law: Proposal) -> list[str]:
+    """The forms of a proposed law, the plainest first, and what they rest on."""
+    lines = []
+    for number, one in enumerate(law.laws, 1):
+        behind = "" if one.behind_nats < 0.05 else f"; {one.behind_nats:.0f} nats behind"
+        cannot = "" if one.simulated else "; cannot be simulated yet"
+        unit = _unit(one.unit)
+        lines.append(
+            f"{number}: {one.formula}, k = {one.k:.3g}{unit} (95 % {one.low:.3g} to {one.high:.3g}){behind}{cannot}"
+        )
+    before, after = law.left_out_rmse_w
+    rests = f"rise of {law.rise_nats:.0f} nats where {law.penalty_nats + 6:.0f} are asked, of {law.tried:,} forms"
+    if math.isfinite(after):
+        rests += f"; runs left out one at a time: power RMSE {before:.3g} -> {after:.3g} W"
+    return [*lines, rests]
 
 
 def doubtful_line(candidate: Judged) -> str:

@@ -65,6 +65,8 @@ class Curve:
     low: tuple[float, ...]
     high: tuple[float, ...]
     at: Mapping[str, float | str]
+    usual: float
+    """Median of the leading quantity where the law acts."""
 
     def to_json(self) -> dict[str, Any]:
         """All fields."""
@@ -76,6 +78,7 @@ class Curve:
             "low": list(self.low),
             "high": list(self.high),
             "at": dict(self.at),
+            "usual": self.usual,
         }
 
 

@@ -16,6 +16,11 @@ from missionsim.identify.model import Model, log_likelihood
 from missionsim.identify.noise import Noise, bounded_noise, fit_noise, for_rows, start_noise
 from missionsim.identify.predictive import LeastSquares
 
+LAGS_S = (0.0, 0.15, 0.3, 0.45, 0.6)
+DELAYS_S = (-0.2, -0.1, 0.1, 0.2, 0.3)
+CLOCK_NATS = 15.0
+"""Rise of the log-likelihood from which on a law moves the clock of meter and motion."""
+
 
 @dataclass(frozen=True)
 class Ground:
@@ -83,6 +88,35 @@ class Ground:
             return Model(self.model.source, chosen, self.model.clock, design, noise, squares)
         noise = fit_noise(design, chosen, start, thorough=start is None)
         return Model(self.model.source, chosen, self.model.clock, design, noise)
+
+    def on_time(self, raw: Sequence[Array], fitted: Model) -> Ground:
+        """The ground at the clock that the law asks for; itself where that is hardly better.
+
+        Without the law its own lag could not be seen. `raw`: power of the law in each run at the raw rate, (1, rows).
+        """
+        source, was = self.model.source, self.model.clock
+
+        def score(delay_s: float, lag_s: float) -> float:
+            clock = replace(was, delay_s=delay_s, lag_s=lag_s)
+            there = replace(self, model=replace(self.model, clock=clock, design=source.design(clock, self.chosen)))
+            columns = replace(there, model=replace(there.model, chosen=tuple(range(len(self.chosen)))))
+            design = columns.extended(source.averaged(raw, clock)[0])
+            return log_likelihood(replace(fitted, clock=clock, design=design))
+
+        if not source.aligned:
+            return self
+        best = (score(was.delay_s, was.lag_s), was.delay_s, was.lag_s)
+        first = best[0]
+        for lag in LAGS_S:
+            best = max(best, (score(best[1], lag), best[1], lag))
+        for delay in DELAYS_S:
+            best = max(best, (score(was.delay_s + delay, best[2]), was.delay_s + delay, best[2]))
+        if best[0] < first + CLOCK_NATS:
+            return self
+        clock = replace(was, delay_s=best[1], lag_s=best[2])
+        design = source.design(clock)
+        noise = fit_noise(design, self.chosen, self.model.noise, thorough=False)
+        return replace(self, model=replace(self.model, clock=clock, design=design, noise=noise))
 
     def extended(self, watts: Array) -> Design:
         """The design with the columns of the effects found and the law, in shares of energy; the law comes last."""

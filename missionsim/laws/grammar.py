@@ -29,6 +29,8 @@ MOST_FURTHER = 6
 LAGS_S = (5.0, 30.0)
 WARM_S = (30.0, 120.0)
 VARIES = 1e-9
+NOISE_PART = 0.1
+"""A quantity that falls below zero by less than this part of its highest value is noise about zero."""
 _SKIPPED = re.compile(
     r"(^|_)(power|voltage|volts?|current|amps?|energy|soc|charge)(_|$)"
     r"|^(x_m|y_m|heading_rad|segment|starts|starts_per_s|body_mass_kg|mass_kg|regeneration|drive_w|load_w|moving)$"
@@ -416,8 +418,10 @@ def _further(b: _Builder, name: str) -> None:
     """A numeric column that the glossary does not hold: itself, and its parts above and below the middle."""
     x = b.raw(name)
     middle = _round(float(np.median(np.concatenate(x))))
-    if all(float(np.min(a, initial=0.0)) >= 0.0 for a in x):
-        _powers(b, name, name, name, x, (1, 2), fine=True)
+    low = min(float(np.min(a, initial=0.0)) for a in x)
+    if low > -NOISE_PART * max(float(np.max(a, initial=0.0)) for a in x):
+        text = name if low >= 0.0 else f"max({name}, 0)"  # noise about zero has no powers
+        _powers(b, name, text, name, [np.maximum(a, 0.0) for a in x], (1, 2), fine=True)
     else:
         b.add(Factor(name, name, name), x)
         b.add(Factor(name, f"abs({name})", f"|{name}|", 1), [np.abs(a) for a in x])

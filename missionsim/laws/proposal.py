@@ -15,7 +15,7 @@ from missionsim.identify.proposed import Curve, Law, Proposal
 from missionsim.labels import Labels
 from missionsim.laws.adapter import Ground, ground_of, library_columns
 from missionsim.laws.grammar import Grammar, make_grammar
-from missionsim.laws.search import LEAST_SHARE, Fitted, Gates, Scored, Search, gates
+from missionsim.laws.search import LEAST_SHARE, Fitted, Gates, Scored, Search, Searched, gates, left_out
 
 ALIKE = 0.06
 """Part of the gain by which a form may lag behind and still be in the set: no form is exact, and rows blur them all."""
@@ -31,6 +31,11 @@ MOST_LAWS = 6
 MOST_BESIDE = 8
 REPLACED = 0.35
 """An effect that keeps less than this part of its size beside a law was standing in for it."""
+AKIN = 0.4
+SHRUNK = 0.75
+NO_WORSE = 1.01
+"""An effect whose column is this like the law's, that keeps no more than this part of its size beside it and whose loss
+raises the error of left-out runs no further than this, stood in for it as well."""
 TWIN = 0.985
 POINTS = 41
 Z95 = 1.96
@@ -63,29 +68,33 @@ def propose(found: Any, covariates: Sequence[Mapping[str, Any]]) -> Proposed | N
     return None
 
 
+def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored], Fitted, Gates]:
+    """The set of forms, those beside it, the fit of the first, and its gates."""
+    near, beside = _set(done.near, search.grammar)
+    fitted = search.settled(done.best if near[0].form == done.best.form else search.fit(near[0].form))
+    return near, beside, fitted, gates(fitted)
+
+
 def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Any) -> Proposed | None:
     search = Search(ground, grammar, memory)
     done = search.best()
     if done is None:
         return None
-    near, beside = _set(done.near, grammar)
-    fitted = search.settled(done.best if near[0].form == done.best.form else search.fit(near[0].form))
-    seen = gates(fitted)
-    if not seen.all_passed:
-        return None
-    instead = _replaced(fitted, ground)
+    on_time = search.on_time(done.best)
+    if on_time is not search:
+        search, done = on_time, on_time.best() or done
+    near, beside, fitted, seen = _judged(search, done)
+    instead = _replaced(fitted, search.ground) if seen.all_passed else ()
     if instead:
         # what stood in for the law goes, and the law is looked for once more without it
-        less = ground.without(instead)
-        again = Search(less, grammar, memory)
-        other = again.best()
-        if other is not None:
-            search, ground = again, less
-            near, beside = _set(other.near, grammar)
-            fitted = again.settled(other.best if near[0].form == other.best.form else again.fit(near[0].form))
-            seen = gates(fitted)
-            if not seen.all_passed:
-                return None
+        search = Search(search.ground.without(instead), grammar, memory)
+        again = search.best()
+        if again is None:
+            return None
+        near, beside, fitted, seen = _judged(search, again)
+    if not seen.all_passed:
+        return None
+    ground = search.ground
     laws = tuple(_law(one, near[0], grammar, fitted, seen, search) for one in near)
     sets = [set(law.variables) for law in laws]
     certain = tuple(v for v in laws[0].variables if all(v in s for s in sets))
@@ -98,7 +107,7 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Any) -> Prop
         possible,
         curve,
         fitted.share,
-        seen.share_sd,
+        float(np.hypot(seen.share_sd, SYSTEMATIC * fitted.share)),
         fitted.rise,
         fitted.penalty,
         search.tried,
@@ -159,14 +168,27 @@ def _law(one: Scored, first: Scored, grammar: Grammar, fitted: Fitted, seen: Gat
 
 
 def _replaced(fitted: Fitted, ground: Ground) -> tuple[str, ...]:
-    """Effects that hardly act any more once the law is in."""
-    before, _ = ground.model.gram.coefficients(ground.chosen) if ground.chosen else (np.zeros(0), None)
+    """Effects that stood in for the law: with it they hardly act any more, or look like it, shrink, and predict runs
+    that are left out no better beside it."""
+    if not ground.chosen:
+        return ()
+    before, _ = ground.model.gram.coefficients(ground.chosen)
     after, _ = fitted.model.gram.coefficients(fitted.model.chosen)
+    law = fitted.watts / max(float(np.linalg.norm(fitted.watts)), 1e-300)
     out = []
     for name, columns in ground.held:
         places = [ground.chosen.index(k) for k in columns]
-        if places and abs(after[places].sum()) < max(REPLACED * abs(before[places].sum()), LEAST_SHARE):
+        was, now = abs(before[places].sum()), abs(after[places].sum())
+        if now < max(REPLACED * was, LEAST_SHARE):
             out.append(name)
+            continue
+        like = max(
+            abs(float(ground.design.phi[k] @ law)) / float(np.linalg.norm(ground.design.phi[k])) for k in columns
+        )
+        if like > AKIN and now < SHRUNK * was:
+            less = left_out(ground.without((*out, name)).with_law(fitted.watts))
+            if less.with_law < NO_WORSE * fitted.errors.with_law:
+                out.append(name)
     return tuple(out)
 
 
@@ -236,6 +258,7 @@ def _curve(laws: Sequence[Law], ground: Ground, seen: Gates, share: float) -> Cu
         tuple(float(v) for v in (curves - spread).min(axis=0)),
         tuple(float(v) for v in (curves + spread).max(axis=0)),
         others,
+        float(typical[lead]),
     )
 
 

@@ -103,6 +103,14 @@ class Details:
 
 
 @dataclass(frozen=True)
+class Command:
+    """A line to type, under its heading."""
+
+    label: str
+    text: str
+
+
+@dataclass(frozen=True)
 class Choice:
     """Alternatives of which one is shown, chosen from a list (one run of many, one battery of two)."""
 
@@ -110,7 +118,7 @@ class Choice:
     options: Sequence[tuple[str, Sequence[Block]]]
 
 
-Block: TypeAlias = Verdict | Paragraph | Bullets | Tiles | Table | Chart | Details | Choice
+Block: TypeAlias = Verdict | Paragraph | Bullets | Tiles | Table | Chart | Details | Command | Choice
 
 
 @dataclass(frozen=True)

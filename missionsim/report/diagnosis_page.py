@@ -4,11 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-from missionsim.diagnose import words
+from missionsim.diagnose import sentences, words
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
-from missionsim.report.blocks import Block, Bullets, Chart, Choice, Details, Paragraph, Section, Table, Tiles, Verdict
+from missionsim.report.blocks import (
+    Block,
+    Bullets,
+    Chart,
+    Choice,
+    Command,
+    Details,
+    Paragraph,
+    Section,
+    Table,
+    Tiles,
+    Verdict,
+)
 from missionsim.report.downsample import shared_indices
 from missionsim.report.page import COLOURS, format_cell, label, page
 
@@ -24,7 +37,7 @@ MOST_ALIKE = 14
 MEASURED, NOMINAL, FITTED, RESIDUAL = COLOURS[0], COLOURS[1], COLOURS[2], "#52606d"
 
 
-def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "") -> str:
+def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "", robot: str = "", logs: Sequence[str | Path] = ()) -> str:
     """The page as HTML.
 
     Parameters
@@ -32,24 +45,31 @@ def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "") -> str:
     diagnosis : Diagnosis
     footer : str
         How it was made (version, command).
+    robot, logs
+        As they were given, for the command to type next.
     """
     runs = max((len(b.runs) for b in diagnosis.batteries.values()), default=0)
     return page(
         f"{diagnosis.robot}: which effect is missing",
-        diagnosis_sections(diagnosis),
+        diagnosis_sections(diagnosis, robot, logs),
         subtitle=f"{runs} runs fitted",
         footer=footer,
     )
 
 
-def diagnosis_sections(diagnosis: Diagnosis) -> list[Section]:
+def diagnosis_sections(diagnosis: Diagnosis, robot: str = "", logs: Sequence[str | Path] = ()) -> list[Section]:
     """The sections of the page, for pages that show a diagnosis among other things."""
     sections = []
     several = len(diagnosis.batteries) > 1
     for battery in diagnosis.batteries.values():
         prefix = f"Battery {battery.battery}: " if several else ""
         sections += [
-            Section(f"{prefix}Result", _result(battery)),
+            Section(f"{prefix}Result", _result(battery, robot, logs, several)),
+            *(
+                [Section(f"{prefix}A law that the library does not hold", _law(battery))]
+                if battery.proposed_laws
+                else []
+            ),
             Section(f"{prefix}What was found and what was not", _candidates(battery)),
             Section(f"{prefix}Power over time", _series(battery, several)),
             Section(f"{prefix}What to drive next", _next(battery)),
@@ -61,32 +81,105 @@ def diagnosis_sections(diagnosis: Diagnosis) -> list[Section]:
     return sections
 
 
-def _result(battery: BatteryDiagnosis) -> list[Block]:
-    tiles = [
+def _result(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], several: bool) -> list[Block]:
+    cards = []
+    command = sentences.next_step(battery, robot, logs, several) if robot else ""
+    if battery.effects or battery.proposed_laws:
+        size = battery.effects[0].energy_share if battery.effects else battery.proposed_laws[0].energy_share
+        cards.append(("How much", f"{100 * size:.1f} % of the energy", _interval(battery)))
+    if battery.heldout is not None:
+        before, after = battery.heldout.power_rmse_w["nominal"], battery.heldout.power_rmse_w["with_effects"]
+        e = battery.heldout.energy_error_pct
+        energy = f"energy {e['nominal']:.2f} → {e['with_effects']:.2f} %; recalibrated only {e['recalibrated']:.2f} %"
+        for law in battery.proposed_laws[:1]:
+            if law.heldout_rmse_w is not None and law.heldout_energy_pct is not None:
+                after = law.heldout_rmse_w[1]
+                energy = f"energy {e['nominal']:.2f} → {law.heldout_energy_pct[1]:.2f} %"
+        cards.append(("Power error, runs not used", f"{before:.3g} → {after:.3g} W", energy))
+    cards.append(
         (
             "Mean power",
             f"{format_cell(battery.mean_power_w, 3)} W",
             f"{len(battery.runs)} runs, {battery.seconds / 60:.0f} min",
         )
-    ]
-    for effect in battery.effects[:4]:
-        names = " or ".join((effect.effect, *effect.indistinguishable_from))
-        interval = ""
-        if math.isfinite(effect.share_low):
-            interval = f"95 %: {100 * effect.share_low:.1f} to {100 * effect.share_high:.1f} %"
-        tiles.append((names, f"{100 * effect.energy_share:.1f} % of energy", interval))
-    if battery.heldout is not None:
-        e = battery.heldout.energy_error_pct
-        tiles.append(
-            (
-                "Energy error, held-out runs",
-                f"{e['nominal']:.2f} → {e['with_effects']:.2f} %",
-                f"recalibrated only: {e['recalibrated']:.2f} %",
-            )
-        )
+    )
+    said = [line for line in (sentences.sure(battery), sentences.errors(battery)) if line]
+    blocks: list[Block] = [Verdict(words.headline(battery), TONES[battery.verdict]), Tiles(cards)]
+    blocks += [Paragraph(line) for line in said]
+    if command:
+        blocks.append(Command("Type this next", command))
+    elif battery.next_experiments:
+        blocks.append(Paragraph(f"Drive next: {battery.next_experiments[0].do}."))
     lines = words.report(battery)
     table = Table(["", "what the data say"], [[heading, text] for heading, text in lines if heading != "NOTE"])
-    return [Verdict(words.headline(battery), TONES[battery.verdict]), Tiles(tiles), table]
+    return [*blocks, Details("Everything the data say, with numbers", [table])]
+
+
+def _interval(battery: BatteryDiagnosis) -> str:
+    if not battery.effects:
+        law = battery.proposed_laws[0]
+        half = 196 * law.share_sd
+        return f"95 %: {100 * law.energy_share - half:.1f} to {100 * law.energy_share + half:.1f} %"
+    effect = battery.effects[0]
+    if not math.isfinite(effect.share_low):
+        return ""
+    return f"95 %: {100 * effect.share_low:.1f} to {100 * effect.share_high:.1f} %"
+
+
+def _law(battery: BatteryDiagnosis) -> list[Block]:
+    """The curve of a proposed law with its band, its forms, what would tell them apart."""
+    blocks: list[Block] = []
+    for law in battery.proposed_laws:
+        curve = law.curve
+        if curve is not None:
+            word, unit = sentences.QUANTITY.get(curve.variable, (curve.variable, curve.unit))
+            fixed = ", ".join(
+                f"{sentences.QUANTITY.get(n, (n, ''))[0]} {v if isinstance(v, str) else format_cell(v, 2)}"
+                for n, v in curve.at.items()
+            )
+            band: dict[str, Any] = {"type": "scatter", "mode": "lines", "x": curve.x, "hoverinfo": "skip"}
+            traces = [
+                {**band, "y": curve.low, "line": {"width": 0}, "showlegend": False},
+                {
+                    **band,
+                    "y": curve.high,
+                    "line": {"width": 0},
+                    "fill": "tonexty",
+                    "fillcolor": "rgba(0,114,178,0.2)",
+                    "name": "band of all forms, about 95 %",
+                },
+                {
+                    "type": "scatter",
+                    "mode": "lines",
+                    "x": curve.x,
+                    "y": curve.watts,
+                    "name": "the plainest form",
+                    "line": {"color": MEASURED, "width": 2},
+                    "hovertemplate": "%{x:.3g}: %{y:.3g} W<extra></extra>",
+                },
+            ]
+            layout = {
+                "xaxis": {"title": {"text": f"{label(word)}{', ' if unit else ''}{label(unit)}"}},
+                "yaxis": {"title": {"text": "power that the model lacks, W"}},
+                "hovermode": "closest",
+            }
+            held = f", {fixed} held" if fixed else ""
+            blocks.append(Chart(traces, layout, f"Power of the law over {word}{held}. Trust the band.", 360))
+        rows = [
+            [i, one.formula, one.k, one.low, one.high, one.unit, one.behind_nats, "yes" if one.simulated else "not yet"]
+            for i, one in enumerate(law.laws, 1)
+        ]
+        blocks.append(
+            Table(
+                ["form", "formula", "k", "from", "to", "unit of k", "nats behind", "run can use it"],
+                rows,
+                "Forms that these data cannot tell apart; their numbers serve add-effect --formula",
+                3,
+            )
+        )
+        if law.experiment:
+            blocks.append(Paragraph(f"To tell them apart: {law.experiment}."))
+    return blocks
 
 
 def _candidates(battery: BatteryDiagnosis) -> list[Block]:
@@ -252,6 +345,8 @@ def _next(battery: BatteryDiagnosis) -> list[Block]:
                 digits=3,
             )
         )
+    elif any(law.experiment for law in battery.proposed_laws):
+        blocks += [Paragraph(f"{law.experiment[:1].upper()}{law.experiment[1:]}.") for law in battery.proposed_laws]
     else:
         blocks.append(
             Paragraph(

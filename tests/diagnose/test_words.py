@@ -93,7 +93,9 @@ def text(battery: BatteryDiagnosis) -> str:
 
 
 def test_found() -> None:
-    assert words.headline(BATTERY) == "Battery robot: missing from the model is grade (3.3 % of the energy)."
+    assert words.headline(BATTERY) == (
+        "Battery robot: Climbing costs 3.3 % of the energy that the model does not know; that is grade."
+    )
     told = text(BATTERY)
     assert "WHERE slope 2 to 4 °: 40 % of the squared error" in told
     assert "CLOCK meter +0.30 s behind the motion, lag 0.30 s (applied)" in told

@@ -1,0 +1,246 @@
+"""What is missing, how sure that is, what it does to the error, what to type next: sentences for the top of a page."""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+from missionsim.identify.findings import BatteryDiagnosis, Finding
+from missionsim.identify.proposed import Proposal
+
+_SUBJECT = {
+    "grade": "Climbing",
+    "payload": "Carrying payload while driving",
+    "acceleration": "Changing speed",
+    "copper_loss": "Pulling hard (copper loss)",
+    "turning_scrub": "Turning",
+    "surface_turning_scrub": "Turning on some floors",
+    "rolling_friction": "Driving",
+    "viscous_friction": "Driving, more the faster,",
+    "aerodynamic_drag": "Driving fast",
+    "cold_friction": "Driving before the drive is warm",
+    "temperature_friction": "Driving in the cold",
+    "surface_rolling_resistance": "Driving on some floors",
+    "start_surge": "Each start from rest",
+    "conversion_loss": "A high load (loss of conversion)",
+    "battery_resistance": "A high load (resistance of the battery)",
+    "standby_load": "Something that is always on",
+    "cpu_load": "Processor load",
+    "cpu_frequency": "A high processor clock",
+    "radio_range": "Distance from the access point",
+}
+_PER = {
+    "W": "W",
+    "N": "W per m/s",
+    "W s/rad": "W per rad/s",
+    "N s/m": "W per (m/s)²",
+    "kg/m": "W per (m/s)³",
+    "J": "J",
+    "W/m^2": "W per m²",
+    "W/K": "W per K",
+    "m/s^2": "W per kg and m/s",
+    "N/K": "W per m/s and K",
+}
+QUANTITY = {
+    "speed_m_s": ("speed", "m/s"),
+    "yaw_rate_rad_s": ("turn rate", "rad/s"),
+    "accel_m_s2": ("acceleration", "m/s²"),
+    "lateral_speed_m_s": ("sideways speed", "m/s"),
+    "slope_rad": ("slope", "rad"),
+    "payload_kg": ("payload", "kg"),
+    "temp_ambient_c": ("ambient temperature", "°C"),
+    "temp_motor_c": ("motor temperature", "°C"),
+    "cpu_load": ("processor load", ""),
+    "cpu_freq_hz": ("processor clock", "Hz"),
+    "access_point_distance_m": ("distance to the access point", "m"),
+    "time_s": ("time since the start", "s"),
+    "moving_time_s": ("time spent moving", "s"),
+    "surface": ("floor", ""),
+    "scheme": ("control scheme", ""),
+}
+
+
+def power(watts: float) -> str:
+    """A power in three digits or less, in kW from 1,000 W on."""
+    if abs(watts) >= 1000.0:
+        return f"{watts / 1000.0:.3g} kW"
+    return f"{watts:.3g} W" if abs(watts) >= 0.095 else f"{1000.0 * watts:.2g} mW"
+
+
+def missing(effect: Finding) -> str:
+    """``Turning costs 3.3 kW per rad/s that the model does not know (5.1 % of the energy).``"""
+    kind, _, part = effect.effect.partition(":")
+    subject = _SUBJECT.get(kind, effect.effect)
+    if kind == "component_power":
+        subject = f"{part}, while it is on,"
+    elif kind == "component_warmup":
+        subject = f"{part}, until it is warm,"
+    elif kind == "logged_power":
+        subject = f"What the log has as {part}"
+    elif part:
+        subject = f"{subject.replace(' on some floors', '')} on {part}"
+    subject = subject[:1].upper() + subject[1:]
+    share = f"{100 * abs(effect.energy_share):.1f} % of the energy"
+    first = next(iter(effect.parameters.values()), None)
+    if first is None or first.unit not in _PER or len(effect.parameters) > 1 or kind == "acceleration":
+        return f"{subject} costs {share} that the model does not know"
+    less = first.value < 0.0
+    size = power(abs(first.value)) if first.unit != "J" else f"{abs(first.value):.3g} J"
+    return (
+        f"{subject} {'takes' if less else 'costs'} {size}{_PER[first.unit].removeprefix('W').removeprefix('J')} "
+        f"{'less than the model says' if less else 'that the model does not know'} ({share})"
+    )
+
+
+def law(proposal: Proposal) -> str:
+    """``Turning while driving with payload costs about 4.1 W (turn rate …) that the model does not know: 5 % …``."""
+    first, curve = proposal.first, proposal.curve
+    share = f"{100 * abs(proposal.energy_share):.1f} % of the energy"
+    subject = _law_subject(first.formula, first.variables)
+    if curve is None:
+        return f"{subject} costs {share} that the model does not know"
+    size = min(range(len(curve.x)), key=lambda i: abs(curve.x[i] - curve.usual))
+    at = [_at(curve.variable, curve.x[size])]
+    at += [_at(name, value) for name, value in curve.at.items() if not name.startswith("on_")]
+    verb = "gives back" if curve.watts[size] < 0.0 else "costs"
+    amount = f"{power(abs(curve.watts[size]))} ({', '.join(at)})"
+    return f"{subject} {verb} about {amount} that the model does not know: {share}"
+
+
+def _law_subject(formula: str, variables: Sequence[str]) -> str:
+    """A law in plain words, from the quantities in it and the sides of them that it names."""
+    parts: list[str] = []
+    beside: list[str] = []
+    has = set(variables)
+    standing = "(1 - (abs(speed_m_s)" in formula
+    slow = "(abs(speed_m_s) <=" in formula
+    if "yaw_rate_rad_s" in has and not standing:
+        parts.append("turning on the spot" if slow else "turning")
+    if "accel_m_s2" in has:
+        parts.append(
+            "braking" if "max(-accel" in formula else "speeding up" if "max(accel" in formula else "changing speed"
+        )
+    if "slope_rad" in has:
+        word = (
+            "descending" if "max(-slope" in formula else "climbing" if "max(slope" in formula else "driving on slopes"
+        )
+        (beside if parts else parts).append(f"while {word}" if parts else word)
+    for name in variables:
+        if name in ("yaw_rate_rad_s", "accel_m_s2", "slope_rad", "speed_m_s"):
+            continue
+        (beside if parts else parts).append(_aspect(name, formula, bool(parts)))
+    if "speed_m_s" in has and not slow:
+        word = "standing still" if standing else "driving"
+        if parts and not any(p in ("braking", "speeding up", "changing speed") for p in parts):
+            beside.insert(0, f"while {word}")
+        elif not parts:
+            parts.append(word)
+    text = " ".join([parts[0] if parts else "something", *parts[1:], *beside])
+    return text[:1].upper() + text[1:]
+
+
+def _aspect(name: str, formula: str, beside: bool) -> str:
+    if name.startswith("temp"):
+        bound = re.search(rf"max\(([\d.]+) - {name}", formula)
+        above = re.search(rf"max\({name} - ([\d.]+)", formula)
+        word = (
+            f"cold (below {bound.group(1)} °C)" if bound else f"warmth (above {above.group(1)} °C)" if above else "heat"
+        )
+        return f"in the {word}" if beside else word
+    if name.startswith("on_"):
+        part = name[3:].replace("_", " ")
+        return f"while the {part} is on" if beside else f"the {part}"
+    level = re.search(rf"\({name} == '([^']*)'\)", formula)
+    if level:
+        return f"on {level.group(1)}" if name == "surface" else f"in {name} {level.group(1)}"
+    if name in ("time_s", "moving_time_s"):
+        fades = "exp(-moving_time_s" in formula
+        return ("at first" if fades else "the longer the run lasts") if beside else "the time since the start"
+    word = QUANTITY.get(name, (name, ""))[0]
+    return f"with {word}" if beside else word
+
+
+def _at(name: str, value: float | str) -> str:
+    word, unit = QUANTITY.get(name, (name, ""))
+    number = value if isinstance(value, str) else f"{value:.2g}"
+    return f"{word} {number} {unit}".strip()
+
+
+def sure(battery: BatteryDiagnosis) -> str:
+    """How sure the first answer is, and what speaks for it."""
+    if battery.effects and not battery.effects[0].indistinguishable_from:
+        first = battery.effects[0]
+        runs = "each run shows it too" if "repeated" in first.level else "runs alone are too few to show it"
+        return f"Sure: chance would do this in {_odds(first.p_value)}; {runs}."
+    if battery.effects:
+        return "Not sure which: these data cannot tell these effects apart."
+    if battery.proposed_laws:
+        one = battery.proposed_laws[0]
+        certain = _listed([QUANTITY.get(n, (n, ""))[0] for n in one.certain])
+        told = f"It depends on {certain}" if certain else "On what it depends is open"
+        if one.possible:
+            told += f", perhaps on {_listed([QUANTITY.get(n, (n, ''))[0] for n in one.possible])}"
+        many = f"; {len(one.laws)} forms fit alike, so trust the curve and its band, not one formula"
+        only = "; its form is an approximation within the band"
+        return (
+            f"{told}{many if len(one.laws) > 1 else only}. {one.better} of {one.runs} left-out runs in which it acts "
+            f"are predicted better; {one.tried:,} forms were tried, and chance is charged for all."
+        )
+    return ""
+
+
+def _odds(p: float) -> str:
+    if p <= 0.0 or p < 1e-6:
+        return "less than one case in a million"
+    return f"one case in {10 ** round(math.log10(1.0 / p)):,.0f}" if p < 0.1 else "many cases"
+
+
+def errors(battery: BatteryDiagnosis) -> str:
+    """What the error on runs that were not used was and is."""
+    held = battery.heldout
+    if held is None:
+        if battery.proposed_laws:
+            before, after = battery.proposed_laws[0].left_out_rmse_w
+            if math.isfinite(after):
+                return f"On runs left out one at a time, the power error falls from {power(before)} to {power(after)}."
+        return ""
+    before, after = held.power_rmse_w["nominal"], held.power_rmse_w["with_effects"]
+    energy = (held.energy_error_pct["nominal"], held.energy_error_pct["with_effects"])
+    if battery.proposed_laws and battery.proposed_laws[0].heldout_rmse_w is not None:
+        after = battery.proposed_laws[0].heldout_rmse_w[1]
+        if battery.proposed_laws[0].heldout_energy_pct is not None:
+            energy = (energy[0], battery.proposed_laws[0].heldout_energy_pct[1])
+    if not battery.effects and not battery.proposed_laws:
+        return ""
+    verb = "was" if after <= before else "WAS ONLY"
+    return (
+        f"On runs not used the power error {verb} {power(before)} and is {power(after)} with it "
+        f"(energy {energy[0]:.2g} → {energy[1]:.2g} %)."
+    )
+
+
+def next_step(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], several: bool = False) -> str:
+    """The command to type next; empty where nothing is to be added."""
+    files = " ".join(shlex.quote(str(log)) for log in logs)
+    on = f" --battery {battery.battery}" if several else ""
+    out = f"{Path(robot).stem}_better.yaml"
+    clear = next((e for e in battery.effects if not e.indistinguishable_from), None)
+    if clear is not None:
+        return (
+            f"missionsim add-effect --robot {shlex.quote(robot)} --effect {shlex.quote(clear.effect)}{on} {files} "
+            f"--out {shlex.quote(out)}"
+        )
+    if not battery.effects and battery.proposed_laws and battery.proposed_laws[0].first.simulated:
+        twin = battery.proposed_laws[0].looks_like
+        what = (
+            f"--effect {shlex.quote(twin)} --force" if twin else f'--formula "{battery.proposed_laws[0].first.formula}"'
+        )
+        return f"missionsim add-effect --robot {shlex.quote(robot)} {what}{on} {files} --out {shlex.quote(out)}"
+    return ""
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1] if parts else ""

@@ -1,0 +1,237 @@
+"""A few hidden laws end to end, and the parts that the search is made of. `tests.laws.study` has the rates."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from missionsim.cli.app import run_command as main
+from missionsim.diagnose import sentences
+from missionsim.diagnose.proposed import formula_of, with_candidate
+from missionsim.errors import InputError
+from missionsim.identify.proposed import Curve, Law, Proposal
+from missionsim.inputs.edit import robot_text
+from missionsim.labels import Labels
+from missionsim.laws.grammar import Grammar, make_grammar
+from missionsim.laws.proposal import evaluate
+from missionsim.laws.units import unit_of
+
+from .study import diagnose, held_by_band, judge
+from .world import LAWS, Made, make
+
+
+@pytest.fixture(scope="module")
+def hidden(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[str, Any], Made]:
+    """A robot that turns badly with a load while it drives: folders of logs, diagnosis, truth."""
+    made = make("v_w_m", 11, 0.06, runs=8, heldout=2, duration_s=300.0)
+    train, heldout = made.write(tmp_path_factory.mktemp("hidden"))
+    return train, heldout, diagnose(train, heldout)[0], made
+
+
+def covariates(rows: int = 200) -> dict[str, Any]:
+    """One run of everything that a log may hold."""
+    rng = np.random.default_rng(3)
+    time_s = np.arange(rows) + 0.5
+    return {
+        "time_s": time_s,
+        "speed_m_s": rng.uniform(0.0, 0.7, rows),
+        "yaw_rate_rad_s": rng.uniform(-0.8, 0.8, rows),
+        "accel_m_s2": rng.normal(0.0, 0.3, rows),
+        "slope_rad": rng.normal(0.0, 0.05, rows),
+        "payload_kg": rng.choice([0.0, 2.0, 5.0], rows),
+        "temp_ambient_c": rng.uniform(5.0, 30.0, rows),
+        "cpu_load": rng.uniform(0.0, 1.0, rows),
+        "on_camera": rng.integers(0, 2, rows).astype(float),
+        "on_time_camera_s": rng.uniform(0.0, 60.0, rows),
+        "moving_time_s": time_s,
+        "surface": Labels.of(rng.choice(["tile", "carpet"], rows)),
+        "arm_torque": rng.uniform(0.0, 3.0, rows),
+        "voltage_robot_v": rng.uniform(24.0, 26.0, rows),
+    }
+
+
+@pytest.fixture(scope="module")
+def grammar() -> Grammar:
+    """The factors of two such runs."""
+    return make_grammar([covariates(), covariates(150)])
+
+
+def test_every_factor_is_what_its_text_says(grammar: Grammar) -> None:
+    cov = covariates()
+    for i, factor in enumerate(grammar.factors):
+        if factor.simulated:
+            np.testing.assert_allclose(
+                grammar.values[0][i], evaluate(f"k * {factor.text}", cov, 200), rtol=1e-9, err_msg=factor.text
+            )
+
+
+def test_a_law_holds_each_quantity_once_and_never_the_voltage(grammar: Grammar) -> None:
+    sizes = grammar.forms()
+    assert [s.shape[1] for s in sizes] == [1, 2, 3]
+    for form in [*sizes[1][::37], *sizes[2][::997]]:
+        variables = [grammar.factors[i].variable for i in form]
+        assert len(set(variables)) == len(variables)
+    assert not any("voltage" in f.variable for f in grammar.factors)
+    assert all(not grammar.simulated(form) for form in grammar.forms(memory=True)[1])
+
+
+@pytest.mark.parametrize(
+    ("formula", "unit"),
+    [
+        ("k * abs(yaw_rate_rad_s)", "W s/rad"),
+        ("k * abs(speed_m_s) * abs(yaw_rate_rad_s) * payload_kg", "W s^2/m/rad/kg"),
+        ("k * max(18 - temp_ambient_c, 0)", "W/K"),
+        ("k * tanh(abs(speed_m_s) / 0.2) * on_camera", "W"),
+        ("k * (surface == 'carpet') * payload_kg**2", "W/kg^2"),
+        ("k * abs(speed_m_s) * max(-accel_m_s2, 0)", "W s^3/m^2"),
+    ],
+)
+def test_the_unit_of_k_follows(formula: str, unit: str) -> None:
+    assert unit_of(formula) == unit
+
+
+def test_the_law_is_found_with_its_quantities_and_its_band(hidden: tuple[Path, Path, dict[str, Any], Made]) -> None:
+    _, _, report, made = hidden
+    row = judge("v_w_m", 11, 0.06, made, report)
+    assert report["verdict"] == "unexplained_structure"
+    assert row["variables"], row
+    assert row["certain"], row
+    assert row["band"] >= 0.9, row
+    assert row["removed"] >= 0.7, row
+    assert 0.04 < row["found_share"] < 0.08
+    assert set(LAWS["v_w_m"].variables) <= set(report["unexplained"]["depends_on"])
+    (proposed,) = report["proposed_laws"]
+    assert proposed["left_out_rmse_w"]["after"] < proposed["left_out_rmse_w"]["before"]
+    assert all(form["behind_nats"] >= 0.0 for form in proposed["forms"])
+    assert not any(form["parameters"]["k"]["low"] > form["parameters"]["k"]["value"] for form in proposed["forms"])
+
+
+def test_a_band_that_lies_elsewhere_is_not_called_right(hidden: tuple[Path, Path, dict[str, Any], Made]) -> None:
+    curve = dict(hidden[2]["proposed_laws"][0]["curve"])
+    moved = curve | {"low": [2.0 + x for x in curve["high"]], "high": [3.0 + x for x in curve["high"]]}
+    assert held_by_band("v_w_m", hidden[3], moved) < 0.1
+
+
+def test_add_effect_writes_the_law_and_run_uses_it(
+    hidden: tuple[Path, Path, dict[str, Any], Made], tmp_path: Path, root: Path
+) -> None:
+    train, heldout, report, _ = hidden
+    formula = report["proposed_laws"][0]["forms"][0]["formula"]
+    robot = tmp_path / "law.yaml"
+    told = tmp_path / "told.json"
+    arguments = ["add-effect", "--robot", "pioneer3dx", str(train), "--out", str(robot), "--quiet"]
+    assert main([*arguments, "--formula", formula, "--json", str(told)]) == 0
+    made = json.loads(told.read_text(encoding="utf-8"))
+    k = made["parameters"]["k"]
+    assert k["low"] < k["value"] < k["high"]
+    assert k["unit"] == unit_of(formula)
+    errors = []
+    for file in ("pioneer3dx", str(robot)):
+        out = tmp_path / "compare.json"
+        assert main(["compare", "--robot", file, str(heldout), "--json", str(out), "--quiet"]) == 0
+        errors.append(json.loads(out.read_text(encoding="utf-8"))["batteries"]["robot"]["power_rmse_w"])
+    assert errors[1] < 0.6 * errors[0]
+    mission = root / "missions" / "pioneer3dx" / "valve_patrol.yaml"
+    result = tmp_path / "run.json"
+    assert main(["run", str(mission), "--robot", str(robot), "--json", str(result), "--quiet"]) in (0, 1)
+    terms = json.loads(result.read_text(encoding="utf-8"))["batteries"]["robot"]["by_term_wh"]
+    assert made["effect"] in terms
+
+
+def test_nothing_hidden_gives_no_formula(tmp_path: Path) -> None:
+    train, heldout = make(None, 12, runs=6, heldout=2, duration_s=240.0).write(tmp_path)
+    report, _ = diagnose(train, heldout)
+    assert report["proposed_laws"] == []
+
+
+def law(**changes: Any) -> Proposal:
+    """A proposal as the search makes it."""
+    form = Law("k * abs(yaw_rate_rad_s) * payload_kg", "k·|ω|·payload", "W s/rad/kg", 3.0, 2.5, 3.5, 0.05, 0.0,
+               ("yaw_rate_rad_s", "payload_kg"))  # fmt: skip
+    bent = Law("k * abs(yaw_rate_rad_s)**2 * payload_kg", "k·|ω|²·payload", "W s^2/rad^2/kg", 3.0, 2.5, 3.5, 0.05, 2.0,
+               ("yaw_rate_rad_s", "payload_kg"))  # fmt: skip
+    curve = Curve("yaw_rate_rad_s", "rad/s", (0.0, 0.5, 1.0), (0.0, 6.0, 12.0), (0.0, 5.0, 9.0), (0.1, 7.0, 15.0),
+                  {"payload_kg": 4.0}, 0.5)  # fmt: skip
+    plain: dict[str, Any] = {
+        "laws": (form, bent),
+        "certain": ("yaw_rate_rad_s", "payload_kg"),
+        "possible": (),
+        "curve": curve,
+        "energy_share": 0.05,
+        "share_sd": 0.005,
+        "rise_nats": 300.0,
+        "penalty_nats": 8.0,
+        "tried": 20000,
+        "left_out_rmse_w": (2.0, 0.5),
+        "left_out_energy_pct": (5.0, 1.0),
+        "better": 6,
+        "runs": 6,
+        "experiment": "3 min at turn rate 1.4 rad/s",
+    }
+    return Proposal(**(plain | changes))
+
+
+def test_a_law_in_plain_words() -> None:
+    assert sentences.law(law()) == (
+        "Turning with payload costs about 6 W (turn rate 0.5 rad/s, payload 4 kg) that the model does not know: "
+        "5.0 % of the energy"
+    )
+
+
+@pytest.mark.parametrize(
+    ("formula", "variables", "words"),
+    [
+        ("k * (abs(speed_m_s) <= 0.04) * abs(yaw_rate_rad_s)", ("speed_m_s", "yaw_rate_rad_s"), "Turning on the spot"),
+        ("k * abs(speed_m_s) * max(-accel_m_s2, 0)", ("speed_m_s", "accel_m_s2"), "Braking"),
+        ("k * max(18 - temp_ambient_c, 0)", ("temp_ambient_c",), "Cold (below 18 °C)"),
+        ("k * (abs(speed_m_s) > 0.04) * on_kinect", ("speed_m_s", "on_kinect"), "The kinect while driving"),
+        ("k * abs(speed_m_s) * arm_torque", ("speed_m_s", "arm_torque"), "Arm_torque while driving"),
+    ],
+)
+def test_what_is_missing_has_a_name_in_words(formula: str, variables: tuple[str, ...], words: str) -> None:
+    form = Law(formula, "", "W", 1.0, 0.9, 1.1, 0.05, 0.0, variables)
+    told = sentences.law(law(laws=(form,), curve=None))
+    assert told == f"{words} costs 5.0 % of the energy that the model does not know"
+
+
+def test_a_form_is_asked_for_by_number_or_as_text() -> None:
+    assert formula_of([law()], "2") == "k * abs(yaw_rate_rad_s)**2 * payload_kg"
+    assert formula_of([law()], "k * cpu_load") == "k * cpu_load"
+    with pytest.raises(InputError, match="propose no such form"):
+        formula_of([law()], "3")
+    with pytest.raises(InputError, match="propose no such form"):
+        formula_of([], "1")
+    lagged = Law("k * max(lag(abs(speed_m_s), 30) - abs(speed_m_s), 0)", "", "N", 1.0, 0.9, 1.1, 0.05, 0.0, (), False)
+    with pytest.raises(InputError, match="cannot simulate yet"):
+        formula_of([law(laws=(lagged,))], "1")
+
+
+def test_a_candidate_has_a_name_a_unit_and_no_negative_size() -> None:
+    text, name = with_candidate(robot_text("pioneer3dx"), "robot", "k * abs(yaw_rate_rad_s) * payload_kg")
+    assert name == "law_turning_payload"
+    entry: Mapping[str, Any] = _effects(text)[-1]
+    assert entry["candidate"] is True
+    assert entry["parameters"]["k"]["unit"] == "W s/rad/kg"
+    assert entry["parameters"]["k"]["low"] == 0
+    assert with_candidate(text, "robot", "k * abs(yaw_rate_rad_s) * payload_kg")[1] == "law_turning_payload_again"
+    braking, _ = with_candidate(text, "robot", "k * abs(speed_m_s) * max(-accel_m_s2, 0)")
+    assert "low" not in _effects(braking)[-1]["parameters"]["k"]
+    with pytest.raises(InputError, match="no coefficient k"):
+        with_candidate(text, "robot", "abs(speed_m_s)")
+
+
+def _effects(text: str) -> list[Any]:
+    import yaml
+
+    found: list[Any] = yaml.safe_load(text)["effects"]
+    return found
+
+
+def test_neither_effect_nor_formula_is_a_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["add-effect", "--robot", "pioneer3dx", str(tmp_path), "--out", str(tmp_path / "out.yaml")]) == 2
+    assert "either --effect or --formula" in capsys.readouterr().err
