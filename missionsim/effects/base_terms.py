@@ -406,8 +406,18 @@ ALIASES: dict[str, str] = {
 
 
 def aliased(cov: Covariates) -> dict[str, Any]:
-    """Covariates under their glossary names and the short ones."""
-    return {**cov, **{short: cov[name] for short, name in ALIASES.items() if name in cov}}
+    """Covariates under their own and their short names.
+
+    ``v`` is how fast, forwards or backwards, and ``a`` the rate of that: a robot that reverses draws power as well, and
+    a formula such as ``c2*v**2 + c3*v`` means its magnitude. ``speed_m_s`` keeps its sign.
+    """
+    short = {name: cov[column] for name, column in ALIASES.items() if column in cov}
+    if "v" in short:
+        backwards = np.asarray(short["v"]) < 0.0
+        short["v"] = np.abs(short["v"])
+        if "a" in short:
+            short["a"] = np.where(backwards, -1.0, 1.0) * short["a"]
+    return {**cov, **short}
 
 
 def _units(cov: Covariates, column: str) -> Any:
