@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from missionsim.identify.data import Array, Candidate
 from missionsim.identify.gram import Gram, project
 from missionsim.identify.model import Model
+from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.search import Constraints, single_gains
 from missionsim.identify.settings import (
     BETWEEN_PART,
@@ -189,6 +190,30 @@ def _beside_the_leading(x: Array, left: Array, blocks: Numbers) -> float:
     share = float(x @ left) / info
     numbers = np.unique(blocks[rest], return_inverse=True)[1]
     return _clustered(x, left - share * x, numbers, share, info, 0.0)[1]
+
+
+def predicts_left_out(model: Model, columns: Sequence[int]) -> tuple[bool, float]:
+    """Whether runs left out of a least-squares fit are predicted better with some columns than without them.
+
+    Returns
+    -------
+    bool
+        Whether their squared power error is smaller.
+    float
+        One-sided p-value, over runs, of "their energy error is not larger".
+    """
+    from scipy.stats import t
+
+    squares = LeastSquares.of(model.design)
+    with_it = squares.leave_out(model.chosen)
+    without = squares.leave_out([c for c in model.chosen if c not in columns])
+    better = with_it.total < without.total
+    count = len(squares.sums)
+    if count < SEVERAL_RUNS:
+        return better, 1.0
+    rise = (np.abs(with_it.energy) - np.abs(without.energy)) / squares.measured()
+    error = float(np.std(rise, ddof=1)) / np.sqrt(count)
+    return better, float(t.sf(float(np.mean(rise)) / max(error, 1e-300), count - 1))
 
 
 def between_runs(model: Model, column: int) -> bool:

@@ -16,6 +16,7 @@ from missionsim.identify.evidence import (
     cause_is_constant,
     evidence_of,
     nats_needed,
+    predicts_left_out,
     rests_on_one_run,
     tails,
 )
@@ -23,7 +24,7 @@ from missionsim.identify.findings import Structure
 from missionsim.identify.model import Model
 from missionsim.identify.residual import stands_without
 from missionsim.identify.search import Constraints
-from missionsim.identify.settings import FAINT_NATS, FAINT_SHARE, Settings
+from missionsim.identify.settings import FAINT_NATS, FAINT_SHARE, WORSE_ENERGY_LEVEL, Settings
 
 STEADY_LOADS = ("standby_load", "component_power", "component_warmup", "conversion_loss")
 """The mean of a load that comes and goes looks like one of these."""
@@ -87,10 +88,25 @@ GATES: tuple[Gate, ...] = (
 )
 
 
-REFUSALS = {gate.name: gate.refusal for gate in GATES} | {
-    "runs": "left-out runs are not predicted better",
-    "energy": "the energy of left-out runs is predicted worse",
-}
+def _power_left_out(q: Question) -> bool:
+    return predicts_left_out(q.model, _columns(q))[0]
+
+
+def _energy_left_out(q: Question) -> bool:
+    return predicts_left_out(q.model, _columns(q))[1] > WORSE_ENERGY_LEVEL
+
+
+def _columns(q: Question) -> list[int]:
+    own = q.constraints.effect[q.evidence.column]
+    return [k for k in q.model.chosen if q.constraints.effect[k] == own]
+
+
+LAST_GATES: tuple[Gate, ...] = (
+    Gate("runs", _power_left_out, "left-out runs are not predicted better"),
+    Gate("energy", _energy_left_out, "the energy of left-out runs is predicted worse"),
+)
+"""Asked of the final model: what does not predict runs that it has not seen is of no use in a robot file."""
+REFUSALS = {gate.name: gate.refusal for gate in (*GATES, *LAST_GATES)}
 """What is said where a gate does not hold; the last two are those of `missionsim.identify.forward`."""
 
 

@@ -148,6 +148,8 @@ RUN_LEVEL = 0.05
 """Level at which an effect counts as repeated across runs in words."""
 POWER_Z = 0.84
 """Normal quantile of a power of 80 %, at which detection limits are told."""
+WORSE_ENERGY_LEVEL = 0.01
+"""Level, one-sided over left-out runs, at which an effect that makes their energy worse goes again."""
 BETWEEN_PART = 0.1
 """A covariate with less than this part of its variance within runs is one observation a run."""
 

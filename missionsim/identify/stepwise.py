@@ -15,7 +15,7 @@ from missionsim.identify.gram import make_gram
 from missionsim.identify.model import Model, fit_model, log_likelihood
 from missionsim.identify.noise import bounded_noise, without_outliers
 from missionsim.identify.profile import refit_shapes_of
-from missionsim.identify.rules import weigh
+from missionsim.identify.rules import LAST_GATES, Question, weigh
 from missionsim.identify.search import Constraints, best_set, single_gains
 from missionsim.identify.settings import CLOSE, CLOSE_NATS, GLANCE, JOINT_NATS, PROMISING, TRIED, Settings
 
@@ -82,6 +82,9 @@ def _next_step(
 def confirmed(choice: Choice, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings) -> Choice:
     """The choice without effects that fail a gate now that all are in: the weakest goes first, the others are asked
     again."""
+    for e in choice.evidence.values():
+        question = Question(choice.model, e, constraints, candidates, settings)
+        e.passed.update({gate.name: gate.holds(question) for gate in LAST_GATES})
     while failed := [k for k, e in choice.evidence.items() if not e.accepted]:
         weakest = min(failed, key=lambda k: choice.evidence[k].gain)
         rest = tuple(k for k in choice.model.chosen if k != weakest)

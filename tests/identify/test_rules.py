@@ -1,0 +1,182 @@
+"""Each rule of the identification in a case in which it decides."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from missionsim.identify import settings as constants
+from missionsim.identify.data import Candidate
+from missionsim.identify.evidence import evidence_of, nats_needed, predicts_left_out, tails
+from missionsim.identify.findings import Estimate, Finding, Structure
+from missionsim.identify.identification import Identification, fit_effects, identify
+from missionsim.identify.rules import DEMOTIONS, GATES, LAST_GATES, Question, Remains, demoted
+from missionsim.identify.search import Constraints
+from missionsim.identify.settings import Settings
+from missionsim.identify.verdict import decide
+
+from .world import coefficient, library, make_runs
+
+
+def strength(column: str, share: float) -> dict[str, float]:
+    return {column: coefficient(make_runs(0), column, share)}
+
+
+def fitted(effect: str, share: float, seed: int = 11) -> Identification:
+    column = {"surface_rolling_resistance": "surface|carpet"}.get(effect, effect)
+    return fit_effects(make_runs(seed, strength(column, share)), library(), [effect], {})
+
+
+def question(found: Identification, **settings: float) -> Question:
+    model = found.choice.model
+    constraints = Constraints.of(model.design.layout, found.library)
+    evidence = evidence_of(model, model.chosen[0], constraints, found.settings)
+    return Question(model, evidence, constraints, found.library, replace(Settings(), **settings))
+
+
+def passed(q: Question) -> dict[str, bool]:
+    return {gate.name: gate.holds(q) for gate in (*GATES, *LAST_GATES)}
+
+
+@pytest.fixture(scope="module")
+def grade() -> Question:
+    return question(fitted("grade", 0.05))
+
+
+def test_a_clear_effect_passes_every_gate(grade: Question) -> None:
+    assert all(passed(grade).values())
+
+
+@pytest.mark.parametrize(
+    ("gate", "change"), [("likelihood", {"gain": 5.0}), ("robust", {"p_robust": 1e-3}), ("practical", {"share": 0.007})]
+)
+def test_each_gate_alone_keeps_an_effect_out(grade: Question, gate: str, change: dict[str, float]) -> None:
+    answers = passed(replace(grade, evidence=replace(grade.evidence, **change)))
+    assert {name for name, held in answers.items() if not held} == {gate}
+
+
+def test_the_level_is_that_of_all_effects_together_in_the_tail_that_physics_allows(grade: Question) -> None:
+    # nine effects share 0.002; the sign of grade is fixed, so that one tail alarms: z = 3.51, 6.2 nats
+    tail = tails(grade.constraints, grade.settings, False)
+    assert grade.tail == pytest.approx(0.002 / 9)
+    assert nats_needed(grade.tail) == pytest.approx(6.17, abs=0.02)
+    names = [grade.candidates[k].effect for k in grade.constraints.effect]
+    assert tail[names.index("rolling_friction")] == pytest.approx(0.002 / 9, rel=1e-9)  # a twin may only add power
+    assert tail[names.index("cold_friction")] == pytest.approx(0.002 / 9 / np.sqrt(3))  # three time constants
+    assert tails(grade.constraints, grade.settings, True)[0] == pytest.approx(0.001 / 9)
+
+
+def test_a_shift_within_four_prior_sd_is_recalibration() -> None:
+    # camera draws 2.8 W with a prior of 3 %: 2.5 sd more, and 8 sd more
+    small, large = (
+        question(fit_effects(make_runs(3, {"component_power:camera": w}), library(), ["component_power:camera"], {}))
+        for w in (0.2, 0.7)
+    )
+    assert not passed(small)["beyond recalibration"]
+    assert passed(large)["beyond recalibration"]
+
+
+def test_what_is_constant_in_runs_and_rests_on_one_of_them_is_kept_out(grade: Question) -> None:
+    assert passed(one_cold_run({2}))["several runs"] is False
+    assert passed(one_cold_run({1, 2, 4}))["several runs"] is True
+
+
+def one_cold_run(cold: set[int]) -> Question:
+    runs = []
+    for j, run in enumerate(make_runs(21, count=6)):
+        temperature = np.full(len(run.time_s), 5.0 if j in cold else 22.0)
+        column = run.columns["rolling_friction"] * np.maximum(25.0 - temperature, 0.0)
+        hidden = 3.0 * run.columns["rolling_friction"] * (j in cold)
+        columns, covariates = run.columns | {"temperature": column}, run.covariates | {"temp_ambient_c": temperature}
+        runs.append(replace(run, columns=columns, measured_w=run.measured_w + hidden, covariates=covariates))
+    own = Candidate("temperature_friction", ("temperature",), covariate="temp_ambient_c")
+    return question(fit_effects(runs, [own, *library()], ["temperature_friction"], {}))
+
+
+def test_an_effect_that_left_out_runs_speak_against_goes() -> None:
+    """Power that is drawn in every other run and saved in the rest: no fit to some of them predicts the others."""
+    runs = make_runs(5, count=8)
+    size = strength("grade", 0.06)["grade"]
+    turned = [
+        replace(run, measured_w=run.measured_w + (size if j % 2 else -size) * run.columns["grade"])
+        for j, run in enumerate(runs)
+    ]
+    found = fit_effects(turned, library(), ["grade"], {})
+    assert not predicts_left_out(found.choice.model, found.choice.model.chosen)[0]
+    assert predicts_left_out(fitted("grade", 0.03).choice.model, fitted("grade", 0.03).choice.model.chosen)[0]
+
+
+def test_gates_are_asked_again_after_the_shape_was_refitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A refit that ends at a shape which hardly acts must not leave its effect in the model."""
+    from missionsim.identify import profile
+
+    runs = make_runs(12, {"cold": 6.0}, count=8)
+
+    def refit(shape: dict[str, float]) -> list[np.ndarray]:
+        return [1e-6 * run.columns["rolling_friction"] + 1e-3 * run.columns["turning_scrub"] for run in runs]
+
+    monkeypatch.setattr(profile, "SHAPE_EVALUATIONS", 1)
+    candidates = [replace(c, refit=refit) if c.effect == "cold_friction" else c for c in library()]
+    found = identify(runs, candidates, {})
+    assert "cold_friction" not in [e.effect for e in found.effects]
+
+
+STRUCTURE = Structure("speed_m_s", 1e-9, 40.0, 0.05, "residual varies with speed_m_s")
+LOOSE = Structure("time_s", 0.0, 0.0, 0.05, "wanders")
+
+
+def finding(rivals: tuple[str, ...] = ()) -> Finding:
+    return Finding(
+        effect="grade",
+        parameters={"k": Estimate(1, 0, 2)},
+        energy_share=0.1,
+        p_value=0.0,
+        indistinguishable_from=rivals,
+    )
+
+
+@pytest.mark.parametrize(
+    ("effects", "structures", "demoted_names", "rest", "verdict"),
+    [
+        ([], [], [], {}, "nothing_missing"),
+        ([finding()], [], [], {}, "effects_found"),
+        ([finding(("payload",))], [], [], {}, "ambiguous"),
+        ([], [STRUCTURE], [], {}, "unexplained_structure"),
+        ([finding()], [STRUCTURE], [], {}, "effects_found"),
+        ([finding()], [STRUCTURE], ["payload"], {}, "unexplained_structure"),
+        ([], [], [], {"averages": [STRUCTURE]}, "unexplained_structure"),
+        ([finding()], [], [], {"averages": [STRUCTURE]}, "effects_found"),
+        ([], [], [], {"execution": [finding()]}, "effects_found"),
+        ([], [], [], {"execution": [finding()], "averages": [STRUCTURE]}, "effects_found"),
+    ],
+)
+def test_the_verdict(effects, structures, demoted_names, rest, verdict) -> None:
+    assert decide(effects, structures, demoted_names, **rest) == verdict
+
+
+def test_each_demotion_alone_keeps_an_effect_unnamed(grade: Question) -> None:
+    column = grade.evidence.column
+    nothing = Remains({}, (), ())
+    assert demoted(grade, nothing) == ""
+    assert demoted(grade, Remains({column: STRUCTURE}, (), ())) == DEMOTIONS[0].name
+    standby = question(fitted("standby_load", 0.2))
+    assert demoted(standby, Remains({}, (), (LOOSE,))) == DEMOTIONS[1].name
+    faint = replace(grade, evidence=replace(grade.evidence, gain=constants.FAINT_NATS - 1.0))
+    assert demoted(replace(grade, evidence=replace(grade.evidence, gain=500.0)), Remains({}, (), (LOOSE,))) == ""
+    assert demoted(faint, Remains({}, (), (LOOSE,))) == DEMOTIONS[2].name
+    # a free curve over the slope takes all that grade explains, and grade is no curve over the payload
+    slope = replace(STRUCTURE, covariate="slope_rad", times="speed_m_s")
+    payload = replace(grade, candidates=[replace(c, covariate="payload_kg") for c in grade.candidates])
+    assert demoted(payload, Remains({}, (slope,), ())) == DEMOTIONS[3].name
+    assert demoted(payload, Remains({}, (replace(slope, covariate="payload_kg"),), ())) == ""
+
+
+def test_runs_that_share_a_gain_do_not_differ() -> None:
+    """All meters 7 % low: the base takes it, no run differs; one that reads 12 % more does."""
+    runs = make_runs(2, count=6)
+    low = [replace(run, measured_w=0.93 * run.measured_w) for run in runs]
+    assert "run" not in identify(low, library(), {}).unexplained.depends_on
+    apart = [replace(run, measured_w=(1.12 if j in (1, 3) else 1.0) * run.measured_w) for j, run in enumerate(runs)]
+    assert "run" in identify(apart, library(), {}).unexplained.depends_on
