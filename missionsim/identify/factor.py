@@ -7,7 +7,7 @@ import numpy as np
 from missionsim.identify.design import Source
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import project
-from missionsim.identify.model import Model, prediction
+from missionsim.identify.model import Model
 from missionsim.identify.settings import AS_MUCH, AT_LEVEL, LEAST_FREE_SD, LEVEL_SHARE
 
 
@@ -69,7 +69,10 @@ def level_difference(model: Model) -> Structure | None:
     if not may_differ(model.source):
         return None
     design = model.design
-    error = prediction(model, model.chosen, design) - design.y
+    # the most probable coefficients, not those that give the measured energy: these would hide the level
+    count = len(design.layout.parameters)
+    value, _ = model.gram.joint(model.chosen, count)
+    error = value @ np.vstack([design.gradient[:count], design.phi[list(model.chosen)]]) - design.residual
     seconds = design.duration_s
     errors = np.array([float(error[r] @ seconds[r]) / float(design.y[r] @ seconds[r]) for r in design.runs])
     if not (np.all(errors > LEVEL_SHARE) or np.all(errors < -LEVEL_SHARE)):
