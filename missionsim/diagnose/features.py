@@ -366,7 +366,7 @@ def _column(
     else:
         given = {s.name: s.default for s in effect.shape if not s.optional}
         values = {effect.coefficient.name: size, **given, **shape}
-    power = np.broadcast_to(np.asarray(effect.power(cov, values), dtype=float), (rows,))
+    power = np.broadcast_to(np.asarray(effect.alone(cov, values), dtype=float), (rows,))
     return np.ascontiguousarray(np.nan_to_num(power, nan=0.0, posinf=0.0, neginf=0.0))
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
-from missionsim.effects.covariates import Covariates
+from missionsim.effects.covariates import Covariates, number
+from missionsim.errors import InputError
 from missionsim.expressions import Place
+from missionsim.physics.motion import recovered_power
 
+ENTRY_POINT_GROUP = "missionsim.effects"
 Parameters = Mapping[str, Any]
 
 
@@ -104,6 +108,17 @@ class Effect:
     place: Place = field(default=Place(), repr=False, compare=False)
     """Where the user's file has its formula or names it, for messages."""
 
+    def alone(self, cov: Covariates, p: Parameters) -> Any:
+        """Its power beside a drive whose power stands in ``drive_w`` [W]: what it gives back is limited by that need.
+
+        In a model `PowerModel.evaluate` limits all such terms together.
+        """
+        power = self.power(cov, p)
+        if not self.recovers or (self.back and self.back in p):
+            return power
+        part = 1.0 if self.relief is None else self.relief(p)
+        return recovered_power(power, part * number(cov, "drive_w"), number(cov, "regeneration"))
+
     @property
     def coefficient(self) -> ParameterSpec:
         """The parameter in which the power is linear."""
@@ -128,6 +143,39 @@ class Effect:
         return replace(self, **changes)
 
 
-def reads(effect: Effect, cov: Covariates) -> tuple[str, ...]:
-    """The covariates that `effect` needs and `cov` lacks."""
-    return tuple(name for name in effect.needs if name not in cov)
+Declared = TypeVar("Declared")
+
+
+def plugins(kind: type[Declared]) -> dict[str, Declared]:
+    """What other packages offer of a kind under the entry point ``missionsim.effects``, by id.
+
+    An entry point names an `Effect`, a motion model or a law of a component, or a callable without arguments that
+    returns one.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where an entry point does not load or gives something else.
+    """
+    return {one.id: one for one in _loaded() if isinstance(one, kind)}  # type: ignore[attr-defined]
+
+
+@functools.cache
+def _loaded() -> tuple[Any, ...]:
+    from importlib.metadata import entry_points
+
+    found = []
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        try:
+            loaded = point.load()
+            one = loaded() if callable(loaded) and not hasattr(loaded, "equation") else loaded
+        except Exception as error:
+            raise InputError.single(f"effect plug-in '{point.name}' does not load", got=repr(error)) from error
+        if not (isinstance(getattr(one, "id", None), str) and hasattr(one, "equation")):
+            raise InputError.single(
+                f"effect plug-in '{point.name}' gives no Effect",
+                got=type(one).__name__,
+                allowed="an Effect, a MotionModel or a LawModel of missionsim.effects, or a callable that returns one",
+            )
+        found.append(one)
+    return tuple(found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -20,34 +20,27 @@ _EQ5 = "Jaiem 2021, Eqs. 5 and 8"
 def drive_term(
     id: str,
     equation: str,
-    unit: str,
+    parameters: tuple[ParameterSpec, ...],
     power: Callable[[Covariates, Parameters], Any],
     *,
     source: str = _EQ5,
     needs: tuple[str, ...] = ("speed_m_s",),
     recovers: bool = False,
-    low: float = 0.0,
+    covariate: str = "",
 ) -> Effect:
-    """A one-parameter base term of the drive that acts while the robot moves; `power` takes ``p["k"]``."""
-
-    def moving_power(cov: Covariates, p: Parameters) -> Any:
-        watts = _while_moving(power(cov, p), is_moving(cov))
-        if not recovers:
-            return watts
-        return motion.recovered_power(watts, number(cov, "drive_w"), number(cov, "regeneration"))
-
+    """A base term of the drive, which acts while the robot moves; the model limits what one that `recovers` gives."""
     return Effect(
         id,
         equation,
         source,
-        f"base term {equation}",
-        (ParameterSpec("k", unit, equation, low=low),),
+        equation,
+        parameters,
         needs,
-        moving_power,
+        lambda cov, p: _while_moving(power(cov, p), is_moving(cov)),
         drive=True,
         recovers=recovers,
-        sign=1 if low == 0.0 else 0,
-        covariate=needs[0],
+        sign=1 if parameters[0].low == 0.0 else 0,
+        covariate=covariate or needs[-1],
     )
 
 
@@ -58,24 +51,45 @@ def _while_moving(watts: Any, moving: Any) -> Any:
     return watts * moving
 
 
-def controller_term(two_levels: bool) -> Effect:
-    """Controller boards: ``moving`` watts while the robot moves, ``standing`` at rest (Jaiem 2021, Eq. 8)."""
+def lifting_power(cov: Covariates, p: Parameters) -> Any:
+    """Power of lifting the robot, driven in any direction, ``grade`` times [W]; negative downhill."""
+    speed = cov["speed_m_s"]
+    if "lateral_speed_m_s" in cov:
+        speed = np.hypot(speed, cov["lateral_speed_m_s"])
+    return motion.grade_power(speed, number(cov, "slope_rad"), cov["mass_kg"], p["grade"])
+
+
+LIFTING = drive_term(
+    "lifting",
+    "m·g·sin θ·v",
+    (ParameterSpec("grade", "1", "share of the weight that counts", default=1.0),),
+    lifting_power,
+    source="Newton's second law on a slope",
+    recovers=True,
+    covariate="slope_rad",
+)
+"""Grade of the motion models that know the robot's mass."""
+
+
+def boards_term(
+    id: str, moving: ParameterSpec, standing: ParameterSpec, meaning: str, source: str = "robot file"
+) -> Effect:
+    """Controller boards: one power while the robot moves, another at rest; the same where no other is given."""
 
     def power(cov: Covariates, p: Parameters) -> Any:
-        moving = is_moving(cov)
-        if not two_levels:
-            return p["moving"] * np.ones_like(moving, dtype=float)
-        if np.ndim(p["moving"]) > np.ndim(moving) and np.all(moving):
-            return p["moving"]  # one column of draws serves all intervals
-        return np.where(moving, p["moving"], p["standing"])
+        moves = is_moving(cov)
+        if standing.name not in p:
+            return p[moving.name] * np.ones_like(moves, dtype=float)
+        if np.ndim(p[moving.name]) > np.ndim(moves) and np.all(moves):
+            return p[moving.name]  # one column of draws serves all intervals
+        return np.where(moves, p[moving.name], p[standing.name])
 
-    specs = (ParameterSpec("moving", "W", "boards while moving"), ParameterSpec("standing", "W", "boards at rest"))
     return Effect(
-        "controller",
-        "C4 while moving, standing power at rest",
-        _EQ5,
-        "controller boards",
-        specs if two_levels else specs[:1],
+        id,
+        f"{moving.name} while moving, {standing.name} at rest",
+        source,
+        meaning,
+        (moving, standing),
         (),
         power,
         component="controller",
@@ -83,133 +97,61 @@ def controller_term(two_levels: bool) -> Effect:
     )
 
 
-ROLLING = drive_term("rolling", "C3·v", "W s/m", lambda c, p: motion.rolling_power(c["speed_m_s"], p["k"]))
-VISCOUS = drive_term("viscous", "C2·v²", "W s²/m²", lambda c, p: motion.viscous_power(c["speed_m_s"], p["k"]))
-ACCELERATION_LOSS = drive_term(
-    "acceleration_loss",
-    "C1·a²",
-    "W s⁴/m²",
-    lambda c, p: motion.acceleration_loss(c["accel_m_s2"], p["k"]),
-    needs=("speed_m_s", "accel_m_s2"),
-)
-ACCELERATION_LINEAR = drive_term(
-    "acceleration_linear",
-    "C5·a",
-    "W s²/m",
-    lambda c, p: motion.acceleration_linear(c["accel_m_s2"], p["k"]),
-    needs=("speed_m_s", "accel_m_s2"),
-    recovers=True,
-    low=-float("inf"),
-)
-KINETIC = drive_term(
-    "kinetic",
-    "C6·a·v",
-    "kg",
-    lambda c, p: motion.kinetic_power(c["speed_m_s"], c["accel_m_s2"], p["k"]),
-    needs=("speed_m_s", "accel_m_s2"),
-    recovers=True,
-)
-
-
-def component_term(component: str) -> Effect:
-    """Constant power per unit on (Jaiem 2021, Eq. 3); a log without the column counts as off."""
-    column = f"on_{component}"
+def load_term(
+    id: str,
+    component: str,
+    equation: str,
+    source: str,
+    meaning: str,
+    parameters: tuple[ParameterSpec, ...],
+    unit_power: Callable[[Covariates, Parameters], Any],
+    column: str = "",
+    needs: tuple[str, ...] = (),
+) -> Effect:
+    """Power of one unit of a component times the units in `column`, always one without it; off where a log lacks it."""
 
     def power(cov: Covariates, p: Parameters) -> Any:
-        return electrical.component_power(_units(cov, column), p["power"])
+        units = number(cov, column, 0.0) if column else _ones(cov)
+        return electrical.component_power(units, unit_power(cov, p))
 
     return Effect(
-        "component",
-        "P·units on",
-        "Jaiem 2021, Eq. 3",
-        f"{component}, per unit switched on",
-        (ParameterSpec("power", "W", "power of one unit"),),
-        (),
+        id,
+        equation,
+        source,
+        f"{component}, {meaning}",
+        parameters,
+        needs,
         power,
         component=component,
-        covariate=column,
+        covariate=needs[0] if needs else column or "time_s",
     )
 
 
-def always_on_term(component: str) -> Effect:
-    """Constant power of a component that is never switched."""
-    return Effect(
-        "always_on",
-        "P",
-        "Jaiem 2021, Eq. 4",
-        f"{component}, always on",
-        (ParameterSpec("power", "W", "power"),),
-        (),
-        lambda c, p: p["power"] * _ones(c),
-        component=component,
-        covariate="time_s",
+def component_term(component: str, *, starting: bool = False, always_on: bool = False) -> Effect:
+    """Constant power per unit that is on, or that is starting up (Jaiem 2021, Eqs. 3 and 4)."""
+    id, state = (
+        ("startup", "starting") if starting else ("always_on", "always on") if always_on else ("component", "on")
+    )
+    column = "" if always_on else f"{state}_{component}"
+    source = "data sheet of the component" if starting else "Jaiem 2021, Eqs. 3 and 4"
+    spec = ParameterSpec("power", "W", "power of one unit")
+    return load_term(
+        id, component, f"P·units {state}", source, f"per unit {state}", (spec,), lambda _, p: p["power"], column
     )
 
 
-def startup_term(component: str) -> Effect:
-    """Power of units that are starting up, before they are on."""
-    column = f"starting_{component}"
-    return Effect(
-        "startup",
-        "P·units starting",
-        "data sheet of the component",
-        f"{component} while it starts",
-        (ParameterSpec("power", "W", "power of one starting unit"),),
-        (),
-        lambda c, p: electrical.component_power(_units(c, column), p["power"]),
-        component=component,
-        covariate=column,
-    )
-
-
-def law_term(
-    component: str, formula: Expression, specs: tuple[ParameterSpec, ...], fixed: Mapping[str, float], always_on: bool
-) -> Effect:
+def law_term(component: str, formula: Expression, specs: tuple[ParameterSpec, ...], always_on: bool) -> Effect:
     """Power per unit on by a formula of covariates and parameters (sonar: Jaiem 2021, Eq. 12)."""
-    column = f"on_{component}"
-    own = {spec.name for spec in specs} | fixed.keys()
-    needs = tuple(sorted(name for name in (ALIASES.get(n, n) for n in formula.names - own) if name != "mass_kg"))
-
-    def power(cov: Covariates, p: Parameters) -> Any:
-        units = _ones(cov) if always_on else _units(cov, column)
-        return units * formula.evaluate({**aliased(cov), **fixed, **p})
-
-    return Effect(
+    return load_term(
         "law",
+        component,
         formula.source,
         "robot file",
-        f"{component}, {formula.source}",
+        formula.source,
         specs,
-        needs,
-        power,
-        component=component,
-        covariate=needs[0] if needs else column,
-    )
-
-
-def law_model_term(
-    component: str,
-    specs: tuple[ParameterSpec, ...],
-    needs: tuple[str, ...],
-    unit_power: Callable[[Covariates, Parameters], Any],
-    always_on: bool,
-) -> Effect:
-    """Power per unit on by a registered law (`missionsim.effects.law_models`)."""
-    column = f"on_{component}"
-
-    def power(cov: Covariates, p: Parameters) -> Any:
-        return unit_power(cov, p) * (_ones(cov) if always_on else _units(cov, column))
-
-    return Effect(
-        "law",
-        "law of the component",
-        "robot file",
-        f"{component}, by its law",
-        specs,
-        needs,
-        power,
-        component=component,
-        covariate=needs[0] if needs else column,
+        lambda cov, p: formula.evaluate({**aliased(cov), **p}),
+        "" if always_on else f"on_{component}",
+        _needs(formula, {spec.name for spec in specs}),
     )
 
 
@@ -318,7 +260,7 @@ def motion_expression_terms(
     used = tuple(name for name in parameters if name in formula.names)
     rest = tuple(name for name in parameters if name in formula.names | (standing.names if standing else frozenset()))
     own = frozenset(parameters)
-    needs = tuple(sorted({ALIASES.get(n, n) for n in formula.names - own} - {"mass_kg"}))
+    needs = _needs(formula, own)
 
     def at_rest(cov: Covariates, p: Parameters) -> Any:
         still = {**cov, **{name: 0.0 * np.asarray(cov[name]) for name in _MOTION if name in cov}}
@@ -373,7 +315,7 @@ def expression_term(
 ) -> Effect:
     """A user's own formula over covariates and parameters as an effect."""
     own = {spec.name for spec in specs}
-    needs = tuple(sorted({ALIASES.get(n, n) for n in formula.names - own} - {"mass_kg"}))
+    needs = _needs(formula, own)
 
     def power(cov: Covariates, p: Parameters) -> Any:
         return formula.evaluate({**aliased(cov), **p}) * _ones(cov)
@@ -403,6 +345,11 @@ ALIASES: dict[str, str] = {
     "m": "mass_kg",
 }
 """Short names that formulas may use."""
+
+
+def _needs(formula: Expression, own: Collection[str]) -> tuple[str, ...]:
+    """Covariates that a formula reads beside its own parameters; the mass is always there."""
+    return tuple(sorted({ALIASES.get(name, name) for name in formula.names - set(own)} - {"mass_kg"}))
 
 
 def aliased(cov: Covariates) -> dict[str, Any]:

@@ -5,19 +5,17 @@ Coefficients are called ``k`` (``E`` for the start surge); each effect is linear
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from missionsim.effects.base import Effect, ParameterSpec
+from missionsim.effects.base import Effect, ParameterSpec, plugins
 from missionsim.effects.covariates import Covariates, label_equals, number
 from missionsim.errors import InputError, did_you_mean
 from missionsim.glossary import column_of
 from missionsim.physics import electrical, motion
 
-ENTRY_POINT_GROUP = "missionsim.effects"
 TAU_GRID_S = (20.0, 60.0, 180.0, 540.0)
 REFERENCE_GRID_C = (25.0,)
 LOGGED = "logged"
@@ -79,8 +77,7 @@ def _grade(cov: Covariates, p: Mapping[str, Any]) -> Any:
     lifting = motion.grade_power(cov["speed_m_s"], cov["slope_rad"], number(cov, "mass_kg", 1.0), p["k"])
     if "regeneration" in p:
         return motion.two_sided(lifting, p["regeneration"])
-    drive = motion.relieved_part(p["k"]) * number(cov, "drive_w")
-    return motion.recovered_power(lifting, drive, number(cov, "regeneration"))
+    return lifting
 
 
 def _acceleration(cov: Covariates, p: Mapping[str, Any]) -> Any:
@@ -455,7 +452,7 @@ def effect_ids() -> tuple[str, ...]:
         "component_power:<component>",
         "component_warmup:<component>",
         "logged_power:<column>",
-        *sorted(plugins()),
+        *sorted(plugins(Effect)),
     )
 
 
@@ -487,7 +484,7 @@ def get_effect(id: str, surfaces: tuple[str, ...] = (), battery: str = "<battery
         return SURFACE_FAMILIES[id](surfaces)
     if id == "battery_resistance":
         return battery_resistance_effect(battery)
-    others = plugins()
+    others = plugins(Effect)
     if id in others:
         return others[id]
     ids = effect_ids()
@@ -516,7 +513,7 @@ def all_effects(
         *(logged_power_effect(name) for name in columns),
         *(component_power_effect(name) for name in components),
         *(component_warmup_effect(name) for name in components),
-        *(effect for effect in plugins().values() if not effect.execution),
+        *(effect for effect in plugins(Effect).values() if not effect.execution),
     )
 
 
@@ -542,33 +539,3 @@ def logged_power_columns(names: Iterable[str], batteries: Sequence[str]) -> tupl
         if name.endswith(("_w", "_kw")) and not known and _WHOLE.isdisjoint(name.split("_")):
             found.append(name)
     return tuple(found)
-
-
-@functools.cache
-def plugins() -> dict[str, Effect]:
-    """Effects that other packages offer under the entry point ``missionsim.effects``.
-
-    An entry point names an `Effect` or a callable without arguments that returns one.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where an entry point does not load or gives something else.
-    """
-    from importlib.metadata import entry_points
-
-    found: dict[str, Effect] = {}
-    for point in entry_points(group=ENTRY_POINT_GROUP):
-        try:
-            loaded = point.load()
-            effect = loaded() if callable(loaded) and not isinstance(loaded, Effect) else loaded
-        except Exception as error:
-            raise InputError.single(f"effect plug-in '{point.name}' does not load", got=repr(error)) from error
-        if not isinstance(effect, Effect):
-            raise InputError.single(
-                f"effect plug-in '{point.name}' gives no Effect",
-                got=type(effect).__name__,
-                allowed="a missionsim.effects.base.Effect or a callable that returns one",
-            )
-        found[effect.id] = effect
-    return found

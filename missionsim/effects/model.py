@@ -234,13 +234,9 @@ class PowerModel:
             if relieving and effect.stage > 1:
                 powers.update(_relieved(relieving, drive, cov, parts))
                 relieving = {}
-            local = cov
-            if term.limited:
-                local = {**cov, "drive_w": np.inf}  # whole; what the drive cannot take is braked away for all at once
-            elif effect.of_load:
-                local = {**cov, "load_w": sum(powers.values(), start=0.0)}
             own = self._values(term, values)
-            power = effect.power(local, own)
+            load = {**cov, "load_w": sum(powers.values(), start=0.0)} if effect.of_load else cov
+            power = effect.power(load, own)
             scale = term.scale
             if values and term.link[0] in values:
                 scale = scale * term.link[1] / values[term.link[0]]

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from missionsim.effects.base import Effect, ParameterSpec
+from missionsim.effects.base_terms import LIFTING
 from missionsim.effects.covariates import Covariates, is_moving, number
-from missionsim.effects.motion_build import builder, parameters_of
-from missionsim.effects.motion_models import MotionModel, register
-from missionsim.physics import mecanum, motion, traction
+from missionsim.effects.motion_models import MotionModel
+from missionsim.physics import mecanum, traction
 
 _SOURCE = "after Hou et al. 2019, section 2"
 _WHEEL = ParameterSpec("wheel_friction", "N", "friction of all four wheels, empty robot")
@@ -61,20 +61,13 @@ def _copper(cov: Covariates, p: Mapping[str, Any]) -> Any:
 
 
 def _kinetic(cov: Covariates, p: Mapping[str, Any]) -> Any:
-    watts = p["inertia"] * mecanum.kinetic_power(
+    return p["inertia"] * mecanum.kinetic_power(
         cov["speed_m_s"],
         number(cov, "accel_m_s2"),
         number(cov, "lateral_speed_m_s"),
         number(cov, "lateral_accel_m_s2"),
         mass_kg=cov["mass_kg"],
     )
-    return motion.recovered_power(watts, number(cov, "drive_w"), number(cov, "regeneration"))
-
-
-def _lifting(cov: Covariates, p: Mapping[str, Any]) -> Any:
-    speed = np.hypot(cov["speed_m_s"], number(cov, "lateral_speed_m_s"))
-    watts = p["grade"] * traction.grade_force(number(cov, "slope_rad"), cov["mass_kg"]) * speed
-    return motion.recovered_power(watts, number(cov, "drive_w"), number(cov, "regeneration"))
 
 
 def _pulse(cov: Covariates, p: Mapping[str, Any]) -> Any:
@@ -132,18 +125,7 @@ EFFECTS: tuple[Effect, ...] = (
         recovers=True,
         covariate="accel_m_s2",
     ),
-    Effect(
-        "lifting",
-        "m·g·sin θ·v",
-        "Newton's second law on a slope",
-        "lifting the robot",
-        (ParameterSpec("grade", "1", "share of the weight that counts", default=1.0),),
-        ("speed_m_s",),
-        _lifting,
-        drive=True,
-        recovers=True,
-        covariate="slope_rad",
-    ),
+    LIFTING,
     Effect(
         "control_pulse",
         "P while speeding up or braking",
@@ -169,13 +151,7 @@ EFFECTS: tuple[Effect, ...] = (
 )
 """Terms in order of evaluation; parameters of the same name are one number of the robot file."""
 
-MECANUM = register(
-    MotionModel(
-        "mecanum",
-        "friction of wheels and rollers, copper loss, kinetic power, control pulses",
-        _SOURCE,
-        parameters_of(EFFECTS),
-        builder(EFFECTS),
-    )
+MODEL = MotionModel(
+    "mecanum", "friction of wheels and rollers, copper loss, kinetic power, control pulses", _SOURCE, EFFECTS
 )
 """For robots with four Mecanum wheels."""

@@ -75,10 +75,11 @@ def _law(check: Checker, where: Where, law: LawSpec) -> None:
         own = [*law.parameters, *(["rate"] if law.rate is not None else [])]
         check.formula((*where, "power"), law.power, own)
         return
-    from missionsim.effects.law_models import LAW_MODELS
+    from missionsim.effects.law_models import law_models
 
-    if law.model is not None and check.known((*where, "model"), law.model, LAW_MODELS, "law"):
-        _parameters(check, where, law.parameters, LAW_MODELS[law.model].parameters, f"law '{law.model}'")
+    laws = law_models()
+    if law.model is not None and check.known((*where, "model"), law.model, laws, "law"):
+        _parameters(check, where, law.parameters, laws[law.model].parameters, f"law '{law.model}'")
 
 
 def _circles(check: Checker, robot: RobotSpec) -> None:

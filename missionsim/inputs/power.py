@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from missionsim.effects import base_terms
 from missionsim.effects.base import Effect, ParameterSpec
-from missionsim.effects.law_models import LAW_MODELS
+from missionsim.effects.law_models import law_models
 from missionsim.effects.library import get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.effects.motion_models import get_motion_model
@@ -170,7 +170,7 @@ def _components(robot: RobotSpec) -> Iterator[Term]:
             link = _link(robot, load)
             yield Term(
                 TermKey(load.battery, name, f"{name} start-up"),
-                base_terms.startup_term(name),
+                base_terms.component_term(name, starting=True),
                 {"power": model_parameter(startup.power)},
                 {"power": f"{name}.startup_power"},
                 scale=1.0 / link[1],
@@ -190,23 +190,26 @@ def _load(
     name: str, component: ComponentSpec, load: LoadSpec, place: Place
 ) -> tuple[Effect, dict[str, ModelParameter]]:
     if load.power is not None:
-        effect = base_terms.always_on_term(name) if component.always_on else base_terms.component_term(name)
+        effect = base_terms.component_term(name, always_on=component.always_on)
         # an always-on component counts all its units
         power = load.power.scaled(component.units, load.power.unit) if component.always_on else load.power
         return effect, {"power": replace(model_parameter(power), times=component.units if component.always_on else 1.0)}
     law = load.law
     assert law is not None  # the file was checked: a load has either
     if law.model is not None:
-        model = LAW_MODELS[law.model]
+        model = law_models()[law.model]
         given = _complete(f"component '{name}'", _converted(law.parameters, model.parameters), model.parameters)
-        effect = base_terms.law_model_term(name, model.parameters, model.needs, model.power, component.always_on)
+        column = "" if component.always_on else f"on_{name}"
+        effect = base_terms.load_term(
+            "law", name, model.equation, "robot file", "by its law", model.parameters, model.power, column, model.needs
+        )
         return effect.renamed(place=place), given
     formula = _compiled(law.power, place)
     given = {key: model_parameter(p) for key, p in law.parameters.items()}
     if law.rate is not None:
         given["rate"] = model_parameter(law.rate)
     specs = tuple(ParameterSpec(key, p.unit, low=p.low, high=p.high) for key, p in given.items())
-    return base_terms.law_term(name, formula, specs, {}, component.always_on).renamed(place=place), given
+    return base_terms.law_term(name, formula, specs, component.always_on).renamed(place=place), given
 
 
 def _switchboards(robot: RobotSpec) -> Iterator[Term]:

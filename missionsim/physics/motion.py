@@ -86,12 +86,17 @@ def acceleration_linear(accel_m_s2: Value, k: Value) -> Value:
     return k * accel_m_s2
 
 
+def grade_force(slope_rad: Value, mass_kg: Value) -> Value:
+    """Component of the weight along the slope, ``m g sin θ`` in N, uphill positive."""
+    return mass_kg * GRAVITY_M_S2 * np.sin(slope_rad)
+
+
 def grade_power(speed_m_s: Value, slope_rad: Value, mass_kg: Value, k: Value) -> Value:
     """Lifting power ``k m g |v| sin θ``, negative downhill (library effect `grade`; k without unit).
 
     The slope is the one in the direction of travel, so the speed counts by its magnitude.
     """
-    return k * mass_kg * GRAVITY_M_S2 * np.abs(speed_m_s) * np.sin(slope_rad)
+    return k * grade_force(slope_rad, mass_kg) * np.abs(speed_m_s)
 
 
 def payload_power(speed_m_s: Value, payload_kg: Value, k: Value) -> Value:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from missionsim.glossary import GRAVITY_M_S2
 from missionsim.physics.arrays import Array, f64
+from missionsim.physics.motion import grade_force as grade_force
 
 
 def acceleration_force(accel_m_s2: ArrayLike, mass_kg: ArrayLike) -> Array:
@@ -52,11 +53,6 @@ def drag_force(
     return 0.5 * f64(air_density_kg_m3) * f64(drag_coefficient) * f64(frontal_area_m2) * speed**2
 
 
-def grade_force(slope_rad: ArrayLike, mass_kg: ArrayLike) -> Array:
-    """Component of the weight along the slope, N: m g sin θ, uphill positive."""
-    return f64(mass_kg) * GRAVITY_M_S2 * np.sin(f64(slope_rad))
-
-
 def propulsive_force(
     speed_m_s: ArrayLike,
     accel_m_s2: ArrayLike = 0.0,
@@ -85,7 +81,7 @@ def propulsive_force(
             frontal_area_m2=frontal_area_m2,
             air_density_kg_m3=air_density_kg_m3,
         )
-        + grade_force(slope_rad, mass_kg)
+        + f64(grade_force(slope_rad, mass_kg))
     )
 
 
@@ -103,16 +99,6 @@ def electrical_power(mechanical_w: ArrayLike, *, efficiency: ArrayLike = 1.0, re
     """
     mechanical = f64(mechanical_w)
     return np.where(mechanical >= 0.0, mechanical / f64(efficiency), mechanical * f64(regeneration))
-
-
-def skid_power(yaw_rate_rad_s: ArrayLike, mass_kg: ArrayLike, *, scrub_moment_m: ArrayLike) -> Array:
-    """Power that a skid-steered robot loses sideways when it turns, W: scrub_moment · m g |ω|.
-
-    The tyres slide sideways across the floor; with friction μ and wheelbase b the moment per weight is about μ b / 4,
-    in m. Coulomb friction: linear in the turn rate.
-    """
-    weight = f64(mass_kg) * GRAVITY_M_S2
-    return f64(scrub_moment_m) * weight * np.abs(f64(yaw_rate_rad_s))
 
 
 def speed_of_least_energy(constant_w: float, speeds_m_s: ArrayLike, power_w: ArrayLike) -> float:

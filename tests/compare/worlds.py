@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from missionsim.effects import base_terms
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
+from missionsim.effects.motion_models import get_motion_model
 from missionsim.labels import Labels
 from missionsim.logs.table import LogTable, row_durations
 
@@ -19,13 +20,10 @@ def friction_model(c2: float = 6.25, c3: float = 9.79, moving: float = 3.66, sta
     def one(component: str, name: str, effect: Any, values: dict[str, float]) -> Term:
         return Term(TermKey("robot", component, name), effect, {k: ModelParameter(v) for k, v in values.items()})
 
+    numbers = {"c2": c2, "c3": c3, "c4": moving, "standing": standing}
+    terms = get_motion_model("polynomial").build("robot", {name: ModelParameter(v) for name, v in numbers.items()})
     return PowerModel(
-        (
-            one("motors", "viscous", base_terms.VISCOUS, {"k": c2}),
-            one("motors", "rolling", base_terms.ROLLING, {"k": c3}),
-            one("controller", "controller", base_terms.controller_term(True), {"moving": moving, "standing": standing}),
-            one("kinect", "kinect", base_terms.component_term("kinect"), {"power": 2.82}),
-        ),
+        (*terms, one("kinect", "kinect", base_terms.component_term("kinect"), {"power": 2.82})),
         ("robot",),
         {"body_mass_kg": 25.0, "regeneration": 0.0},
     )

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from missionsim.effects.integrate import integrate
 from missionsim.effects.library import get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
-from missionsim.effects.motion_models import POLYNOMIAL
+from missionsim.effects.motion_models import get_motion_model
 from missionsim.effects.timeline import Timeline
 
 
@@ -23,7 +23,7 @@ def value(number: float) -> ModelParameter:
 def model(*extra: tuple[str, dict[str, float]], **parameters: float) -> PowerModel:
     base = {"c2": 6.25, "c3": 9.79, "c4": 3.66, "standing": 2.67} | parameters
     result = PowerModel(
-        tuple(POLYNOMIAL.build("robot", {name: value(v) for name, v in base.items()})),
+        tuple(get_motion_model("polynomial").build("robot", {name: value(v) for name, v in base.items()})),
         ("robot",),
         {"body_mass_kg": 25.0, "regeneration": 0.0},
     )

@@ -18,7 +18,7 @@ SLOPES = np.array([0.1, 0.02, -0.02, -0.1])
 def test_grade_takes_its_part_of_the_drive(k: float, floor_w: float) -> None:
     cov = {"speed_m_s": np.full(4, 0.5), "slope_rad": SLOPES, "mass_kg": MASS_KG, "drive_w": np.full(4, DRIVE_W)}
     lifting = k * MASS_KG * 9.81 * 0.5 * np.sin(SLOPES)
-    power = get_effect("grade").power(cov, {"k": k})
+    power = get_effect("grade").alone(cov, {"k": k})
     assert power[:3] == pytest.approx(lifting[:3], rel=1e-3)
     assert lifting[3] < floor_w
     assert power[3] == pytest.approx(floor_w)
