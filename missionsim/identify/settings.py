@@ -172,10 +172,6 @@ NOISY_SLOPE = 1.5
 """A slope from an inertial sensor has noise and a bias of its own, which weakens a slope effect more than others."""
 EXTRA_EFFECT_NATS = 4.0
 """Price of an explanation that needs one effect more (its choice among some fifty columns)."""
-SEPARABLE_NATS = 5.0
-"""Expected lead from which two effects are called separable (odds of 150)."""
-WEAK_NATS = 2.0
-"""Expected lead below which these data cannot tell."""
 
 # Intervals
 
