@@ -1,0 +1,69 @@
+"""Logs of a real car and of real robots: adding what was found must predict runs that were not used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from missionsim.diagnose.improve import Improved, improve
+from missionsim.diagnose.split import Split, choose_split
+from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.identify.settings import Settings
+from missionsim.logs import read_logs
+
+BASE = "c2*v**2 + c3*v + c4"
+
+
+def improved(split: Split, mass: str, drive: str, settings: Settings | None = None) -> Improved:
+    made = calibrate_new(NewRobot("own", BASE, mass=mass, drive=drive), split.train)
+    return improve(made.text, split, "robot", settings or Settings(), lambda finding, diagnosis: True)
+
+
+def split_of(folder: Path) -> Split:
+    return choose_split(read_logs([folder / "train"]), [folder / "heldout"])
+
+
+def least_squares(split: Split, columns: list[str], build) -> float:
+    """Held-out power RMSE [W] of ordinary least squares on given regressors: the peer, written here."""
+
+    def rows(logs):
+        x = np.vstack([build(log, columns) for log in logs])
+        y = np.concatenate([log.power_w["robot"] for log in logs])
+        w = np.concatenate([log.dt_s for log in logs])
+        good = np.isfinite(y) & np.all(np.isfinite(x), axis=1)
+        return x[good], y[good], w[good]
+
+    x, y, w = rows(split.train)
+    b = np.linalg.lstsq(x * np.sqrt(w)[:, None], y * np.sqrt(w), rcond=None)[0]
+    x, y, w = rows(split.heldout)
+    return float(np.sqrt(np.average((x @ b - y) ** 2, weights=w)))
+
+
+@pytest.mark.study
+def test_the_car_needs_its_inertia_both_ways_and_the_slope(shared: Path) -> None:
+    split = split_of(shared / "data" / "i3_trips")
+    found = improved(split, "1270 kg", "ackermann")
+    assert found.added[:2] == ("acceleration", "grade")
+
+    def build(log, columns):
+        v, a, slope = (np.asarray(log.columns[c], dtype=float) for c in ("speed_m_s", "accel_m_s2", "slope_rad"))
+        pull = a * v
+        return np.column_stack(
+            [v**2, v, v > 0.005, v <= 0.005, np.maximum(pull, 0), np.minimum(pull, 0), v * np.sin(slope)]
+        )
+
+    assert found.compared is not None
+    assert found.compared.power_rmse_w < 1.05 * least_squares(split, [], build)
+    assert found.compared.power_rmse_w < 4124  # boosted trees on all columns, data/i3_trips/README.md
+    assert found.compared.energy_error_pct < found.steps[0].energy_error_pct
+
+
+def test_the_huskys_floors_are_named(shared: Path) -> None:
+    split = split_of(shared / "data" / "husky_floors")
+    found = improved(split, "50 kg", "skid_steer")
+    assert "surface_rolling_resistance" in found.added
+    before, after = found.steps[0], found.steps[-2]
+    assert after.power_rmse_w < 0.9 * before.power_rmse_w
+    assert after.energy_error_pct < before.energy_error_pct

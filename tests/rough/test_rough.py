@@ -1,0 +1,48 @@
+"""A base formula far from right, on data of a little world of its own: what is named, and what the error does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from missionsim.diagnose.improve import improve
+from missionsim.diagnose.split import choose_split
+from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.identify.settings import Settings
+from missionsim.logs import read_logs
+from tests.rough.world import WORLDS, write
+
+STUDY_SEEDS = range(1, 9)
+
+
+def driven(kind: str, seed: int, folder: Path):
+    train, heldout = write(kind, seed, folder)
+    world = WORLDS[kind]
+    split = choose_split(read_logs([train]), [heldout])
+    robot = NewRobot("own", "c2*v**2 + c3*v + c4", mass=f"{world.mass_kg} kg", drive=world.drive)
+    made = calibrate_new(robot, split.train)
+    return improve(made.text, split, "robot", Settings(), lambda finding, diagnosis: True)
+
+
+@pytest.mark.parametrize("kind", ["scrub"])
+def test_the_right_effect_comes_first_and_the_error_falls(kind: str, tmp_path: Path) -> None:
+    found = driven(kind, 0, tmp_path)
+    named = [name for name in found.added if not name.startswith("law_")]
+    if not WORLDS[kind].truth:
+        assert not named
+        return
+    assert named[0] in WORLDS[kind].truth
+    before, last = found.steps[1], found.steps[-2]
+    assert last.power_rmse_w < 0.7 * before.power_rmse_w
+    assert last.energy_error_pct < before.energy_error_pct + 1.0
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("kind", WORLDS)
+@pytest.mark.parametrize("seed", STUDY_SEEDS)
+def test_rough_worlds(kind: str, seed: int, tmp_path: Path) -> None:
+    found = driven(kind, seed, tmp_path)
+    truth = WORLDS[kind].truth
+    named = [name for name in found.added if not name.startswith("law_")]
+    assert (named[0] in truth) if truth else not named
