@@ -360,7 +360,6 @@ def diagnose_battery(
         *seen_once(driven),
     ]
     remains = [s for s in found.unexplained.structures if s not in found.averages]
-    verdict = decide(effects, remains, found.demoted, execution=execution, averages=averages)
     proposed: tuple[Proposal, ...] = ()
     candidates = found.candidates
     # where the base is far from right, effects that predict come first; a law is looked for in what they leave
@@ -369,10 +368,9 @@ def diagnose_battery(
         effects, candidates = without_stand_ins(proposed, effects, candidates)
         if proposed:
             left = depends_on(proposed, left)
-            verdict = verdict if effects and verdict == "ambiguous" else "unexplained_structure"
     return noted(
         BatteryDiagnosis(
-            verdict=verdict,
+            verdict=decide(effects, remains, found.demoted, law=bool(proposed), execution=execution, averages=averages),
             effects=effects,
             candidates=(*candidates, *told_of(driven)),
             proposed_laws=proposed,

@@ -15,6 +15,7 @@ def decide(
     structures: Sequence[Structure],
     demoted: Sequence[str] = (),
     *,
+    law: bool = False,
     execution: Sequence[Finding] = (),
     averages: Sequence[Structure] = (),
 ) -> Verdict:
@@ -28,6 +29,8 @@ def decide(
         What remains in the residual.
     demoted : sequence of str
         Effects that the model keeps and does not name because of a structure.
+    law : bool
+        Whether a law that the library does not hold describes what remains.
     execution : sequence of Finding
         How the robot drove otherwise than planned.
     averages : sequence of Structure
@@ -44,6 +47,8 @@ def decide(
         return "unexplained_structure"
     if any(effect.indistinguishable_from for effect in effects):
         return "ambiguous"
+    if law:
+        return "unexplained_structure"
     if effects or execution:
         return "effects_found"
     return "unexplained_structure" if averages else "nothing_missing"

@@ -146,6 +146,8 @@ def finding(rivals: tuple[str, ...] = ()) -> Finding:
         ([], [STRUCTURE], [], {}, "unexplained_structure"),
         ([finding()], [STRUCTURE], [], {}, "effects_found"),
         ([finding()], [STRUCTURE], ["payload"], {}, "unexplained_structure"),
+        ([finding()], [STRUCTURE], [], {"law": True}, "unexplained_structure"),
+        ([finding(("payload",))], [], [], {"law": True}, "ambiguous"),
         ([], [], [], {"averages": [STRUCTURE]}, "unexplained_structure"),
         ([finding()], [], [], {"averages": [STRUCTURE]}, "effects_found"),
         ([], [], [], {"execution": [finding()]}, "effects_found"),

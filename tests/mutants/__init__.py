@@ -1,0 +1,1 @@
+"""Mutants: whether the quick tests notice a wrong constant, sign or comparison."""
