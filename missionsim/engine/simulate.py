@@ -90,7 +90,8 @@ def simulate(
     it executed again, with an interrupt at that very instant; the first execution tells by how much the whole mission
     overdraws the battery.
     """
-    model = build_power_model(mission.robot) if model is None else model
+    if model is None:
+        model = mission.remembered("power model", lambda: build_power_model(mission.robot))
     numbers, drawn = split_values(values or {}, model)
     plan = make_plan(mission, numbers, rng) if plan is None else plan
     setup = RunSetup(mission, plan, model, numbers, drawn)

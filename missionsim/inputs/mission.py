@@ -1,6 +1,7 @@
 """The mission file: robot, environment, segments, activities that overlap with them."""
 
-from typing import Annotated, Any, Literal
+from collections.abc import Callable
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import Field, PrivateAttr
 
@@ -48,6 +49,9 @@ __all__ = [
 ]
 
 
+T = TypeVar("T")
+
+
 class MissionBehaviour(BehaviourSpec):
     """Behaviour of the whole mission, and per control scheme."""
 
@@ -84,7 +88,7 @@ class MissionSpec(FileModel):
     _robot: Any = PrivateAttr(default=None)
     _environment: Any = PrivateAttr(default=None)
     _overrides: tuple[tuple[str, str], ...] = PrivateAttr(default=())
-    _equipment: dict[int, tuple[Any, tuple[str, str, tuple[tuple[str, int], ...]]]] = PrivateAttr(default_factory=dict)
+    _remembered: dict[Any, Any] = PrivateAttr(default_factory=dict)
 
     @property
     def robot(self) -> RobotSpec:
@@ -108,9 +112,18 @@ class MissionSpec(FileModel):
         own = getattr(segment, key, None)
         return own if own is not None else getattr(self.defaults, key, None)
 
+    def remembered(self, what: str, make: Callable[[], T]) -> T:
+        """What follows from this mission and its robot alone, made once: a mission is often run again."""
+        known = (self.__pydantic_private__ or {})["_remembered"]
+        of, found = known.get(what, (None, None))
+        if of is not self.robot:
+            found = make()
+            known[what] = self.robot, found
+        return cast(T, found)
+
     def equipment(self, segment: Any) -> tuple[str, str, tuple[tuple[str, int], ...]]:
         """Control scheme, navigation (empty where none) and sensors of a segment; remembered for the next run."""
-        known = (self.__pydantic_private__ or {})["_equipment"]
+        known = (self.__pydantic_private__ or {})["_remembered"]
         found: tuple[Any, tuple[str, str, tuple[tuple[str, int], ...]]] | None = known.get(id(segment))
         if found is None:
             sensors = tuple(sorted(self.sensors_of(segment).items()))

@@ -76,9 +76,56 @@ def by_hand(runs: int, rng: np.random.Generator, charge: bool = False) -> dict[s
         watts = drive / duration + c4 + sum(ROBOT_W.values())
         spent = np.concatenate([np.zeros((runs, 1)), np.cumsum(watts * duration, axis=1)], axis=1) / 3600.0
         at = np.linspace(0.0, 1.0, INSTANTS) * total[:, None]
-        kept["robot charge"] = np.array([np.interp(a, e, s) for a, e, s in zip(at, ends, spent, strict=True)])
+        # interpolation of all runs at once: which segment each instant lies in, and how far along
+        place = np.minimum((ends[:, None, 1:] <= at[:, :, None]).sum(axis=2), SEGMENTS - 1)
+        begin, before = np.take_along_axis(ends, place, axis=1), np.take_along_axis(spent, place, axis=1)
+        kept["robot charge"] = before + np.take_along_axis(watts, place, axis=1) / 3600.0 * (at - begin)
         kept["laptop charge"] = at * (sum(LAPTOP_W.values()) / 3600.0)
     return kept
+
+
+def drawn_lists(runs: int, rng: np.random.Generator) -> list[tuple[list[float], list[float], float, float, float]]:
+    """Ways and speeds of each run and its three coefficients, as plain numbers."""
+    way = LENGTH_M * (STRETCH + STRETCH_SD * rng.standard_normal((runs, SEGMENTS)))
+    speed = ASKED_M_S * (TRACKING + TRACKING_SD * rng.standard_normal((runs, SEGMENTS)))
+    c2, c3, c4 = (v * (1 + PRIOR_SD * rng.standard_normal(runs)) for v in (C2, C3, C4))
+    return list(zip(way.tolist(), speed.tolist(), c2.tolist(), c3.tolist(), c4.tolist(), strict=True))
+
+
+def python_loop(runs: int, rng: np.random.Generator) -> list[tuple[float, float, float]]:
+    """By hand as a plain Python loop: energies of both batteries in Wh and the duration; no charge over time."""
+    robot_w, laptop_w = sum(ROBOT_W.values()), sum(LAPTOP_W.values())
+    found = []
+    for ways, speeds, c2, c3, c4 in drawn_lists(runs, rng):
+        energy = total = 0.0
+        for way, speed in zip(ways, speeds, strict=True):
+            seconds = way / speed
+            energy += (c2 * speed + c3) * way + (c4 + robot_w) * seconds
+            total += seconds
+        found.append((energy / 3600.0, laptop_w * total / 3600.0, total))
+    return found
+
+
+def simpy_by_hand(runs: int, rng: np.random.Generator) -> list[tuple[float, float, float]]:
+    """The same with SimPy, a process and a timeout a segment, for this one mission."""
+    import simpy
+
+    robot_w, laptop_w = sum(ROBOT_W.values()), sum(LAPTOP_W.values())
+    found = []
+    for ways, speeds, c2, c3, c4 in drawn_lists(runs, rng):
+        env = simpy.Environment()
+        booked = [0.0]
+
+        def drive(env=env, booked=booked, ways=ways, speeds=speeds, c2=c2, c3=c3, c4=c4):  # type: ignore[no-untyped-def]
+            for way, speed in zip(ways, speeds, strict=True):
+                begin = env.now
+                yield env.timeout(way / speed)
+                booked[0] += (c2 * speed + c3) * way + (c4 + robot_w) * (env.now - begin)
+
+        env.process(drive())
+        env.run()
+        found.append((booked[0] / 3600.0, laptop_w * env.now / 3600.0, env.now))
+    return found
 
 
 def progpy_patrol(runs: int, seed: int) -> np.ndarray:

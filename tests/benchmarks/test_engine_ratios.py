@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 import simpy
 
+from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
 from missionsim.inputs.loading import load_mission
+from missionsim.inputs.mission import MissionSpec
+from missionsim.results import write_results
+from missionsim.results.whatif import Alternative, run_alternatives, varied
 from tests.benchmarks import patrol
+from tests.engine.making import load
+from tests.engine.test_batteries import PLACES, simple
 
 pytestmark = pytest.mark.benchmark_ratio
 
 
-def cpu_seconds(function: Callable[[], object], times: int) -> float:
+def best(function: Callable[[], object], times: int) -> float:
     """Least processor time of several calls: what else the machine does can only add."""
     best = float("inf")
     for _ in range(times):
@@ -26,23 +34,88 @@ def cpu_seconds(function: Callable[[], object], times: int) -> float:
     return best
 
 
-def test_hundred_times_faster_than_polling_at_10_hz(tmp_path: Path) -> None:
-    mission = load_mission(patrol.write(tmp_path))
-    result = simulate(mission)
-    polled = patrol.polling_script()
-    # the two simulate the same thing: polling misses the exact result by its step, not by more
-    exact = sum(float(sum(result.by_component_wh(b).values())) for b in ("main", "aux")) * 3600.0
-    assert sum(polled.energy_j) == pytest.approx(exact, rel=0.01)
-    assert len(result.segments) == 40
-    assert len(result.timeline) >= 100
-    assert len(result.energies["main"]) + len(result.energies["aux"]) >= patrol.COMPONENTS + 3
-    ours = cpu_seconds(lambda: simulate(mission, trace=True), 20)
-    theirs = cpu_seconds(patrol.polling_script, 2)
-    print(
-        f"polling {theirs * 1e3:.0f} ms, ours {ours * 1e3:.2f} ms, ratio {theirs / ours:.0f}, "
-        f"{result.duration_s:.0f} s simulated"
-    )
-    assert theirs / ours >= 100.0
+def energies(result: RunResult) -> list[float]:
+    """Of the components and, last, of the motors, in J."""
+    found = [0.0] * (patrol.COMPONENTS + 1)
+    for battery in result.batteries:
+        for name, energy in result.by_component_wh(battery).items():
+            found[int(name[1:]) if name[1:].isdigit() else patrol.COMPONENTS] += energy * 3600.0
+    return found
+
+
+def test_the_patrol_beside_scripts_in_simpy(tmp_path: Path) -> None:
+    """How much faster than polling depends on how long the mission idles, so two lengths of the same 40 segments.
+
+    The script by hand is the least for this one mission (no trace, no batteries, no files), with the same energies.
+    """
+    polled, hand = [], []
+    for scale in (1.0, 0.14):
+        (tmp_path / str(scale)).mkdir()
+        mission = load_mission(patrol.write(tmp_path / str(scale), scale))
+        result = simulate(mission)
+        assert len(result.segments) == 40
+        assert len(result.timeline) >= 100
+        assert patrol.by_hand(scale) == pytest.approx(energies(result), rel=1e-9)
+        # polling misses the exact result by its step, not by more
+        polling = patrol.polling_script(scale)
+        assert sum(polling.energy_j) == pytest.approx(sum(energies(result)), rel=0.02 / scale)
+        slow = best(lambda scale=scale: patrol.polling_script(scale), 1)  # type: ignore[misc]
+        ours = script = float("inf")
+        for _ in range(15):  # in turns: what else the machine does meets both
+            ours = min(ours, best(lambda mission=mission: simulate(mission), 1))  # type: ignore[misc]
+            script = min(script, best(lambda scale=scale: patrol.by_hand(scale), 1))  # type: ignore[misc]
+        polled.append(slow / ours)
+        hand.append(ours / script)
+        print(
+            f"{result.duration_s:.0f} s simulated in {ours * 1e3:.2f} ms: {polled[-1]:.0f} times faster than polling "
+            f"at 10 Hz, {hand[-1]:.1f} times as long as by hand in SimPy"
+        )
+    assert polled[0] >= 60.0
+    assert polled[1] >= 8.0
+    assert max(hand) <= 30.0
+
+
+def exponent(sizes: Sequence[int], work: Callable[[int], Callable[[], object]], times: int = 2) -> float:
+    """Growth of the processor time with size: 1 is linear."""
+    spent = [best(work(size), times) for size in sizes]
+    return math.log(spent[-1] / spent[0]) / math.log(sizes[-1] / sizes[0])
+
+
+def rounds(times: int, dock: bool) -> MissionSpec:
+    """A robot that drives out and back so many times, and recharges at the dock after each."""
+    inner: list[dict[str, Any]] = [{"drive": {"to": "end"}}, {"drive": {"to": "dock"}}]
+    inner += [{"dock": {"recharge": {"until": 0.9}}}] if dock else []
+    machine = simple(batteries__main={"capacity": "20 Wh" if dock else "20 MWh"})
+    segments = [{"repeat": {"times": times, "segments": inner}}]
+    return load({"segments": segments, "start": "dock", "defaults": {"speed": 1.0}}, machine, PLACES)
+
+
+def test_charger_visits_cost_the_same_each() -> None:
+    missions = {times: rounds(times, True) for times in (25, 200)}
+    growth = exponent((25, 200), lambda times: lambda: simulate(missions[times]))
+    print(f"time over charger visits: exponent {growth:.2f}")
+    assert growth <= 1.1
+
+
+def test_segments_and_their_tables_cost_the_same_each(tmp_path: Path) -> None:
+    missions = {times: rounds(times, False) for times in (250, 2000)}
+
+    def work(times: int) -> Callable[[], object]:
+        return lambda: write_results(simulate(missions[times]), tmp_path / str(times))
+
+    growth = exponent((250, 2000), work)
+    print(f"time over segments, run and tables: exponent {growth:.2f}")
+    assert growth <= 1.1
+
+
+def test_alternatives_share_what_they_can(root: Path) -> None:
+    """100 alternatives take less than 100 runs, each with its own files read."""
+    path = root / "missions/pioneer3dx/corridor_forward_motion_50cm_s.yaml"
+    alternatives = [Alternative("baseline"), *varied([("defaults.speed", [0.3 + 0.001 * i for i in range(99)])])]
+    together = best(lambda: run_alternatives(path, alternatives), 2) / len(alternatives)
+    alone = best(lambda: simulate(load_mission(path, [("defaults.speed", 0.4)])), 5)
+    print(f"an alternative {together * 1e3:.1f} ms, alone {alone * 1e3:.1f} ms: {alone / together:.1f} times faster")
+    assert alone / together >= 1.8
 
 
 def test_cost_grows_with_events_not_with_simulated_time(tmp_path: Path) -> None:
@@ -53,7 +126,7 @@ def test_cost_grows_with_events_not_with_simulated_time(tmp_path: Path) -> None:
     a, b = simulate(short), simulate(long)
     assert b.duration_s > 90.0 * a.duration_s
     assert len(a.timeline) == len(b.timeline)
-    ratio = cpu_seconds(lambda: simulate(long), 20) / cpu_seconds(lambda: simulate(short), 20)
+    ratio = best(lambda: simulate(long), 20) / best(lambda: simulate(short), 20)
     print(f"a mission 100 times longer costs {ratio:.2f} times as much")
     assert ratio < 1.5
 
@@ -93,6 +166,8 @@ def test_cost_of_an_event_within_ten_bare_timeouts(tmp_path: Path, monkeypatch: 
         env.process(loop())
         env.run()
 
-    ours, theirs = cpu_seconds(lambda: simulate(mission), 4) / steps, cpu_seconds(bare, 5) / steps
+    ours = theirs = float("inf")
+    for _ in range(4):
+        ours, theirs = min(ours, best(lambda: simulate(mission), 1) / steps), min(theirs, best(bare, 1) / steps)
     print(f"ours {ours * 1e6:.1f} µs an event, bare timeout {theirs * 1e6:.2f} µs, ratio {ours / theirs:.1f}")
     assert ours / theirs < 10.0
