@@ -1,0 +1,206 @@
+"""Change one line of the package at a time and see whether the quick tests notice; a study, not part of the suite.
+
+``python -m tests.mutants.study [--room physics plan meter rules verdict] [--list]``
+
+A mutant is killed where the tests of its room fail. What survives is printed: a line that no quick test holds. Each
+mutant runs in a copy of the repository's tests and package, so that the sources stay as they are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+TESTS = {
+    "physics": "tests/effects tests/engine/test_closed_form.py tests/engine/test_closed_form_others.py",
+    "plan": "tests/plan tests/engine/test_closed_form.py tests/engine/test_physical_sense.py",
+    "meter": "tests/engine/test_batteries.py tests/engine/test_cut_short.py tests/engine/test_components.py",
+    "rules": "tests/identify/test_rules.py tests/identify/test_numerics.py tests/identify/test_identify.py",
+    "verdict": "tests/identify/test_rules.py tests/diagnose/test_factor.py tests/diagnose/test_leftover.py",
+}
+"""Quick tests of each room; tests/identify/test_method_page.py, which pins constants to the page, is left out."""
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One change: the text `old`, which stands once in the file, becomes `new`."""
+
+    room: str
+    file: str
+    old: str
+    new: str
+
+
+def _of(room: str, file: str, *changes: tuple[str, str]) -> list[Mutant]:
+    return [Mutant(room, f"missionsim/{file}", old, new) for old, new in changes]
+
+
+MUTANTS = [
+    *_of(
+        "physics",
+        "physics/motion.py",
+        ("return k * np.abs(speed_m_s)\n\n\ndef viscous", "return k * speed_m_s\n\n\ndef viscous"),
+        ("return k * np.square(speed_m_s)", "return k * np.abs(speed_m_s)"),
+        ("return k * np.abs(speed_m_s) ** 3", "return k * np.abs(speed_m_s) ** 2"),
+        ("return 0.5 * density_kg_m3 * drag", "return density_kg_m3 * drag"),
+        ("+ regeneration * np.minimum(power_w, 0.0)", "- regeneration * np.minimum(power_w, 0.0)"),
+        ("two_sided(k * mass_kg * accel_m_s2 * speed_m_s", "two_sided(k * mass_kg * accel_m_s2 * np.abs(speed_m_s)"),
+        ("return mass_kg * GRAVITY_M_S2 * np.sin(slope_rad)", "return mass_kg * GRAVITY_M_S2 * np.cos(slope_rad)"),
+        ("return k * payload_kg * np.abs(speed_m_s)", "return k * payload_kg"),
+        ("return k * np.abs(yaw_rate_rad_s)", "return k * yaw_rate_rad_s"),
+        ("np.exp(-np.asarray(moving_time_s) / tau_s)", "np.exp(np.asarray(moving_time_s) / tau_s)"),
+        ("(reference_c - temp_ambient_c)", "(temp_ambient_c - reference_c)"),
+        ("np.minimum(power_w - floor, 0.0)", "np.minimum(power_w, 0.0)"),
+        ("return np.minimum(k, 1.0)", "return np.maximum(k, 1.0)"),
+    ),
+    *_of(
+        "physics",
+        "physics/electrical.py",
+        ("return p2 * np.square(rate_hz) + p1 * rate_hz", "return p2 * np.square(rate_hz) - p1 * rate_hz"),
+        ("np.exp(-np.asarray(on_time_s) / tau_s)", "np.exp(-np.asarray(on_time_s) * tau_s)"),
+        ("return k * np.square(load_w)", "return k * load_w"),
+        ("np.asarray(frequency_hz) ** 3", "np.asarray(frequency_hz) ** 2"),
+    ),
+    *_of(
+        "plan",
+        "plan/kinematics.py",
+        ("up = 2.0 * accel[..., None] * distance", "up = accel[..., None] * distance"),
+        ("down = 2.0 * decel[..., None] * distance", "down = 2.0 * accel[..., None] * distance"),
+        ("np.minimum(ceiling[..., :-1], ceiling[..., 1:])", "np.maximum(ceiling[..., :-1], ceiling[..., 1:])"),
+        ("+ decel * np.square(before)", "+ accel * np.square(before)"),
+        ("np.maximum(np.minimum(free, limit)", "np.maximum(np.maximum(free, limit)"),
+        ("falling = (peak - after) / decel", "falling = (peak - after) / accel"),
+        ("cruising = np.where(free > limit", "cruising = np.where(free < limit"),
+        ("-decel + zero]", "decel + zero]"),
+        ("np.stack([zero, distance / limit, zero]", "np.stack([zero, distance * limit, zero]"),
+        ("accel_m_s2 if decel_m_s2 is None else decel_m_s2)", "accel_m_s2)"),
+    ),
+    *_of(
+        "meter",
+        "engine/meter.py",
+        ("return leg.recharge.power_w.get(battery, 0.0) if leg.recharge else 0.0", "return 0.0"),
+        ("(states < level) & (loads.charging == 0)", "(states < level)"),
+        ("if before[i] < level", "if before[i] > level"),
+        ('+ time, name, "empty"', ', name, "empty"'),
+    ),
+    *_of(
+        "meter",
+        "engine/batteries.py",
+        ("net = loads.energy_j - loads.charged_j", "net = loads.energy_j + loads.charged_j"),
+        ("full = self.charger_w * self.duration_s", "full = self.charger_w"),
+        ("if at_start <= 0.0 < state - level", "if at_start < 0.0 < state - level"),
+        ("return -current / self.charge_c", "return -2.0 * current / self.charge_c"),
+        ("** (self.peukert - 1.0)\n        return", "** self.peukert\n        return"),
+        ("extra = float(loads.charger_w[interval]) if", "extra = 0.0 if"),
+        ("return float(time) if 0.0 <= time <= horizon_s else None", "return float(time) if 0.0 <= time else None"),
+    ),
+    *_of(
+        "rules",
+        "identify/settings.py",
+        ("ALPHA = 0.002", "ALPHA = 0.2"),
+        ("min_share: float = 0.008", "min_share: float = 0.0001"),
+        ("recalibration_limit: float = 4.0", "recalibration_limit: float = 400.0"),
+        ("ONE_RUN_PART = 0.05", "ONE_RUN_PART = -100.0"),
+        ("WORSE_ENERGY_LEVEL = 0.01", "WORSE_ENERGY_LEVEL = 1.1"),
+        ("FAINT_NATS = 50.0", "FAINT_NATS = 0.0"),
+        ("UNUSUAL_GAIN = 0.03", "UNUSUAL_GAIN = 3.0"),
+        ("ODDS_NATS = 4.6", "ODDS_NATS = -1e9"),
+        ("LINE_RATIO = 8.0", "LINE_RATIO = 8e9"),
+    ),
+    *_of(
+        "rules",
+        "identify/rules.py",
+        ("return q.evidence.gain > nats_needed(q.tail)", "return True"),
+        ("return q.evidence.p_robust < 2.0 * q.tail", "return True"),
+        ("return abs(q.evidence.share) > q.settings.min_share", "return True"),
+        ("return not rests_on_one_run(q.model, q.evidence.column)", "return True"),
+        ("return not abs(shift) <= q.settings.recalibration_limit", "return True"),
+        ("return predicts_left_out(q.model, _columns(q))[0]", "return True"),
+        ("return q.evidence.column in remains.forms", "return False"),
+        ("return bool(remains.loose) and _family(q) in STEADY_LOADS", "return False"),
+        ("return any(not stands_without(q.model, q.evidence.column, s) for s in others)", "return False"),
+    ),
+    *_of(
+        "rules",
+        "identify/evidence.py",
+        (
+            "np.where((constraints.sign == 0) | beside, 2.0, 1.0)",
+            "np.where((constraints.sign == 0) | beside, 1.0, 1.0)",
+        ),
+        ("/ np.sqrt(number)", ""),
+        ("float(np.sum((score / (1 - leverage)) ** 2))", "float(np.sum((0.1 * score) ** 2))"),
+    ),
+    *_of(
+        "verdict",
+        "identify/verdict.py",
+        ("if structures and (demoted or not effects):", "if structures:"),
+        ("if any(effect.indistinguishable_from for effect in effects):", "if False:"),
+        ("    if law:\n", "    if False:\n"),
+        ("if effects or execution:", "if effects:"),
+        ('"unexplained_structure" if averages else "nothing_missing"', '"nothing_missing"'),
+    ),
+    *_of(
+        "verdict",
+        "identify/factor.py",
+        ("part < AS_MUCH else factor", "part < 2.0 else factor"),
+        ("abs(plain_ratio(source) - 1.0) > AT_LEVEL", "True"),
+    ),
+]
+
+
+def survives(mutant: Mutant, folder: Path, python: str) -> bool:
+    """Whether the tests of its room pass with the mutant in place."""
+    path = folder / mutant.file
+    before = path.read_text(encoding="utf-8")
+    assert before.count(mutant.old) == 1, f"{mutant.file}: '{mutant.old}' stands there {before.count(mutant.old)} times"
+    path.write_text(before.replace(mutant.old, mutant.new), encoding="utf-8")
+    try:
+        command = [python, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *TESTS[mutant.room].split()]
+        environment = os.environ | {"PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, check=False)
+        return done.returncode == 0
+    finally:
+        path.write_text(before, encoding="utf-8")
+
+
+def main() -> int:
+    """Run the mutants and print those that survive."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--room", nargs="*", choices=list(TESTS), default=list(TESTS))
+    parser.add_argument("--list", action="store_true", help="check that each text stands where it should, run nothing")
+    options = parser.parse_args()
+    todo = [m for m in MUTANTS if m.room in options.room]
+    if options.list:
+        wrong = [m for m in todo if (ROOT / m.file).read_text(encoding="utf-8").count(m.old) != 1]
+        for m in wrong:
+            print(f"{m.file}: '{m.old}' does not stand there once")
+        print(f"{len(todo)} mutants")
+        return 1 if wrong else 0
+    left: list[Mutant] = []
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "copy"
+        skipped = shutil.ignore_patterns(".git", ".venv", "__pycache__", "results", ".mypy_cache", ".ruff_cache")
+        shutil.copytree(ROOT, folder, ignore=skipped)
+        for number, mutant in enumerate(todo, 1):
+            start = time.monotonic()
+            alive = survives(mutant, folder, sys.executable)
+            left += [mutant] * alive
+            told = "SURVIVES" if alive else "killed"
+            print(
+                f"{number}/{len(todo)} {told} {mutant.file}: {mutant.old!r} ({time.monotonic() - start:.0f} s)",
+                flush=True,
+            )
+    print(f"{len(todo) - len(left)} of {len(todo)} killed")
+    return 0 if len(left) <= 0.1 * len(todo) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
