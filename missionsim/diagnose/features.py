@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.base import Effect
-from missionsim.effects.library import SURFACE_FAMILIES, all_effects, execution_effects, logged_power_columns
+from missionsim.effects.families import FLOORS, floors_effect, logged_power_columns
+from missionsim.effects.library import all_effects, execution_effects
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.fit.prepare import Prepared, prepare
 from missionsim.identify.data import Candidate, RunData
@@ -237,7 +238,7 @@ def at_size(features: Features, sizes: Mapping[str, float]) -> Features:
 
 def _held(model: PowerModel, battery: str) -> set[str]:
     held = {term.effect.id for term in model.of(battery) if not term.base}
-    return held | {family for id in held if (family := id.partition(":")[0]) in SURFACE_FAMILIES}
+    return held | {family for id in held if (family := id.partition(":")[0]) in FLOORS}
 
 
 def _components(names: set[str], switchable: Sequence[str]) -> dict[str, bool]:
@@ -253,7 +254,7 @@ def _testable(
     effects: dict[str, Effect] = {}
     if len(surfaces) > MOST_SURFACES:
         remarks.append(f"{len(surfaces)} different surfaces, more than {MOST_SURFACES}: what they add is not tested")
-        skip = skip | SURFACE_FAMILIES.keys()
+        skip = skip | {*FLOORS}
     if len(surfaces) == 1:
         remarks.append(f"all runs are on one surface ({surfaces[0]}): its resistance is part of rolling friction")
     for effect in library:
@@ -264,9 +265,9 @@ def _testable(
             untestable[effect.id] = lacking
         else:
             effects[effect.id] = effect
-    for id, made in SURFACE_FAMILIES.items():
+    for id in FLOORS:
         if not surfaces and id not in skip:
-            untestable[id] = tuple(name for name in made(()).needs if name not in names)
+            untestable[id] = tuple(name for name in floors_effect(id, ()).needs if name not in names)
     for effect in execution_effects():
         untestable[effect.id] = ("mission", *(name for name in effect.needs if name not in names))
     return effects, untestable

@@ -68,8 +68,9 @@ def _unit_of(node: Schema, definitions: dict[str, Schema]) -> str:
 
 def add_models(definitions: dict[str, Schema]) -> None:
     """Enumerate models, laws and effects, and the parameters that each has."""
-    from missionsim.effects.law_models import LAW_MODELS
-    from missionsim.effects.library import SURFACE_FAMILIES, effect_ids, get_effect
+    from missionsim.effects.families import FLOORS
+    from missionsim.effects.law_models import law_models
+    from missionsim.effects.library import effect_ids, get_effect
     from missionsim.effects.motion_models import get_motion_model, motion_model_ids
 
     if motion := definitions.get("MotionSpec"):
@@ -81,11 +82,13 @@ def add_models(definitions: dict[str, Schema]) -> None:
         # the model that holds where none is named
         motion["allOf"][ids.index("polynomial")]["if"].pop("required", None)
     if law := definitions.get("LawSpec"):
-        _enumerate(law["properties"]["model"], list(LAW_MODELS))
-        law["allOf"] = [_rule("model", name, {p.name: p.unit for p in m.parameters}) for name, m in LAW_MODELS.items()]
+        _enumerate(law["properties"]["model"], list(law_models()))
+        law["allOf"] = [
+            _rule("model", name, {p.name: p.unit for p in m.parameters}) for name, m in law_models().items()
+        ]
     if effect := definitions.get("EffectSpec"):
         plain = [name for name in effect_ids() if "<" not in name]
-        families = sorted({name.partition(":")[0] for name in effect_ids() if "<" in name} | set(SURFACE_FAMILIES))
+        families = sorted({name.partition(":")[0] for name in effect_ids() if "<" in name} | set(FLOORS))
         pattern = rf"^({'|'.join(families)}):[A-Za-z_][A-Za-z0-9_ -]*$"
         effect["properties"]["effect"] = {
             "anyOf": [{"enum": plain}, {"type": "string", "pattern": pattern}, {"type": "null"}],
@@ -93,12 +96,7 @@ def add_models(definitions: dict[str, Schema]) -> None:
             "description": effect["properties"]["effect"]["description"],
         }
         effect["allOf"] = [
-            _rule(
-                "effect",
-                name,
-                {p.name: p.unit for p in get_effect(name).parameters},
-                "^k_" * (name in SURFACE_FAMILIES),
-            )
+            _rule("effect", name, {p.name: p.unit for p in get_effect(name).parameters}, "^k_" * (name in FLOORS))
             for name in plain
         ]
     if battery := definitions.get("BatterySpec"):
