@@ -38,7 +38,8 @@ def headline(battery: BatteryDiagnosis) -> str:
             fits += f"; {' and '.join(law.instead_of)} would only stand in for it"
         said.append(f"Battery {name}: {sentences.law(law)}; {fits}.")
     if battery.proposed_laws:
-        pass
+        if battery.unexplained.shape:
+            said.append(f"What shows it: {battery.unexplained.shape}.")
     elif battery.verdict == "unexplained_structure" and not battery.unexplained.depends_on:
         said.append(f"Battery {name}: {battery.unexplained.shape}.")
     elif battery.verdict == "unexplained_structure":

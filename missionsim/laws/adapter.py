@@ -103,7 +103,7 @@ class Ground:
             design = columns.extended(source.averaged(raw, clock)[0])
             return log_likelihood(replace(fitted, clock=clock, design=design))
 
-        if not source.aligned:
+        if not source.aligned or fitted.squares is not None:
             return self
         best = (score(was.delay_s, was.lag_s), was.delay_s, was.lag_s)
         first = best[0]

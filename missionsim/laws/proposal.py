@@ -232,7 +232,7 @@ def _curve(laws: Sequence[Law], ground: Ground, seen: Gates, share: float) -> Cu
     active = power > 0.1 * float(np.quantile(power[power > 0.0], 0.95)) if np.any(power > 0.0) else power > 0.0
     if not np.any(active):
         return None
-    typical = {name: _typical(data[name][active]) for name in names}
+    typical = {name: _typical(name, data[name][active]) for name in names}
     own = [n for n in compile_expression(first.formula).names if n != "k" and not isinstance(typical[n], str)]
     best: tuple[float, str, Array] | None = None
     for name in own:
@@ -262,17 +262,19 @@ def _curve(laws: Sequence[Law], ground: Ground, seen: Gates, share: float) -> Cu
     )
 
 
-def _typical(values: Any) -> float | str:
+def _typical(name: str, values: Any) -> float | str:
     if values.dtype.kind in "OUS":
         texts, count = np.unique(values.astype(str), return_counts=True)
         return str(texts[int(np.argmax(count))])
-    magnitude = values if np.any(values < 0.0) and np.any(values > 0.0) else np.abs(values)
-    return float(np.median(np.abs(magnitude)))
+    return float(np.median(values if _signed(name) else np.abs(values)))
+
+
+def _signed(name: str) -> bool:
+    return name in ("accel_m_s2", "slope_rad") or name.startswith("temp")
 
 
 def _range(name: str, values: Array, active: Any) -> Array:
-    signed = name in ("accel_m_s2", "slope_rad") or name.startswith("temp")
-    values = values if signed else np.abs(values)
+    values = values if _signed(name) else np.abs(values)
     low, high = np.quantile(values, (0.02, 0.98))
     near = values[active]
     low, high = min(float(low), float(np.min(near))), max(float(high), float(np.quantile(near, 0.98)))
