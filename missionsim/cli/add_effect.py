@@ -37,12 +37,13 @@ def add_effect(
 ) -> int:
     """Fit an effect to logs and write the robot file that has it, with its uncertainty and where it comes from.
 
-    Refuses with exit code 1 what the logs do not support.
+    Refuses with exit code 1 what the logs do not support; exit code 1 too where the file predicts the held-out runs
+    worse.
 
     Parameters
     ----------
     logs
-        Log files or folders of them; all are fitted unless --holdout says otherwise.
+        Log files or folders of them.
     robot
         Shipped robot's name or a robot file.
     out
@@ -55,7 +56,7 @@ def add_effect(
     battery
         Battery that the effect is on; by default the one that feeds the motors.
     holdout
-        Runs that are not fitted; see diagnose.
+        Runs that are not fitted but tested on; see diagnose. By default the last quarter of four or more runs.
     alpha
         Family-wise rate of false alarms; 0.01 names more small effects, and more wrong ones.
     force
@@ -71,6 +72,7 @@ def add_effect(
     """
     from missionsim.diagnose.adopt import NotSignificant, adopt
     from missionsim.diagnose.split import choose_split
+    from missionsim.diagnose.words import heldout_line
     from missionsim.errors import InputError
     from missionsim.files import write_text
     from missionsim.identify.settings import Settings
@@ -88,7 +90,7 @@ def add_effect(
     spec = load_robot(robot)
     tables = read_logs(list(logs), robot=spec)
     tell_logs(tables, quiet)
-    split = choose_split(tables, "none" if holdout is None else holdout)
+    split = choose_split(tables, holdout)
     chosen = battery or motors_battery(spec, tables)
     settings = Settings(alpha=alpha, align=not no_align)
     text = robot_text(robot)
@@ -125,11 +127,15 @@ def add_effect(
             "energy_share": made.effect.energy_share,
             "p_value": made.effect.p_value,
             "indistinguishable_from": list(made.rivals),
+            "heldout": made.heldout and made.heldout.to_json(),
+            "worse": made.worse or None,
             "robot_file": str(out),
             "base": {name: {"value": value, "sd": sd} for name, (value, sd) in made.base.items()},
         },
         json,
     )
+    if made.worse:
+        print(made.worse, file=sys.stderr)
     if made.rivals:
         print(
             f"warning: these logs cannot tell {effect} from {', '.join(made.rivals)}; missionsim diagnose says "
@@ -151,8 +157,10 @@ def add_effect(
             terminal.print(f"forced: {made.reason}", markup=False)
         if made.base:
             terminal.print("base: " + ", ".join(f"{n} = {v:.4g}" for n, (v, _) in made.base.items()), markup=False)
+        if made.heldout is not None:
+            terminal.print("held out: " + heldout_line(made.heldout), markup=False)
         terminal.print(f"written: {out}", markup=False)
-    return 0
+    return 1 if made.worse else 0
 
 
 def _candidate(

@@ -111,10 +111,11 @@ def _as_json(fits: list[ModelFit], remarks: list[str], out: Path) -> dict[str, A
                     }
                     for p in fit.parameters.values()
                 },
-                "rmse_before_w": fit.rmse_before_w,
-                "rmse_w": fit.rmse_w,
+                "rmse_before_w": fit.before.power_rmse_w,
+                "rmse_w": fit.after.power_rmse_w,
+                "energy_error_pct": fit.after.energy_error_pct,
+                "run_energy_error_pct": fit.after.run_energy_error_pct,
                 "explained_variance": fit.explained,
-                "noise_w": fit.noise_w,
                 "clock": {"delay_s": fit.delay_s, "lag_s": fit.lag_s},
                 "runs": list(fit.runs),
                 "seconds": fit.seconds,
@@ -144,7 +145,8 @@ def _print(fits: list[ModelFit], remarks: list[str], out: Path) -> None:
         count = f"{len(fit.runs)} run{'s' * (len(fit.runs) != 1)}"
         terminal.print(
             f"{count}, {fit.seconds / 60:.0f} min; explains {100 * fit.explained:.1f} % of the variance "
-            f"of the power; error {fit.rmse_w:.3g} W (RMS); {clock}",
+            f"of the power; error {fit.after.power_rmse_w:.3g} W (RMS), {fit.after.run_energy_error_pct:.2f} % of the "
+            f"energy of a run; {clock}",
             markup=False,
         )
     for remark in remarks:

@@ -32,7 +32,8 @@ def improve(
 ) -> int:
     """Compare, diagnose, add what is missing and compare again, until nothing is left to find.
 
-    Asks before each step on a terminal. Never adds one of several effects that the logs cannot tell apart.
+    Asks before each step on a terminal. Never adds one of several effects that the logs cannot tell apart. Exits with
+    code 1 where the file predicts the held-out runs worse.
 
     Parameters
     ----------
@@ -100,7 +101,7 @@ def improve(
         write_text(report, improve_page(spec.name, done))
     if shows_text(json, quiet):
         _print(done, skipped, out, report)
-    return 0
+    return 1 if any(one.worse for one in done) else 0
 
 
 def _batteries(spec: Any, tables: list[Any]) -> list[str]:
@@ -142,8 +143,7 @@ def _as_json(done: list[Improved], skipped: dict[str, Any], out: Path, how: str)
                     {"name": s.name, "energy_error_pct": s.energy_error_pct, "power_rmse_w": s.power_rmse_w}
                     for s in one.steps
                 ],
-                "compare": one.compared
-                and {"energy_error_pct": one.compared.energy_error_pct, "power_rmse_w": one.compared.power_rmse_w},
+                "worse": one.worse or None,
                 "first": one.first.to_json(),
                 "last": one.last.to_json(),
             }
@@ -169,6 +169,8 @@ def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Pat
             )
             for step in one.steps
         ]
+        if one.worse:
+            terminal.print(one.worse, style="bold red", markup=False)
         terminal.print(
             simple_table(
                 f"Battery {one.battery}: error on {which}",
@@ -177,7 +179,7 @@ def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Pat
             )
         )
         terminal.print(f"added: {', '.join(one.added) or 'nothing'}; {one.stopped}", markup=False)
-        for note in (energy_note(one), measured_note(one)):
+        for note in (energy_note(one) if not one.worse else "", measured_note(one)):
             if note:
                 terminal.print(note, markup=False)
     for name, error in skipped.items():

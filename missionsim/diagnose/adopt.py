@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from missionsim.diagnose.diagnosis import Examined, Subject, examine
-from missionsim.diagnose.features import Features
-from missionsim.diagnose.priors import of_formula
+from missionsim.diagnose.heldout import KINDS, Models
 from missionsim.diagnose.split import Split
+from missionsim.diagnose.waterfall import worse_of
 from missionsim.errors import InputError, MissionsimError, did_you_mean
+from missionsim.fit.final import FinalFit
 from missionsim.fit.provenance import CALIBRATION, data_tag, log_hash
-from missionsim.identify.findings import Estimate, Finding
+from missionsim.identify.findings import Finding, HeldOut
 from missionsim.identify.identification import Identification, fit_effects
 from missionsim.identify.settings import Settings
 
@@ -48,6 +49,8 @@ class Adopted:
         Effects that these data cannot tell from it.
     base : mapping of str to (value, sd)
         Recalibrated base parameters that were written.
+    heldout : HeldOut or None
+        Errors of the file before, recalibrated and as it was written.
     """
 
     text: str
@@ -56,6 +59,12 @@ class Adopted:
     reason: str
     rivals: tuple[str, ...]
     base: Mapping[str, tuple[float, float]]
+    heldout: HeldOut | None = None
+
+    @property
+    def worse(self) -> str:
+        """In words, that the file predicts held-out runs worse; empty where it does not."""
+        return "" if self.heldout is None else worse_of(self.heldout)
 
 
 def adopt(
@@ -68,9 +77,8 @@ def adopt(
     *,
     force: bool = False,
     recalibrate: bool = True,
-    beside: Sequence[str] = (),
 ) -> Adopted:
-    """Fit an effect to logs and write it into the text of a robot file.
+    """Fit an effect to logs and write it into the text of a robot file, as `diagnose` says it.
 
     Parameters
     ----------
@@ -88,10 +96,6 @@ def adopt(
         Write it even if the data do not support it.
     recalibrate : bool
         Write the base parameters that were fitted with it.
-    beside : sequence of str
-        Effects that were taken in before, from the same file and logs: all are fitted together and written, so that no
-        effect is fitted to a base that another one has bent.
-
     Raises
     ------
     NotSignificant
@@ -99,11 +103,9 @@ def adopt(
     missionsim.errors.InputError
         Unknown effect, one that the file already holds, or one that these logs cannot test.
     """
-    from missionsim.inputs import edit
-
     subject = Subject.of(robot)
     _refuse(subject, robot, effect, battery)
-    seen = examine(subject, Split(split.train, (), split.how), battery, settings)
+    seen = examine(subject, split, battery, settings)
     features = seen.features
     if effect in features.untestable:
         raise InputError.single(
@@ -119,19 +121,72 @@ def adopt(
             allowed=", ".join(known),
             hint=did_you_mean(effect, known),
         )
-    found, fitted = _fit(seen, effect, settings)
-    significant, reason = _supported(seen, fitted, effect)
+    found, together, significant, reason = _fit(seen, effect, settings)
     if not significant and not force:
         raise NotSignificant(reason)
-    rivals = found.indistinguishable_from
-    found, fitted = _alone(features, found, fitted, beside, settings)
-    base = _base(features, fitted) if recalibrate else {}
-    new = _based(text, features, base)
-    for one in (*(e for e in fitted.effects if e.effect in beside), found):
-        new = _with(new, robot, features, one, split, battery, base, *((significant, rivals) if one is found else ()))
+    models = seen.models
+    fitted = models.fit(together, keep_base=not recalibrate)
+    (found,) = models.told([found], fitted)
+    if len(together) > 1 and recalibrate:
+        # the base beside other effects is wrong in a file that lacks them; the size of this one is not
+        fitted = models.fit([found], fixed=True)
+    new, base = write(text, robot, models, [found], fitted, split, significant=significant)
+    held = [log for log in split.heldout if battery in log.power_w]
+    powers = (subject.model, models.fit(()).model, fitted.model)
+    heldout = models.held_out(dict(zip(KINDS, powers, strict=True)), held, split.how, split.shifted) if held else None
+    return Adopted(new, found, significant, reason, found.indistinguishable_from, base, heldout)
+
+
+def write(
+    text: str,
+    robot: RobotSpec,
+    models: Models,
+    effects: Sequence[Finding],
+    fitted: FinalFit,
+    split: Split,
+    *,
+    significant: bool = True,
+) -> tuple[str, dict[str, tuple[float, float]]]:
+    """Write effects and the base that was fitted with them into the text of a robot file.
+
+    Parameters
+    ----------
+    text, robot
+        As for `adopt`.
+    models : Models
+    effects : sequence of Finding
+        With the values of `fitted`; all of its effects.
+    fitted : FinalFit
+    split : Split
+    significant : bool
+
+    Returns
+    -------
+    text : str
+    base : dict of str to (value, sd)
+        Base parameters that were written.
+    """
+    from missionsim.inputs import edit
+    from missionsim.inputs.loading import robot_from_text
+
+    known = models.features.parameters
+    base = {
+        name: (new.value, float(np.hypot(new.sd, METER_ALLOWANCE * abs(new.value))))
+        for name, new in fitted.values.items()
+        if name in known
+    }
+    updates = {known[name].path: _of_file(known[name], value, sd) for name, (value, sd) in base.items()}
+    text = edit.set_values(text, updates) if updates else text
+    for one in effects:
+        if models.lowers(one):
+            continue  # less of something than the file says: the base itself is smaller, there is no effect to add
+        for i, spec in reversed(list(enumerate(robot_from_text(text).effects))):
+            if spec.candidate and spec.name == one.effect and spec.battery == models.battery:
+                text = edit.remove_effect(text, i)
+        text = edit.add_effect(text, _entry(robot, one, split, models.battery, significant))
     count = len(split.train)
     told = f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(split.train)}"
-    return Adopted(edit.set_source(new, CALIBRATION, told), found, significant, reason, rivals, base)
+    return edit.set_source(text, CALIBRATION, told), base
 
 
 def _refuse(subject: Subject, robot: RobotSpec, effect: str, battery: str) -> None:
@@ -166,51 +221,23 @@ def _refuse(subject: Subject, robot: RobotSpec, effect: str, battery: str) -> No
         )
 
 
-def _fit(seen: Examined, effect: str, settings: Settings) -> tuple[Finding, Identification]:
-    """The effect fitted beside whatever else the logs ask for."""
+def _fit(seen: Examined, effect: str, settings: Settings) -> tuple[Finding, tuple[Finding, ...], bool, str]:
+    """The effect, everything that it is fitted beside, whether the logs support it, and why not."""
     inside = next((e for e in seen.found.effects if e.effect == effect), None)
     if inside is not None:
-        return inside, seen.found
+        return inside, seen.found.effects, True, ""
     others = [e.effect for e in seen.found.effects if effect not in e.indistinguishable_from]
     features = seen.features
     try:
         fitted = fit_effects(features.runs, features.candidates, [*others, effect], features.prior_sd, settings)
     except ValueError as error:
         raise InputError.single(str(error), got=effect) from error
-    return next(e for e in fitted.effects if e.effect == effect), fitted
-
-
-def _alone(
-    features: Features, found: Finding, fitted: Identification, beside: Sequence[str], settings: Settings
-) -> tuple[Finding, Identification]:
-    """Effect, those beside it and base fitted to each other, without what else is missing: the file holds just these.
-
-    A base that was fitted beside a second effect is wrong in a file that lacks it.
-    """
-    layout = fitted.choice.model.design.layout
-    inside = {fitted.library[layout.columns[k].candidate].effect for k in fitted.choice.model.chosen}
-    wanted = {*beside, found.effect}
-    if inside == wanted and wanted <= {e.effect for e in fitted.effects}:
-        return found, fitted
-    again = fit_effects(features.runs, features.candidates, [*beside, found.effect], features.prior_sd, settings)
-    own = next(e for e in again.effects if e.effect == found.effect)
-    turned = _first(own).value * _first(found).value < 0.0
-    if not beside and (turned or len(own.parameters) != len(found.parameters)):
-        return found, fitted
-    size = replace(
-        found,
-        parameters=own.parameters,
-        energy_share=own.energy_share,
-        share_low=own.share_low,
-        share_high=own.share_high,
-    )
-    return size, again
+    found = next(e for e in fitted.effects if e.effect == effect)
+    return found, fitted.effects, *_supported(seen, fitted, effect)
 
 
 def _supported(seen: Examined, fitted: Identification, effect: str) -> tuple[bool, str]:
     searched = next(c for c in seen.found.candidates if c.effect == effect)
-    if fitted is seen.found:
-        return True, ""
     rival_of = [e.effect for e in seen.found.effects if effect in e.indistinguishable_from]
     layout = fitted.choice.model.design.layout
     own = [k for k in fitted.choice.model.chosen if fitted.library[layout.columns[k].candidate].effect == effect]
@@ -230,80 +257,18 @@ def _supported(seen: Examined, fitted: Identification, effect: str) -> tuple[boo
     return False, told
 
 
-def _first(found: Finding) -> Estimate:
-    """The coefficient of an effect, or that of its first level."""
-    return next(iter(found.parameters.values()))
-
-
-def _base(features: Features, fitted: Identification) -> dict[str, tuple[float, float]]:
-    """Recalibrated values of the parameters of the robot's base, those of effects found earlier among them."""
-    base: dict[str, tuple[float, float]] = {}
-    for shift in fitted.recalibration:
-        parameter = features.parameters[shift.parameter]
-        value = parameter.value * (1.0 + shift.shift)
-        if parameter.value > 0.0 and not of_formula(parameter):
-            value = max(value, 0.0)  # what is drawn at rest or by a component may be unknown, not negative
-        if parameter.path and shift.shift_sd < 0.95 * features.prior_sd.get(shift.parameter, np.inf):
-            base[shift.parameter] = (value, abs(parameter.value) * float(np.hypot(shift.shift_sd, METER_ALLOWANCE)))
-    return base
-
-
-def _based(text: str, features: Features, base: Mapping[str, tuple[float, float]]) -> str:
-    """The text with recalibrated base values."""
-    from missionsim.inputs import edit
-
-    updates = {
-        features.parameters[name].path: _of_file(features.parameters[name], value, sd)
-        | {"note": f"{features.parameters[name].value / features.parameters[name].times:.6g} before"}
-        for name, (value, sd) in base.items()
-    }
-    return edit.set_values(text, updates) if updates else text
-
-
-def _with(
-    text: str,
-    robot: RobotSpec,
-    features: Features,
-    found: Finding,
-    split: Split,
-    battery: str,
-    base: Mapping[str, tuple[float, float]],
-    significant: bool = True,
-    rivals: Sequence[str] = (),
-) -> str:
-    """The text with one effect more."""
-    from missionsim.inputs import edit
-    from missionsim.inputs.loading import robot_from_text
-
-    candidate = next(c for c in features.candidates if c.effect == found.effect)
-    if candidate.prior is not None and _first(found).value < 0.0:
-        # less of something than the file says: the base itself is smaller, there is no effect to add
-        return edit.set_values(text, _lowered(features, candidate.prior, candidate.columns[0], found, base))
-    for i, spec in reversed(list(enumerate(robot_from_text(text).effects))):
-        if spec.candidate and spec.name == found.effect and spec.battery == battery:
-            text = edit.remove_effect(text, i)
-    return edit.add_effect(text, _entry(robot, found, split, battery, significant, rivals))
-
-
-def _lowered(
-    features: Features, parameter: str, column: str, found: Finding, base: Mapping[str, tuple[float, float]]
-) -> dict[str, dict[str, Any]]:
-    x = np.concatenate([run.gradient[parameter] for run in features.runs])
-    y = np.concatenate([run.columns[column] for run in features.runs])
-    old = features.parameters[parameter]
-    value, sd = base.get(parameter, (old.value, abs(old.value) * features.prior_sd[parameter]))
-    value += old.value * float(x @ y) / float(x @ x) * _first(found).value
-    return {old.path: _of_file(old, max(value, 0.0), sd)}
-
-
 def _of_file(parameter: ModelParameter, value: float, sd: float) -> dict[str, Any]:
     """A fitted value as its file has it: of one unit, where the model has all units of a component."""
-    return {"value": value / parameter.times, "sd": sd / parameter.times, "status": "fitted", "source": CALIBRATION}
+    return {
+        "value": value / parameter.times,
+        "sd": sd / parameter.times,
+        "status": "fitted",
+        "source": CALIBRATION,
+        "note": f"{parameter.value / parameter.times:.6g} before",
+    }
 
 
-def _entry(
-    robot: RobotSpec, found: Finding, split: Split, battery: str, significant: bool, rivals: Sequence[str]
-) -> dict[str, Any]:
+def _entry(robot: RobotSpec, found: Finding, split: Split, battery: str, significant: bool) -> dict[str, Any]:
     parameters = {
         name: {
             "value": p.value,
@@ -322,8 +287,8 @@ def _entry(
         "p_value": found.p_value,
         "energy_share": found.energy_share,
     }
-    if rivals:
-        origin["cannot_be_told_from"] = list(rivals)
+    if found.indistinguishable_from:
+        origin["cannot_be_told_from"] = list(found.indistinguishable_from)
     if not significant:
         origin["forced"] = True
     own = next((e for e in robot.effects if e.candidate and e.name == found.effect and e.battery == battery), None)

@@ -12,7 +12,7 @@ import numpy as np
 from missionsim.diagnose.execution import ExecutionEffect, execution_effects, seen_once, told_of
 from missionsim.diagnose.experiments import Bench, propose, to_learn
 from missionsim.diagnose.features import Features, at_size, lacks, make_features, steady_speed, with_same_causes
-from missionsim.diagnose.heldout import Tested, on_heldout, on_left_out
+from missionsim.diagnose.heldout import KINDS, Models
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
 from missionsim.diagnose.priors import priors_of
@@ -22,8 +22,8 @@ from missionsim.diagnose.waterfall import noted
 from missionsim.effects.base import Effect
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
+from missionsim.fit.final import FinalFit
 from missionsim.identify.align import Clock
-from missionsim.identify.data import RunData
 from missionsim.identify.findings import (
     BatteryDiagnosis,
     Diagnosis,
@@ -36,8 +36,6 @@ from missionsim.identify.findings import (
     Where,
 )
 from missionsim.identify.identification import Identification, identify
-from missionsim.identify.model import prediction
-from missionsim.identify.profile import at_shapes
 from missionsim.identify.proposed import Proposal
 from missionsim.identify.settings import (
     ALPHA,
@@ -229,14 +227,15 @@ def diagnose(
 
 @dataclass(frozen=True)
 class Examined:
-    """Features of fitted and held-out runs, and what the identification found in the fitted ones."""
+    """Features of the fitted runs, what the identification found in them, models to fit with it, held-out runs."""
 
     features: Features
-    heldout: Features | None
     found: Identification
+    models: Models
+    held: tuple[Run, ...]
 
 
-def examine(subject: Subject, split: Split, battery: str, settings: Settings) -> Examined:
+def examine(subject: Subject, split: Split, battery: str, settings: Settings, clock: Clock | None = None) -> Examined:
     """Features and identification of one battery, before anything is said about it."""
     own, batteries = subject.own.get(battery, ()), subject.model.batteries
     measured = [log for log in split.train if battery in log.power_w]
@@ -267,10 +266,8 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings) ->
         if lacking := lacks(log, needed, batteries, train):
             remarks.append(f"{log.run}: no {', '.join(lacking)}, which an effect found depends on; not tested on it")
             held.remove(log)
-    tested = _features(subject, held, battery) if held else None
-    if tested is not None and used:
-        tested = at_size(tested, {name: size for name, size in used.items() if name in tested.effects})
-    return Examined(replace(features, remarks=(*features.remarks, *remarks)), tested, found)
+    models = Models(subject.model, battery, features, tuple(train), clock or found.choice.model.clock, settings)
+    return Examined(replace(features, remarks=(*features.remarks, *remarks)), found, models, tuple(held))
 
 
 def _features(subject: Subject, runs: Sequence[Run], battery: str) -> Features:
@@ -301,6 +298,7 @@ def diagnose_battery(
     settings: Settings,
     segments: Sequence[str] = (),
     clock: Clock | None = None,
+    seen: Examined | None = None,
     laws: bool = True,
 ) -> BatteryDiagnosis:
     """The diagnosis of one battery.
@@ -312,29 +310,29 @@ def diagnose_battery(
     clock : Clock, optional
         At which held-out errors and series are told, so that several models can be held against each other; by default
         the one that is found.
+    seen : Examined, optional
+        What `examine` gave.
     laws : bool
         Whether to look for a law that the library does not hold.
     """
-    seen = examine(subject, split, battery, settings)
-    features, found = seen.features, seen.found
-    tested: Tested | None = None
-    held: tuple[RunData, ...] = ()
-    held_covariates: Sequence[Mapping[str, Any]] = ()
-    if seen.heldout is not None:
-        held_covariates = seen.heldout.covariates
-        held = tuple(at_shapes(seen.heldout.runs, seen.heldout.candidates, found.shapes))
-        tested = on_heldout(
-            found.choice,
-            held,
-            features.candidates,
-            features.prior_sd,
-            settings,
-            split.how,
-            split.shifted,
-            [e.effect for e in found.effects],
-            clock,
-        )
-    effects = tuple(_tested(effect, tested) for effect in found.effects)
+    seen = seen or examine(subject, split, battery, settings, clock)
+    features, found, models = seen.features, seen.found, seen.models
+    held = seen.held
+    proposed: tuple[Proposal, ...] = ()
+    # where the base is far from right, effects that predict come first; a law is looked for in what they leave
+    if laws and found.factor is None and (found.choice.forward is None or not found.effects):
+        proposed = proposed_laws(found, features.covariates, models, held)
+    effects, candidates = without_stand_ins(proposed, found.effects, found.candidates)
+    fits = {"recalibrated": models.fit(()), "with_effects": models.fit(effects)}
+    effects = models.told(effects, fits["with_effects"])
+    powers = {"nominal": subject.model, **{kind: fit.model for kind, fit in fits.items()}}
+    heldout: HeldOut | None = None
+    if held:
+        heldout = models.held_out(powers, held, split.how, split.shifted)
+        before = models.without(effects, held)
+        after = heldout.power_rmse_w["with_effects"]
+        effects = tuple(replace(e, heldout_rmse_before_w=before[e.effect], heldout_rmse_after_w=after) for e in effects)
+    series = _series(seen, powers)
     driven = _execution(split, battery, timeline, settings)
     execution = tuple(_as_finding(one) for one in driven if one.found)
     left, averages = found.unexplained, found.averages
@@ -360,25 +358,19 @@ def diagnose_battery(
         *seen_once(driven),
     ]
     remains = [s for s in found.unexplained.structures if s not in found.averages]
-    proposed: tuple[Proposal, ...] = ()
-    candidates = found.candidates
-    # where the base is far from right, effects that predict come first; a law is looked for in what they leave
-    if laws and found.factor is None and (found.choice.forward is None or not found.effects):
-        proposed = proposed_laws(found, features.covariates, held, held_covariates, clock)
-        effects, candidates = without_stand_ins(proposed, effects, candidates)
-        if proposed:
-            left = depends_on(proposed, left)
+    if proposed:
+        left = depends_on(proposed, left)
     return noted(
         BatteryDiagnosis(
             verdict=decide(effects, remains, found.demoted, law=bool(proposed), execution=execution, averages=averages),
             effects=effects,
             candidates=(*candidates, *told_of(driven)),
             proposed_laws=proposed,
-            recalibration=_recalibrated(found, features),
+            recalibration=_recalibrated(fits["with_effects"], features),
             delay_s=found.delay_s,
             lag_s=found.lag_s,
             clock_at_edge=found.clock_at_edge,
-            noise=found.noise,
+            noise={**found.noise, "within_rows_w": _within_rows(models, powers["with_effects"], series)},
             unexplained=left,
             remarks=tuple(dict.fromkeys(remarks)),
             mean_power_w=found.mean_power_w,
@@ -386,38 +378,47 @@ def diagnose_battery(
             battery=battery,
             untestable=untestable,
             next_experiments=() if proposed and not effects else _next(subject, seen, effects, settings),
-            heldout=None if tested is None else tested.summary,
+            heldout=heldout,
             shifted=_shifted(seen),
             execution=execution,
             runs=tuple(run.run for run in features.runs),
             seconds=float(sum(np.sum(run.dt_s) for run in features.runs)),
             where=_where(subject, split, battery),
-            series=_series(found, clock),
+            series=series,
             clock=found.choice.model.clock,
             aligned=found.choice.model.source.aligned,
         )
     )
 
 
-def _tested(effect: Finding, tested: Tested | None) -> Finding:
-    """An effect with the error on held-out runs without it and with it, where runs were held out."""
-    if tested is None:
-        return effect
-    return replace(
-        effect,
-        heldout_rmse_before_w=tested.rmse_without_w.get(effect.effect),
-        heldout_rmse_after_w=tested.summary.power_rmse_w["with_effects"],
-    )
-
-
-def _recalibrated(found: Identification, features: Features) -> tuple[Recalibrated, ...]:
+def _recalibrated(fitted: FinalFit, features: Features) -> tuple[Recalibrated, ...]:
     """Shifts of the base parameters with their values, largest first in prior standard deviations."""
     rows = []
-    for shift in found.recalibration:
-        own = features.parameters[shift.parameter]
-        value, sd = own.value * (1.0 + shift.shift), abs(own.value) * shift.shift_sd
-        rows.append(replace(shift, value=value, sd=sd, unit=own.unit))
+    for name, new in fitted.values.items():
+        own = features.parameters.get(name)
+        if own is None:
+            continue
+        shift, sd = new.value / own.value - 1.0, new.sd / abs(own.value)
+        rows.append(
+            Recalibrated(
+                parameter=name,
+                shift=shift,
+                shift_sd=sd,
+                shift_in_prior_sd=shift / features.prior_sd[name],
+                value=new.value,
+                sd=new.sd,
+                unit=own.unit,
+            )
+        )
     return tuple(sorted(rows, key=lambda row: -abs(row.shift_in_prior_sd)))
+
+
+def _within_rows(models: Models, power: PowerModel, series: Sequence[RunSeries]) -> float:
+    """Error that the means of the analysis do not show, since it averages out within them [W]."""
+    count = sum(len(run.time_s) for run in series)
+    square = sum(float(np.sum((run.fitted_w - run.measured_w) ** 2)) for run in series) / max(count, 1)
+    rows = models.errors(power, models.runs).power_rmse_w
+    return float(np.sqrt(max(rows**2 - square, 0.0)))
 
 
 def _counted_off(subject: Subject, split: Split, battery: str) -> list[str]:
@@ -506,8 +507,7 @@ def _shifted(seen: Examined) -> HeldOut | None:
     ):
         return None
     how = f"the {count} run{'s' * (count > 1)} with most {covariate} left out and predicted"
-    names = [effect.effect for effect in found.effects]
-    return on_left_out(found.choice, [features.runs[i].run for i in held], features.candidates, how, names)
+    return seen.models.left_out(found.effects, [features.runs[i].run for i in held], how)
 
 
 def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:
@@ -520,14 +520,12 @@ def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:
     return tuple(Where(w.title, f"{w.value} {w.unit}".strip(), w.share_of_squared_error, w.bias_w) for w in told)
 
 
-def _series(found: Identification, clock: Clock | None) -> tuple[RunSeries, ...]:
-    model = found.choice.model
-    design = model.design if clock is None else model.source.design(clock)
-    names = {effect.effect for effect in found.effects}
-    chosen = [k for k in model.chosen if found.library[design.layout.columns[k].candidate].effect in names]
-    fitted = prediction(model, chosen, design)
-    recalibrated_w = prediction(found.choice.empty, (), design)
+def _series(seen: Examined, powers: Mapping[str, PowerModel]) -> tuple[RunSeries, ...]:
+    source = seen.found.choice.model.source
+    clock = replace(seen.models.clock, run_delay_s=tuple(0.0 for _ in source.runs))
+    design = source.design(clock)
+    rows = [seen.models.averaged(powers[kind], source, clock) for kind in KINDS]
     return tuple(
-        RunSeries(name, design.time_s[rows], design.y[rows], design.base[rows], recalibrated_w[rows], fitted[rows])
-        for name, rows in zip(design.names, design.runs, strict=True)
+        RunSeries(name, design.time_s[part], design.y[part], *(power[part] for power in rows))
+        for name, part in zip(design.names, design.runs, strict=True)
     )

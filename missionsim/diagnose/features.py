@@ -70,16 +70,6 @@ class Features:
     remarks: tuple[str, ...]
     covariates: tuple[Mapping[str, Any], ...]
 
-    def select(self, keep: Sequence[int]) -> Features:
-        """The same features of some of the runs, by number."""
-        candidates = tuple(_restricted(candidate, keep) for candidate in self.candidates)
-        return replace(
-            self,
-            runs=tuple(self.runs[i] for i in keep),
-            covariates=tuple(self.covariates[i] for i in keep),
-            candidates=candidates,
-        )
-
 
 def make_features(
     model: PowerModel,
@@ -369,18 +359,6 @@ def _column(
         values = {effect.coefficient.name: size, **given, **shape}
     power = np.broadcast_to(np.asarray(effect.alone(cov, values), dtype=float), (rows,))
     return np.ascontiguousarray(np.nan_to_num(power, nan=0.0, posinf=0.0, neginf=0.0))
-
-
-def _restricted(candidate: Candidate, keep: Sequence[int]) -> Candidate:
-    whole = candidate.refit
-    if whole is None:
-        return candidate
-
-    def refit(values: Mapping[str, float]) -> list[Array]:
-        every = whole(values)
-        return [np.asarray(every[i]) for i in keep]
-
-    return replace(candidate, refit=refit)
 
 
 def _with_twin(

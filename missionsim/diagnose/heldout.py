@@ -1,8 +1,7 @@
-"""Errors on runs that were not used to fit: robot file as it is, recalibrated, and with the effects found.
+"""Errors on runs that were not used to fit, of the very models that a robot file would hold.
 
-One definition for the diagnosis and for the waterfall of `improve`: rows averaged to the analysis rate, gaps left
-out, one clock for all models, and nothing in a prediction that a robot file cannot hold (what is fitted
-beside the base for clock, curvature within a row and switching stays out).
+`Models` is the one place where numbers that are written come from: `add-effect` and `improve` write them, `diagnose`
+names them, and every held-out error is theirs, measured as `missionsim.runs.error` says.
 """
 
 from __future__ import annotations
@@ -13,136 +12,150 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.diagnose.features import Features
+from missionsim.effects.library import SURFACE_FAMILIES, get_effect
+from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
+from missionsim.fit.final import FREE_SD, FinalFit, final_fit
 from missionsim.identify.align import Clock
-from missionsim.identify.data import Candidate, RunData
-from missionsim.identify.design import Design, make_source
-from missionsim.identify.evidence import Choice
-from missionsim.identify.findings import HeldOut
-from missionsim.identify.model import Model, prediction
+from missionsim.identify.design import Source
+from missionsim.identify.findings import Estimate, Finding, HeldOut
 from missionsim.identify.settings import Settings
+from missionsim.runs.drive import drive
+from missionsim.runs.error import Errors, errors_of
+from missionsim.runs.run import Run
 
 Array = NDArray[np.float64]
+KINDS = ("nominal", "recalibrated", "with_effects")
+Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True)
-class Tested:
-    """Errors of a fitted model on other runs.
+class Models:
+    """A robot's model with effects or without, fitted to runs.
 
     Attributes
     ----------
-    summary : HeldOut
-    rmse_without_w : mapping of str to float
-        Power RMSE with every effect found but this one, the rest refitted.
+    power : PowerModel
+        As the robot file is.
+    battery : str
+    features : Features
+        Of the fitted runs, with the effects behind the candidates and the priors of the base.
+    runs : tuple of Run
+        Fitted runs.
+    clock : Clock
+        Delay and lag of the meter that were found.
+    settings : Settings
     """
 
-    summary: HeldOut
-    rmse_without_w: Mapping[str, float]
+    power: PowerModel
+    battery: str
+    features: Features
+    runs: tuple[Run, ...]
+    clock: Clock
+    settings: Settings
+
+    def fit(
+        self,
+        effects: Sequence[Finding],
+        *,
+        runs: Sequence[Run] | None = None,
+        fixed: bool = False,
+        keep_base: bool = False,
+    ) -> FinalFit:
+        """Fit the base with some effects.
+
+        Parameters
+        ----------
+        effects : sequence of Finding
+            With start values and shape parameters.
+        runs : sequence of Run, optional
+            Other runs than all fitted ones.
+        fixed : bool
+            Whether the effects stay as they are and only the base is fitted.
+        keep_base : bool
+            Whether only the effects are fitted.
+        """
+        terms = [self._term(effect) for effect in effects if not self.lowers(effect)]
+        priors = dict(self.features.prior_sd)
+        priors |= {twin: FREE_SD for effect in effects if (twin := self.lowers(effect))}
+        model = replace(self.power, terms=(*self.power.terms, *terms))
+        kept = [name for name, parameter in self.features.parameters.items() if not parameter.path]
+        if fixed:
+            kept += [term.name_of(name) for term in terms for name in term.parameters]
+        own = self.runs if runs is None else runs
+        return final_fit(model, own, self.battery, priors, self.clock, self.settings, fixed=kept, keep_base=keep_base)
+
+    def lowers(self, effect: Finding) -> str:
+        """The base parameter that an effect takes something off, so that there is no effect to add; else empty."""
+        twin = next((c.prior for c in self.features.candidates if c.effect == effect.effect), None)
+        first = next(iter(effect.parameters.values()))
+        return twin if twin is not None and first.value < 0.0 else ""
+
+    def told(self, effects: Sequence[Finding], fitted: FinalFit) -> tuple[Finding, ...]:
+        """The effects with the coefficients of a fit; their intervals hold the noise model's and those of the runs."""
+        return tuple(effect if self.lowers(effect) else _with_values(effect, fitted) for effect in effects)
+
+    def errors(self, model: PowerModel, runs: Sequence[Run]) -> Errors:
+        """Errors of a model on runs."""
+        return errors_of(model, runs, self.battery)
+
+    def held_out(self, fits: Mapping[str, PowerModel], runs: Sequence[Run], how: str, shifted: bool = False) -> HeldOut:
+        """Errors of models, by `KINDS`, on runs that they were not fitted to."""
+        errors = {kind: self.errors(model, runs) for kind, model in fits.items()}
+        return HeldOut(
+            how,
+            tuple(run.run for run in runs),
+            {kind: one.run_energy_error_pct for kind, one in errors.items()},
+            {kind: one.power_rmse_w for kind, one in errors.items()},
+            shifted,
+        )
+
+    def without(self, effects: Sequence[Finding], runs: Sequence[Run]) -> dict[str, float]:
+        """Power RMSE on runs with every effect but one, the rest fitted again, by the effect that is left out [W]."""
+        found = {}
+        for one in effects:
+            rest = [effect for effect in effects if effect is not one]
+            found[one.effect] = self.errors(self.fit(rest).model, runs).power_rmse_w
+        return found
+
+    def left_out(self, effects: Sequence[Finding], names: Sequence[str], how: str) -> HeldOut:
+        """Leave some of the fitted runs out, fit sizes of effects and base to the others, predict those.
+
+        Names of effects, clock and shapes stay those of all runs; nothing else of the left-out runs is used.
+        """
+        kept = [run for run in self.runs if run.run not in names]
+        models = (self.power, self.fit((), runs=kept).model, self.fit(effects, runs=kept).model)
+        out = [run for run in self.runs if run.run in names]
+        return self.held_out(dict(zip(KINDS, models, strict=True)), out, how, True)
+
+    def averaged(self, model: PowerModel, source: Source, clock: Clock) -> Array:
+        """Power of a model at the rate of the analysis [W], shape (n,)."""
+        raw = [drive(model, self.runs[i], self.battery).row_w(self.battery)[None, :] for i in source.kept]
+        return np.asarray(source.averaged(raw, clock)[0])
+
+    def _term(self, effect: Finding) -> Term:
+        own = self.features.effects[effect.effect]
+        if effect.effect in SURFACE_FAMILIES:
+            own = get_effect(effect.effect, tuple(name.removeprefix("k_") for name in effect.parameters))
+        values = {name: ModelParameter(e.value or 1e-9, e.unit) for name, e in effect.parameters.items()}
+        values |= {
+            s.name: ModelParameter(s.default, s.unit)
+            for s in own.shape
+            if s.name not in values and s.grid and not s.optional
+        }
+        return Term(TermKey(self.battery, own.component, effect.effect), own, values, base=False)
 
 
-def on_heldout(
-    choice: Choice,
-    runs: Sequence[RunData],
-    candidates: Sequence[Candidate],
-    prior_sd: Mapping[str, float],
-    settings: Settings,
-    how: str,
-    shifted: bool,
-    effects: Sequence[str],
-    clock: Clock | None = None,
-) -> Tested:
-    """Predict held-out runs with what was fitted on the others; nothing of them is fitted, their meters included.
-
-    Parameters
-    ----------
-    choice : Choice
-        Models with and without the effects found.
-    runs : sequence of RunData
-        Held-out runs.
-    candidates, prior_sd, settings
-        As for the fit.
-    how : str
-        How the runs were chosen.
-    shifted : bool
-        Whether by a condition.
-    effects : sequence of str
-        Effects that are reported; others in the model stay out of the prediction.
-    clock : Clock, optional
-        Delay and lag of the meter; those of the model with the effects where not given.
-    """
-    model, empty = choice.model, choice.empty
-    source = make_source(runs, candidates, prior_sd, settings, like=model.source)
-    design = source.design(replace(clock or model.clock, run_delay_s=tuple(0.0 for _ in source.runs)))
-    columns = model.design.layout.columns
-    chosen = tuple(k for k in model.chosen if candidates[columns[k].candidate].effect in effects)
-    predictions = {
-        "nominal": design.base,
-        "recalibrated": prediction(empty, (), design),
-        "with_effects": prediction(model, chosen, design),
-    }
-    if not chosen:
-        # nothing is reported, so nothing beyond recalibration may help
-        predictions["with_effects"] = predictions["recalibrated"]
-    energy = {name: energy_error_pct(design, power) for name, power in predictions.items()}
-    rmse = {name: power_rmse_w(design, power) for name, power in predictions.items()}
-    summary = HeldOut(how, tuple(run.run for run in source.runs), energy, rmse, shifted)
-    return Tested(summary, _leaving_out(model, chosen, candidates, design))
-
-
-def on_left_out(
-    choice: Choice, held: Sequence[str], candidates: Sequence[Candidate], how: str, effects: Sequence[str]
-) -> HeldOut | None:
-    """Leave some of the fitted runs out, fit sizes of effects and base to the others, predict those.
-
-    Names of effects, clock and noise stay those of all runs; nothing else of the left-out runs is used.
-
-    Parameters
-    ----------
-    choice : Choice
-    held : sequence of str
-        Names of the runs to leave out.
-    candidates, how, effects
-        As for `on_heldout`.
-    """
-    model, empty = choice.model, choice.empty
-    design = model.design
-    out = np.array([name in set(held) for name in design.names])
-    if not out.any() or out.all():
-        return None
-    columns = design.layout.columns
-    chosen = tuple(k for k in model.chosen if candidates[columns[k].candidate].effect in effects)
-    powers = {
-        "nominal": design.base,
-        "recalibrated": prediction(empty, (), design, ~out),
-        "with_effects": prediction(model, chosen, design, ~out),
-    }
-    rows = [part for part, left in zip(design.runs, out, strict=True) if left]
-    energy = {name: energy_error_pct(design, power, rows) for name, power in powers.items()}
-    rmse = {name: power_rmse_w(design, power, rows) for name, power in powers.items()}
-    return HeldOut(how, tuple(held), energy, rmse, True)
-
-
-def _leaving_out(
-    model: Model, chosen: Sequence[int], candidates: Sequence[Candidate], design: Design
-) -> dict[str, float]:
-    columns = model.design.layout.columns
-    found: dict[str, float] = {}
-    for effect in dict.fromkeys(candidates[columns[k].candidate].effect for k in chosen):
-        rest = tuple(k for k in chosen if candidates[columns[k].candidate].effect != effect)
-        found[effect] = power_rmse_w(design, prediction(model, rest, design))
-    return found
-
-
-def energy_error_pct(design: Design, power_w: Array, runs: Sequence[slice] | None = None) -> float:
-    """Mean over runs of the absolute energy error, relative to measured [%]."""
-    errors = []
-    for rows in design.runs if runs is None else runs:
-        seconds = design.duration_s[rows]
-        measured = float(np.sum(design.y[rows] * seconds))
-        errors.append(100.0 * abs(float(np.sum((power_w[rows] - design.y[rows]) * seconds)) / measured))
-    return float(np.mean(errors))
-
-
-def power_rmse_w(design: Design, power_w: Array, runs: Sequence[slice] | None = None) -> float:
-    """Root mean square of the power error over time [W], at the analysis rate."""
-    rows = np.concatenate([np.arange(len(design.y))[part] for part in (design.runs if runs is None else runs)])
-    return float(np.sqrt(np.average((power_w - design.y)[rows] ** 2, weights=design.duration_s[rows])))
+def _with_values(effect: Finding, fitted: FinalFit) -> Finding:
+    parameters = dict(effect.parameters)
+    before = sum(e.value for name, e in parameters.items() if f"{effect.effect}.{name}" in fitted.values)
+    for name, old in effect.parameters.items():
+        new = fitted.values.get(f"{effect.effect}.{name}")
+        if new is not None:
+            half = max(0.5 * (old.high - old.low), Z95 * new.sd)
+            parameters[name] = Estimate(new.value, new.value - half, new.value + half, old.unit)
+    after = sum(e.value for name, e in parameters.items() if f"{effect.effect}.{name}" in fitted.values)
+    times = after / before if before else 1.0
+    reach = 0.5 * (effect.share_high - effect.share_low) * max(1.0, abs(times))
+    share = effect.energy_share * times
+    return replace(effect, parameters=parameters, energy_share=share, share_low=share - reach, share_high=share + reach)

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
-from missionsim.diagnose.adopt import adopt
-from missionsim.diagnose.diagnosis import Subject, diagnose_battery
+from missionsim.diagnose.adopt import write
+from missionsim.diagnose.diagnosis import Subject, diagnose_battery, examine
 from missionsim.diagnose.priors import NO_PRIOR_SD, prior_before
-from missionsim.diagnose.proposed import as_finding, with_candidate
+from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.split import Split
-from missionsim.diagnose.waterfall import noise_floor
-from missionsim.errors import InputError
+from missionsim.diagnose.waterfall import noise_floor, worse_note
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.settings import Settings
 
@@ -60,8 +57,6 @@ class Improved:
         Before anything was added, and after.
     stopped : str
         Why it ended, in words.
-    compared : Step, optional
-        What `missionsim compare` says of the written file on the runs of the steps: clocks as logged, row by row.
     """
 
     battery: str
@@ -73,13 +68,19 @@ class Improved:
     first: BatteryDiagnosis
     last: BatteryDiagnosis
     stopped: str
-    compared: Step | None = None
+
+    @property
+    def worse(self) -> str:
+        """In words, that the file predicts these runs worse; empty where it does not, or where nothing was added."""
+        before, recalibrated, *_, after, _floor = self.steps
+        return worse_note(before, recalibrated, after, self.heldout) if self.added else ""
 
 
 def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask) -> Improved:
     """Improve the text of a robot file for one battery.
 
-    All steps are errors at the clock of the first diagnosis, so that only the model differs between them.
+    What a diagnosis names goes in together, with the numbers that it names; the error of each step is that of a robot
+    file, as `missionsim compare` measures it.
 
     Parameters
     ----------
@@ -93,35 +94,39 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     """
     from missionsim.inputs.loading import robot_from_text
 
-    robot = robot_from_text(text)
-    start = Subject.of(robot)
+    start = Subject.of(robot_from_text(text))
     priors = _own_priors(start, battery, split.train)
-    first = last = diagnose_battery(start, split, battery, None, settings)
-    given, as_given = text, robot
-    steps = [_step("before", first, "nominal"), _step("recalibrated", first, "recalibrated")]
-    added: list[str] = []
-    declined: list[str] = []
-    stopped = ""
-    for _ in range(MOST_ROUNDS):
-        choice = next((e for e in last.effects if not e.indistinguishable_from and e.effect not in declined), None)
-        if choice is None:
-            break
-        if not ask(choice, last):
-            declined.append(choice.effect)
-            continue
-        # from the file as it was given: no round moves a base or an effect on from where another left it
-        try:
-            made = adopt(given, as_given, split, choice.effect, battery, settings, force=True, beside=added)
-            robot = robot_from_text(made.text)
-        except InputError:  # beside those found before, it would need a coefficient that physics forbids
-            declined.append(choice.effect)
-            continue
-        text = made.text
-        added.append(choice.effect)
+    seen = examine(start, split, battery, settings)
+    models = seen.models
+    first = last = diagnose_battery(start, split, battery, None, settings, seen=seen)
+    given = text
+
+    def settle(effects: list[Finding]) -> tuple[list[Finding], str, BatteryDiagnosis]:
+        """Effects and base fitted together, from the file as it was given, so that no round moves one on from where
+        another left it; the file with them, and its diagnosis."""
+        fitted = models.fit(effects)
+        effects = list(models.told(effects, fitted))
+        new, _ = write(given, robot_from_text(given), models, effects, fitted, split)
+        made = robot_from_text(new)
         # the file's own base values came from these logs: what was known before them stays the prior
-        again = Subject.of(robot, priors={**_fitted_priors(robot, battery), **priors})
-        last = diagnose_battery(again, split, battery, None, settings, clock=first.clock)
-        steps.append(_step(f"+ {choice.effect}", last, "nominal"))
+        again = Subject.of(made, priors={**_fitted_priors(made, battery), **priors})
+        return effects, new, diagnose_battery(again, split, battery, None, settings, clock=models.clock)
+
+    taken: list[Finding] = []
+    declined: list[str] = []
+    for _ in range(MOST_ROUNDS):
+        known = {effect.effect for effect in taken}
+        new = []
+        for effect in last.effects:
+            if effect.indistinguishable_from or effect.effect in (*declined, *known):
+                continue
+            if ask(effect, last):
+                new.append(effect)
+            else:
+                declined.append(effect.effect)
+        if not new:
+            break
+        taken, text, last = settle([*taken, *new])
     for _ in range(MOST_LAWS):
         law = next((p for p in last.proposed_laws if p.first.simulated and p.first.formula not in declined), None)
         if law is None:
@@ -130,27 +135,27 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
             declined.append(law.first.formula)
             continue
         given, name = with_candidate(given, battery, law.first.formula)
-        as_given = robot_from_text(given)
-        added = [effect for effect in added if effect not in law.instead_of]
-        made = adopt(given, as_given, split, name, battery, settings, force=True, beside=added)
-        text, robot = made.text, robot_from_text(made.text)
-        added.append(name)
-        again = Subject.of(robot, priors={**_fitted_priors(robot, battery), **priors})
-        last = diagnose_battery(again, split, battery, None, settings, clock=first.clock)
-        steps.append(_step(f"+ {name}", last, "nominal"))
-    stopped = _why(last, declined)
-    steps.append(Step("noise floor", *noise_floor(last)))
+        models = with_law(models, name, law.first.formula)
+        kept = [effect for effect in taken if effect.effect not in law.instead_of]
+        taken, text, last = settle([*kept, replace(as_finding(law), effect=name)])
+    heldout = [log for log in split.heldout if battery in log.power_w]
+    powers = {"before": start.model, "recalibrated": models.fit(()).model}
+    powers |= {f"+ {e.effect}": models.fit(taken[: i + 1]).model for i, e in enumerate(taken[:-1])}
+    if taken:
+        powers[f"+ {taken[-1].effect}"] = Subject.of(robot_from_text(text)).model
+    runs = heldout or models.runs
+    errors = {name: models.errors(power, runs) for name, power in powers.items()}
+    steps = [Step(name, one.run_energy_error_pct, one.power_rmse_w) for name, one in errors.items()]
     return Improved(
         battery,
         text,
-        tuple(added),
+        tuple(effect.effect for effect in taken),
         tuple(declined),
-        tuple(steps),
-        first.heldout is not None,
+        (*steps, Step("noise floor", *noise_floor(last))),
+        bool(heldout),
         first,
         last,
-        stopped,
-        _compared(robot, split, battery),
+        _why(last, declined),
     )
 
 
@@ -167,37 +172,6 @@ def _fitted_priors(robot: Any, battery: str) -> dict[str, float]:
     """Effects that were fitted to these logs have no prior of their own."""
     model = Subject.of(robot).model
     return {term.name_of(name): NO_PRIOR_SD for term in model.of(battery) if not term.base for name in term.parameters}
-
-
-def _step(name: str, diagnosis: BatteryDiagnosis, kind: str) -> Step:
-    if diagnosis.heldout is not None:
-        return Step(name, diagnosis.heldout.energy_error_pct[kind], diagnosis.heldout.power_rmse_w[kind])
-    which = {"nominal": "nominal_w", "recalibrated": "recalibrated_w"}[kind]
-    energy, square, seconds = [], 0.0, 0.0
-    for run in diagnosis.series:
-        error = getattr(run, which) - run.measured_w
-        energy.append(100.0 * abs(float(error.sum()) / float(run.measured_w.sum())))
-        square += float(np.sum(error**2))
-        seconds += len(error)
-    return Step(name, float(np.mean(energy)), float(np.sqrt(square / max(seconds, 1.0))))
-
-
-def _compared(robot: Any, split: Split, battery: str) -> Step | None:
-    """The error of a robot file as `missionsim compare` measures it."""
-    from missionsim.compare import compare
-    from missionsim.inputs.power import build_power_model
-
-    logs = [log for log in (split.heldout or split.train) if battery in log.power_w]
-    found = compare(build_power_model(robot), logs, robot=robot).batteries.get(battery)
-    if found is None:
-        return None
-    seconds = np.array([run.seconds for run in found.runs])
-    square = np.array([run.power_rmse_w**2 for run in found.runs])
-    return Step(
-        "compare",
-        float(np.mean([abs(run.energy_error_pct) for run in found.runs])),
-        float(np.sqrt(np.average(square, weights=seconds))),
-    )
 
 
 def _why(last: BatteryDiagnosis, declined: Sequence[str]) -> str:

@@ -7,21 +7,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from missionsim.diagnose.heldout import energy_error_pct, power_rmse_w
-from missionsim.effects.base_terms import aliased
+from missionsim.diagnose.heldout import Models
+from missionsim.effects.base import ParameterSpec
+from missionsim.effects.base_terms import expression_term
 from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
-from missionsim.identify.align import Clock
-from missionsim.identify.data import RunData
-from missionsim.identify.design import make_source
 from missionsim.identify.findings import Estimate, Finding, Judged, Unexplained
 from missionsim.identify.identification import Identification
-from missionsim.identify.model import prediction
 from missionsim.identify.proposed import Proposal
-from missionsim.laws.proposal import Z95, Proposed, evaluate, propose
+from missionsim.laws.proposal import Z95, propose
 from missionsim.laws.units import unit_of
+from missionsim.runs.run import Run
 
 _SHORT = {
     "speed_m_s": "speed",
@@ -42,9 +38,8 @@ STANDS_IN = "stood in for a law that the library does not hold"
 def proposed_laws(
     found: Identification,
     covariates: Sequence[Mapping[str, Any]],
-    heldout: Sequence[RunData] = (),
-    heldout_covariates: Sequence[Mapping[str, Any]] = (),
-    clock: Clock | None = None,
+    models: Models | None = None,
+    heldout: Sequence[Run] = (),
 ) -> tuple[Proposal, ...]:
     """The proposal, if any form passes every gate, with its errors on held-out runs.
 
@@ -53,46 +48,34 @@ def proposed_laws(
     found : Identification
     covariates : sequence of mapping
         Of the fitted runs, at the raw rate.
-    heldout, heldout_covariates
-        Runs that nothing was fitted to, with columns at the shapes found.
-    clock : Clock, optional
-        At which held-out errors are told; the one that was found by default.
+    models : Models, optional
+        Models fitted to these runs, for the errors on others.
+    heldout : sequence of Run
+        Runs that nothing was fitted to.
     """
     made = propose(found, covariates)
     if made is None:
         return ()
-    if not heldout or not made.proposal.first.simulated:
+    if models is None or not heldout or not made.proposal.first.simulated:
         return (made.proposal,)
-    return (_tested(made, found, heldout, heldout_covariates, clock),)
-
-
-def _tested(
-    made: Proposed,
-    found: Identification,
-    runs: Sequence[RunData],
-    covariates: Sequence[Mapping[str, Any]],
-    clock: Clock | None,
-) -> Proposal:
-    base, law = found.choice.model, made.fitted.model
-    source = make_source(runs, found.library, {}, found.settings, like=base.source)
-    clock = replace(clock or law.clock, run_delay_s=tuple(0.0 for _ in source.runs))
-    design = source.design(clock)
-    first = made.proposal.first
-    raw = [evaluate(first.formula, aliased(covariates[i]), len(covariates[i]["time_s"]))[None, :] for i in source.kept]
-    layout = law.design.layout
-    watts = source.averaged(raw, clock)[0] * (layout.mean_power_w / layout.columns[-1].watts_per_unit)
-    held = list(made.ground.chosen)
-    extended = replace(design, layout=layout, phi=np.vstack([design.phi[held], watts]))
-    named = [e.effect for e in found.effects]
-    columns = base.design.layout.columns
-    chosen = [k for k in base.chosen if found.library[columns[k].candidate].effect in named]
-    without = prediction(base if chosen else found.choice.empty, chosen, design)
-    with_law = prediction(law, law.chosen, extended)
-    return replace(
-        made.proposal,
-        heldout_rmse_w=(power_rmse_w(design, without), power_rmse_w(design, with_law)),
-        heldout_energy_pct=(energy_error_pct(design, without), energy_error_pct(design, with_law)),
+    named = [e for e in found.effects if e.effect not in made.proposal.instead_of]
+    law = as_finding(made.proposal)
+    fits = [models.fit(named), with_law(models, law.effect, law.effect).fit([*named, law])]
+    errors = [models.errors(fit.model, heldout) for fit in fits]
+    return (
+        replace(
+            made.proposal,
+            heldout_rmse_w=(errors[0].power_rmse_w, errors[1].power_rmse_w),
+            heldout_energy_pct=(errors[0].run_energy_error_pct, errors[1].run_energy_error_pct),
+        ),
     )
+
+
+def with_law(models: Models, name: str, formula: str) -> Models:
+    """Models that can hold a law under a name."""
+    specs = (ParameterSpec("k", unit_of(formula), low=-math.inf if _may_give_back(formula) else 0.0),)
+    effect = expression_term(name, compile_expression(formula), specs, drive=_about_motion(formula))
+    return replace(models, features=replace(models.features, effects={**models.features.effects, name: effect}))
 
 
 def without_stand_ins(
@@ -153,6 +136,10 @@ def with_candidate(text: str, battery: str, formula: str) -> tuple[str, str]:
         "parameters": {"k": {"value": 1.0, "unit": unit_of(formula)} | ({} if _may_give_back(formula) else {"low": 0})},
     }
     return edit.add_effect(text, entry), name
+
+
+def _about_motion(formula: str) -> bool:
+    return bool(compile_expression(formula).names & {"speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_speed_m_s"})
 
 
 def _may_give_back(formula: str) -> bool:

@@ -6,14 +6,31 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
     from missionsim.diagnose.improve import Improved
-    from missionsim.identify.findings import BatteryDiagnosis
+    from missionsim.identify.findings import BatteryDiagnosis, HeldOut
 
 SEEN = 0.5
 """A rise by less than this part of the noise floor is not worth a note."""
+
+
+class Errors(Protocol):
+    """Errors of one model."""
+
+    @property
+    def energy_error_pct(self) -> float: ...
+
+    @property
+    def power_rmse_w(self) -> float: ...
+
+
+class Told(NamedTuple):
+    """Energy error [%] and power error [W]."""
+
+    energy_error_pct: float
+    power_rmse_w: float
 
 
 def noise_floor(diagnosis: BatteryDiagnosis) -> tuple[float, float]:
@@ -27,7 +44,7 @@ def noise_floor(diagnosis: BatteryDiagnosis) -> tuple[float, float]:
     noise: Mapping[str, float] = diagnosis.noise
     power_w = diagnosis.mean_power_w
     between = (noise["offset_w"] / power_w) ** 2 + noise["gain"] ** 2 + noise["motion_gain"] ** 2
-    rmse_w = math.sqrt(noise["sd_w"] ** 2 + between * power_w**2)
+    rmse_w = math.sqrt(noise["sd_w"] ** 2 + between * power_w**2 + noise.get("within_rows_w", 0.0) ** 2)
     seconds = diagnosis.seconds / max(len(diagnosis.runs), 1)
     spread = math.sqrt(between + noise["sd_share"] ** 2 * mean_variance(noise, seconds))
     return 100.0 * spread * math.sqrt(2.0 / math.pi), rmse_w
@@ -121,18 +138,40 @@ def noted(battery: BatteryDiagnosis) -> BatteryDiagnosis:
     return replace(battery, remarks=(note, *battery.remarks)) if note else battery
 
 
+SHOWN_PCT, SHOWN_SHARE = 0.005, 1e-3
+"""Differences of energy errors [%], and of power errors as a part, that the printed digits hardly show."""
+CLEAR_SHARE = 0.01
+"""Rise of the power error over the better of file and recalibration that is told (assumed)."""
+
+
+def worse_note(before: Errors, recalibrated: Errors, after: Errors, heldout: bool = True) -> str:
+    """In words, that effects made runs worse than the file as it was and a mere recalibration; else empty."""
+    told = []
+    powers = (before.power_rmse_w, recalibrated.power_rmse_w)
+    if after.power_rmse_w > min((1.0 + SHOWN_SHARE) * max(powers), (1.0 + CLEAR_SHARE) * min(powers)):
+        told.append(
+            f"the power error from {before.power_rmse_w:.3g} W ({recalibrated.power_rmse_w:.3g} W recalibrated) to "
+            f"{after.power_rmse_w:.3g} W"
+        )
+    if after.energy_error_pct > SHOWN_PCT + max(before.energy_error_pct, recalibrated.energy_error_pct):
+        told.append(
+            f"the energy error from {before.energy_error_pct:.2f} % ({recalibrated.energy_error_pct:.2f} % "
+            f"recalibrated) to {after.energy_error_pct:.2f} %"
+        )
+    which = "runs that were not used to fit" if heldout else "the fitted runs"
+    return f"WORSE on {which}: what was added raises {' and '.join(told)}." if told else ""
+
+
+def worse_of(held: HeldOut) -> str:
+    """`worse_note` of errors on held-out runs."""
+    kinds = ("nominal", "recalibrated", "with_effects")
+    before, recalibrated, after = (Told(held.energy_error_pct[kind], held.power_rmse_w[kind]) for kind in kinds)
+    return worse_note(before, recalibrated, after)
+
+
 def measured_note(done: Improved) -> str:
-    """How the errors of the steps were measured, and what `missionsim compare` says of the same runs."""
-    first = done.first
-    clock = f"at the clock that was found (meter {first.delay_s:+.2f} s, lag {first.lag_s:.2f} s)"
-    if not first.aligned:
-        clock = "clocks as logged"
-    told = f"Measured as in diagnose: means over about a second, {clock}, gaps left out."
-    if done.compared is None:
-        return told
-    one = done.compared
-    rows = "clocks and rows" if first.aligned else "rows"
+    """How the errors of the steps were measured."""
     return (
-        f"{told} missionsim compare takes {rows} as logged; of the file written it says "
-        f"{one.energy_error_pct:.2f} % and {one.power_rmse_w:.3g} W on these runs."
+        "Measured as missionsim compare does: clocks and rows as logged; energy errors are means over runs of the "
+        "magnitude."
     )

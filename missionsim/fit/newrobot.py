@@ -12,13 +12,15 @@ import numpy as np
 
 from missionsim.effects.base_terms import ALIASES
 from missionsim.effects.covariates import is_moving
-from missionsim.effects.derive import derive, elapsed
+from missionsim.effects.derive import elapsed
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError, did_you_mean
 from missionsim.expressions import FUNCTIONS, Expression, compile_expression
 from missionsim.fit.parameters import FittedParameter, ModelFit, fit_parameters
 from missionsim.fit.provenance import CALIBRATION, data_tag
 from missionsim.glossary import column_of
+from missionsim.runs.drive import drive
+from missionsim.runs.error import errors_of
 
 SHORTEST_STANDING_S = 5.0
 """Time at rest from which the standing power is fitted on its own."""
@@ -124,7 +126,10 @@ def calibrate_new(robot: NewRobot, logs: Sequence[Any]) -> Calibration:
             )
     source = f"fitted to {len(fit.runs)} run{'s' * (len(fit.runs) != 1)}"
     text = _text(robot, fit.parameters, components, standing, logs, source, data_tag(logs))
-    return Calibration(text, replace(fit, model=_load(text)), (*fit.remarks, *remarks))
+    written = _load(text)
+    own = [log for log in logs if robot.battery in log.power_w]
+    after = errors_of(written, own, robot.battery)
+    return Calibration(text, replace(fit, model=written, after=after), (*fit.remarks, *remarks))
 
 
 def _load(text: str) -> PowerModel:
@@ -209,7 +214,7 @@ def _with_rest(fit: ModelFit, logs: Sequence[Any], battery: str) -> ModelFit:
         rows = still & (clock > SETTLING_S) & np.isfinite(log.power_w[battery])
         if not rows.any():
             continue
-        model = np.broadcast_to(np.asarray(fit.model.total(_complete(log), battery), dtype=float), seconds.shape)
+        model = drive(fit.model, log, battery).row_w(battery)
         left = (log.power_w[battery] - model)[rows]
         number = np.floor(np.cumsum(seconds[rows]) / REST_BLOCK_S).astype(int)
         weight = np.bincount(number, seconds[rows])
@@ -224,10 +229,6 @@ def _with_rest(fit: ModelFit, logs: Sequence[Any], battery: str) -> ModelFit:
     value = old.value + float(np.mean(blocks))
     new = replace(old, value=value, sd=sd, low=value - 1.96 * sd, high=value + 1.96 * sd)
     return replace(fit, parameters={**fit.parameters, "standing": new})
-
-
-def _complete(log: Any) -> dict[str, Any]:
-    return derive(log.columns, np.asarray(log.time_s), np.asarray(log.dt_s))
 
 
 def _refuse_unseen(fit: ModelFit, names: Sequence[str], logs: Sequence[Any]) -> None:

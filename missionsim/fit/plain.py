@@ -1,19 +1,16 @@
-"""Ordinary least squares on a model's gradient: start values, errors clustered in blocks, what can be told apart."""
+"""Ordinary least squares on a model's gradient: start values, and what can be told apart."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.errors import InputError
 from missionsim.fit.prepare import Prepared, prepare
+from missionsim.runs.run import Run
 
-BLOCK_S = 20.0
 FREE_SD = 100.0
 """Relative prior standard deviation that leaves a parameter to the data."""
 LARGEST_W = 1e30
@@ -24,20 +21,8 @@ LARGEST_INFLATION = 1e8
 SETTLING_ROUNDS = 30
 
 
-@dataclass(frozen=True)
-class Plain:
-    """Ordinary least squares: model, covariance of the relative shifts clustered in blocks, what it explains."""
-
-    model: PowerModel
-    names: tuple[str, ...]
-    covariance: NDArray[np.float64]
-    explained: float
-    rmse_w: float
-    noise_w: float
-
-
-def settled(model: PowerModel, ready: Prepared, logs: Sequence[Any]) -> tuple[PowerModel, Plain]:
-    """Ordinary least squares repeated until a formula that is not linear settles, with errors clustered in blocks."""
+def settled(model: PowerModel, ready: Prepared, logs: Sequence[Run]) -> tuple[PowerModel, Prepared]:
+    """Ordinary least squares repeated until a formula that is not linear settles."""
     for _ in range(SETTLING_ROUNDS):
         again, new = _shortened(model, ready, _least_squares_start(model, ready), logs)
         change = max(
@@ -47,25 +32,10 @@ def settled(model: PowerModel, ready: Prepared, logs: Sequence[Any]) -> tuple[Po
         model, ready = again, new
         if change < 1e-6:
             break
-    names, x, y, seconds = _stacked(ready)
-    mean = float(np.average(y, weights=seconds))
-    square = float(np.average(y**2, weights=seconds)) if len(y) else 0.0
-    measured, every = ready.measured_w(), ready.seconds()
-    usable = np.isfinite(measured)
-    level = float(np.average(measured[usable], weights=every[usable]))
-    spread = float(np.average((measured[usable] - level) ** 2, weights=every[usable]))
-    inverse = np.linalg.pinv((x * seconds[:, None]).T @ x, rcond=1e-12)
-    block = _blocks(ready)
-    score = np.zeros((int(block.max()) + 1, len(names)))
-    np.add.at(score, block, x * (y * seconds)[:, None])
-    count = int(np.sum(np.any(score != 0.0, axis=1)))
-    factor = count / max(count - len(names), 1)
-    covariance = factor * inverse @ (score.T @ score) @ inverse
-    explained = 1.0 - square / spread if spread > 0.0 else 0.0
-    return model, Plain(model, names, covariance, explained, float(np.sqrt(square)), float(np.sqrt(square - mean**2)))
+    return model, ready
 
 
-def _shortened(model: PowerModel, ready: Prepared, aim: PowerModel, logs: Sequence[Any]) -> tuple[PowerModel, Prepared]:
+def _shortened(model: PowerModel, ready: Prepared, aim: PowerModel, logs: Sequence[Run]) -> tuple[PowerModel, Prepared]:
     """The step towards `aim`, halved until the squared error does not rise; a linear formula takes the whole step."""
     before = _square(ready)
     battery = ready.battery
@@ -89,25 +59,6 @@ def _square(ready: Prepared) -> float:
         usable = np.isfinite(measured)
         total += float(np.sum((measured - base)[usable] ** 2 * run.dt_s[usable]))
     return total if np.isfinite(total) else float("inf")
-
-
-def _stacked(ready: Prepared) -> tuple[tuple[str, ...], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Names, gradient rows, residual and seconds of all rows; rows without a measurement weigh nothing."""
-    names = tuple(name for name in ready.gradients[0] if any(np.any(g[name]) for g in ready.gradients))
-    x = np.column_stack([np.concatenate([g[name] for g in ready.gradients]) for name in names])
-    y = ready.measured_w() - np.concatenate(ready.base_w)
-    usable = np.isfinite(y) & np.all(np.isfinite(x), axis=1)
-    return names, np.where(usable[:, None], x, 0.0), np.where(usable, y, 0.0), np.where(usable, ready.seconds(), 0.0)
-
-
-def _blocks(ready: Prepared) -> NDArray[np.intp]:
-    """Number of the block of `BLOCK_S` of each row; blocks never span two runs."""
-    numbers, total = [], 0
-    for run in ready.runs:
-        own = np.floor((run.time_s - run.time_s[0]) / BLOCK_S).astype(np.intp)
-        numbers.append(total + own)
-        total += int(own.max()) + 1
-    return np.concatenate(numbers)
 
 
 def free_priors(ready: Prepared, known: Mapping[str, ModelParameter]) -> dict[str, float]:

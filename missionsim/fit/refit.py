@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from missionsim.errors import InputError
 from missionsim.fit.parameters import ModelFit, fit_parameters
 from missionsim.fit.provenance import CALIBRATION, data_tag, fitted_to, sd_on_other_logs
+from missionsim.runs.error import errors_of
+from missionsim.runs.run import Run
 
 if TYPE_CHECKING:
     from missionsim.effects.model import ModelParameter, PowerModel
@@ -24,7 +26,7 @@ class Refit:
     remarks: tuple[str, ...]
 
 
-def refit_robot(robot: str | Path, logs: Sequence[Any], battery: str | None = None) -> Refit:
+def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = None) -> Refit:
     """Fit every parameter of a robot that the logs say something about.
 
     Parameters
@@ -41,7 +43,7 @@ def refit_robot(robot: str | Path, logs: Sequence[Any], battery: str | None = No
         Where no battery can be fitted.
     """
     from missionsim.inputs import edit
-    from missionsim.inputs.loading import load_robot
+    from missionsim.inputs.loading import load_robot, robot_from_text
     from missionsim.inputs.power import build_power_model
 
     spec = load_robot(robot)
@@ -85,12 +87,20 @@ def refit_robot(robot: str | Path, logs: Sequence[Any], battery: str | None = No
             "they count twice now and the intervals are too narrow; refit the file as it was before"
         )
     text = edit.set_values(edit.robot_text(robot), updates)
+    written = build_power_model(robot_from_text(text))
+    fits = [_as_written(fit, written, logs) for fit in fits]
     count = len(logs)
     text = edit.set_source(text, CALIBRATION, f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(logs)}")
     return Refit(text, tuple(fits), tuple(dict.fromkeys(remarks)))
 
 
-def _aged(model: PowerModel, sources: Mapping[str, str], logs: Sequence[Any]) -> PowerModel:
+def _as_written(fit: ModelFit, written: PowerModel, logs: Sequence[Run]) -> ModelFit:
+    """The fit with the errors of the file: what has no place in it does not move."""
+    own = [log for log in logs if fit.battery in log.power_w]
+    return replace(fit, model=written, after=errors_of(written, own, fit.battery))
+
+
+def _aged(model: PowerModel, sources: Mapping[str, str], logs: Sequence[Run]) -> PowerModel:
     """The model with what was fitted to other logs known less well; see `sd_on_other_logs`."""
 
     def aged(parameter: ModelParameter) -> ModelParameter:

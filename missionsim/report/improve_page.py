@@ -37,7 +37,8 @@ def improve_page(robot: str, done: Sequence[Improved], *, footer: str = "") -> s
 def _result(one: Improved) -> list[Block]:
     which = "held-out runs" if one.heldout else "the fitted runs; none were held out"
     first, last = one.steps[0], one.steps[-2]
-    text = (
+    text = f"{one.worse} " if one.worse else ""
+    text += (
         f"Battery {one.battery}: {', '.join(one.added) or 'nothing'} added; the power error on {which} went from "
         f"{first.power_rmse_w:.3g} to {last.power_rmse_w:.3g} W, the energy error from "
         f"{first.energy_error_pct:.2f} to {last.energy_error_pct:.2f} %. "
@@ -84,7 +85,7 @@ def _result(one: Improved) -> list[Block]:
                 360,
             )
         )
-    tone: Any = "good" if one.added and last.power_rmse_w < first.power_rmse_w else "neutral"
+    tone: Any = "bad" if one.worse else "good" if one.added and last.power_rmse_w < first.power_rmse_w else "neutral"
     table = Table(
         ["model", "energy error, %", "power error (RMS), W"],
         [[s.name, s.energy_error_pct, s.power_rmse_w] for s in one.steps],

@@ -1,0 +1,246 @@
+"""The last fit: the numbers of base and effects that a robot file gets, and that every held-out error is told with.
+
+What is found decides on names with the likelihood of its noise model. What is written must predict: on the runs that it
+was fitted to the energy agrees in all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.model import PowerModel
+from missionsim.fit.prepare import Prepared, prepare
+from missionsim.identify.align import Clock
+from missionsim.identify.design import Design, make_source
+from missionsim.identify.settings import Settings
+from missionsim.runs.run import Run
+
+Array = NDArray[np.float64]
+ROUNDS = 3
+"""Steps of Gauss and Newton; nearly all models are linear in what is fitted."""
+BLOCK_S = 20.0
+SEVERAL_RUNS = 4
+"""From so many runs on errors are clustered by run, below by blocks of `BLOCK_S`."""
+FREE_SD = 1e3
+"""Relative prior standard deviation that leaves a parameter to the logs."""
+ALIKE = 1e-9
+"""Columns whose correlation is nearer to one than this are multiples of each other."""
+EXACT = 1e4
+"""Weight of the energy of all runs against all rows together."""
+
+
+@dataclass(frozen=True)
+class Value:
+    """A fitted number with its standard deviation."""
+
+    value: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class FinalFit:
+    """What a robot file gets.
+
+    Attributes
+    ----------
+    model : PowerModel
+        With the fitted values.
+    values : mapping of str to Value
+        By parameter within the battery; those that moved.
+    alike : mapping of str to str
+        Base parameters that stay as they are, since another one, which was fitted, acts in the same way.
+    """
+
+    model: PowerModel
+    values: Mapping[str, Value]
+    alike: Mapping[str, str] = field(default_factory=dict)
+
+
+def final_fit(
+    model: PowerModel,
+    runs: Sequence[Run],
+    battery: str,
+    prior_sd: Mapping[str, float],
+    clock: Clock,
+    settings: Settings,
+    *,
+    fixed: Sequence[str] = (),
+    keep_base: bool = False,
+) -> FinalFit:
+    """Fit base parameters and the coefficients of effects to runs, as they will stand in the robot file.
+
+    Least squares over means of about a second, each weighing its time, at the clock that was found; base parameters are
+    held by their priors, which count against errors clustered by run; the energy of all runs agrees exactly.
+
+    Parameters
+    ----------
+    model : PowerModel
+        Base and effects with start values; effects are the terms that are not base.
+    runs : sequence of Run
+    battery : str
+    prior_sd : mapping
+        Relative standard deviation of each base parameter, about the value in `model`.
+    clock : Clock
+        Delay and lag of the meter.
+    settings : Settings
+    fixed : sequence of str
+        Parameters that stay as they are.
+    keep_base : bool
+        Fit the effects alone.
+    """
+    added = {t.name_of(n) for t in model.of(battery) if not t.base for n in t.parameters}
+    shapes = {
+        t.name_of(s.name) for t in model.of(battery) if not t.base for s in t.effect.shape if s.name in t.parameters
+    }
+    shapes -= {n for n in shapes if n.rpartition(".")[2].startswith("k_")}
+    still = {*fixed, *shapes}
+    start = {t.name_of(n): p.value for t in model.of(battery) for n, p in t.parameters.items()}
+    low, high = _bounds(model, battery)
+    values: dict[str, float] = {}
+    cov: Array = np.zeros((0, 0))
+    names: list[str] = []
+    alike: dict[str, str] = {}
+    for _ in range(ROUNDS):
+        ready = prepare(model, runs, battery)
+        system = _System.of(ready, clock, settings)
+        names = [n for n in system.names if n not in still and start[n] != 0.0 and not (keep_base and n not in added)]
+        alike = _alike(system, [n for n in names if n not in added], prior_sd)
+        names = [n for n in names if n not in alike]
+        if not names:
+            return FinalFit(model, {})
+        now = {n: p.value for n, p in ready.parameters.items()}
+        # columns per relative change from the start, so that the prior stays where it was
+        system = system.of_columns(names, [start[n] / now[n] for n in names])
+        done = np.array([now[n] / start[n] - 1.0 for n in names])
+        sd = np.array([FREE_SD if n in added else min(max(prior_sd.get(n, 0.03), 1e-6), FREE_SD) for n in names])
+        ends = np.sort([[low[n] / start[n] - 1.0, high[n] / start[n] - 1.0] for n in names], axis=1)
+        shift, cov = _solve(system, done, sd, ends, energy=not keep_base)
+        values = {n: start[n] * (1.0 + float(s)) for n, s in zip(names, shift, strict=True)}
+        model = model.with_values({f"{battery}/{n}": v for n, v in values.items()})
+        if np.all(np.abs(shift - done) < 1e-7):
+            break
+    sds = np.sqrt(np.maximum(np.diag(cov), 0.0))
+    told = {n: Value(values[n], abs(start[n]) * float(s)) for n, s in zip(names, sds, strict=True)}
+    return FinalFit(model, told, alike)
+
+
+def _alike(system: _System, names: Sequence[str], prior_sd: Mapping[str, float]) -> dict[str, str]:
+    """Parameters whose columns are multiples of another's, which is less well known and takes their part."""
+    found: dict[str, str] = {}
+    order = sorted(names, key=lambda name: -prior_sd.get(name, 0.0))
+    unit = {name: system.x[:, system.names.index(name)] for name in names}
+    unit = {name: x / max(float(np.linalg.norm(x)), 1e-300) for name, x in unit.items()}
+    for i, name in enumerate(order):
+        twin = next((o for o in order[:i] if o not in found and abs(float(unit[name] @ unit[o])) > 1.0 - ALIKE), None)
+        if twin is not None:
+            found[name] = twin
+    return found
+
+
+def _bounds(model: PowerModel, battery: str) -> tuple[dict[str, float], dict[str, float]]:
+    """Lowest and highest value of each parameter, of the file and of physics."""
+    low: dict[str, float] = {}
+    high: dict[str, float] = {}
+    for term in model.of(battery):
+        specs = {spec.name: spec for spec in term.effect.parameters}
+        for name, parameter in term.parameters.items():
+            spec, short = specs.get(name), term.name_of(name)
+            low[short] = max(-np.inf if spec is None else spec.low, min(parameter.low, parameter.value))
+            high[short] = min(np.inf if spec is None else spec.high, max(parameter.high, parameter.value))
+            formula = parameter.path.startswith("motion.") and not parameter.path.endswith(".standing")
+            if term.base and not formula and parameter.value > 0.0:
+                low[short] = max(
+                    low[short], 0.0
+                )  # what is drawn at rest or by a component may be unknown, not negative
+            free = not term.base and term.effect.sign == 0
+            if free or (parameter.value < 0.0 and low[short] >= 0.0):
+                low[short] = -np.inf
+    return low, high
+
+
+@dataclass(frozen=True)
+class _System:
+    """Rows of a fit: gradient, what is left, time and cluster of each; energy of all rows at the raw rate [J]."""
+
+    names: list[str]
+    x: Array
+    y: Array
+    seconds: Array
+    cluster: NDArray[np.intp]
+    energy_x: Array
+    energy_y: float
+
+    @classmethod
+    def of(cls, ready: Prepared, clock: Clock, settings: Settings) -> _System:
+        data = ready.data()
+        source = make_source(data, [], {}, replace(settings, align=False))
+        design = source.design(replace(clock, run_delay_s=tuple(0.0 for _ in source.runs)))
+        names = list(design.layout.parameters)
+        raw_x, raw_y = np.zeros(len(names)), 0.0
+        for run in data:
+            seen = np.isfinite(run.measured_w)
+            dt = np.where(seen, run.dt_s, 0.0)
+            raw_x += np.array([float(dt @ run.gradient[n]) for n in names])
+            raw_y += float(dt @ np.where(seen, run.measured_w - run.base_w, 0.0))
+        x = np.asarray(design.gradient[: len(names)]).T
+        return cls(names, x, design.y - design.base, design.duration_s, _clusters(design), raw_x, raw_y)
+
+    def of_columns(self, names: list[str], scale: Sequence[float]) -> _System:
+        """The columns of some parameters, each times a number."""
+        at = [self.names.index(name) for name in names]
+        return replace(self, names=names, x=self.x[:, at] * scale, energy_x=self.energy_x[at] * scale)
+
+
+def _clusters(design: Design) -> NDArray[np.intp]:
+    """Number of the run of each row, or with few runs of its block of `BLOCK_S`."""
+    index = design.run_index()
+    if len(design.runs) >= SEVERAL_RUNS:
+        return index
+    blocks = np.floor(design.time_s / BLOCK_S).astype(np.intp)
+    return np.unique(np.column_stack([index, blocks]), axis=0, return_inverse=True)[1].ravel()
+
+
+def _solve(system: _System, done: Array, sd: Array, ends: Array, *, energy: bool) -> tuple[Array, Array]:
+    """Relative shifts s of the parameters from their start, and their covariance clustered by run.
+
+    Minimises ``Σ w (y − x (s − done))² / (σ² d) + Σ (s / sd)²`` within bounds; σ² is the variance of what is left, d by
+    how much the clustered variance of the estimates exceeds that of white noise. The energy of all rows enters as one
+    observation without error.
+    """
+    from scipy.optimize import lsq_linear
+
+    x, y = system.x, system.y + system.x @ done
+    weight = system.seconds / np.mean(system.seconds)
+    normal = (x * weight[:, None]).T @ x
+    prior = np.diag(1.0 / sd**2)
+    shift, cov, d = done, np.linalg.pinv(normal + prior), 1.0
+    for _ in range(2):
+        root = np.sqrt(weight / d)
+        rows, right = [x * root[:, None], np.diag(_noise(x, y, weight, shift) / sd)], [y * root, np.zeros(len(sd))]
+        if energy:
+            heavy = EXACT * np.linalg.norm(rows[0]) / max(float(np.linalg.norm(system.energy_x)), 1e-300)
+            rows.append(heavy * system.energy_x[None, :])
+            right.append(np.array([heavy * (system.energy_y + system.energy_x @ done)]))
+        solved = lsq_linear(np.vstack(rows), np.concatenate(right), (ends[:, 0] - 1e-12, ends[:, 1] + 1e-12))
+        shift = np.asarray(solved.x)
+        noise = _noise(x, y, weight, shift)
+        bread = np.linalg.pinv(normal / (noise**2 * d) + prior)
+        scores = np.zeros((int(system.cluster.max()) + 1, len(sd)))
+        np.add.at(scores, system.cluster, x * ((y - x @ shift) * weight)[:, None])
+        count = len(scores)
+        meat = scores.T @ scores * count / max(count - 1, 1)
+        # eigenvalues of meat over normal: by how much a cluster says less than its rows would
+        white = np.trace(np.linalg.pinv(normal) @ meat) / (noise**2 * len(sd))
+        d = float(np.clip(white, 1.0, len(y) / max(count, 1)))
+        cov = bread @ (meat / (noise**2 * d) ** 2 + prior) @ bread
+    return shift, np.asarray(cov, dtype=float)
+
+
+def _noise(x: Array, y: Array, weight: Array, shift: Array) -> float:
+    """Standard deviation of what is left [W]."""
+    left = y - x @ shift
+    return max(float(np.sqrt(np.average(left**2, weights=weight))), 1e-9)
