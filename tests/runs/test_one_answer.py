@@ -36,7 +36,7 @@ def run(*arguments: object) -> int:
 
 
 def skid_logs(folder: Path, runs: int = 8) -> None:
-    """Eight drives of a skid-steered robot with scrub that saturates; formulas written here, nothing of the library."""
+    """Eight drives of a skid-steered robot that scrubs in turns; formulas written here, nothing of the library."""
     folder.mkdir()
     for number in range(runs):
         rng = np.random.default_rng(100 + number)
@@ -45,7 +45,7 @@ def skid_logs(folder: Path, runs: int = 8) -> None:
         speed = rng.choice([0.0, 0.3, 0.6, 0.9, 1.1], piece[-1] + 1)[piece]
         yaw = rng.choice([0.0, 0.0, 0.4, -0.7, 1.0], piece[-1] + 1)[np.roll(piece, 5)]
         moving = (speed > 0.0) | (yaw != 0.0)
-        power = np.where(moving, 40.0 * speed**2 + 55.0 * speed + 30.0, 28.0) + 25.0 * np.tanh(np.abs(yaw) / 0.8)
+        power = np.where(moving, 40.0 * speed**2 + 55.0 * speed + 30.0, 28.0) + 22.0 * np.abs(yaw)
         noise = np.zeros(count)
         for i in range(1, count):
             noise[i] = 0.8 * noise[i - 1] + rng.normal(0.0, 0.9)
