@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.diagnose.features import Features
-from missionsim.effects.library import SURFACE_FAMILIES, get_effect
+from missionsim.effects.families import FLOORS
+from missionsim.effects.library import get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.fit.final import FREE_SD, FinalFit, final_fit
 from missionsim.identify.align import Clock
@@ -135,7 +136,7 @@ class Models:
 
     def _term(self, effect: Finding) -> Term:
         own = self.features.effects[effect.effect]
-        if effect.effect in SURFACE_FAMILIES:
+        if effect.effect in FLOORS:
             own = get_effect(effect.effect, tuple(name.removeprefix("k_") for name in effect.parameters))
         values = {name: ModelParameter(e.value or 1e-9, e.unit) for name, e in effect.parameters.items()}
         values |= {
