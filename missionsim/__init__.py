@@ -6,6 +6,8 @@ Public names are loaded when they are first used, so that ``import missionsim`` 
 from __future__ import annotations
 
 import importlib
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -16,6 +18,17 @@ if TYPE_CHECKING:
     from missionsim.inputs.loading import load_environment as load_environment
     from missionsim.inputs.loading import load_mission as load_mission
     from missionsim.inputs.loading import load_robot as load_robot
+    from missionsim.interface import add_effect as add_effect
+    from missionsim.interface import calibrate as calibrate
+    from missionsim.interface import compare as compare
+    from missionsim.interface import diagnose as diagnose
+    from missionsim.interface import import_log as import_log
+    from missionsim.interface import import_site as import_site
+    from missionsim.interface import improve as improve
+    from missionsim.interface import monte_carlo as monte_carlo
+    from missionsim.interface import plan as plan
+    from missionsim.interface import run as run
+    from missionsim.interface import whatif as whatif
     from missionsim.results.tables import tables as tables
     from missionsim.results.write import write_results as write_results
 
@@ -31,16 +44,44 @@ _PUBLIC = {
     "write_results": "missionsim.results.write",
     "compare_files": "missionsim.compare.core",
     "InputError": "missionsim.errors",
+    "run": "missionsim.interface",
+    "whatif": "missionsim.interface",
+    "monte_carlo": "missionsim.interface",
+    "compare": "missionsim.interface",
+    "diagnose": "missionsim.interface",
+    "add_effect": "missionsim.interface",
+    "improve": "missionsim.interface",
+    "calibrate": "missionsim.interface",
+    "plan": "missionsim.interface",
+    "import_log": "missionsim.interface",
+    "import_site": "missionsim.interface",
 }
-"""Public name → module; at most fifteen."""
+"""Public name → module; at most twenty."""
 
 __all__ = [*_PUBLIC]
+_COMMANDS = ("missionsim.compare", "missionsim.diagnose", "missionsim.plan")
+"""Packages that are called like the public functions of their names."""
+
+
+class _Command(ModuleType):
+    """A package with the name of a command: calling it calls the command's function in `missionsim.interface`."""
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        name = self.__name__.rpartition(".")[2]
+        return getattr(importlib.import_module("missionsim.interface"), name)(*arguments, **options)
+
+
+def command_package(name: str) -> None:
+    """Make a package callable: ``missionsim.diagnose`` is a package and a public function."""
+    sys.modules[name].__class__ = _Command
 
 
 def __getattr__(name: str) -> Any:
     module = _PUBLIC.get(name)
     if module is None:
         raise AttributeError(f"module 'missionsim' has no attribute '{name}'")
+    if f"missionsim.{name}" in _COMMANDS:
+        return importlib.import_module(f"missionsim.{name}")
     value = getattr(importlib.import_module(module), name)
     globals()[name] = value
     return value

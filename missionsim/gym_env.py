@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from missionsim.control import PowerPredictor
 from missionsim.errors import InputError
+from missionsim.files import install_hint
 
 try:
     import gymnasium
     from gymnasium import spaces
 except ImportError as error:  # pragma: no cover - depends on what is installed
     raise InputError.single(
-        "the Gymnasium environment needs the extra 'gym'", got=str(error), allowed="pip install missionsim[gym]"
+        "the Gymnasium environment needs the extra 'gym'", got=str(error), allowed=install_hint("gym")
     ) from error
 
 Observation = NDArray[np.float32]

@@ -15,7 +15,6 @@ from missionsim.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from missionsim.uncertainty.batch import Prepared, Task
-    from missionsim.uncertainty.store import BlockStore
 
 RESUMABLE = 130
 MOST_RUNS, MOST_WORKERS = 10**9, 1024
@@ -189,7 +188,7 @@ def _batch(
 ) -> int:
     from missionsim.cli.common import to_json
     from missionsim.files import write_text
-    from missionsim.uncertainty.batch import block_runs, block_span, identity, run_batch
+    from missionsim.uncertainty.batch import batch_answer, block_runs, block_span, identity, run_batch
     from missionsim.uncertainty.importance import refuse_correlated
     from missionsim.uncertainty.store import BlockStore
 
@@ -213,7 +212,7 @@ def _batch(
                 until=until,
                 advance=lambda count: bar.advance(row, count),
             )
-            answer = _answer(task, prepared, engine, store, firsts, sobol)
+            answer = batch_answer(task, prepared, engine, store, firsts, sobol)
             write_text(out / "summary.json", to_json(answer))
         if plot:
             from missionsim.report.figures_montecarlo import write_figures
@@ -240,32 +239,6 @@ def _tell_damaged(damaged: list[int]) -> None:
         )
 
 
-def _answer(
-    task: Task, prepared: Prepared, engine: str, store: BlockStore, firsts: list[int], sobol: int | None
-) -> dict[str, Any]:
-    """All that the batch says, as JSON has it."""
-    from missionsim.uncertainty.answers import summarise
-    from missionsim.uncertainty.importance import affordable_samples, sobol_importance
-    from missionsim.uncertainty.single import left_to_chance, unread_values
-
-    answer: dict[str, Any] = {
-        "schema": "missionsim.montecarlo/1",
-        "mission": prepared.mission.name,
-        "robot": prepared.mission.robot.name,
-        "seed": task.seed,
-        "engine": engine,
-        "why_not_arrays": prepared.why_not_arrays,
-        "unread": list(unread_values(prepared.mission, prepared.model, prepared.sampler)),
-        "chance": [name.removeprefix("chance.") for name in left_to_chance(prepared.mission)],
-        **summarise(store, firsts, tuple(prepared.mission.robot.batteries)),
-    }
-    sobol = affordable_samples(prepared, task.seed) if sobol is None else sobol
-    if sobol:
-        answer["importance"] = sobol_importance(prepared, task.seed, sobol, answer["importance"])
-    answer["sobol_samples"] = sobol
-    return answer
-
-
 class _executor:
     """A Dask client for the address of a scheduler, or nothing."""
 
@@ -279,10 +252,10 @@ class _executor:
         try:
             from distributed import Client
         except ImportError:
+            from missionsim.files import install_hint
+
             raise InputError.single(
-                "--scheduler needs the extra 'dask'",
-                got="no package 'distributed'",
-                allowed='pip install "missionsim[dask]"',
+                "--scheduler needs the extra 'dask'", got="no package 'distributed'", allowed=install_hint("dask")
             ) from None
         import logging
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from missionsim import command_package
+
 if TYPE_CHECKING:
     from missionsim.diagnose.diagnosis import Subject, diagnose, diagnose_files
     from missionsim.identify.findings import Diagnosis
@@ -19,3 +21,6 @@ def __getattr__(name: str) -> Any:
     from missionsim.identify import findings
 
     return getattr(findings if name == "Diagnosis" else diagnosis, name)
+
+
+command_package(__name__)

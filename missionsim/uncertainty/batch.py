@@ -191,6 +191,32 @@ def run_batch(
     return counted
 
 
+def batch_answer(
+    task: Task, prepared: Prepared, engine: str, store: BlockStore, firsts: list[int], sobol: int | None
+) -> dict[str, Any]:
+    """All that the batch says, as JSON has it."""
+    from missionsim.uncertainty.answers import summarise
+    from missionsim.uncertainty.importance import affordable_samples, sobol_importance
+    from missionsim.uncertainty.single import left_to_chance, unread_values
+
+    answer: dict[str, Any] = {
+        "schema": "missionsim.montecarlo/1",
+        "mission": prepared.mission.name,
+        "robot": prepared.mission.robot.name,
+        "seed": task.seed,
+        "engine": engine,
+        "why_not_arrays": prepared.why_not_arrays,
+        "unread": list(unread_values(prepared.mission, prepared.model, prepared.sampler)),
+        "chance": [name.removeprefix("chance.") for name in left_to_chance(prepared.mission)],
+        **summarise(store, firsts, tuple(prepared.mission.robot.batteries)),
+    }
+    sobol = affordable_samples(prepared, task.seed) if sobol is None else sobol
+    if sobol:
+        answer["importance"] = sobol_importance(prepared, task.seed, sobol, answer["importance"])
+    answer["sobol_samples"] = sobol
+    return answer
+
+
 def block_span(size: int, runs: int, first: int) -> tuple[int, int]:
     """First run and number of runs of the block that begins with run `first`; `size` is that of a whole block."""
     return first, min(size, runs - first)

@@ -1,0 +1,372 @@
+"""The commands as Python functions of the same names: ``missionsim.whatif``, ``missionsim.diagnose`` and so on.
+
+Each gives an `Answer`: the command's result (`Answer.value`, whose attributes the answer has too), as a table
+(`to_frame`), a picture (`plot`), JSON (`to_json`), and short in a notebook.
+"""
+
+from __future__ import annotations
+
+import html
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from missionsim.compare.comparison import Comparison
+    from missionsim.diagnose.adopt import Adopted
+    from missionsim.diagnose.improve import Improved
+    from missionsim.engine.outcome import RunResult
+    from missionsim.exchange.site import Site, SiteOptions
+    from missionsim.fit.refit import Refit
+    from missionsim.identify.findings import Diagnosis
+    from missionsim.planner.answer import Answer as PlanAnswer
+    from missionsim.results.whatif import WhatIf
+    from missionsim.runs.run import Run
+
+T = TypeVar("T")
+PathLike = str | os.PathLike[str]
+Logs = PathLike | Sequence[PathLike]
+Values = Mapping[str, Any]
+_ROWS = 20
+
+
+@dataclass(frozen=True, repr=False)
+class Answer(Generic[T]):
+    """What a command found.
+
+    Attributes
+    ----------
+    value : object
+        The result itself; its attributes are the answer's, too.
+    line : str
+        It in one line.
+    text : str
+        A robot or mission file that came of it; empty where none did. `save` writes it.
+    """
+
+    value: T
+    line: str
+    _rows: Callable[[], Any] = field(compare=False)
+    _json: Callable[[], Any] = field(compare=False)
+    _drawn: tuple[str, ...] = ("", "")
+    text: str = ""
+
+    def to_frame(self) -> pd.DataFrame:
+        """As a table."""
+        import pandas as pd
+
+        return pd.DataFrame(self._rows())
+
+    def to_json(self) -> dict[str, Any]:
+        """As the command's ``--json`` has it."""
+        result: dict[str, Any] = self._json()
+        return result
+
+    def plot(self) -> Figure:
+        """A picture of the table: bars, or steps over time where it has a column ``time_s``."""
+        import matplotlib.pyplot as plt
+
+        frame, (label, *columns) = self.to_frame(), self._drawn
+        figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
+        if "term" in frame:
+            frame = frame[frame["term"] == "total"]
+            frame[label] = frame[label] + ", " + frame["battery"]
+        for name in columns if label in ("start_s", "") else ():
+            if label:
+                axes.step(frame[label], frame[name].to_numpy(float), where="post", label=name)
+            else:
+                axes.hist(frame[name].to_numpy(float), bins=40, alpha=0.6, label=name)
+            axes.legend()
+        if label not in ("start_s", ""):
+            axes.barh(range(len(frame)), frame[columns[0]].to_numpy(float))
+            axes.set_yticks(range(len(frame)), frame[label].astype(str).tolist())
+            axes.invert_yaxis()
+        axes.set_xlabel("time in s" if label == "start_s" else columns[0] if label else "energy in Wh")
+        axes.set_ylabel({"start_s": "power in W", "": "runs"}.get(label, ""))
+        axes.set_title(self.line, fontsize="medium", loc="left")
+        return figure
+
+    def save(self, path: PathLike) -> Path:
+        """Write the robot or mission file that came of it.
+
+        Raises
+        ------
+        ValueError
+            Nothing came of it that could be written.
+        """
+        from missionsim.files import write_text
+        from missionsim.inputs.edit import for_folder
+
+        if not self.text:
+            raise ValueError("this answer has no file to write")
+        is_robot = "kind: robot" in self.text
+        write_text(path, for_folder(self.text, Path(path).parent) if is_robot else self.text)
+        return Path(path)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "value":
+            raise AttributeError(name)
+        return getattr(self.value, name)
+
+    def __repr__(self) -> str:
+        return f"<{type(self.value).__name__}: {self.line}>"
+
+    def _repr_html_(self) -> str:
+        frame = self.to_frame()
+        more = f"<p>… {len(frame)} rows in all</p>" if len(frame) > _ROWS else ""
+        return f"<p><b>{html.escape(self.line)}</b></p>{frame.head(_ROWS).to_html(index=False)}{more}"
+
+
+def run(mission: PathLike, *, set: Values | None = None, robot: PathLike | None = None) -> Answer[RunResult]:
+    """Simulate one mission file; see ``missionsim run``.
+
+    Parameters
+    ----------
+    mission : path-like
+    set : mapping
+        Path → value, such as ``{"defaults.speed": "0.5 m/s"}``.
+    robot : str or path-like, optional
+        In place of the mission's own.
+    """
+    from missionsim.engine.simulate import simulate
+    from missionsim.inputs.loading import load_mission
+    from missionsim.results.tables import tables
+
+    result = simulate(load_mission(mission, _pairs(set), robot))
+    used = ", ".join(f"{name} {b.energy_wh:.3g} Wh" for name, b in result.batteries.items())
+    verdict = "feasible" if result.feasible else f"not feasible: {result.reason}"
+    line = f"{result.mission} with {result.robot}, {result.duration_s:.0f} s, {used}, {verdict}"
+    drawn = ("start_s", *(f"power_{name}_w" for name in result.batteries))
+    return Answer(result, line, lambda: tables(result)["intervals"], result.summary, drawn)
+
+
+def whatif(
+    mission: PathLike,
+    vary: Mapping[str, Sequence[Any]],
+    *,
+    set: Values | None = None,
+    robot: PathLike | None = None,
+    workers: int = 1,
+) -> Answer[WhatIf]:
+    """Run alternatives of a mission; see ``missionsim whatif``.
+
+    Parameters
+    ----------
+    mission : path-like
+    vary : mapping
+        Path → values; several paths give all combinations.
+    """
+    from missionsim.results.whatif import BASELINE, Alternative, run_alternatives, varied
+
+    base, other = _pairs(set), None if robot is None else str(robot)
+    pairs = [(path, [str(value) for value in values]) for path, values in vary.items()]
+    alternatives = [Alternative(BASELINE, base, other)]
+    alternatives += [Alternative(a.name, a.set, other) for a in varied(pairs, base)]
+    found = run_alternatives(mission, alternatives, workers=workers)
+    line = f"{found.mission}: {len(found.results)} alternatives, {sum(r.feasible for r in found.results)} feasible"
+    return Answer(found, line, found.table, found.to_json, ("alternative", "energy_wh"))
+
+
+def monte_carlo(
+    mission: PathLike,
+    runs: int = 1000,
+    seed: int = 0,
+    *,
+    set: Values | None = None,
+    robot: PathLike | None = None,
+    workers: int = 1,
+    engine: str = "auto",
+    sobol: int | None = None,
+) -> Answer[Mapping[str, Any]]:
+    """Draw the uncertain values many times; see ``missionsim montecarlo``. The table has one row a run."""
+    import tempfile
+
+    from missionsim.uncertainty.batch import Task, batch_answer, identity, prepare, run_batch
+    from missionsim.uncertainty.store import BlockStore
+
+    task = Task(str(mission), _pairs(set), None if robot is None else str(robot), seed, engine)
+    prepared = prepare(task)
+    chosen = "simpy" if prepared.arrays is None else "arrays"
+    with tempfile.TemporaryDirectory(prefix="missionsim-", ignore_cleanup_errors=True) as folder:
+        store = BlockStore(Path(folder) / "batch")
+        with store.locked():
+            store.begin(identity(task, runs, chosen), resume=False)
+            firsts = run_batch(task, runs, store, engine=chosen, workers=workers)
+            answer = batch_answer(task, prepared, chosen, store, firsts, sobol)
+            columns = {n: c for n in store.names() if (c := store.column(n, firsts)).ndim == 1}
+    p = answer["p_feasible"]
+    share = f"{p['value']:.3g} ({p['low']:.3g} to {p['high']:.3g})"
+    line = f"{answer['mission']}: {answer['runs']} runs, feasible with probability {share}"
+    return Answer(
+        answer, line, lambda: columns, lambda: answer, ("", *(f"energy_{name}_wh" for name in answer["batteries"]))
+    )
+
+
+def compare(
+    robot: PathLike, logs: Logs, *, mission: PathLike | None = None, by: Sequence[str] = ()
+) -> Answer[Comparison]:
+    """Model against measurements; see ``missionsim compare``."""
+    from missionsim.compare.core import compare_files
+
+    found = compare_files(robot, _listed(logs), mission=mission, by=by)
+    told = [f"{name} {b.energy_error_pct:+.2f} %, {b.power_rmse_w:.3g} W" for name, b in found.batteries.items()]
+
+    def rows() -> list[dict[str, Any]]:
+        return [{"battery": name, **one} for name, b in found.to_json()["batteries"].items() for one in b["per_run"]]
+
+    return Answer(found, f"{found.robot}: error {'; '.join(told)}", rows, found.to_json, ("run", "energy_error_pct"))
+
+
+def diagnose(
+    robot: PathLike,
+    logs: Logs,
+    *,
+    holdout: str | Sequence[str | Path] | None = None,
+    mission: PathLike | None = None,
+    battery: str | None = None,
+    **settings: Any,
+) -> Answer[Diagnosis]:
+    """Find which physical effect is missing; see ``missionsim diagnose``.
+
+    `settings` are ``alpha`` (family-wise rate of false alarms) and ``align`` (find the delay of the meter).
+    """
+    from missionsim.diagnose.diagnosis import diagnose_files
+
+    where = None if mission is None else Path(mission)
+    found = diagnose_files(str(robot), _paths(logs), holdout=holdout, mission=where, battery=battery, **settings)
+    data = found.to_json()["batteries"]
+    told = [f"{n}: {b['verdict']} {' '.join(e['effect'] for e in b['effects'])}".strip() for n, b in data.items()]
+
+    def rows() -> list[dict[str, Any]]:
+        keys = ("effect", "energy_share", "p_value", "heldout_rmse_before_w", "heldout_rmse_after_w")
+        return [{"battery": n, **{k: e.get(k) for k in keys}} for n, b in data.items() for e in b["effects"]]
+
+    return Answer(found, "; ".join(told), rows, found.to_json, ("effect", "energy_share"))
+
+
+def add_effect(
+    robot: PathLike, effect: str, logs: Logs, *, battery: str, holdout: str = "none", force: bool = False
+) -> Answer[Adopted]:
+    """Fit an effect and get the robot file that has it (`Answer.save`); see ``missionsim add-effect``.
+
+    Raises
+    ------
+    missionsim.diagnose.adopt.NotSignificant
+        The logs do not support it, and `force` is not set.
+    """
+    from missionsim.diagnose.adopt import adopt
+    from missionsim.diagnose.split import choose_split
+    from missionsim.identify.settings import Settings
+    from missionsim.inputs.edit import robot_text
+    from missionsim.inputs.loading import load_robot
+    from missionsim.logs import read_logs
+
+    spec = load_robot(robot)
+    split = choose_split(read_logs(_paths(logs), robot=spec), holdout)
+    made = adopt(robot_text(robot), spec, split, effect, battery, Settings(), force=force)
+    parameters = {name: estimate.to_json() for name, estimate in made.effect.parameters.items()}
+    told = ", ".join(f"{name} = {p['value']:.4g}" for name, p in parameters.items())
+
+    def data() -> dict[str, Any]:
+        return {"schema": "missionsim.add_effect/1", "effect": effect, "battery": battery, "parameters": parameters}
+
+    def rows() -> list[dict[str, Any]]:
+        return [{"parameter": name, **p} for name, p in parameters.items()]
+
+    return Answer(made, f"{effect} on {battery}: {told}", rows, data, ("parameter", "value"), made.text)
+
+
+def improve(
+    robot: PathLike, logs: Logs, *, battery: str, holdout: str | Sequence[str | Path] | None = None
+) -> Answer[Improved]:
+    """Compare, diagnose, add, until nothing is left to find, for one battery; see ``missionsim improve --yes``."""
+    from missionsim.diagnose.improve import improve as run_improve
+    from missionsim.diagnose.split import choose_split
+    from missionsim.identify.settings import Settings
+    from missionsim.inputs.edit import robot_text
+    from missionsim.inputs.loading import load_robot
+    from missionsim.logs import read_logs
+
+    split = choose_split(read_logs(_paths(logs), robot=load_robot(robot)), holdout)
+    done = run_improve(robot_text(robot), split, battery, Settings(), lambda finding, diagnosis: True)
+    steps = [
+        {"step": s.name, "power_rmse_w": s.power_rmse_w, "energy_error_pct": s.energy_error_pct} for s in done.steps
+    ]
+    line = f"{battery}: added {', '.join(done.added) or 'nothing'}; {done.stopped}"
+    data = {"battery": battery, "added": list(done.added), "steps": steps, "stopped": done.stopped}
+    return Answer(done, line, lambda: steps, lambda: data, ("step", "power_rmse_w"), done.text)
+
+
+def calibrate(robot: PathLike, logs: Logs, *, battery: str | None = None) -> Answer[Refit]:
+    """Refit a robot's parameters; see ``missionsim calibrate --robot``."""
+    from missionsim.fit.refit import refit_robot
+    from missionsim.logs import read_logs
+
+    done = refit_robot(str(robot), read_logs(_paths(logs)), battery)
+
+    def rows() -> list[dict[str, Any]]:
+        keys = ("name", "value", "sd", "before", "unit")
+        return [
+            {"battery": f.battery, **{k: getattr(p, k) for k in keys}} for f in done.fits for p in f.parameters.values()
+        ]
+
+    line = "; ".join(f"{f.battery}: {f.rmse_before_w:.3g} to {f.rmse_w:.3g} W" for f in done.fits)
+    return Answer(done, line, rows, lambda: {"parameters": rows()}, ("name", "value"), done.text)
+
+
+def plan(task: PathLike, *, set: Values | None = None, robot: PathLike | None = None) -> Answer[PlanAnswer]:
+    """Plan a task: order, way, speed, scheme, charging; see ``missionsim plan``. `Answer.save` writes the mission."""
+    from missionsim.inputs.loading import load_task
+    from missionsim.planner.solve import solve
+    from missionsim.planner.write import mission_text
+
+    found = solve(load_task(task, _pairs(set), None if robot is None else str(robot)))
+    data = found.summary()
+    text = mission_text(found, Path.cwd() / "plan.yaml") if found.feasible else ""
+    line = f"{Path(task).stem}: " + ("planned, " + " - ".join(found.order()) if found.feasible else "no plan")
+
+    def rows() -> list[dict[str, Any]]:
+        # one column a battery, and the sum of them
+        parts = [{f"energy_{name}_wh": wh for name, wh in leg["energy_wh"].items()} for leg in data.get("legs", [])]
+        return [{**leg, "energy_wh": sum(p.values()), **p} for leg, p in zip(data.get("legs", []), parts, strict=True)]
+
+    return Answer(found, line, rows, lambda: data, ("to", "energy_wh"), text)
+
+
+def import_log(source: Logs, map: PathLike) -> list[Run]:
+    """Turn a bag, MCAP, ULog or table of any layout into runs, by a map; see ``missionsim import``."""
+    from missionsim.importer.mapping import import_source
+    from missionsim.inputs.loading import load_map
+
+    return import_source(_listed(source), load_map(map))
+
+
+def import_site(path: PathLike, options: SiteOptions | None = None) -> Answer[Site]:
+    """Read a map, route graph, track or order of another tool; see ``missionsim import-site``."""
+    from missionsim.exchange.formats import import_site as read
+
+    site = read(Path(path), options)
+    line = f"{site.format}: {len(site.places)} places, {len(site.edges)} ways, {len(site.chargers)} chargers"
+
+    def rows() -> list[dict[str, Any]]:
+        lengths = [edge.get("length") or site.straight(edge["from"], edge["to"]) for edge in site.edges]
+        return [{**edge, "length": length} for edge, length in zip(site.edges, lengths, strict=True)]
+
+    return Answer(site, line, rows, site.summary, ("to", "length"), site.environment_text())
+
+
+def _pairs(values: Values | None) -> tuple[tuple[str, str], ...]:
+    return tuple((path, str(value)) for path, value in (values or {}).items())
+
+
+def _listed(paths: Logs) -> list[PathLike]:
+    return [paths] if isinstance(paths, (str, os.PathLike)) else list(paths)
+
+
+def _paths(paths: Logs) -> list[str | Path]:
+    return [Path(path) for path in _listed(paths)]
