@@ -159,7 +159,8 @@ class Mapper:
             return data
         if isinstance(data, str):
             return Labels(np.zeros(rows, dtype=np.int64), (data,))
-        return np.array(np.broadcast_to(np.asarray(data, dtype=np.float64), (rows,)))
+        numbers = np.asarray(data, dtype=np.float64)
+        return numbers if numbers.shape == (rows,) else np.array(np.broadcast_to(numbers, (rows,)))
 
     def _column(
         self, name: str, column: ColumnMap, values: dict[str, Any], result: dict[str, ColumnData], rows: int

@@ -72,7 +72,8 @@ def import_source(
 
 def _logs(mapper: Mapper, part: Part) -> list[LogTable]:
     """Logs of one run of the source (several where gaps split it)."""
-    source: dict[str, Any] = {name: data[part.rows] for name, data in mapper.raw.columns.items()}
+    chosen = _which(part.rows, mapper.raw.rows)
+    source: dict[str, Any] = {name: data[chosen] for name, data in mapper.raw.columns.items()}
     result = mapper.evaluate(source)
     if mapper.spec.others:
         result |= {
@@ -99,7 +100,8 @@ def _logs(mapper: Mapper, part: Part) -> list[LogTable]:
         result, number = {name: data[keep] for name, data in result.items()}, number[keep]
         source = {name: data[keep] for name, data in source.items()}
     logs = []
-    for name, chosen, more in split_at_gaps(part.name, np.asarray(result["time_s"]), mapper.spec.runs):
+    for name, rows, more in split_at_gaps(part.name, np.asarray(result["time_s"]), mapper.spec.runs):
+        chosen = _which(rows, len(number))
         run = {key: data[chosen] for key, data in result.items()}
         signals = {key: data[chosen] for key, data in source.items()}
         logs.append(
@@ -113,6 +115,11 @@ def _logs(mapper: Mapper, part: Part) -> list[LogTable]:
             )
         )
     return logs
+
+
+def _which(rows: NDArray[np.int64], count: int) -> NDArray[np.int64] | slice:
+    """Rows to choose; all of them, in order, without a copy."""
+    return slice(None) if len(rows) == count and bool((np.diff(rows) == 1).all()) else rows
 
 
 def _words_that_are_columns(mapper: Mapper) -> list[Remark]:

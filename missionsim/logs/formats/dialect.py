@@ -255,17 +255,17 @@ def is_number(word: str) -> bool:
 def line_finder(path: Path, dialect: Dialect) -> Callable[[int], int]:
     """Function from row number (0-based, -1 the header) to line number (1-based); empty lines hold no row."""
 
-    blank: list[int] = []
-    scanned = False
+    blank: list[int] | None = None
 
     def line_of(row: int) -> int:
-        nonlocal scanned
+        nonlocal blank
         if row < 0:
             return dialect.header_line
-        if not scanned:  # once, and only where a line is asked for
-            scanned = True
-            with open(path, encoding=dialect.encoding, errors="replace") as handle:
-                blank.extend(n for n, line in enumerate(handle, 1) if n > dialect.header_line and not line.strip())
+        if blank is None:  # once, and only where a line is asked for
+            blank = []
+            if _may_have_blank_lines(path, dialect):
+                with open(path, encoding=dialect.encoding, errors="replace") as handle:
+                    blank += [n for n, line in enumerate(handle, 1) if n > dialect.header_line and not line.strip()]
         line = dialect.header_line + 1 + row
         for empty in blank:
             if empty > line:
@@ -274,6 +274,19 @@ def line_finder(path: Path, dialect: Dialect) -> Callable[[int], int]:
         return line
 
     return line_of
+
+
+def _may_have_blank_lines(path: Path, dialect: Dialect) -> bool:
+    """Whether bytes of a file look so; most files have none, and lines need not be counted one by one."""
+    if dialect.encoding.startswith("utf-16"):
+        return True
+    tail = b""
+    with open(path, "rb") as handle:
+        while block := handle.read(1 << 22):
+            if re.search(rb"[\r\n][ \t]*\n|\r[ \t]*\r", (tail + block).replace(b"\r\n", b"\n")):
+                return True
+            tail = block[-64:]
+    return False
 
 
 def count_rows(path: Path, dialect: Dialect) -> int:
