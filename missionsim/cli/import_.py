@@ -222,7 +222,7 @@ def _list(sources: Sequence[Path], json: str | None, text: bool) -> int:
         ]
         columns: list[str | tuple[str, str]] = ["column or field", ("values", "right"), "range", "perhaps"]
         terminal.print(simple_table(f"{path}: what a map can read", columns, rows))
-        for why in ("constant", "covariance", "empty"):
+        for why in ("constant", "stamp or covariance", "empty"):
             hidden = [field for field in fields if folded(field) == why]
             names = ", ".join(f"{f.name} = {f.range()}" if why == "constant" else f.name for f in hidden[:12])
             if hidden:

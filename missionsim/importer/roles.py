@@ -77,7 +77,7 @@ _PART = r"\b(cell\w*|motors?|heat\w*|air ?con\w*|cpu|shunt|load|charger|solar|ca
 _WHOLE = r"\b(battery|batt?|bus|pack|system|total|robot|main|input|vbat|ibat)\b"
 _SIDES = r"\b(left|right|front|rear|l|r|fl|fr|rl|rr|wheel|joint\w*|motor\w*)\b"
 
-_NO_SPEED = r"\b(current|voltage|effort|torque|temp\w*)\b"
+_NO_SPEED = r"\b(current|voltage|effort|torque|temp\w*|position|angle)\b"
 _PLACE = r"\b(position|pos|pose|odom\w*|location|loc)\b"
 _NO_PLACE = f"{_COMMAND}|\\b(orient\\w*|quat|covariance|twist|linear|angular|acc\\w*)\\b"
 
@@ -91,18 +91,33 @@ ROLES: tuple[Role, ...] = (
     Role(
         "time",
         "duration",
-        r"\b(time|times?tamp|stamp|t|clock|sec|secs|seconds|elapsed|epoch|utc|date ?time|date)\b",
+        r"\b(time|times?tamp|stamp|t|clock|secs?|seconds|elapsed|epoch|utc|date ?time|date"
+        r"|zeit\w*|datum|uhrzeit|temps|tiempo|heure)\b",
         r"\b(t|time|times?tamp|stamp|elapsed)\b",
         r"\b(of|since|remaining|duration|charge|left|ros|header|flight|up)\b",
     ),
-    Role("power", "power", r"\b(power|watts?|pwr|p)\b", _WHOLE, f"{_PART}|{_COMMAND}|\\bsupply\\b", 0.05, 2e5),
     Role(
-        "voltage", "voltage", r"\b(voltage|volts?|vbat|ubat|u)\b", _WHOLE, f"{_PART}|{_COMMAND}|{_SIDES}", 1.0, 1000.0
+        "power",
+        "power",
+        r"\b(power|watts?|pwr|p|leistung|puissance|potencia)\b",
+        _WHOLE,
+        f"{_PART}|{_COMMAND}|\\bsupply\\b",
+        0.05,
+        2e5,
+    ),
+    Role(
+        "voltage",
+        "voltage",
+        r"\b(voltage|volts?|vbat|ubat|u|spannung|tension|voltaje)\b",
+        _WHOLE,
+        f"{_PART}|{_COMMAND}|{_SIDES}",
+        1.0,
+        1000.0,
     ),
     Role(
         "current",
         "current",
-        r"\b(current|amps?|amperes?|ibat|i)\b",
+        r"\b(current|amps?|amperes?|ibat|i|strom|courant|corriente)\b",
         _WHOLE,
         f"{_PART}|{_COMMAND}|{_SIDES}",
         0.005,
@@ -120,7 +135,7 @@ ROLES: tuple[Role, ...] = (
     Role(
         "speed",
         "speed",
-        r"\b(speed|velocity|vel|v|linear x|vx|ground ?speed|kmh)\b",
+        r"\b(speed|velocity|vel|v|linear x|vx|ground ?speed|kmh|geschwindigkeit|vitesse|velocidad)\b",
         r"\b(linear x|vehicle|robot|odom\w*|speed)\b",
         f"{_COMMAND}|{_SIDES}|\\b(angular|omega|vy|vz|wind|y|z|fan|gps|rotational|imu|covariance)\\b",
         0.01,
@@ -227,10 +242,17 @@ def known_unit(text: str) -> str:
     return _PLAIN.get(unit, unit) if unit in UNITS else ""
 
 
+def _inner(name: str) -> str:
+    """A field without its topic or file, unless all that is left says nothing (``/battery/voltage.data``)."""
+    topic = re.match(r"(/[^.\[]+(?:\[[^\]]+\])?|[a-z_][A-Za-z0-9_]*(?:\[[^\]]*\])?)\.(?=\D)", name)
+    inner = name[topic.end() :] if topic else name
+    return name if inner in ("data", "value") else inner
+
+
 def folded(field: Field) -> str | None:
-    """Why a listing need not show a field: ``constant``, ``covariance``, ``empty``; None where it should."""
-    if re.search(r"covariance|header\.(stamp|seq)", field.name):
-        return "covariance"
+    """Why a listing need not show a field: ``constant``, ``stamp or covariance``, ``empty``; None where it should."""
+    if re.search(r"covariance|header\.(stamp|seq)|\.name\[\d+\]$", field.name):
+        return "stamp or covariance"
     if isinstance(field.values, Labels):
         used = np.unique(field.values.codes)
         return "empty" if (used < 0).all() else "constant" if len(used) == 1 and len(field.values) > 1 else None
@@ -259,15 +281,16 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     text = isinstance(field.values, Labels)
     words, unit = words_of(field.name)
     dimension = UNITS[unit][0] if unit else ""
-    named = re.search(role.words, words) is not None or (words == "" and dimension == role.dimension != "")
+    tail = words_of(_inner(field.name))[0]
+    named = re.search(role.words, tail) is not None or (words == "" and dimension == role.dimension != "")
     if role.name == "time":
         return _as_time(field, words, unit, named)
-    if text != (role.dimension == "text") or folded(field) in ("empty", "covariance"):
+    if text != (role.dimension == "text") or folded(field) in ("empty", "stamp or covariance"):
         return None
     if text:
         return Guess(role.name, field.name, "", 1.0, f"'{field.name}' holds words", "likely") if named else None
     own_dimension = dimension == role.dimension or (role.name in ("left", "right") and dimension == "yaw rate")
-    short = bool(re.fullmatch(r"[a-z]", words)) and own_dimension
+    short = bool(re.fullmatch(r"[a-z]", tail)) and own_dimension
     if not (named or short) and not (own_dimension and role.name in ("power", "voltage", "current")):
         return None
     if unit and not own_dimension and not (role.name == "slope" and unit == "%"):

@@ -334,7 +334,7 @@ def _others(draft: Draft) -> None:
         )
     for name, one in draft.fields.items():
         component = switch_name(one)
-        if component is None or name in used:
+        if component is None or name in used or f"on_{component}" in draft.columns:
             continue
         guess = Guess("on", name, "", 0.5, "changes between on and off", "a guess")
         ref = draft.ref(name, f"{component}_state")

@@ -181,18 +181,19 @@ def _rows(draft: Draft, sources: list[str]) -> None:
     known = np.isfinite(time)
     rising = np.flatnonzero(np.diff(time[known]) < 0)
     first = slice(0, int(rising[0]) + 1 if len(rising) else None)
-    slow = [
-        name
-        for name in sources
-        if (values := draft.values(name)[known][first]) is not None
-        and np.isfinite(values).all()
-        and refreshes(values, time[known][first]) is not None
-    ]
+    slow = [name for name in sources if _repeats(draft.values(name)[known][first], time[known][first])]
+    # a voltage in rough steps repeats as well; the current tells
+    meters = sources[1::2] or sources
     step = float(np.median(np.diff(time[known][first]))) if known.sum() > 2 else 1.0
-    if slow and len(slow) >= len(sources) / 2:
+    if set(meters) <= set(slow):
         draft.head["refresh"] = f"[{', '.join(draft.ref(name, 'meter') for name in slow)}]  # a slow topic in fast rows"
     elif 0 < step < 0.04 and "rate" not in draft.head.get("constants", ""):
         draft.head["step"] = "0.1 s  # means: more rows say nothing more of a mission"
+
+
+def _repeats(values: Floats, time_s: Floats) -> bool:
+    """Whether a column comes from a slower topic."""
+    return bool(np.isfinite(values).all()) and refreshes(values, time_s) is not None
 
 
 def name_headless(draft: Draft) -> None:

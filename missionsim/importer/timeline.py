@@ -13,6 +13,8 @@ from missionsim.logs.remarks import Remark
 
 Floats = NDArray[np.float64]
 
+_EVENTS = 0.05
+"""A signal with a smaller share of the rows' number is one of events."""
 _DENSER = 1.5
 """A signal with so many times the messages of the timeline is averaged over the time of each row."""
 
@@ -67,8 +69,12 @@ def merge_signals(signals: dict[str, Signal], timeline: str | None, file: str) -
     leader = timeline or max(signals, key=lambda name: len(signals[name].time_s))
     time = signals[leader].time_s
     first = max(signals, key=lambda name: float(signals[name].time_s[0]))
-    ends = {name: float(signal.time_s[-1]) + 5.0 * usual_step(signal.time_s) for name, signal in signals.items()}
-    last = min(ends, key=lambda name: ends[name])
+    # what changes now and then stays as it is after its last message
+    ends = {
+        name: np.inf if len(signal.time_s) < _EVENTS * len(time) else signal.time_s[-1] + 5 * usual_step(signal.time_s)
+        for name, signal in signals.items()
+    }
+    last = min(ends, key=lambda name: float(ends[name]))
     keep = (time >= signals[first].time_s[0]) & (time <= ends[last])
     if not keep.any():
         keep[:] = True

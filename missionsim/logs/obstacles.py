@@ -64,7 +64,7 @@ def check_obstacles(rows: Rows, components: tuple[str, ...] = ()) -> None:
 
 _GAUGE_S = 20.0
 """Steps of a counter that are this far apart are those of a gauge and not of a meter."""
-_MODULI = tuple(base * 10.0**-digits for base in (65536.0, 4096.0, 32768.0, 256.0) for digits in range(5))
+_MODULI = tuple(base * 10.0**-digits for base in (65536.0, 4096.0, 32768.0) for digits in range(5))
 
 
 def _wraps(data: Floats) -> float:
@@ -80,6 +80,8 @@ def _wraps(data: Floats) -> float:
     for modulus in _MODULI:
         if 0.9 * span < modulus < 1.3 * span:
             whole = np.unwrap(sample, period=modulus)
-            if float(np.abs(np.diff(whole)).max()) < 0.25 * modulus and float(np.ptp(whole)) < 0.5 * modulus:
+            smooth = np.abs(np.diff(whole))
+            # a load that is switched jumps as well, but not to where the values would go on from
+            if smooth[jumps].max() <= 1.5 * smooth[~jumps].max(initial=0.0) and float(np.ptp(whole)) < 0.5 * modulus:
                 return modulus
     return 0.0

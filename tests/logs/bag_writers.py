@@ -116,6 +116,74 @@ def write_bag(path: Path, kind: str, duration_s: float = 30.0) -> Path:
     return path
 
 
+def write_diagnostics_bag(path: Path, duration_s: float = 40.0) -> Path:
+    """A ROS 2 bag whose battery speaks through /diagnostics in texts, with joints, and a lifecycle node."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    start = 1_700_000_000
+
+    def header(t: float):  # type: ignore[no-untyped-def]
+        seconds = int(start + t)
+        stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=round((start + t - seconds) * 1e9))
+        return types["std_msgs/msg/Header"](stamp=stamp, frame_id="base")
+
+    pair, status = types["diagnostic_msgs/msg/KeyValue"], types["diagnostic_msgs/msg/DiagnosticStatus"]
+    state = types["lifecycle_msgs/msg/State"]
+
+    def diagnostics(t: float):  # type: ignore[no-untyped-def]
+        values = {
+            "Charge": f"{90 - t / 10:.1f}%",
+            "Battery voltage": f"{battery_volts(t):.3f} V",
+            "Battery current": f"{amps(t):.4f}",
+        }
+        entries = [pair(key=key, value=value) for key, value in values.items()]
+        motor = [pair(key="Temperature", value="31 C")]
+        return types["diagnostic_msgs/msg/DiagnosticArray"](
+            header=header(t),
+            status=[
+                status(level=0, name="Power System", message="OK", hardware_id="", values=entries),
+                status(level=0, name="Motor left", message="OK", hardware_id="", values=motor),
+            ],
+        )
+
+    def joints(t: float):  # type: ignore[no-untyped-def]
+        return types["sensor_msgs/msg/JointState"](
+            header=header(t),
+            name=["wheel_left", "wheel_right"],
+            position=np.array([t, t]),
+            velocity=np.array([speed(t) / 0.1, speed(t) / 0.1]),
+            effort=np.array([1.0 + speed(t), 2.0 + speed(t)]),
+        )
+
+    def lidar(t: float):  # type: ignore[no-untyped-def]
+        before, after = state(id=2, label="inactive"), state(id=3, label="active")
+        if t > 15:
+            before, after = after, before
+        return types["lifecycle_msgs/msg/TransitionEvent"](
+            timestamp=0,
+            transition=types["lifecycle_msgs/msg/Transition"](id=3, label="x"),
+            start_state=before,
+            goal_state=after,
+        )
+
+    topics = [
+        ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", diagnostics, np.arange(0.0, duration_s, 0.5)),
+        ("/joint_states", "sensor_msgs/msg/JointState", joints, np.arange(0.0, duration_s, 0.1)),
+        ("/lidar/transition_event", "lifecycle_msgs/msg/TransitionEvent", lidar, np.array([10.0, 20.0])),
+    ]
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections = [writer.add_connection(topic, kind, typestore=store) for topic, kind, _, _ in topics]
+        for t, index in sorted((t, index) for index, topic in enumerate(topics) for t in topic[3].tolist()):
+            message = topics[index][2](t)
+            writer.write(
+                connections[index], int((start + t) * 1e9), bytes(store.serialize_cdr(message, topics[index][1]))
+            )
+    return path
+
+
 def write_ulog(path: Path, duration_s: float = 20.0) -> Path:
     """A ULog by its specification: battery_status at 2 Hz, vehicle_local_position and vehicle_attitude at 10 Hz."""
     out = io.BytesIO()

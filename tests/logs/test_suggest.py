@@ -10,7 +10,7 @@ import pytest
 from missionsim.cli.app import run_command as main
 from missionsim.logs import LogTable, read_log, read_logs
 from tests.logs import loggers
-from tests.logs.bag_writers import amps, battery_volts, speed, write_bag, write_ulog
+from tests.logs.bag_writers import amps, battery_volts, speed, write_bag, write_diagnostics_bag, write_ulog
 
 
 def suggested(tmp_path: Path, *sources: Path, exit_code: int = 0, change: tuple[str, str] = ("", "")) -> list[LogTable]:
@@ -56,6 +56,18 @@ def test_bags(tmp_path: Path, kind: str) -> None:
     np.testing.assert_allclose(log.power_w["robot"], battery_volts(log.time_s) * amps(log.time_s), rtol=1e-5)
     near(log, "speed_m_s", speed(log.time_s), 0.01)
     near(log, "slope_rad", np.full(log.rows, 0.05), 1e-6)
+
+
+def test_a_battery_that_speaks_in_diagnostics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = write_diagnostics_bag(tmp_path / "run")
+    (log,) = suggested(tmp_path, bag, exit_code=1, change=("RADIUS", "0.1"))
+    np.testing.assert_allclose(log.power_w["robot"], battery_volts(log.time_s) * amps(log.time_s), rtol=1e-3)
+    near(log, "speed_m_s", speed(log.time_s), 0.05)
+    assert ((log.number("on_lidar") == 1) == ((log.time_s >= 10) & (log.time_s < 20))).all()
+    assert main(["import", str(bag)]) == 0
+    out = capsys.readouterr().out
+    assert "/diagnostics[Power System].Charge" in out
+    assert "/joint_states.effort[wheel_left]" in out
 
 
 def test_ulog(tmp_path: Path) -> None:

@@ -89,7 +89,8 @@ def _records(path: Path, faults: list[Fault]) -> Iterator[dict[str, Any]]:
 
 def _message(record: dict[str, Any]) -> tuple[str, str, dict[str, Any]]:
     """Topic, vehicle and flat fields of a message."""
-    topic = record.get("topic") if isinstance(record.get("topic"), str) else ""
+    named = record.get("topic")
+    topic = named if isinstance(named, str) else ""
     inner = next((record[key] for key in _INSIDE if isinstance(record.get(key), dict)), None)
     if inner is not None and topic:
         times = {key: value for key, value in record.items() if key in _TIMES and not isinstance(value, (dict, list))}
@@ -121,9 +122,9 @@ def _topic(name: str, messages: list[dict[str, Any]], path: Path, options: Optio
     if key is None:
         allowed = ", ".join(_TIMES)
         raise InputError(Fault(str(path), 1, 1, f"the messages of {name} have no time", allowed=f"one of {allowed}"))
-    numbers = [message.get("headerId") for message in messages]
-    if all(isinstance(number, int) for number in numbers):
-        lost = sum(now - before - 1 for before, now in itertools.pairwise(numbers) if 1 < now - before < 1_000_000)
+    numbers = [number for message in messages if isinstance(number := message.get("headerId"), (int, float))]
+    if len(numbers) == len(messages):
+        lost = sum(int(now - before) - 1 for before, now in itertools.pairwise(numbers) if 1 < now - before < 1_000_000)
         if lost:
             message = f"{lost} messages of {name} are missing: their numbers (headerId) jump"
             remarks.append(Remark("damaged", "", message, "what is there was read", "error", 0, lost))

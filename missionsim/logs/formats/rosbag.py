@@ -70,7 +70,8 @@ def read_bag(path: Path, options: Options) -> Recording:
     path : Path
     options : Options
         `fields` as ``/topic.field.sub[0]``, a joint by its name (``/joint_states.effort[left]``), a diagnostic value as
-        ``/diagnostics[status name].key``; `most` messages of each topic; `clock`.
+        ``/diagnostics[status name].key``, the state of a lifecycle node as ``/node/transition_event.state``; `most`
+        messages of each topic; `clock`.
 
     Raises
     ------
@@ -107,6 +108,8 @@ def read_bag(path: Path, options: Options) -> Recording:
             for name, values in _values(topic, message, None if wanted is None else wanted[topic]):
                 if name not in held:
                     held[name] = _Held(infos[topic].msgtype or "", infos[topic].msgcount)
+                    if hasattr(message, "goal_state"):  # what was before the first event is known as well
+                        held[name].add(reader.start_time, reader.start_time, [("state", message.start_state.label)])
                 held[name].add(stamp, received, values)
         expected = {topic: info.msgcount for topic, info in infos.items()}
     if options.most is None:
@@ -214,9 +217,10 @@ def _values(topic: str, message: Any, wanted: dict[str, _Get | None] | None) -> 
             for status in statuses
             if wanted is None or any(field.startswith(f"{topic}[{status.name}].") for field in wanted)
         ]
+    state = [("state", message.goal_state.label)] if hasattr(message, "goal_state") else []
     if wanted is None:
-        return [(topic, [(name, value) for name, value in _leaves(message)])]
-    found = []
+        return [(topic, state + [(name, value) for name, value in _leaves(message)])]
+    found: list[tuple[str, Any]] = state
     for name, get in wanted.items():
         try:
             value = get(message) if get is not None else None
