@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import console, emit_json, shows_text, simple_table, tell_warnings
+from missionsim.cli.common import console, emit_json, progress, shows_text, simple_table, tell_warnings
 from missionsim.cli.options import JsonOption, QuietOption
 
 if TYPE_CHECKING:
     from missionsim.planner.answer import Answer
+    from missionsim.planner.tour import Site
 
 
 def plan(
@@ -20,6 +22,9 @@ def plan(
     out: Path | None = None,
     set_: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None,
     robot: str | None = None,
+    pareto: Annotated[bool, Parameter(name="--pareto", negative="")] = False,
+    alternatives: Annotated[bool, Parameter(name="--alternatives", negative="")] = False,
+    seconds: float | None = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
 ) -> int:
@@ -38,6 +43,12 @@ def plan(
         times.
     robot
         Shipped robot or robot file in place of the task's own.
+    pareto
+        Also the front of energy against time.
+    alternatives
+        Also the next best plans that differ in kind, and how much worse they are.
+    seconds
+        Stop the search after so long, with the best plan so far and how far it may be from the best; so does Ctrl-C.
     json
         Write the plan as JSON to this file, or - for standard output.
     quiet
@@ -46,12 +57,14 @@ def plan(
     from missionsim.files import write_text
     from missionsim.inputs.loading import load_task
     from missionsim.inputs.overrides import split_assignment
-    from missionsim.planner.solve import solve
+    from missionsim.planner.tour import make_site
     from missionsim.planner.write import mission_text
 
     spec = load_task(task, [split_assignment(text) for text in set_ or ()], robot)
     tell_warnings(spec.warnings, quiet)
-    answer = solve(spec)
+    site = make_site(spec)
+    answer = _solved(site, seconds, quiet)
+    _extend(answer, pareto, alternatives)
     if out is not None and answer.feasible:
         write_text(out, mission_text(answer, out))
     emit_json(answer.summary(), json)
@@ -62,6 +75,40 @@ def plan(
     return 0 if answer.feasible else 1
 
 
+def _solved(site: Site, seconds: float | None, quiet: bool) -> Answer:
+    """Search with progress on standard error, and an end to it."""
+    from missionsim.planner.rounds import plan_rounds
+    from missionsim.planner.solve import solve_site
+
+    began = time.monotonic()
+    with progress(quiet) as bar:
+        task = bar.add_task("planning", total=None)
+
+        def watch(what: str, objective: float, bound: float) -> bool:
+            bar.update(task, description=f"planning: best {objective:.6g}, none below {bound:.6g}")
+            return seconds is not None and time.monotonic() - began > seconds
+
+        return plan_rounds(site) if site.task.repeat is not None else solve_site(site, watch)
+
+
+def _extend(answer: Answer, with_pareto: bool, with_alternatives: bool) -> None:
+    from missionsim.planner import why
+
+    if not answer.feasible and answer.notes:
+        answer.extra["why"] = {"short": [], "would_do": [], "text": answer.notes}
+        return
+    if not answer.feasible:
+        answer.extra["why"] = why.explain(answer.site)
+        return
+    if with_pareto:
+        answer.extra["pareto"] = [
+            {"duration_s": made.duration_s, "energy_wh": made.energy_wh, "gap": made.gap, "order": made.order()}
+            for made in why.pareto(answer.site)
+        ]
+    if with_alternatives:
+        answer.extra["alternatives"] = why.alternatives(answer)
+
+
 def show(answer: Answer) -> None:
     """Print a plan, at most 100 columns wide."""
     from missionsim.cli.run_mission import clock
@@ -70,6 +117,8 @@ def show(answer: Answer) -> None:
     task = answer.site.task
     if not answer.feasible:
         terminal.print(f"[bold]{task.name}[/bold] with {task.robot.name}: no plan")
+        for line in answer.extra["why"]["text"]:
+            terminal.print(f"  {line}", markup=False)
         return
     proved = "proved best" if answer.gap == 0.0 else f"at most {100 * answer.gap:.2g} % from the best"
     terminal.print(f"[bold]{task.name}[/bold] with {task.robot.name}: {' → '.join(answer.order())}, {proved}")
@@ -90,3 +139,13 @@ def show(answer: Answer) -> None:
     columns: list[str | tuple[str, str]] = ["leg", "to", "along", "scheme", ("m/s", right), ("s", right)]
     columns += [(f"{name} Wh", right) for name in batteries] + [(f"{name} left", right) for name in batteries]
     terminal.print(simple_table("Legs", columns, rows))
+    for item in answer.extra.get("alternatives", ()):
+        if item["feasible"]:
+            terminal.print(f"  {item['kind']}: {100 * item['worse']:.2f} % worse, {clock(item['duration_s'])}")
+        else:
+            terminal.print(f"  {item['kind']}: no plan")
+    front = answer.extra.get("pareto")
+    if front:
+        heads: list[str | tuple[str, str]] = [("s", right), *((f"{name} Wh", right) for name in batteries)]
+        table = [[f"{p['duration_s']:.1f}", *(f"{p['energy_wh'][n]:.3f}" for n in batteries)] for p in front]
+        terminal.print(simple_table("Energy against time", heads, table))

@@ -189,12 +189,12 @@ def _vectors(chain: list[Label], tour: Tour) -> list[Array]:
         elif len(earlier.points) == 1:
             point = earlier.points[0]
         else:
-            point = _before(point, earlier.points + label.move[2], tour.opens(label.node)) - label.move[2]
+            point = before_wait(point, earlier.points + label.move[2], tour.opens(label.node)) - label.move[2]
         vectors.append(point)
     return vectors[::-1]
 
 
-def _before(point: Array, points: Array, wait: Callable[[Array], Array] | None) -> Array:
+def before_wait(point: Array, points: Array, wait: Callable[[Array], Array] | None) -> Array:
     """The point of a chain that waiting takes to another."""
     if wait is None:
         return point

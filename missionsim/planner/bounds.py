@@ -12,6 +12,7 @@ from missionsim.planner.tour import Site, Tour
 
 Array = NDArray[np.float64]
 LONGEST_S = 1e6
+HAIR = 2e-9
 
 
 def matrix(site: Site, payload_kg: float, weights: Array) -> Array:
@@ -91,6 +92,9 @@ def bounds_of(tour: Tour, multipliers: list[Array], *, objective: Array | None =
     base = site.weights if objective is None else objective
     reserve = np.maximum(physics.reserve_wh, 0.0)
     most = np.array([math.inf, _horizon(site), *physics.capacity_wh])
+    if any(stop.charger is not None and stop.charger.levels is None for stop in site.stops):
+        # charged just as much as will do, a battery must not come out empty by rounding
+        most[2:] -= HAIR * physics.capacity_wh
     if task.within.reserve_throughout:
         most[2:] -= reserve
         reserve = np.zeros(count)

@@ -232,6 +232,7 @@ def search(
     *,
     best: float = math.inf,
     gap: float = 0.0,
+    close: float = 0.0,
     most_labels: int | None = None,
     watch: Callable[[Outcome, int], bool] | None = None,
     every_goal: bool = False,
@@ -250,6 +251,8 @@ def search(
         With `every_goal`, the bound from which on ways are left out.
     gap : float
         Stop as soon as the best way is proved to be within this of the optimum.
+    close : float
+        Stop as soon as the bound has come so near to the best way.
     most_labels : int, optional
         Stop after so many labels.
     watch : callable, optional
@@ -291,7 +294,9 @@ def search(
             if not label.alive:
                 continue
             outcome.bound = max(outcome.bound, value)
-            if value >= outcome.objective - gap and not every_goal:
+            if value >= outcome.objective - max(gap, close) and not every_goal:
+                if outcome.label is not None and value < outcome.objective - gap:
+                    return outcome
                 break
             outcome.labels += 1
             if most_labels is not None and outcome.labels > most_labels:

@@ -11,6 +11,7 @@ from missionsim.effects.integrate import integrate
 from missionsim.engine.components import closure
 from missionsim.engine.recorder import Row, timeline
 from missionsim.engine.simulate import RunSetup
+from missionsim.errors import InputError
 from missionsim.inputs.activities import PolicySpec
 from missionsim.inputs.mission import MissionBehaviour, MissionSpec, WaitSegment
 from missionsim.inputs.power import build_power_model
@@ -92,7 +93,16 @@ class Physics:
 
     def settings_index(self, settings: Settings) -> int:
         """Number of settings (of whichever segment), for `energy_wh`."""
-        return self._settings.setdefault(settings._replace(segment=0), len(self._settings))
+        plain = settings._replace(segment=0)
+        if plain not in self._settings and (late := self.slow & closure(self._infos, plain.sensors).keys()):
+            raise InputError.single(
+                "components that take time to start are not planned",
+                file=str(self.task.path),
+                got=", ".join(sorted(late)),
+                allowed="schemes and sensors without them, or a start-up of 0 s: --set "
+                f"robot.components.{min(late)}.startup.duration=0",
+            )
+        return self._settings.setdefault(plain, len(self._settings))
 
     def energy_wh(
         self, settings: Array, duration_s: Array, speed_m_s: Array, accel_m_s2: Array, starts: Array

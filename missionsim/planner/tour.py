@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.errors import InputError
 from missionsim.inputs.segments import DockSegment, InspectSegment, RechargeSpec, WaitSegment
 from missionsim.inputs.task import TaskSpec, VisitSpec
 from missionsim.inputs.values import Parameter
@@ -19,7 +20,7 @@ from missionsim.plan.build import legs_of
 from missionsim.plan.legs import Leg
 from missionsim.planner.core import Leaving
 from missionsim.planner.drives import Drive, Drives
-from missionsim.planner.orders import Order
+from missionsim.planner.orders import MOST_FREE, Order
 from missionsim.planner.physics import Physics
 from missionsim.planner.pieces import FREE, ROLLED, STOPPED, State, make_road, pieces_of
 
@@ -203,12 +204,25 @@ def visit_segment(visit: VisitSpec, payload_kg: float) -> Any:
 
 
 def make_site(task: TaskSpec, order: Order | None = None) -> Site:
-    """Stops with their costs; roads are made when they are asked for."""
+    """Stops with their costs; roads are made when they are asked for.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        Where the task asks for what is not planned: turning at places, too many visits in any order.
+    """
+    order = order or Order(task)
+    if task.defaults.turn_at_places:
+        raise _refused(task, "turning at places is not planned", "turn_at_places: false", "defaults", "turn_at_places")
+    if order.sequence is None and len(task.visits) > MOST_FREE:
+        raise _refused(
+            task, f"{len(task.visits)} visits in any order", f"at most {MOST_FREE}, or order: given", "visits"
+        )
     physics = Physics(task)
     energy, time = task.weights()
     weights = np.array([time, *(energy[name] for name in physics.names)])
     deadline = math.inf if task.within.deadline is None else task.within.deadline.value
-    site = Site(task, physics, order or Order(task), deadline_s=deadline, weights=weights)
+    site = Site(task, physics, order, deadline_s=deadline, weights=weights)
     nothing = np.zeros(1 + len(physics.names))
     site.stops.append(Stop(task.start, nothing))
     stands = [(visit.place, visit_segment(visit, 0.0)) for visit in task.visits]
@@ -221,6 +235,10 @@ def make_site(task: TaskSpec, order: Order | None = None) -> Site:
     for place, legs in zip(task.docks, legs_of(physics.mission, [(place, dock) for place in task.docks]), strict=True):
         site.stops.append(Stop(place, nothing, None, _charger(site, legs[0])))
     return site
+
+
+def _refused(task: TaskSpec, message: str, allowed: str, *where: str) -> InputError:
+    return InputError(task.document.fault(where, message, allowed=allowed))
 
 
 def _standing(physics: Physics, legs: list[Leg]) -> Array:

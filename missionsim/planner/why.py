@@ -1,0 +1,250 @@
+"""Why there is no plan: what is short, and the smallest single change that would do; and what else there was."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from missionsim.inputs.task import SchemeChoice, TaskSpec
+from missionsim.planner.answer import Answer
+from missionsim.planner.solve import solve_site
+from missionsim.planner.tour import Site, make_site
+
+AMPLE_WH = 1e5
+
+
+def explain(site: Site) -> dict[str, Any]:
+    """What is short where there is no plan, each with the single change that would do, smallest first.
+
+    Returns
+    -------
+    dict
+        ``short``: what lacks (``time`` or a battery), how much, where; ``would_do``: single changes, each of which
+        gives a plan; ``text``: both as sentences.
+    """
+    short: list[dict[str, Any]] = []
+    changes: list[dict[str, Any]] = []
+    if math.isfinite(site.deadline_s):
+        seconds = np.zeros_like(site.weights)
+        seconds[0] = 1.0
+        free = solve_site(replace(site, deadline_s=math.inf, weights=seconds))
+        if free.feasible:
+            lacking = free.duration_s - site.deadline_s
+            late = next((leg for leg, end in _ends(free) if end > site.deadline_s), free.legs[-1])
+            short.append({"what": "time", "short_s": lacking, "leg": _name(late), "to": late.place})
+            changes.append(
+                {
+                    "change": "within.deadline",
+                    "to": free.duration_s,
+                    "unit": "s",
+                    "text": f"a deadline of {free.duration_s:.1f} s ({lacking:.1f} s later)",
+                    "relative": lacking / site.deadline_s,
+                }
+            )
+    for b, name in enumerate(site.physics.names):
+        answer = _with_ample(site, b)
+        if answer is None:
+            continue
+        initial, reserve = float(site.physics.initial_wh[b]), float(site.physics.reserve_wh[b])
+        needed = _deepest(answer, name)
+        lacking = needed + reserve - initial
+        if lacking <= 0.0:
+            continue
+        leg = _falls_below(answer, name, initial - reserve)
+        short.append({"what": name, "short_wh": lacking, "leg": _name(leg), "to": leg.place})
+        capacity = float(site.physics.capacity_wh[b])
+        usable = (initial - reserve) / capacity
+        if usable <= 0.0:
+            continue
+        larger = needed / usable
+        changes.append(
+            {
+                "change": f"robot.batteries.{name}.capacity",
+                "to": larger,
+                "unit": "Wh",
+                "text": f"a battery '{name}' of {larger:.2f} Wh in place of {capacity:.2f} Wh",
+                "relative": larger / capacity - 1.0,
+            }
+        )
+    changes += list(_other_changes(site))
+    changes.sort(key=lambda change: change["relative"])
+    lines = []
+    for item in short:
+        amount = f"{item['short_s']:.1f} s" if "short_s" in item else f"{item['short_wh']:.3f} Wh"
+        what = "time" if item["what"] == "time" else f"battery '{item['what']}'"
+        lines.append(f"{what}: {amount} short, first on {item['leg']} to {item['to']}, all else as asked")
+    if not short:
+        lines.append("more than one limit is short: no single one, taken away, gives a plan")
+    if changes:
+        lines.append("smallest single change that would do: " + changes[0]["text"])
+        lines += [f"or: {change['text']}" for change in changes[1:4]]
+    else:
+        lines.append(
+            "no single change that was tried would do: a later deadline, a larger battery, a visit less, a dock"
+        )
+    return {"short": short, "would_do": changes, "text": lines}
+
+
+def _with_ample(site: Site, battery: int) -> Answer | None:
+    """The plan that takes least of a battery that holds as much as one likes; None where there is none."""
+    physics = site.physics
+    kept = physics.capacity_wh, physics.initial_wh, physics.reserve_wh
+    weights = np.zeros_like(site.weights)
+    weights[1 + battery] = 1.0
+    try:
+        ample = [values.copy() for values in kept]
+        ample[0][battery] = ample[1][battery] = AMPLE_WH
+        ample[2][battery] = 0.0
+        physics.capacity_wh, physics.initial_wh, physics.reserve_wh = ample
+        task = site.task.model_copy(update={"choose": site.task.choose.model_copy(update={"docks": "none"})})
+        stops = [stop for stop in site.stops if stop.charger is None]
+        bare = replace(site, weights=weights, task=task, stops=stops, roads={}, nodes={}, _standing={})
+        answer = solve_site(bare)
+    finally:
+        physics.capacity_wh, physics.initial_wh, physics.reserve_wh = kept
+    return answer if answer.feasible else None
+
+
+def _deepest(answer: Answer, name: str) -> float:
+    spent, most = 0.0, 0.0
+    for leg in answer.legs:
+        spent += leg.energy_wh[name]
+        most = max(most, spent)
+    return most
+
+
+def _falls_below(answer: Answer, name: str, left_wh: float) -> Any:
+    spent = 0.0
+    for leg in answer.legs:
+        spent += leg.energy_wh[name]
+        if spent > left_wh:
+            return leg
+    return answer.legs[-1]
+
+
+def _ends(answer: Answer) -> Iterator[tuple[Any, float]]:
+    clock = 0.0
+    for leg in answer.legs:
+        clock += leg.duration_s
+        yield leg, clock
+
+
+def _name(leg: Any) -> str:
+    return f"edge '{leg.piece.name}'" if leg.piece is not None else leg.kind
+
+
+def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
+    """A visit less; the docks that the task does not use."""
+    task = site.task
+    count = len(task.visits)
+    for i, visit in enumerate(task.visits):
+        if count == 1 or visit.take_up is not None or visit.set_down is not None or count > 8:
+            continue
+        rest = tuple(_without(other, visit.label) for k, other in enumerate(task.visits) if k != i)
+        if solve_site(make_site(_changed(task, visits=rest))).feasible:
+            yield {
+                "change": f"visits.{i}",
+                "to": None,
+                "unit": "",
+                "text": f"without the visit '{visit.label}'",
+                "relative": 1.0 / count,
+            }
+    chargers = [name for name, place in task.environment.places.items() if place.charger is not None]
+    unused = sorted(set(chargers) - set(task.docks))
+    if unused and task.docks != tuple(chargers):
+        free = _changed(task, choose=task.choose.model_copy(update={"docks": "all"}))
+        answer = solve_site(make_site(free))
+        if answer.feasible:
+            minutes = sum(leg.duration_s for leg in answer.legs if leg.kind == "charge") / 60.0
+            where = ", ".join(dict.fromkeys(leg.place for leg in answer.legs if leg.kind == "charge"))
+            yield {
+                "change": "choose.docks",
+                "to": "all",
+                "unit": "",
+                "text": f"charging {minutes:.1f} min at {where} (choose: {{docks: all}})",
+                "relative": 0.5,
+            }
+
+
+def _without(visit: Any, label: str) -> Any:
+    before = tuple(name for name in visit.before if name != label)
+    after = tuple(name for name in visit.after if name != label)
+    return visit.model_copy(update={"before": before, "after": after})
+
+
+def _changed(task: TaskSpec, **changes: Any) -> TaskSpec:
+    return task.model_copy(update=changes)
+
+
+def alternatives(answer: Answer) -> list[dict[str, Any]]:
+    """The next best plans that differ in kind: one scheme or one speed for all, no charging, least time or energy."""
+    site, task = answer.site, answer.site.task
+    choose = task.choose
+    kinds: list[tuple[str, Site]] = []
+    schemes = choose.schemes or ()
+    used = {leg.piece.scheme for leg in answer.legs if leg.piece is not None}
+    for scheme in schemes if len(schemes) > 1 else ():
+        if used != {scheme}:
+            kinds.append((f"only scheme {_scheme_name(scheme)}", _site(task, schemes=(scheme,))))
+    if any(leg.kind == "charge" for leg in answer.legs):
+        kinds.append(("no charging", _site(task, docks="none")))
+    time = np.zeros_like(site.weights)
+    time[0] = 1.0
+    energy = np.ones_like(site.weights)
+    energy[0] = 0.0
+    kinds.append(("least time", replace(site, weights=time)))
+    kinds.append(("least energy", replace(site, weights=energy)))
+    found = []
+    for name, other in kinds:
+        made = solve_site(other)
+        if not made.feasible:
+            found.append({"kind": name, "feasible": False})
+            continue
+        use = np.array([made.duration_s, *made.energy_wh.values()])
+        objective = float(use @ site.weights)
+        if objective <= answer.objective * (1 + 1e-9):
+            continue
+        found.append(
+            {
+                "kind": name,
+                "feasible": True,
+                "objective": objective,
+                "worse": objective / answer.objective - 1.0 if answer.objective else None,
+                "duration_s": made.duration_s,
+                "energy_wh": made.energy_wh,
+                "order": made.order(),
+            }
+        )
+    return sorted(found, key=lambda item: item.get("objective", math.inf))
+
+
+def _scheme_name(scheme: SchemeChoice) -> str:
+    return "/".join(filter(None, (scheme.scheme, scheme.navigation)))
+
+
+def _site(task: TaskSpec, **choices: Any) -> Site:
+    return make_site(_changed(task, choose=task.choose.model_copy(update=choices)))
+
+
+def pareto(site: Site, points: int = 9) -> list[Answer]:
+    """The front of energy against time: the least energy within deadlines from the fastest plan's to no matter what."""
+    seconds = np.zeros_like(site.weights)
+    seconds[0] = 1.0
+    energy = site.weights.copy()
+    energy[0] = 0.0
+    if not energy.any():
+        energy[1:] = 1.0
+    fastest = solve_site(replace(site, weights=seconds))
+    cheapest = solve_site(replace(site, weights=energy))
+    if not fastest.feasible or not cheapest.feasible:
+        return []
+    found = []
+    for deadline in np.linspace(fastest.duration_s, cheapest.duration_s, max(2, points)):
+        made = solve_site(replace(site, weights=energy, deadline_s=float(deadline) * (1.0 + 1e-12)))
+        if made.feasible and (not found or made.duration_s > found[-1].duration_s * (1 + 1e-9)):
+            found.append(made)
+    return found
