@@ -77,6 +77,7 @@ def plan(
 
 def _solved(site: Site, seconds: float | None, quiet: bool) -> Answer:
     """Search with progress on standard error, and an end to it."""
+    from missionsim.planner.chance import with_probability
     from missionsim.planner.rounds import plan_rounds
     from missionsim.planner.solve import solve_site
 
@@ -88,7 +89,11 @@ def _solved(site: Site, seconds: float | None, quiet: bool) -> Answer:
             bar.update(task, description=f"planning: best {objective:.6g}, none below {bound:.6g}")
             return seconds is not None and time.monotonic() - began > seconds
 
-        return plan_rounds(site) if site.task.repeat is not None else solve_site(site, watch)
+        def solve(one: Site) -> Answer:
+            return plan_rounds(one) if one.task.repeat is not None else solve_site(one, watch)
+
+        asked = site.task.within.with_probability
+        return solve(site) if asked is None else with_probability(site, asked.value, solve)
 
 
 def _extend(answer: Answer, with_pareto: bool, with_alternatives: bool) -> None:
@@ -122,6 +127,11 @@ def show(answer: Answer) -> None:
         return
     proved = "proved best" if answer.gap == 0.0 else f"at most {100 * answer.gap:.2g} % from the best"
     terminal.print(f"[bold]{task.name}[/bold] with {task.robot.name}: {' → '.join(answer.order())}, {proved}")
+    if sure := answer.extra.get("probability"):
+        terminal.print(
+            f"holds in {100 * sure['value']:.2f} % of {sure['runs']} fresh draws "
+            f"({100 * sure['low']:.2f} to {100 * sure['high']:.2f} %)"
+        )
     energy = ", ".join(f"{name} {value:.3f} Wh" for name, value in answer.energy_wh.items())
     terminal.print(f"{clock(answer.duration_s)}, {energy}")
     batteries = list(answer.energy_wh)

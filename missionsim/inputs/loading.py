@@ -348,6 +348,11 @@ def _load_task(
     if task is None:
         return None
     task._robot, task._environment = robot_spec, environment
+    task._elsewhere = tuple(
+        (f"{part}.{key}", value if isinstance(value, str) else repr(value))
+        for part in ("robot", "environment")
+        for key, value in by_file[part]
+    )
     faults.extend(check_task(task, task.document))
     return task
 

@@ -202,6 +202,12 @@ class TaskSpec(FileModel):
 
     _robot: Any = PrivateAttr(default=None)
     _environment: Any = PrivateAttr(default=None)
+    _elsewhere: tuple[tuple[str, str], ...] = PrivateAttr(default=())
+
+    @property
+    def elsewhere(self) -> tuple[tuple[str, str], ...]:
+        """What the command line set in the files of robot and environment, (path, text): a mission needs it as well."""
+        return self._elsewhere
 
     @property
     def robot(self) -> RobotSpec:

@@ -207,7 +207,7 @@ def before_wait(point: Array, points: Array, wait: Callable[[Array], Array] | No
         off = float(np.abs(wait((first + share * (second - first))[None, :])[0] - point).max())
         if off < best:
             best, found = off, first + share * (second - first)
-    return found
+    return np.asarray(found)
 
 
 def _leg_json(answer: Answer, leg: Leg) -> dict[str, Any]:

@@ -339,16 +339,16 @@ def _expand(
         picked = np.flatnonzero(fits)
         if picked.size:
             picked = picked[bounds.of(heads[picked], after[picked]) < best]
-        for i in picked:
+        for i in picked.tolist():
             head = int(heads[i])
             moved = after[i : i + 1]
             wait = network.opens(head)
             push(Label(head, moved if wait is None else wait(moved), label, leaving.moves[i]))
         return
-    for i, head in enumerate(heads.tolist()):
-        moved = points + use[i]
-        wait = network.opens(head)
-        push(Label(head, moved if wait is None else wait(moved), label, leaving.moves[i]))
+    for k, there in enumerate(heads.tolist()):
+        moved = points + use[k]
+        wait = network.opens(there)
+        push(Label(there, moved if wait is None else wait(moved), label, leaving.moves[k]))
 
 
 def chain_of(label: Label) -> list[Label]:

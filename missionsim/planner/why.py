@@ -198,7 +198,7 @@ def alternatives(answer: Answer) -> list[dict[str, Any]]:
     energy[0] = 0.0
     kinds.append(("least time", replace(site, weights=time)))
     kinds.append(("least energy", replace(site, weights=energy)))
-    found = []
+    found: list[dict[str, Any]] = []
     for name, other in kinds:
         made = solve_site(other)
         if not made.feasible:
@@ -242,7 +242,7 @@ def pareto(site: Site, points: int = 9) -> list[Answer]:
     cheapest = solve_site(replace(site, weights=energy))
     if not fastest.feasible or not cheapest.feasible:
         return []
-    found = []
+    found: list[Answer] = []
     for deadline in np.linspace(fastest.duration_s, cheapest.duration_s, max(2, points)):
         made = solve_site(replace(site, weights=energy, deadline_s=float(deadline) * (1.0 + 1e-12)))
         if made.feasible and (not found or made.duration_s > found[-1].duration_s * (1 + 1e-9)):

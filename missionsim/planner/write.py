@@ -26,6 +26,7 @@ def mission_text(answer: Answer, target: str | os.PathLike[str] | None) -> str:
     lines = [
         f"# Written by `missionsim plan` from {task.path.name}: edit the task, not this file.",
         f"# {_summary(answer)}",
+        *(f"# Planned with --set {path}={value!r}: run it with the same." for path, value in task.elsewhere),
         "kind: mission",
         f"name: {_text(task.name + '_plan')}",
         f"robot: {_text(_reference(task.robot_ref, task.robot.path, folder))}",

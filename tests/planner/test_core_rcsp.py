@@ -61,10 +61,10 @@ class _Graph:
 def _solve(path: Path) -> tuple[float, float]:
     graph = _Graph(path)
     assert (graph.lower == 0.0).all()
-    began = time.perf_counter()
+    began = time.process_time()
     start = Label(0, np.zeros((1, graph.use.shape[1])))
     outcome = search(graph, [start], lambda node: node == graph.nodes - 1, graph.bounds())
-    return outcome.objective, time.perf_counter() - began
+    return outcome.objective, time.process_time() - began
 
 
 def test_all_published_optima(shared: Path) -> None:

@@ -24,7 +24,7 @@ TWO = "visits=[{place: pump, inspect: 20 s}, {place: shed, wait: 10 s}]"
 
 
 @pytest.mark.parametrize("least", ["energy", "time", "{energy: {drive: 1, computer: 3}, time: 0.002}"])
-@pytest.mark.parametrize("profile", [pytest.param("trapezoidal", marks=pytest.mark.study), "constant_speed"])
+@pytest.mark.parametrize("profile", ["trapezoidal", "constant_speed"])
 def test_energies_times_and_charges_agree(root: Path, tmp_path: Path, least: str, profile: str) -> None:
     plan, run = planned(root, tmp_path, TWO, f"least={least}", f"defaults={{profile: {profile}}}")
     assert plan["feasible"]
