@@ -52,6 +52,7 @@ def build_app() -> App:
     from missionsim import __version__
 
     app = App(name="missionsim", help=HELP, version=__version__, help_format="plaintext")
+    app.register_install_completion_command(help="Install completion for a shell: bash, zsh or fish.")
     for name, (target, summary) in COMMANDS.items():
         app.command(f"missionsim.cli.{target}", name=name, help=summary)
     return app

@@ -12,7 +12,7 @@ from missionsim.cli.app import run_command
 from missionsim.inputs.loading import check_files
 
 FILES = Path(__file__).parent / "files"
-SITES = sorted(path.name for path in FILES.iterdir() if path.name != "cart_config.yaml")
+SITES = sorted(path.name for path in FILES.iterdir())
 
 
 def damaged(raw: bytes, rng: random.Random) -> bytes:
@@ -43,7 +43,8 @@ def try_damaged(name: str, count: int, seed: int, folder: Path, capsys: pytest.C
         source, out, mission = folder / name, folder / "site_out.yaml", folder / "mission_out.yaml"
         source.write_bytes(damaged(raw, rng))
         begin = time.monotonic()
-        arguments = ["import-site", str(source), "--out", str(out)]
+        command = "import-robot" if name == "cart_config.yaml" else "import-site"
+        arguments = [command, str(source), "--out", str(out)]
         if number % 2 and name in ("rover.plan", "order.json", "hill.gpx", "rover.waypoints"):
             arguments += ["--mission", str(mission)]
         code = run_command(arguments)

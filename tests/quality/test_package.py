@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import subprocess
 import sys
@@ -91,3 +92,14 @@ def test_repository_names_no_machine_path() -> None:
         path = ROOT / name
         if path.is_file() and path.suffix in (".py", ".md", ".yaml", ".toml", ".txt", ".csv", ".json", ""):
             assert not forbidden.search(path.read_text(encoding="utf-8", errors="ignore")), name
+
+
+def test_completion_installs(tmp_path: Path) -> None:
+    script = tmp_path / "completion.bash"
+    words = ["--install-completion", "--shell", "bash", "--output", str(script)]
+    environment = {**os.environ, "HOME": str(tmp_path)}
+    command = [sys.executable, "-m", "missionsim", *words]
+    assert subprocess.run(command, env=environment, capture_output=True, check=False).returncode == 0
+    text = script.read_text(encoding="utf-8")
+    assert all(name in text for name in COMMANDS)
+    assert subprocess.run(["bash", "-n", str(script)], check=False).returncode == 0
