@@ -7,8 +7,8 @@ zero unless prediction improves clearly and in most runs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,27 +16,22 @@ from missionsim.identify.align import Clock
 from missionsim.identify.data import Array, Candidate
 from missionsim.identify.design import Layout, Source
 from missionsim.identify.evidence import Evidence
-from missionsim.identify.predictive import INDEPENDENT_S, LeastSquares, Left
-from missionsim.identify.settings import Settings
+from missionsim.identify.predictive import LeastSquares, Left
+from missionsim.identify.settings import (
+    FAMILY_LEVEL,
+    INDEPENDENT_S,
+    LARGEST_PASS_THROUGH,
+    LEAST_FALL,
+    NESTED,
+    PASS_THROUGH_FALL,
+    POWER_Z,
+    RIVAL_PART,
+    ROUGH,
+    UNCLEAR,
+    Settings,
+)
+from missionsim.identify.sober_clock import sober_clock
 
-ROUGH = 0.25
-"""Error of the recalibrated base on left-out runs, as part of the mean power, from which its form is far from right:
-worlds in which one effect of 5 % is missing stay below 0.2, real robots under a speed-only base come to 0.4 to 2."""
-LEAST_FALL = 0.03
-"""Part of the squared error on left-out runs that an effect must take away; chance and wrong forms take 1 to 2 %."""
-PASS_THROUGH_FALL = 0.002
-"""The same for watts that are logged beside: they are drawn, only whether this battery feeds them is asked."""
-LARGEST_PASS_THROUGH = 2.0
-FAMILY_LEVEL = 0.01
-"""Family-wise level of the Wald test with errors clustered by run: with 6 to 12 runs a tenth of it has no power."""
-UNCLEAR = 2.0
-"""Standard errors of a paired difference between two effects below which runs do not tell them apart."""
-RIVAL_PART = 0.5
-NESTED = 1e-6
-DELAY_LEVEL = 0.01
-ADVANCE_LEVEL = 0.001
-"""A meter that is ahead of the motion is against physics; clocks of two computers can do it."""
-CLOCK_FALL = 0.03
 LOGGED = "logged_power"
 
 
@@ -112,7 +107,7 @@ class Forward:
 
         freedom = max(len(self.squares.sums) - 1, 1)
         level = max(FAMILY_LEVEL, settings.alpha) / max(len(self.trials), 1)
-        factor = float(t.isf(0.5 * level, freedom)) + 0.84
+        factor = float(t.isf(0.5 * level, freedom)) + POWER_Z
         out = np.full(columns, np.inf)
         for trial in self.trials.values():
             out[list(trial.columns)] = np.maximum(factor * np.sqrt(np.diag(trial.covariance)), settings.min_share)
@@ -357,52 +352,3 @@ def _nested(squares: LeastSquares, one: Sequence[int], other: Sequence[int]) -> 
     cross = squares.whole[np.ix_(b, a)]
     rest = np.diag(squares.whole)[a] - np.sum(cross * np.linalg.lstsq(inner, cross, rcond=1e-12)[0], axis=0)
     return bool(np.all(rest <= NESTED * np.diag(squares.whole)[a]))
-
-
-def sober_clock(source: Source, chosen: Sequence[int]) -> Clock:
-    """Delay or lag of the meter, zero unless left-out runs are predicted better with it, clearly and in most of them.
-
-    Delay and lag together only where they predict better than the best of each alone: opposite ones are a filter
-    that smooths the motion, not a meter.
-    """
-    still = Clock(0.0, 0.0, tuple(0.0 for _ in source.runs))
-    reach = max(1.0, source.layout.step_s)
-    known: dict[tuple[float, float], Left] = {}
-
-    def left(delay: float, lag: float) -> Left:
-        key = (round(delay, 3), round(lag, 3))
-        if key not in known:
-            design = source.design(replace(still, delay_s=key[0], lag_s=key[1]), chosen)
-            known[key] = LeastSquares.of(design).leave_out(range(len(chosen)))
-        return known[key]
-
-    best = (0.0, 0.0)
-    delays, lags = (np.arange(-0.8, 0.81, 0.2) * reach, np.arange(0.0, 1.01, 0.2) * reach)
-    alone = [(float(d), 0.0) for d in delays] + [(0.0, float(t)) for t in lags]
-    together = [(float(d), float(t)) for d in delays for t in lags]
-    for points in (alone, together):
-        top = _finer(left, min(points, key=lambda p: left(*p).total), 0.1 * reach, points is together)
-        if _clearly_better(left(*top), left(*best), ADVANCE_LEVEL if top[0] < min(best[0], 0.0) else DELAY_LEVEL):
-            best = top
-    return still if best == (0.0, 0.0) else replace(still, delay_s=best[0], lag_s=best[1])
-
-
-def _finer(
-    left: Callable[[float, float], Left], point: tuple[float, float], width: float, both: bool
-) -> tuple[float, float]:
-    steps = (
-        [(1, 0), (-1, 0), (0, 1), (0, -1)] if both else ([(1, 0), (-1, 0)] if point[1] == 0.0 else [(0, 1), (0, -1)])
-    )
-    around = [(point[0] + i * width, max(0.0, point[1] + j * width)) for i, j in steps]
-    return min([point, *around], key=lambda p: left(*p).total)
-
-
-def _clearly_better(new: Left, old: Left, level: float) -> bool:
-    from scipy.stats import t
-
-    ratio = np.log(np.maximum(new.square, 1e-300) / np.maximum(old.square, 1e-300))
-    count = len(ratio)
-    if count < 2 or new.total > (1.0 - CLOCK_FALL) * old.total:
-        return False
-    sd = float(np.std(ratio, ddof=1)) / np.sqrt(count)
-    return float(t.cdf(float(ratio.mean()) / max(sd, 1e-300), count - 1)) < level

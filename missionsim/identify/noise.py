@@ -15,7 +15,15 @@ import numpy as np
 
 from missionsim.identify.data import Array
 from missionsim.identify.design import Design
-from missionsim.identify.settings import HUBER, JITTER_SD_S, LAG_JITTER_SD_S2, LARGEST_GAIN, NOISE_FLOOR, NOISE_SPLIT_S
+from missionsim.identify.settings import (
+    HUBER,
+    JITTER_SD_S,
+    LAG_JITTER_SD_S2,
+    LARGEST_GAIN,
+    NOISE_FLOOR,
+    NOISE_SPLIT_S,
+    SLOW_LEFT,
+)
 from missionsim.identify.whitening import Packed, Shape, arma_of, start_factor
 
 if TYPE_CHECKING:
@@ -92,10 +100,6 @@ def start_noise(design: Design) -> Noise:
         np.ones(n),
         np.ones(n),
     )
-
-
-SLOW_LEFT = 0.01
-"""Part of a bounded noise that may be slow: hardly any, since that is where a missing effect hides."""
 
 
 def bounded_noise(design: Design, squares: LeastSquares, chosen: Sequence[int]) -> Noise:

@@ -18,12 +18,8 @@ from numpy.typing import NDArray
 
 from missionsim.identify.data import Array
 from missionsim.identify.design import Design
+from missionsim.identify.settings import FEWEST_FOLDS, INDEPENDENT_S, SHORTEST_FOLD_S
 
-FEWEST_FOLDS = 8
-"""With fewer runs each is cut into stretches of time: a jackknife over two or three values says nothing."""
-SHORTEST_FOLD_S = 30.0
-INDEPENDENT_S = 20.0
-"""Rows this far apart count as independent where a prior is weighed against the data (length of the robust blocks)."""
 RIDGE = 1e-9
 
 

@@ -277,3 +277,37 @@ LENGTHS = (1, 2, 4)
 """Times its usual length that a manoeuvre may be driven."""
 MOST_PROPOSED = 2
 """Manoeuvres proposed: the best and one to choose in its place."""
+
+# Selection by prediction, where the base is far from right
+
+ROUGH = 0.25
+"""Error of the recalibrated base on left-out runs, as part of the mean power, from which its form is far from right:
+worlds in which one effect of 5 % is missing stay below 0.2, real robots under a speed-only base come to 0.4 to 2."""
+FEWEST_FOLDS = 8
+"""With few runs each is cut into stretches of time: a jackknife over two or three values says nothing."""
+SHORTEST_FOLD_S = 30.0
+"""No stretch is shorter than this [s]: it must hold more than one manoeuvre."""
+INDEPENDENT_S = 20.0
+"""Rows this far apart count as independent where a prior is weighed against the data [s], as in the robust blocks."""
+LEAST_FALL = 0.03
+"""Part of the squared error on left-out runs that an effect must take away; chance and wrong forms take 1 to 2 %."""
+PASS_THROUGH_FALL = 0.002
+"""The same for watts that are logged beside: they are drawn, only whether this battery feeds them is asked."""
+LARGEST_PASS_THROUGH = 2.0
+"""Watts logged beside come with at most this factor: no converter loses more than half."""
+FAMILY_LEVEL = 0.01
+"""Family-wise level of the Wald test with errors clustered by run: with 6 to 12 runs a tenth of it has no power."""
+UNCLEAR = 2.0
+"""Standard errors of a paired difference between two effects below which runs do not tell them apart."""
+RIVAL_PART = 0.5
+"""A rival must explain at least this part of what the effect explains."""
+NESTED = 1e-6
+"""Columns with no more than this part outside the span of others are a special case of them, and no rival."""
+DELAY_LEVEL = 0.01
+"""Level of the paired test over runs at which a delay or lag of the meter is taken."""
+ADVANCE_LEVEL = 0.001
+"""The same for a meter ahead of the motion: against physics, though clocks of two computers can do it."""
+CLOCK_FALL = 0.03
+"""Part of the squared error on left-out runs that a clock must take away."""
+SLOW_LEFT = 0.01
+"""Part of a bounded noise that may be slow: hardly any, since that is where a missing effect hides."""
