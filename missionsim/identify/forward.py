@@ -312,7 +312,7 @@ def _beyond_recalibration(
     if size <= 0.0:
         return True
     shift = float(shares[0]) * float(squares.whole[gradient, column]) / size / squares.prior_sd[q]
-    return abs(shift) > settings.recalibration_limit
+    return bool(abs(shift) > settings.recalibration_limit)
 
 
 def _rivals(

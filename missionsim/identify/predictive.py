@@ -93,7 +93,8 @@ class LeastSquares:
 
     def index(self, chosen: Sequence[int]) -> NDArray[np.intp]:
         """Rows of the base parameters and of the chosen columns in the sums."""
-        return np.r_[1 : 1 + self.q, 1 + self.q + np.asarray(chosen, dtype=np.intp)].astype(np.intp)
+        index: NDArray[np.intp] = np.r_[1 : 1 + self.q, 1 + self.q + np.asarray(chosen, dtype=np.intp)].astype(np.intp)
+        return index
 
     def _normal(self, sums: Array, index: NDArray[np.intp]) -> tuple[Array, Array]:
         """Normal equations with the priors of the base, for one or several sums (..., m, m)."""
@@ -119,9 +120,8 @@ class LeastSquares:
     def leave_out(self, chosen: Sequence[int]) -> Left:
         """Each fold predicted from a fit to all others."""
         index = self.index(chosen)
-        if len(self.sums) < 2 or not len(index):
-            coefficients = np.zeros((len(self.sums), len(index)))
-        else:
+        coefficients: Array = np.zeros((len(self.sums), len(index)))
+        if len(self.sums) > 1 and len(index):
             inner, side = self._normal(self.whole - self.sums, index)
             coefficients = np.linalg.solve(inner, side[..., None])[..., 0]
         return self.errors(index, coefficients)

@@ -1,4 +1,4 @@
-"""The clock of the meter by the prediction of left-out runs: zero unless it predicts better, clearly and in most runs."""
+"""The clock of the meter by the prediction of left-out runs: zero unless it is clearly better."""
 
 from __future__ import annotations
 
