@@ -143,11 +143,11 @@ def test_a_million_runs_in_less_than_a_gigabyte(root: Path, tmp_path: Path) -> N
 @pytest.mark.study
 @pytest.mark.parametrize(("times", "runs"), [(13, 20_000), (50, 20_000), (200, 20)])
 def test_memory_does_not_grow_with_segments(times: int, runs: int, tmp_path: Path) -> None:
-    """520, 2000 and 8000 segments."""
-    path = forty.write(tmp_path, times)
-    peak = peak_gb(
-        ["montecarlo", str(path), "--runs", str(runs), "--sobol", "0", "--quiet", "--out", str(tmp_path / "b")]
-    )
+    """520, 2000 and 8000 segments, with batteries that last."""
+    path = str(forty.write(tmp_path, times))
+    large = [part for name in ("robot", "laptop") for part in ("--set", f"robot.batteries.{name}.capacity=1 MWh")]
+    out = str(tmp_path / "batch")
+    peak = peak_gb(["montecarlo", path, *large, "--runs", str(runs), "--sobol", "0", "--quiet", "--out", out])
     print(f"\n{40 * times} segments, {runs} runs: peak memory {peak:.2f} GB")
     assert peak < 1.0
 
