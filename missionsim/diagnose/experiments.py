@@ -11,9 +11,9 @@ from missionsim.diagnose.features import Features, effect_columns
 from missionsim.diagnose.manoeuvres import Manoeuvre, Site, library, script, shortened
 from missionsim.effects.derive import derive
 from missionsim.effects.model import PowerModel
+from missionsim.identify.choice import Choice
 from missionsim.identify.data import RunData
 from missionsim.identify.design import make_source
-from missionsim.identify.evidence import Choice
 from missionsim.identify.findings import Experiment
 from missionsim.identify.gram import Gram, make_gram
 from missionsim.identify.model import Model

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +24,6 @@ from missionsim.identify.settings import (
 )
 
 Numbers = NDArray[np.intp]
-
-if TYPE_CHECKING:
-    from missionsim.identify.forward import Forward
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,18 +61,6 @@ class Evidence:
         from scipy.stats import chi2
 
         return float(max(chi2.sf(2 * max(self.gain, 0.0), 1), self.p_robust))
-
-
-@dataclass
-class Choice:
-    """A fitted model, what spoke for each column in it, and what was tried and refused."""
-
-    model: Model
-    empty: Model
-    evidence: dict[int, Evidence]
-    refused: dict[int, Evidence] = field(default_factory=dict)
-    forward: Forward | None = None
-    """The selection by prediction, where the base was far from right."""
 
 
 def evidence_of(model: Model, column: int, constraints: Constraints, settings: Settings) -> Evidence:

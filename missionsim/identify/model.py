@@ -13,8 +13,9 @@ from missionsim.identify.align import Clock
 from missionsim.identify.data import Array
 from missionsim.identify.design import Design, Source
 from missionsim.identify.gram import Gram, eliminate_random, make_gram, project, random_effects, raw_blocks
-from missionsim.identify.noise import Noise, fit_noise, start_noise
+from missionsim.identify.noise import Noise, start_noise
 from missionsim.identify.predictive import LeastSquares
+from missionsim.identify.reml import fit_noise
 from missionsim.identify.settings import CLOCK_RISE_NATS, LARGEST_RUN_DELAY_S, RUN_DELAY_SD_S, UNUSUAL_GAIN, USUAL_GAIN
 from missionsim.identify.whitening import start_factor
 

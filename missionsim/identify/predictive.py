@@ -123,7 +123,7 @@ class LeastSquares:
         coefficients: Array = np.zeros((len(self.sums), len(index)))
         if len(self.sums) > 1 and len(index):
             inner, side = self._normal(self.whole - self.sums, index)
-            coefficients = np.linalg.solve(inner, side[..., None])[..., 0]
+            coefficients = np.asarray(np.linalg.solve(inner, side[..., None])[..., 0])
         return self.errors(index, coefficients)
 
     def only(self, folds: NDArray[np.bool_]) -> LeastSquares:

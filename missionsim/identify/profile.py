@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from missionsim.identify.choice import Choice
 from missionsim.identify.data import Array, Candidate, RunData
 from missionsim.identify.design import Column, Source
-from missionsim.identify.evidence import Choice
 from missionsim.identify.model import Model, score, shares
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.rules import weigh

@@ -13,8 +13,9 @@ from missionsim.identify.data import Array
 from missionsim.identify.design import Column, Design
 from missionsim.identify.identification import Identification
 from missionsim.identify.model import Model, log_likelihood
-from missionsim.identify.noise import Noise, bounded_noise, fit_noise, for_rows, start_noise
+from missionsim.identify.noise import Noise, bounded_noise, for_rows, start_noise
 from missionsim.identify.predictive import LeastSquares
+from missionsim.identify.reml import fit_noise
 
 LAGS_S = (0.0, 0.15, 0.3, 0.45, 0.6)
 DELAYS_S = (-0.2, -0.1, 0.1, 0.2, 0.3)
