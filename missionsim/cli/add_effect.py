@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import check_search, console, emit_json, shows_text, tell_logs
+from missionsim.cli.common import check_search, console, emit_json, shows_text, tell_left_out, tell_logs
 from missionsim.cli.diagnose import HoldoutOption, RobotOption
 from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
 
@@ -78,7 +78,9 @@ def add_effect(
     from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import for_folder, robot_text
     from missionsim.inputs.loading import load_robot, robot_from_text
+    from missionsim.inputs.power import build_power_model
     from missionsim.logs import read_logs
+    from missionsim.runs.admit import admit
 
     check_search(logs, alpha)
     if (effect is None) == (formula is None):
@@ -88,7 +90,8 @@ def add_effect(
             allowed='--effect turning_scrub, or --formula 1, or --formula "k * abs(yaw_rate_rad_s) * payload_kg"',
         )
     spec = load_robot(robot)
-    tables = read_logs(list(logs), robot=spec)
+    tables, left_out = admit(read_logs(list(logs), robot=spec), build_power_model(spec))
+    tell_left_out(left_out)
     tell_logs(tables, quiet)
     split = choose_split(tables, holdout)
     chosen = battery or motors_battery(spec, tables)
@@ -129,6 +132,7 @@ def add_effect(
             "indistinguishable_from": list(made.rivals),
             "heldout": made.heldout and made.heldout.to_json(),
             "worse": made.worse or None,
+            "left_out": left_out,
             "robot_file": str(out),
             "base": {name: {"value": value, "sd": sd} for name, (value, sd) in made.base.items()},
         },
@@ -160,7 +164,7 @@ def add_effect(
         if made.heldout is not None:
             terminal.print("held out: " + heldout_line(made.heldout), markup=False)
         terminal.print(f"written: {out}", markup=False)
-    return 1 if made.worse else 0
+    return 1 if made.worse or left_out else 0
 
 
 def _candidate(

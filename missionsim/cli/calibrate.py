@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import console, emit_json, shows_text, simple_table
+from missionsim.cli.common import console, emit_json, shows_text, simple_table, tell_left_out
 from missionsim.cli.options import JsonOption, QuietOption
 
 if TYPE_CHECKING:
@@ -61,7 +61,10 @@ def calibrate(
     """
     from missionsim.errors import InputError
     from missionsim.files import write_text
+    from missionsim.inputs.loading import load_robot
+    from missionsim.inputs.power import build_power_model
     from missionsim.logs import describe, read_logs
+    from missionsim.runs.admit import admit
 
     if (new is None) == (robot is None):
         raise InputError.single("give either --new NAME with --base, or --robot R", got="both" if new else "neither")
@@ -71,7 +74,9 @@ def calibrate(
         raise InputError.single("--base belongs to --new", got=base)
     if not logs:
         raise InputError.single("give at least one log", allowed="files or folders")
-    tables = read_logs(list(logs))
+    given = None if robot is None else build_power_model(load_robot(robot))
+    tables, left_out = admit(read_logs(list(logs)), given)
+    tell_left_out(left_out)
     fits: list[ModelFit]
     remarks: list[str]
     if new is not None and base is not None:
@@ -88,10 +93,10 @@ def calibrate(
         text, fits, remarks = again.text, list(again.fits), list(again.remarks)
     remarks = [*describe(tables), *remarks]
     write_text(out, text)
-    emit_json(_as_json(fits, remarks, out), json)
+    emit_json(_as_json(fits, remarks, out) | {"left_out": left_out}, json)
     if shows_text(json, quiet):
         _print(fits, remarks, out)
-    return 0
+    return 1 if left_out else 0
 
 
 def _as_json(fits: list[ModelFit], remarks: list[str], out: Path) -> dict[str, Any]:

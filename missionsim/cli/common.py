@@ -130,6 +130,12 @@ def tell_logs(logs: Sequence[LogTable], quiet: bool = False) -> None:
         print(line, file=sys.stderr)
 
 
+def tell_left_out(told: Sequence[str]) -> None:
+    """Say before anything else which runs were left out; the command ends with exit code 1."""
+    for line in told:
+        print(f"LEFT OUT {line}", file=sys.stderr)
+
+
 def simple_table(title: str, columns: Iterable[str | tuple[str, str]], rows: Iterable[Iterable[Any]]) -> Any:
     """A rich table; a column is its heading, or (heading, "right" or "left")."""
     from rich.markup import escape

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import check_search, console, emit_json, shows_text
+from missionsim.cli.common import check_search, console, emit_json, shows_text, tell_left_out
 from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
 
 if TYPE_CHECKING:
@@ -62,10 +62,19 @@ def diagnose(
     from missionsim.diagnose import diagnose_files
 
     check_search(logs, alpha)
+    left_out: list[str] = []
     result = diagnose_files(
-        robot, list(logs), holdout=holdout, mission=mission, battery=battery, alpha=alpha, align=not no_align
+        robot,
+        list(logs),
+        holdout=holdout,
+        mission=mission,
+        battery=battery,
+        alpha=alpha,
+        align=not no_align,
+        on_left_out=left_out.extend,
     )
-    emit_json(result.to_json(), json)
+    tell_left_out(left_out)
+    emit_json(result.to_json() | {"left_out": left_out}, json)
     if report is not None:
         from missionsim.files import write_text
         from missionsim.report.diagnosis_page import diagnosis_page
@@ -75,7 +84,7 @@ def diagnose(
         show(result, robot, logs)
         if report is not None:
             console().print(f"report written: {report}", markup=False)
-    return 0
+    return 1 if left_out else 0
 
 
 def show(result: Diagnosis, robot: str, logs: Sequence[Path]) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import check_search, console, emit_json, shows_text, simple_table, tell_logs
+from missionsim.cli.common import check_search, console, emit_json, shows_text, simple_table, tell_left_out, tell_logs
 from missionsim.cli.diagnose import HoldoutOption, ReportOption, RobotOption
 from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
 
@@ -67,7 +67,9 @@ def improve(
     from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import for_folder, robot_text
     from missionsim.inputs.loading import load_robot
+    from missionsim.inputs.power import build_power_model
     from missionsim.logs import read_logs
+    from missionsim.runs.admit import admit
 
     check_search(logs, alpha)
     if not yes and not sys.stdin.isatty():
@@ -76,7 +78,8 @@ def improve(
             allowed="--yes to add every effect that was identified",
         )
     spec = load_robot(robot)
-    tables = read_logs(list(logs), robot=spec)
+    tables, left_out = admit(read_logs(list(logs), robot=spec), build_power_model(spec))
+    tell_left_out(left_out)
     tell_logs(tables, quiet)
     split = choose_split(tables, holdout)
     text = robot_text(robot)
@@ -94,14 +97,14 @@ def improve(
     if not done:
         raise next(iter(skipped.values()))
     write_text(out, for_folder(text, out.parent))
-    emit_json(_as_json(done, skipped, out, split.how), json)
+    emit_json(_as_json(done, skipped, out, split.how) | {"left_out": left_out}, json)
     if report is not None:
         from missionsim.report.improve_page import improve_page
 
         write_text(report, improve_page(spec.name, done))
     if shows_text(json, quiet):
         _print(done, skipped, out, report)
-    return 1 if any(one.worse for one in done) else 0
+    return 1 if left_out or any(one.worse for one in done) else 0
 
 
 def _batteries(spec: Any, tables: list[Any]) -> list[str]:

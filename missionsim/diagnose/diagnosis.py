@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,6 +49,7 @@ from missionsim.identify.settings import (
 from missionsim.identify.verdict import decide
 from missionsim.labels import Labels
 from missionsim.logs import describe
+from missionsim.runs.admit import admit
 
 if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
@@ -129,6 +130,7 @@ def diagnose_files(
     battery: str | None = None,
     alpha: float = ALPHA,
     align: bool = True,
+    on_left_out: Callable[[list[str]], None] | None = None,
 ) -> Diagnosis:
     """Diagnose from files.
 
@@ -148,6 +150,8 @@ def diagnose_files(
         Family-wise rate of false alarms.
     align : bool
         Find and apply delay and lag of the meter behind the motion.
+    on_left_out : callable, optional
+        Called with a line for each run that is not learnt from, see `missionsim.runs.admit.admit`.
 
     Raises
     ------
@@ -166,9 +170,12 @@ def diagnose_files(
 
         run = simulate(load_mission(mission, robot=spec))
         timeline, segments = run.timeline, tuple(segment.name for segment in run.segments)
-    tables = read_logs(list(logs), robot=spec)
+    subject = Subject.of(spec)
+    tables, left_out = admit(read_logs(list(logs), robot=spec), subject.model)
+    if on_left_out is not None:
+        on_left_out(left_out)
     return diagnose(
-        Subject.of(spec),
+        subject,
         tables,
         holdout=holdout,
         timeline=timeline,

@@ -1,0 +1,75 @@
+"""Runs that must not be learnt from are named with their fault, first, and the exit code says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from missionsim.cli.app import run_command
+from missionsim.inputs.loading import load_robot
+from missionsim.inputs.power import build_power_model
+from missionsim.logs import Remark
+from missionsim.runs.admit import admit
+from missionsim.runs.run import Run
+from tests.diagnose.logs import drive
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Run]:
+    return [drive(seed, seconds=200.0) for seed in range(5)]
+
+
+def told(runs: list[Run]) -> list[str]:
+    kept, lines = admit(runs, build_power_model(load_robot("pioneer3dx")))
+    assert len(kept) + len(lines) == len(runs)
+    return lines
+
+
+def test_good_runs_are_all_learnt_from(runs: list[Run]) -> None:
+    assert told(runs) == []
+
+
+def test_a_run_in_milliwatts_is_named_with_its_factor(runs: list[Run]) -> None:
+    odd = replace(runs[2], power_w={"robot": 1000.0 * runs[2].power_w["robot"]})
+    (line,) = told([*runs[:2], odd, *runs[3:]])
+    assert line.startswith("run_02: power_robot_w is ")
+    assert 800.0 < float(line.split("is ")[1].split(" times")[0]) < 1250.0
+
+
+def test_a_run_in_km_h_is_named_with_its_unit(runs: list[Run]) -> None:
+    fast = replace(runs[3], columns={**runs[3].columns, "speed_m_s": 3.6 * runs[3].number("speed_m_s")})
+    (line,) = told([*runs[:3], fast, runs[4]])
+    assert line == "run_03: speed_m_s is 3.6 times too large (km/h?)"
+
+
+def test_near_copies_count_once(runs: list[Run]) -> None:
+    noise = np.random.default_rng(0).normal(0.0, 0.01, len(runs[0]))
+    copy = replace(runs[0], run="again", power_w={"robot": runs[0].power_w["robot"] + noise})
+    (line,) = told([*runs, copy])
+    assert line.startswith("again: a copy of run_00")
+
+
+def test_what_validate_refuses_is_left_out(runs: list[Run]) -> None:
+    refused = replace(runs[1], remarks=(Remark("unit", "speed_m_s", "3.6 times the path", "left", "error"),))
+    (line,) = told([runs[0], refused, *runs[2:]])
+    assert "3.6 times the path" in line
+
+
+def test_the_command_says_it_first_and_exits_with_one(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    for path in sorted((root / "docs/examples/ramp_runs").glob("*.csv")):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        if path.stem == "run_01":
+            at = lines[0].split(",").index("power_robot_w")
+            rows = [line.split(",") for line in lines[1:]]
+            lines[1:] = [",".join([*r[:at], str(1000.0 * float(r[at])), *r[at + 1 :]]) for r in rows]
+        (logs / path.name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    arguments = ["--robot", "pioneer3dx", str(logs), "--quiet"]
+    assert run_command(["add-effect", "--effect", "grade", *arguments, "--out", str(tmp_path / "r.yaml")]) == 1
+    assert capsys.readouterr().err.startswith("LEFT OUT run_01: power_robot_w is")
