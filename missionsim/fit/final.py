@@ -98,7 +98,7 @@ def final_fit(
     }
     shapes -= {n for n in shapes if n.rpartition(".")[2].startswith("k_")}
     still = {*fixed, *shapes}
-    start = {t.name_of(n): p.value for t in model.of(battery) for n, p in t.parameters.items()}
+    start = {n: p.value for n, p in model.parameters_of(battery).items()}
     low, high = _bounds(model, battery)
     values: dict[str, float] = {}
     cov: Array = np.zeros((0, 0))
@@ -143,8 +143,8 @@ def _alike(system: _System, names: Sequence[str], prior_sd: Mapping[str, float])
 
 def _bounds(model: PowerModel, battery: str) -> tuple[dict[str, float], dict[str, float]]:
     """Lowest and highest value of each parameter, of the file and of physics."""
-    low: dict[str, float] = {}
-    high: dict[str, float] = {}
+    low: dict[str, float] = {"regeneration": 0.0}
+    high: dict[str, float] = {"regeneration": 1.0}
     for term in model.of(battery):
         specs = {spec.name: spec for spec in term.effect.parameters}
         for name, parameter in term.parameters.items():
