@@ -46,8 +46,8 @@ def read_json_mcap(path: Path, options: Options) -> Recording | None:
         if not counts:
             return None
         reason = (str(error) or type(error).__name__).splitlines()[0][:200]
-        message = "the MCAP file cannot be read"
-        raise InputError.single(message, file=str(path), got=reason, allowed="a whole file") from None
+        told = "the MCAP file cannot be read"
+        raise InputError.single(told, file=str(path), got=reason, allowed="a whole file") from None
     if not counts:
         return None
     topics = []
