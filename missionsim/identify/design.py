@@ -306,6 +306,7 @@ def make_source(
     if not runs:
         raise ValueError("identify needs at least one run")
     bins = [make_bins(run, settings.period_s) for run in runs]
+    # a handful of intervals fits its own offset and gain and says nothing more
     kept = tuple(i for i, b in enumerate(bins) if len(b.measured_w) >= FEWEST_INTERVALS)
     runs, bins = [runs[i] for i in kept], [bins[i] for i in kept]
     if not runs:
@@ -361,6 +362,7 @@ def _layout(
     energy = sum(float(np.nansum(r.measured_w * r.dt_s)) for r in runs)
     seconds = sum(float(np.sum(r.dt_s[np.isfinite(r.measured_w)])) for r in runs)
     mean_power = abs(energy / seconds)
+    # shares of energy need energy
     if not mean_power > 0:
         raise ValueError("the measured mean power is zero")
     columns = []

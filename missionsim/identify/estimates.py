@@ -69,6 +69,7 @@ def estimated(
         else:
             similar = tuple(candidates[o].effect for o in choice.forward.rivals.get(number, ()))
         leads = {p.b: p.separation_nats for p in alike if p.a == candidate.effect}
+        # where rivals are told, the lead over them is what is asked
         among = [leads[name] for name in similar if name in leads] or list(leads.values())
         out.append(
             Finding(
@@ -97,8 +98,10 @@ def _form_error(model: Model, column: int, on_ramps: float, settings: Settings) 
     """
     q = model.gram.q
     whole = float(model.gram.per_run[:, 1 + q + column, 1 + q + column].sum())
+    # a twin that is wholly hidden has no finite error
     left = max(float(model.gram.full[1 + column, 1 + column]), 1e-12 * whole)
     hidden = settings.form_error * np.sqrt(whole / left) if left > 0 else 0.0
+    # each run has a meter gain of its own, the coefficient their mean
     gain = model.noise.gain / np.sqrt(len(model.design.runs))
     return float(np.linalg.norm([settings.systematic, hidden, RAMP_SYSTEMATIC * on_ramps, gain]))
 

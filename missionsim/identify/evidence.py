@@ -145,6 +145,7 @@ def _robust(model: Model, column: int, others: Sequence[int], settings: Settings
     run_p = float("nan")
     if len(design.runs) >= SEVERAL_RUNS:
         _, run_p = _clustered(x, e, design.run_index(), share, info, known)
+    # never surer than the noise model itself: few blocks can scatter little by chance
     return share, max(block_sd, float(np.sqrt(1.0 / info))), block_p, run_p
 
 
@@ -153,9 +154,11 @@ def _clustered(x: Array, e: Array, cluster: Numbers, share: float, info: float, 
     from scipy.stats import t
 
     score = np.bincount(cluster, weights=x * e)
+    # one cluster that holds all would divide by nothing
     leverage = np.minimum(np.bincount(cluster, weights=x * x) / info, 0.95)
     variance = float(np.sum((score / (1 - leverage)) ** 2)) + known
     weight = np.append(leverage, 0.0)
+    # fewer than that and the t distribution has no use
     freedom = max(1.5, float(np.sum(weight)) ** 2 / float(np.sum(weight**2)) - 1.0)
     sd = float(np.sqrt(variance)) / info
     return sd, float(2 * t.sf(abs(share) / max(sd, 1e-300), freedom))
@@ -224,6 +227,7 @@ def rests_on_one_run(model: Model, column: int) -> bool:
     gram = model.gram
     others = [k for k in model.chosen if k != column]
     count = gram.per_run.shape[0]
+    # noise and clock stay: one run more or less hardly moves them
     kept = [Gram(np.delete(gram.per_run, j, axis=0), gram.prior_precision) for j in range(count)]
     least = min(part.gain(model.chosen) - part.gain(others) for part in kept)
     whole = gram.gain(model.chosen) - gram.gain(others)
@@ -238,10 +242,12 @@ def smallest_detectable(model: Model, constraints: Constraints, settings: Settin
     outside = [k for k in range(model.gram.p) if k not in model.chosen]
     if model.chosen:
         info[outside] = np.diag(model.gram.conditional(model.chosen))[1:][outside]
+        # an effect in the model is limited by the others in it, not by itself
         for k in model.chosen:
             info[k] = model.gram.conditional([c for c in model.chosen if c != k])[1 + k, 1 + k]
     needed = norm.isf(tails(constraints, settings, bool(model.chosen))) + POWER_Z
     out = np.full(len(info), np.inf)
+    # columns that base and runs explain wholly have no limit at all
     usable = info > 1e-8 * np.maximum(np.diag(model.gram.full)[1:], 1e-300)
     out[usable] = np.maximum(needed[usable] / np.sqrt(info[usable]), settings.min_share)
     return out

@@ -40,6 +40,7 @@ def common_factor(model: Model) -> tuple[float, float]:
     design = model.design
     seen = project(design, model.noise, np.vstack([design.residual, design.base]), ())
     left, base = np.hstack([seen.rows, seen.pseudo])
+    # a base that recalibration wholly takes up shows no factor
     size = float(base @ base)
     if not model.chosen or size <= 0.0:
         return 1.0, 0.0
@@ -78,6 +79,7 @@ def level_difference(model: Model) -> Structure | None:
     if not (np.all(errors > LEVEL_SHARE) or np.all(errors < -LEVEL_SHARE)):
         return None
     factor = 1.0 / (1.0 + float(np.median(errors)))
+    # a level that only the fit made is the fit's
     if (factor - 1.0) * (plain_ratio(model.source) - 1.0) <= 0.0:
         return None
     words = (

@@ -57,6 +57,7 @@ def eliminate_random(blocks: Array, random_sd: Array) -> tuple[Array, Array]:
     Returns the reduced matrices (runs, k-5, k-5) and log det(I + D Z'Z) of each run.
     """
     r = RANDOM_COUNT
+    # a random effect of no size is none, and must not divide by nothing
     sd = np.maximum(random_sd, 1e-12)
     cross = blocks[:, :-r, -r:] * sd
     inner = blocks[:, -r:, -r:] * sd[:, None] * sd + np.eye(r)

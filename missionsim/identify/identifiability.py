@@ -35,9 +35,11 @@ def rivals(
     ramps can tell apart is not told apart, unless the effect itself lives there.
     """
     full = _close_ones(model.gram, model, effect, constraints, candidates, settings)
+    # averages over ramps bend forms, so that rows beside them prefer one form by accident
     flat = steady(model, free_base=False)
     rest = [k for k in model.chosen if constraints.effect[k] != effect]
     own = flat.gram.gain(model.chosen) - flat.gram.gain(rest)
+    # an effect that lives on ramps (acceleration) is judged with them only
     if own > 0.5 * (model.gram.gain(model.chosen) - model.gram.gain(rest)):
         for other, behind in _close_ones(flat.gram, flat, effect, constraints, candidates, settings).items():
             full[other] = min(full.get(other, np.inf), behind)
@@ -86,6 +88,7 @@ def _close_ones(
         other = int(constraints.effect[k])
         if other != effect and np.isfinite(value) and value > found.get(other, 0.0):
             found[other] = float(value)
+    # triples of columns are the most that are searched in full
     if len(own) == 1 and len(rest) <= 1:
         for other, value in _pairs_without(gram, constraints, rest, effect, settings).items():
             found[other] = max(found.get(other, -np.inf), value - base - EXTRA_EFFECT_NATS)
@@ -121,6 +124,7 @@ def _pairs_without(
         share = dict(zip((int(k) for k in sets[row]), np.abs(values), strict=True))
         new = [k for k in share if k not in rest and share[k] > settings.min_share]
         for k in new:
+            # the smaller of two that explain it together is an aid, not the explanation
             if singles[k] >= 0.5 * max(singles[j] for j in new):
                 other = int(constraints.effect[k])
                 out[other] = max(out.get(other, -np.inf), float(gains[row]))
@@ -147,6 +151,7 @@ def pairs(
             if other == constraints.effect[a] or b in rest or left[1 + b, 1 + b] <= 1e-9 * gram.full[1 + b, 1 + b]:
                 continue
             r = float(left[1 + a, 1 + b] / np.sqrt(left[1 + a, 1 + a] * left[1 + b, 1 + b]))
+            # physics forbids the imitation
             if constraints.sign[b] * r * value < 0:
                 r = 0.0
             if abs(r) > abs(best.get(other, -1e-9)) or other not in best:

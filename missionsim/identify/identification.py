@@ -126,6 +126,7 @@ def _told(
             structures, unnamed = (_factor_told(factor, named), *structures), tuple(sorted(chosen))
         elif (level := level_difference(model)) is not None:
             averages = (level,)
+    # after the refit of shapes, so that rivals meet the effect at its best
     alike = pairs(model, constraints, candidates)
     effects = estimated(choice, candidates, constraints, settings, shapes, alike, set(unnamed))
     names = {effect.effect for effect in effects}
@@ -170,6 +171,7 @@ def _remains(model: Model, candidates: Sequence[Candidate], constraints: Constra
         wrong = wrong_form(model, column, covariate, settings)
         if wrong is not None:
             forms[column] = wrong
+    # a wrong form is told once, not as a dependence on its covariate too
     seen = {s.covariate for s in forms.values()}
     rest = tuple(s for s in dependences(model, settings, model.chosen) if s.covariate not in seen)
     loose = (periodic(model, model.innovations), low_frequency_noise(model))
@@ -238,6 +240,7 @@ def _judged(
         else:
             best = max(tried, key=lambda e: e.gain, default=None)
             reason = "adds nothing beyond what is in the model" if best is None else refusal(best)
+        # the shape that would be seen first: smaller than that nothing of the effect is seen
         limit = min((float(limits[k]) for k in own), default=math.inf)
         out.append(
             Judged(

@@ -78,6 +78,7 @@ class Model:
 def score(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> float:
     """Log-likelihood of the chosen columns at a clock, noise given; base parameters and run effects integrated out."""
     gram, log_det = _reduced(source, clock, noise, chosen)
+    # the prior of the runs' own delays, which the search moves as well
     spread = sum((d / RUN_DELAY_SD_S) ** 2 for d in clock.run_delay_s)
     return gram.evidence(range(len(chosen))) - 0.5 * log_det - 0.5 * spread
 
@@ -127,6 +128,7 @@ def _search_common(source: Source, clock: Clock, noise: Noise, chosen: Sequence[
             if top == centre or value(*top) < value(*centre) + CLOCK_RISE_NATS:
                 break
             centre = top
+    # the lag has no lower end, and 1.3 rows is as far as the steps go
     edge = 1.0 * reach
     return replace(clock, delay_s=centre[0], lag_s=centre[1], at_edge=abs(centre[0]) > edge or centre[1] > 1.3 * reach)
 

@@ -95,6 +95,7 @@ def _refit(
         unusual = 0.5 * float(np.sum(((x - usual) / (SHAPE_SD * (high - low))) ** 2))
         return unusual - _score(model, with_shape(outer(x)))
 
+    # start inside: at a bound the simplex would be flat
     x0 = np.clip(inner([start[n] for n in names]), low, high)
     step = 0.25 * (high - low)
     simplex = np.vstack([x0] + [np.clip(x0 + np.where(x0 + s > high, -s, s), low, high) for s in np.diag(step)])
@@ -108,6 +109,7 @@ def _refit(
     source = with_shape(best)
     design = source.design(model.clock)
     squares = None if model.squares is None else LeastSquares.of(design)
+    # clock and noise stay at those of the grid column, which lies near
     refitted = Model(source, model.chosen, model.clock, design, model.noise, squares)
     if squares is None:
         evidence = {c: weigh(refitted, c, constraints, candidates, settings) for c in model.chosen}
@@ -170,6 +172,7 @@ def _limits(
                         outside = trial[i]
                     else:
                         inside = trial[i]
+            # the outer end of the last bracket: limits err to the wide side
             trial[i] = outside
             out[f"{name}.{label}"] = outer(trial)[name]
     return out

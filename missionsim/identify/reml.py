@@ -28,6 +28,7 @@ def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None,
     needs the data) and the levels between runs (need Gram matrices only), then heteroscedasticity and outliers.
     """
     noise = guess or start_noise(design)
+    # refits start beside their end: half the evaluations find it
     effort = (90, 50) if thorough else (45,)
     for round_, evaluations in enumerate(effort):
         rows = Blocks.of(design, noise, design.residual[None, :], chosen)
@@ -155,10 +156,12 @@ def _fit_scale(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:
     exponent = noise.exponent
     if spread > 1e-4:
         size = np.log(np.maximum(np.abs(e), 0.05))
+        # regression of log size on log power: its slope is the exponent
         slope = float(np.mean((level - level.mean()) * (size - size.mean()))) / spread
         certainty = len(e) * spread / (len(e) * spread + 1.2 / 0.25)
         exponent = float(np.clip(noise.exponent + certainty * slope, 0.0, 1.0))
     scale = np.exp(exponent * level)
+    # innovations under the new scale, without whitening anew
     e = e * noise.scale / scale
     ramp, switch = edge_variance(design, noise, scale)
     tried_ramp = np.concatenate([[0.0], np.geomspace(3e-4, 0.3, 13)])
@@ -166,10 +169,12 @@ def _fit_scale(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:
     grid = np.array([(a, b) for a in tried_ramp for b in tried_switch])
     near = (ramp > 0.01) | (switch > 0.01)
     variance = 1.0 + grid @ np.vstack([ramp[near], switch[near]])
+    # outliers capped at five sd must not pass for uncertain edges
     cost = np.sum(np.log(variance) + np.minimum(e[near] ** 2, 25.0) / variance, axis=1)
     ramp_error, switch_error = (float(x) for x in grid[int(np.argmin(cost))])
     variance = 1.0 + ramp_error * ramp + switch_error * switch
     e = e / np.sqrt(variance)
+    # the median is not moved by the outliers that it shall find
     typical = 1.4826 * float(np.median(np.abs(e)))
     huber = np.minimum(1.0, HUBER / np.maximum(np.abs(e) / max(typical, 1e-9), 1e-9))
     return replace(

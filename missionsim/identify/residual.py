@@ -84,6 +84,7 @@ def knots_of(values: Array) -> Array:
     if len(distinct) <= KNOTS:
         return np.asarray(distinct)
     low, high = np.quantile(values, [0.01, 0.99])
+    # much standing would take the lower knots, where nothing happens
     if np.mean(values == 0) > 0.3:
         moving = values[np.abs(values) > 0.02 * max(abs(low), abs(high))]
         if len(moving) > 20:
@@ -152,6 +153,7 @@ def test_curve(model: Model, rows: Array, chosen: Sequence[int]) -> tuple[float,
     x, y = p.rows[1:], p.rows[0]
     info = x @ x.T + p.pseudo[1:] @ p.pseudo[1:].T
     b = x @ y + p.pseudo[1:] @ p.pseudo[0]
+    # knots that the base imitates carry rounding only
     keep = np.diag(info) > 1e-6 * np.sum((rows / model.noise.scale) ** 2, axis=1) / model.noise.sigma_w**2
     values = np.zeros(k)
     if not np.any(keep):
@@ -165,6 +167,7 @@ def test_curve(model: Model, rows: Array, chosen: Sequence[int]) -> tuple[float,
     residual = y - values @ x
     blocks = block_numbers(model, max(LONG_BLOCK_S, 15 * model.design.layout.step_s))
     count = int(blocks.max()) + 1
+    # too few blocks for a sandwich; the likelihood decides alone
     if count <= freedom + 3:
         return gain, p_like, values
     scores = np.stack([np.bincount(blocks, weights=row * residual, minlength=count) for row in x[keep]])
@@ -233,11 +236,13 @@ def periodic(model: Model, chosen_rows: Array) -> Structure | None:
         spectrum = np.abs(np.fft.rfft((p - p.mean()) * np.hanning(len(p)), length)[1 : length // 2 + 1]) ** 2
         power += spectrum / max(float(np.mean(spectrum)), 1e-300)
     power /= len(parts)
+    # a window of three bins: a line of a load that is not quite steady spreads over them
     smooth = np.convolve(power, [0.25, 0.5, 0.25], mode="same")
     width = min(61, 2 * (len(smooth) // 4) + 1)
     floor = median_filter(smooth, width, mode="nearest")
     ratio = smooth / np.maximum(floor, 1e-300)
     usable = np.arange(1, length // 2 + 1)
+    # two and a half periods at least, and slower than eight rows: faster is the robot's own motion
     usable_mask = (usable > 2.5 * length / max(len(p) for p in parts)) & (usable < length // 8)
     if not np.any(usable_mask):
         return None
@@ -273,6 +278,7 @@ def low_frequency_noise(model: Model) -> Structure | None:
     """
     noise = model.noise
     variance = 0.0
+    # variance of the mean of an AR(1) process over the window, part by part
     for time_s, share in ((noise.fast_s, noise.fast_share), (noise.slow_s, noise.slow_share)):
         x = SLOW_NOISE_S / time_s
         variance += share * 2.0 / x * (1.0 - (1.0 - np.exp(-x)) / x)
@@ -302,6 +308,7 @@ def wrong_form(model: Model, column: int, covariate: str, settings: Settings) ->
         beyond, p_value, values = test_curve(judge, rows, model.chosen)
         if p_value > FORM_FAINT or beyond < CURVE_NATS or (p_value > FORM_LEVEL and beyond < FORM_NATS):
             continue
+        # both against the model without the effect, so that they compare
         own, _, _ = test_curve(judge, model.design.phi[[column]], rest)
         free, _, _ = test_curve(judge, np.vstack([rows, model.design.phi[column]]), rest)
         # five free values follow slow noise by some 10 nats; a small effect is not unnamed by that

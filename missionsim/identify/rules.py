@@ -43,6 +43,7 @@ class Question:
     @property
     def tail(self) -> float:
         """False alarms that this column is allowed, in one tail."""
+        # the misfit of another effect goes either way, whatever sign physics gives
         beside = len(self.model.chosen) > 1
         return float(tails(self.constraints, self.settings, beside)[self.evidence.column])
 
@@ -168,7 +169,9 @@ def _steady_beside_loose(q: Question, remains: Remains) -> bool:
 def _faint_beside_loose(q: Question, remains: Remains) -> bool:
     if not remains.loose:
         return False
+    # a line has no size of its own; low-frequency noise has
     size = max(s.size_share for s in remains.loose)
+    # what is constant in runs does not come and go within them
     within = not between_runs(q.model, q.evidence.column)
     return (q.evidence.gain < FAINT_NATS and within) or abs(q.evidence.share) < FAINT_SHARE * size
 

@@ -61,6 +61,7 @@ def single_gains(gram: Gram, constraints: Constraints, chosen: Sequence[int]) ->
     """Log-likelihood gain of each column beyond the chosen ones; -inf where signs or grids forbid, shape (p,)."""
     rest = gram.conditional(chosen)
     b, info = rest[0, 1:], np.maximum(np.diag(rest)[1:], 0.0)
+    # what base parameters imitate exactly leaves rounding, which would gain anything
     floor = 1e-8 * np.maximum(np.diag(gram.full)[1:], 1e-300)
     usable = info > floor
     gain = np.where(usable, 0.5 * b * b / np.where(usable, info, 1.0), 0.0)
@@ -69,6 +70,7 @@ def single_gains(gram: Gram, constraints: Constraints, chosen: Sequence[int]) ->
         if not constraints.compatible(k, chosen):
             gain[k] = -np.inf
         elif len(chosen) and np.isfinite(gain[k]):
+            # a new column may turn the sign of one that is in
             values, _ = gram.coefficients([*chosen, k])
             if not constraints.signs_hold([*chosen, k], values):
                 gain[k] = -np.inf
@@ -84,6 +86,7 @@ def set_gains(gram: Gram, constraints: Constraints, sets: NDArray[np.intp]) -> A
     index = sets + 1
     blocks = gram.full[index[:, :, None], index[:, None, :]].copy()
     diagonal = np.arange(sets.shape[1])
+    # twins in one set: a hair of ridge keeps the answer finite
     blocks[:, diagonal, diagonal] *= 1 + 1e-9
     blocks[:, diagonal, diagonal] += 1e-9
     b = gram.full[index, 0]
@@ -95,6 +98,7 @@ def set_gains(gram: Gram, constraints: Constraints, sets: NDArray[np.intp]) -> A
 def all_sets(constraints: Constraints, size: int, base: Sequence[int] = ()) -> NDArray[np.intp]:
     """All allowed sets of up to three columns; beyond that, sets that differ from `base` in one column."""
     p = len(constraints.sign)
+    # beyond triples all sets would take seconds, and swaps of one column reach most of them
     if size <= 2 or (size == 3 and p**3 / 6 < MOST_TRIPLES):
         sets = [c for c in combinations(range(p), size) if _allowed(constraints, c)]
     else:

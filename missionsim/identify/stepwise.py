@@ -29,6 +29,7 @@ def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) 
     constraints = Constraints.of(source.layout, candidates)
     empty = fit_model(source, ())
     found = Choice(empty, empty, {})
+    # each effect in the model lets the noise shrink, which shows the next
     while len(found.model.chosen) < settings.max_effects and source.layout.columns:
         step = _next_step(source, candidates, constraints, settings, found)
         if step is None:
@@ -53,6 +54,7 @@ def _next_step(
 ) -> Choice | None:
     """The model with one effect more, or another set of that size; None where no set passes the gates."""
     model = found.model
+    # why a candidate was refused is told in the end, whichever step refused it
     refused = dict(found.refused)
     trials = _trials(model, constraints, settings, refused)
     before = log_likelihood(model) if trials else 0.0
@@ -109,6 +111,7 @@ def _trials(
     rest = gram.conditional(model.chosen)
     best: list[int] = []
     for k in order:
+        # one column of a grid is enough: its shape is refitted anyway
         if any(constraints.effect[k] == constraints.effect[o] for o in best):
             continue
         if abs(rest[0, 1 + k]) / rest[1 + k, 1 + k] < GLANCE * settings.min_share:
@@ -129,6 +132,7 @@ def _best(options: Sequence[tuple[float, Choice]], constraints: Constraints) -> 
     """The option with the highest likelihood; those that come close are compared with the noise of each in turn."""
     grid = constraints.grid_nats
     top = max(rise for rise, _ in options)
+    # under common noise the difference of two sets is a likelihood ratio again
     close = [choice for rise, choice in options if rise > top - CLOSE_NATS]
     best = close[0]
     for other in close[1:]:
@@ -163,6 +167,7 @@ def forced(source: Source, candidates: Sequence[Candidate], effects: Sequence[st
             new = [k for k in own if np.isfinite(gains[k]) and gains[k] > JOINT_NATS]
             new = new or [own[int(np.argmax(gains[own]))]]
         else:
+            # asked for by name: a wrong sign is told, not hidden
             new = [own[int(np.argmax(_unsigned_gains(model, own)))]]
         model = fit_model(source, (*model.chosen, *new), model, thorough=False)
     return Choice(model, empty, {c: weigh(model, c, constraints, candidates, settings) for c in model.chosen})

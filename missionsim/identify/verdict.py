@@ -43,12 +43,15 @@ def decide(
         ``unexplained_structure`` where something remains and no name holds against it; ``ambiguous`` where an effect
         has rivals; ``effects_found``; ``nothing_missing``.
     """
+    # a name beside something louder that puts it in doubt would be a confident guess
     if structures and (demoted or not effects):
         return "unexplained_structure"
+    # one unsure name makes the whole answer a question: what to drive is told with it
     if any(effect.indistinguishable_from for effect in effects):
         return "ambiguous"
     if law:
         return "unexplained_structure"
+    # what remains beside names that hold is told, and takes nothing back
     if effects or execution:
         return "effects_found"
     return "unexplained_structure" if averages else "nothing_missing"
