@@ -315,7 +315,7 @@ def calibrate(robot: PathLike, logs: Logs, *, battery: str | None = None) -> Ans
             {"battery": f.battery, **{k: getattr(p, k) for k in keys}} for f in done.fits for p in f.parameters.values()
         ]
 
-    line = "; ".join(f"{f.battery}: {f.rmse_before_w:.3g} to {f.rmse_w:.3g} W" for f in done.fits)
+    line = "; ".join(f"{f.battery}: {f.before.power_rmse_w:.3g} to {f.after.power_rmse_w:.3g} W" for f in done.fits)
     return Answer(done, line, rows, lambda: {"parameters": rows()}, ("name", "value"), done.text)
 
 

@@ -54,5 +54,9 @@ def test_plan_and_import_log_from_python(tmp_path: Path) -> None:
     assert run.power_w["robot"].tolist() == [5 + i % 3 for i in range(50)]
     with pytest.raises(ValueError, match="no file to write"):
         missionsim.run(ROOT / "missions/pioneer3dx/valve_patrol.yaml").save(tmp_path / "x.yaml")
+    fitted = missionsim.calibrate("pioneer3dx", ROOT / "docs/examples/ramp_runs")
+    assert {"c2", "c3"} <= set(fitted.to_frame()["name"])
+    assert fitted.plot().axes
+    assert missionsim.load_robot(fitted.save(tmp_path / "fitted.yaml")).name == "pioneer3dx"
     assert "diagnose" in missionsim.__all__
     assert len(missionsim.__all__) <= 20
