@@ -326,9 +326,11 @@ def diagnose_battery(
     features, found, models = seen.features, seen.found, seen.models
     held = seen.held
     proposed: tuple[Proposal, ...] = ()
-    # where the base is far from right, effects that predict come first; a law is looked for in what they leave
-    if laws and found.factor is None and (found.choice.forward is None or not found.effects):
+    if laws and found.factor is None:
         proposed = proposed_laws(found, features.covariates, models, held)
+        if found.choice.forward is not None and found.effects:
+            # where the base is far from right, effects that predict come first, unless a law predicts far better
+            proposed = tuple(law for law in proposed if law.far_better)
     effects, candidates = without_stand_ins(proposed, found.effects, found.candidates)
     fits = {"recalibrated": models.fit(()), "with_effects": models.fit(effects)}
     effects = models.told(effects, fits["with_effects"])

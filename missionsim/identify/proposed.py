@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+FAR_BETTER = 2.0 / 3.0
+"""Part of the left-out error that a law may leave where it takes the place of effects in a base that is far off."""
+
 
 @dataclass(frozen=True)
 class Law:
@@ -129,6 +132,12 @@ class Proposal:
     looks_like: str = ""
     heldout_rmse_w: tuple[float, float] | None = None
     heldout_energy_pct: tuple[float, float] | None = None
+
+    @property
+    def far_better(self) -> bool:
+        """Whether runs that are left out are predicted with an error smaller by a third than without it."""
+        before, after = self.left_out_rmse_w
+        return after < FAR_BETTER * before
 
     @property
     def first(self) -> Law:

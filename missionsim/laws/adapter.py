@@ -102,9 +102,9 @@ class Ground:
             there = replace(self, model=replace(self.model, clock=clock, design=source.design(clock, self.chosen)))
             columns = replace(there, model=replace(there.model, chosen=tuple(range(len(self.chosen)))))
             design = columns.extended(source.averaged(raw, clock)[0])
-            return log_likelihood(replace(fitted, clock=clock, design=design))
+            return log_likelihood(replace(fitted, clock=clock, design=design, squares=None))
 
-        if not source.aligned or fitted.squares is not None:
+        if not source.aligned:
             return self
         best = (score(was.delay_s, was.lag_s), was.delay_s, was.lag_s)
         first = best[0]
@@ -116,8 +116,12 @@ class Ground:
             return self
         clock = replace(was, delay_s=best[1], lag_s=best[2])
         design = source.design(clock)
-        noise = fit_noise(design, self.chosen, self.model.noise, thorough=False)
-        return replace(self, model=replace(self.model, clock=clock, design=design, noise=noise))
+        squares = None if self.model.squares is None else LeastSquares.of(design)
+        if squares is None:
+            noise = fit_noise(design, self.chosen, self.model.noise, thorough=False)
+        else:
+            noise = bounded_noise(design, squares, self.chosen)
+        return replace(self, model=replace(self.model, clock=clock, design=design, noise=noise, squares=squares))
 
     def extended(self, watts: Array) -> Design:
         """The design with the columns of the effects found and the law, in shares of energy; the law comes last."""

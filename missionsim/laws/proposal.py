@@ -72,6 +72,11 @@ def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored],
     """The set of forms, those beside it, the fit of the first, and its gates."""
     near, beside = _set(done.near, search.grammar)
     fitted = search.settled(done.best if near[0].form == done.best.form else search.fit(near[0].form))
+    if done.best.form != near[0].form and done.best.errors.with_law < fitted.errors.with_law:
+        # the plainest predicts left-out runs less well than the best, which then stands first
+        best = next(one for one in done.near if one.form == done.best.form)
+        near = [best, *(one for one in near if one.form != best.form)][:MOST_LAWS]
+        fitted = search.settled(done.best)
     return near, beside, fitted, gates(fitted)
 
 
@@ -84,6 +89,7 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Any) -> Prop
     if on_time is not search:
         search, done = on_time, on_time.best() or done
     near, beside, fitted, seen = _judged(search, done)
+    was = seen.errors
     instead = _replaced(fitted, search.ground) if seen.all_passed else ()
     if instead:
         # what stood in for the law goes, and the law is looked for once more without it
@@ -111,8 +117,8 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Any) -> Prop
         fitted.rise,
         fitted.penalty,
         search.tried,
-        (seen.errors.without, seen.errors.with_law),
-        (seen.errors.energy_without, seen.errors.energy_with),
+        (was.without, seen.errors.with_law),
+        (was.energy_without, seen.errors.energy_with),
         seen.errors.better,
         seen.errors.acting,
         _experiment(laws, curve, possible),
