@@ -80,7 +80,8 @@ class Made:
     strength: float
     truth_w: dict[str, Array]
     power_w: dict[str, Array]
-    """Power without noise, as the meter would show it, at the rows of each run."""
+    """True power at the rows of each run, without the meter's noise, delay and lag: errors are told at clocks as logged,
+    so that a model that knows the truth leaves the meter's."""
 
     def write(self, folder: Path) -> tuple[Path, Path]:
         """Both folders of CSV files."""
@@ -170,5 +171,5 @@ def _record(part: tuple, strength: float, body: Robot, rate_hz: float) -> tuple[
     log = log_rows(motion, body, shown, volt, rows, 2, columns, "power", rng)
     log["arm_torque"] = np.round(rows.mean(state["arm_torque"]) + 0.02 * rng.standard_normal(len(times)), 3)
     truth = rows.mean(through(meter, strength * unit))
-    clean = rows.mean(through(meter, total))
+    clean = rows.mean(total)
     return {k: v[keep] for k, v in log.items()}, truth[keep], clean[keep]
