@@ -80,8 +80,8 @@ class Made:
     strength: float
     truth_w: dict[str, Array]
     power_w: dict[str, Array]
-    """True power at the rows of each run, without the meter's noise, delay and lag: errors are told at clocks as logged,
-    so that a model that knows the truth leaves the meter's."""
+    """True power at the rows of each run, without the meter's noise, delay and lag: errors are told at clocks as
+    logged, so that a model that knows the truth leaves the meter's."""
 
     def write(self, folder: Path) -> tuple[Path, Path]:
         """Both folders of CSV files."""
