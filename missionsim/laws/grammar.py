@@ -175,7 +175,7 @@ class _Builder:
     def raw(self, name: str) -> list[Array]:
         return [np.broadcast_to(np.asarray(run[name], dtype=float), np.shape(run["time_s"])) for run in self.runs]
 
-    def add(self, factor: Factor, values: Sequence[Array]) -> None:
+    def add(self, factor: Factor, values: Sequence[NDArray[Any]]) -> None:
         clean = [np.nan_to_num(np.asarray(v, dtype=float), nan=0.0, posinf=0.0, neginf=0.0) for v in values]
         size = max((float(np.max(np.abs(v), initial=0.0)) for v in clean), default=0.0)
         if (size > 0.0 and any(float(np.ptp(v)) > VARIES * size for v in clean)) or _differs(clean, size):
@@ -187,7 +187,7 @@ class _Builder:
         factor: Callable[[str], Factor],
         form: Callable[[Array, float], Array],
         x: Sequence[Array],
-        numbers: Sequence[float],
+        numbers: Sequence[float] | Array,
         coarse: Sequence[float],
     ) -> None:
         """Factors that differ in one number; those nearest to `coarse` enter the first pass."""

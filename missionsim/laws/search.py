@@ -117,7 +117,7 @@ class Searched:
 class Sieve:
     """Gains of many rows at once under one noise: everything but the rows themselves is whitened a single time."""
 
-    def __init__(self, ground: Ground, noise: Noise, group: Sequence[int], every: int) -> None:
+    def __init__(self, ground: Ground, noise: Noise, group: Sequence[int] | NDArray[np.intp], every: int) -> None:
         design = ground.design
         q, chosen = len(design.gradient), list(ground.chosen)
         self.every, self.starts = every, np.asarray(group)
@@ -263,7 +263,7 @@ class Search:
 
     def watts(self, form: Sequence[int]) -> Array:
         """Power of a form for a coefficient of 1, evaluated at the raw rate, shape (n,)."""
-        return self.columns([form])[0]
+        return np.asarray(self.columns([form])[0])
 
     def on_time(self, fitted: Fitted) -> Search:
         """The same search at the clock that a law asks for; itself where that is hardly better."""
