@@ -41,6 +41,8 @@ NEARLY = 0.7
 """Forms below this part of the least share are not worth a fit."""
 LEAST_RISE = 6.0
 """Nats beyond the penalty for all tries."""
+LEAST_BETTER = 0.98
+"""A law lowers the error of left-out runs at least to this part: what is left of the form of another law does not."""
 BLOCK_S = 20.0
 ACTS = 0.02
 """Part of a law's squared power from which on it acts in a run."""
@@ -400,7 +402,8 @@ def gates(fitted: Fitted, block_s: float = BLOCK_S) -> Gates:
         "size": abs(share) >= LEAST_SHARE,
         "likelihood": fitted.rise > fitted.penalty + LEAST_RISE,
         "blocks": 0.5 * z * z > fitted.penalty,
-        "left-out runs": not several or (errors.with_law < errors.without and 2 * errors.better >= errors.acting),
+        "left-out runs": not several
+        or (errors.with_law < LEAST_BETTER * errors.without and 2 * errors.better >= errors.acting),
     }
     return Gates(sd, z, errors, passed)
 
