@@ -14,8 +14,10 @@ from missionsim.identify.data import Array
 from missionsim.identify.proposed import Curve, Law, Proposal
 from missionsim.labels import Labels
 from missionsim.laws.adapter import Ground, ground_of, library_columns
-from missionsim.laws.grammar import Grammar, make_grammar
-from missionsim.laws.search import LEAST_SHARE, Fitted, Gates, Scored, Search, Searched, gates, left_out
+from missionsim.laws.factors import make_grammar
+from missionsim.laws.gates import LEAST_SHARE, Gates, gates, left_out
+from missionsim.laws.grammar import Grammar
+from missionsim.laws.search import Fitted, Scored, Search, Searched
 
 ALIKE = 0.06
 """Part of the gain by which a form may lag behind and still be in the set: no form is exact, and rows blur them all."""

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.identify.data import Array
-from missionsim.identify.gram import project
 from missionsim.identify.model import Model
 from missionsim.identify.noise import Noise
 from missionsim.identify.whitening import START_ROWS, arma_of, start_factor
 from missionsim.laws.adapter import Ground, evidence
+from missionsim.laws.gates import LEAST_SHARE, LeftOut, left_out
 from missionsim.laws.grammar import Grammar
 
 Rows32 = NDArray[np.float32]
@@ -35,17 +35,8 @@ EXACT = 40
 ABSORBED = 0.93
 FREER = 4.0
 """A form that the base explains to this part within so many prior standard deviations is recalibration, not a law."""
-LEAST_SHARE = 0.008
-"""Below this part of the energy, half-moving rows and noisy covariates make forms out of nothing (measured)."""
 NEARLY = 0.7
 """Forms below this part of the least share are not worth a fit."""
-LEAST_RISE = 6.0
-"""Nats beyond the penalty for all tries."""
-LEAST_BETTER = 0.98
-"""A law lowers the error of left-out runs at least to this part: what is left of the form of another law does not."""
-BLOCK_S = 20.0
-ACTS = 0.02
-"""Part of a law's squared power from which on it acts in a run."""
 SAME = 0.98
 CLOSE_ERROR = 1.005
 """Of two forms whose left-out errors come this close, likelihood decides."""
@@ -364,114 +355,3 @@ class Search:
             if s > 0.0 or self.grammar.gives_back(form)
         ]
         return sorted(found, key=lambda one: -one.score)
-
-
-@dataclass(frozen=True)
-class Gates:
-    """What a law must pass, and the numbers behind it.
-
-    Attributes
-    ----------
-    share_sd : float
-        Robust standard error of the share of energy (jackknife over blocks).
-    z : float
-        Share over its robust standard error.
-    errors : LeftOut
-    passed : mapping of str to bool
-    """
-
-    share_sd: float
-    z: float
-    errors: LeftOut
-    passed: dict[str, bool]
-
-    @property
-    def all_passed(self) -> bool:
-        """Whether the law may be told."""
-        return all(self.passed.values())
-
-
-def gates(fitted: Fitted, block_s: float = BLOCK_S) -> Gates:
-    """Size, likelihood with all tries counted, blocks of time, and runs left out."""
-    model = fitted.model
-    share, sd = _robust(model, fitted.column, block_s)
-    z = abs(share) / max(sd, 1e-300)
-    errors = fitted.errors
-    several = len(model.design.runs) > 1
-    passed = {
-        "size": abs(share) >= LEAST_SHARE,
-        "likelihood": fitted.rise > fitted.penalty + LEAST_RISE,
-        "blocks": 0.5 * z * z > fitted.penalty,
-        "left-out runs": not several
-        or (errors.with_law < LEAST_BETTER * errors.without and 2 * errors.better >= errors.acting),
-    }
-    return Gates(sd, z, errors, passed)
-
-
-def _robust(model: Model, column: int, block_s: float) -> tuple[float, float]:
-    """Share of a column and its standard error from blocks left out one at a time."""
-    design = model.design
-    others = tuple(k for k in model.chosen if k != column)
-    p = project(design, model.noise, np.vstack([design.residual, design.phi[column]]), others)
-    y, x = p.rows
-    info = float(x @ x + p.pseudo[1] @ p.pseudo[1])
-    share = float(x @ y + p.pseudo[1] @ p.pseudo[0]) / max(info, 1e-300)
-    block_s = max(block_s, 10.0 * design.layout.step_s)
-    run = design.run_index()
-    own = np.floor(design.time_s / block_s).astype(np.int64)
-    block = np.unique(run * (int(own.max()) + 1) + own, return_inverse=True)[1]
-    score = np.bincount(block, weights=x * (y - share * x))
-    leverage = np.minimum(np.bincount(block, weights=x * x) / max(info, 1e-300), 0.95)
-    known = float(p.pseudo[1] @ p.pseudo[1])
-    sd = float(np.sqrt(np.sum((score / (1.0 - leverage)) ** 2) + known)) / max(info, 1e-300)
-    return share, max(sd, 1.0 / math.sqrt(max(info, 1e-300)))
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """Errors of runs that were left out one at a time (of the fit itself, where there is one run).
-
-    Attributes
-    ----------
-    without, with_law : float
-        Power error (RMS) [W].
-    energy_without, energy_with : float
-        Mean absolute energy error [%].
-    better, acting : int
-        Runs predicted better, of those in which the law acts.
-    """
-
-    without: float
-    with_law: float
-    energy_without: float
-    energy_with: float
-    better: int
-    acting: int
-
-
-def left_out(model: Model) -> LeftOut:
-    """Each run predicted from the others, without the last column of a model and with it."""
-    from missionsim.identify.gram import Gram
-
-    design, gram = model.design, model.gram
-    count = len(design.runs)
-    q = len(design.layout.parameters)
-    square, energy, size = np.zeros((2, count)), np.zeros((2, count)), np.zeros(count)
-    for j, rows in enumerate(design.runs):
-        kept = np.arange(count) != j if count > 1 else np.ones(1, dtype=bool)
-        part = Gram(gram.per_run[kept], gram.prior_precision)
-        seconds = design.duration_s[rows]
-        measured = float(np.sum(design.y[rows] * seconds))
-        for i, chosen in enumerate((model.chosen[:-1], model.chosen)):
-            shifts, _ = part.shifts(chosen)
-            power = design.base[rows] + shifts[:q] @ design.gradient[:q, rows]
-            if chosen:
-                power = power + part.coefficients(chosen)[0] @ design.phi[list(chosen)][:, rows]
-            error = power - design.y[rows]
-            square[i, j] = np.average(error**2, weights=seconds)
-            energy[i, j] = 100.0 * abs(float(np.sum(error * seconds)) / measured)
-        size[j] = float(np.sum(design.phi[-1, rows] ** 2))
-    acting = size > ACTS * max(float(size.sum()), 1e-300)
-    rms, mean = np.sqrt(square.mean(axis=1)), energy.mean(axis=1)
-    better = int(np.sum((square[1] < square[0])[acting]))
-    return LeftOut(float(rms[0]), float(rms[1]), float(mean[0]), float(mean[1]), better, int(acting.sum()))

@@ -17,7 +17,8 @@ from missionsim.errors import InputError
 from missionsim.identify.proposed import Curve, Law, Proposal
 from missionsim.inputs.edit import robot_text
 from missionsim.labels import Labels
-from missionsim.laws.grammar import Grammar, make_grammar
+from missionsim.laws.factors import make_grammar
+from missionsim.laws.grammar import Grammar
 from missionsim.laws.proposal import evaluate
 from missionsim.laws.units import unit_of
 

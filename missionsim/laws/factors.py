@@ -1,0 +1,364 @@
+"""The factors that some logs allow, with their values: powers, sides, thresholds, gates, memories, levels."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.covariates import is_text
+from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
+from missionsim.labels import Labels
+from missionsim.laws.grammar import Array, Factor, Grammar
+
+MOST_LEVELS = 6
+MOST_FURTHER = 6
+"""Columns beyond the glossary that enter; more would make chance finds of any share."""
+LAGS_S = (5.0, 30.0)
+WARM_S = (30.0, 120.0)
+VARIES = 1e-9
+NOISE_PART = 0.1
+"""A quantity that falls below zero by less than this part of its highest value is noise about zero."""
+_SKIPPED = re.compile(
+    r"(^|_)(power|voltage|volts?|current|amps?|energy|soc|charge)(_|$)"
+    r"|^(x_m|y_m|heading_rad|segment|starts|starts_per_s|body_mass_kg|mass_kg|regeneration|drive_w|load_w|moving)$"
+    r"|^(on_time_|starting_)"
+)
+SYMBOLS = {
+    "speed_m_s": "v",
+    "yaw_rate_rad_s": "ω",
+    "lateral_speed_m_s": "u",
+    "accel_m_s2": "a",
+    "slope_rad": "θ",
+    "payload_kg": "payload",
+    "temp_ambient_c": "T",
+    "temp_motor_c": "T_motor",
+    "cpu_load": "load",
+    "cpu_freq_hz": "f",
+    "access_point_distance_m": "d",
+    "time_s": "t",
+    "moving_time_s": "t_moving",
+}
+
+
+class _Builder:
+    """Collects factors that vary in the runs, with their values."""
+
+    def __init__(self, covariates: Sequence[Mapping[str, Any]]) -> None:
+        self.runs = covariates
+        self.factors: list[Factor] = []
+        self.values: list[list[Array]] = []
+
+    def has(self, name: str) -> bool:
+        return all(name in run for run in self.runs)
+
+    def raw(self, name: str) -> list[Array]:
+        return [np.broadcast_to(np.asarray(run[name], dtype=float), np.shape(run["time_s"])) for run in self.runs]
+
+    def add(self, factor: Factor, values: Sequence[NDArray[Any]]) -> None:
+        clean = [np.nan_to_num(np.asarray(v, dtype=float), nan=0.0, posinf=0.0, neginf=0.0) for v in values]
+        size = max((float(np.max(np.abs(v), initial=0.0)) for v in clean), default=0.0)
+        if (size > 0.0 and any(float(np.ptp(v)) > VARIES * size for v in clean)) or _differs(clean, size):
+            self.factors.append(factor)
+            self.values.append(clean)
+
+    def family(
+        self,
+        factor: Callable[[str], Factor],
+        form: Callable[[Array, float], Array],
+        x: Sequence[Array],
+        numbers: Sequence[float] | Array,
+        coarse: Sequence[float],
+    ) -> None:
+        """Factors that differ in one number; those nearest to `coarse` enter the first pass."""
+        numbers = sorted({n for n in (_round(float(n)) for n in numbers) if np.isfinite(n)})
+        first = {min(numbers, key=lambda n: abs(n - c)) for c in coarse} if numbers else set()
+        for n in numbers:
+            one = factor(f"{n:g}")
+            kind = f"{one.variable} {factor('#').text}"
+            self.add(replace(one, kind=kind, fine=n not in first), [form(v, n) for v in x])
+
+    def quantiles(self, values: Sequence[Array], *parts: float) -> list[float]:
+        every = np.concatenate([v[v > 0.0] for v in values])
+        return [_round(float(q)) for q in np.quantile(every, parts)] if len(every) else [0.0 for _ in parts]
+
+
+def _differs(values: Sequence[Array], size: float) -> bool:
+    means = [float(np.mean(v)) for v in values]
+    return size > 0.0 and float(np.ptp(means)) > VARIES * size
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.2g}")
+
+
+def make_grammar(covariates: Sequence[Mapping[str, Any]], components: Sequence[str] = ()) -> Grammar:
+    """The factors that these runs allow.
+
+    Parameters
+    ----------
+    covariates : sequence of mapping
+        Covariates of each run at its raw rate, with those that follow from the log (``accel_m_s2``,
+        ``moving_time_s``, ``on_time_<component>_s``).
+    components : sequence of str
+        Components whose switching may matter; all with an ``on_`` column where empty.
+    """
+    b = _Builder(covariates)
+    names = sorted(set.intersection(*(set(run) for run in covariates)))
+    _speeds(b, "speed_m_s")
+    _turning(b)
+    if b.has("lateral_speed_m_s"):
+        u = [np.abs(x) for x in b.raw("lateral_speed_m_s")]
+        _powers(b, "lateral_speed_m_s", "abs(lateral_speed_m_s)", "|u|", u, (1, 2))
+    _signed(b, "accel_m_s2")
+    _signed(b, "slope_rad")
+    if b.has("payload_kg"):
+        m = b.raw("payload_kg")
+        _powers(b, "payload_kg", "payload_kg", "payload", m, (1, 2), fine=True)
+        b.add(Factor("payload_kg", "(payload_kg > 0)", "[payload > 0]", 1), [x > 0.0 for x in m])
+    for name in ("temp_ambient_c", "temp_motor_c"):
+        _about_thresholds(b, name)
+    if b.has("cpu_load"):
+        load = b.raw("cpu_load")
+        b.add(Factor("cpu_load", "cpu_load", "load"), load)
+        b.add(Factor("cpu_load", "cpu_load**2", "load²", 1), [x**2 for x in load])
+        b.add(Factor("cpu_load", "max(cpu_load - 0.5, 0)", "(load − 0.5)₊", 2), [np.maximum(x - 0.5, 0) for x in load])
+    for name, powers in (("cpu_freq_hz", (1, 3)), ("access_point_distance_m", (1, 2)), ("time_s", (1,))):
+        if b.has(name):
+            _powers(b, name, name, SYMBOLS[name], b.raw(name), powers)
+    if b.has("moving_time_s"):
+        clock = b.raw("moving_time_s")
+        for tau in (60.0, 240.0):
+            text = f"exp(-moving_time_s / {tau:g})"
+            symbol = f"exp(−t_moving/{tau:g} s)"
+            b.add(Factor("moving_time_s", text, symbol, 2), [np.exp(-x / tau) for x in clock])
+    for name in names:
+        if name.startswith("on_") and not name.startswith("on_time_"):
+            _switched(b, name)
+    known = {"speed_m_s", "yaw_rate_rad_s", "accel_m_s2", *SYMBOLS}
+    further = 0
+    for name in names:
+        if name in known or name.startswith("on_") or _SKIPPED.search(name):
+            continue
+        value = covariates[0][name]
+        if is_text(value):
+            _levels(b, name)
+        elif (
+            np.shape(value) == np.shape(covariates[0]["time_s"]) and further < MOST_FURTHER and column_of(name) is None
+        ):
+            further += 1
+            _further(b, name)
+    count = len(b.factors)
+    runs = tuple(
+        np.ascontiguousarray(np.vstack([b.values[i][j] for i in range(count)]))
+        if count
+        else np.zeros((0, len(run["time_s"])))
+        for j, run in enumerate(covariates)
+    )
+    return Grammar(tuple(b.factors), runs)
+
+
+def _powers(
+    b: _Builder, name: str, text: str, symbol: str, x: Sequence[Array], powers: Sequence[int], fine: bool = False
+) -> None:
+    """Powers of a quantity; with `fine`, those between them too, for the second pass alone."""
+    kind = f"{name} {text}**#"
+    for power in powers:
+        shown = symbol if power == 1 else f"{symbol}{'⁰¹²³'[power]}"
+        one = Factor(name, text if power == 1 else f"{text}**{power}", shown, power - 1, kind=kind)
+        b.add(one, [v**power for v in x])
+    for part in (0.5, 0.7, 1.5) if fine else ():
+        between = Factor(name, f"{text}**{part:g}", f"{symbol}^{part:g}", 2, kind=kind, fine=True)
+        b.add(between, [np.abs(v) ** part for v in x])
+
+
+def _speeds(b: _Builder, name: str) -> None:
+    if not b.has(name):
+        return
+    v = [np.abs(x) for x in b.raw(name)]
+    text = f"abs({name})"
+    _powers(b, name, text, "v", v, (1, 2, 3), fine=True)
+    turning = [np.abs(x) for x in b.raw("yaw_rate_rad_s")] if b.has("yaw_rate_rad_s") else [0.0 * x for x in v]
+    moves = f"({text} >= {STILL_SPEED_M_S:g})"
+    if b.has("yaw_rate_rad_s"):
+        moves = f"({text} >= {STILL_SPEED_M_S:g} or abs(yaw_rate_rad_s) >= {STILL_YAW_RATE_RAD_S:g})"
+    on = [(x >= STILL_SPEED_M_S) | (w >= STILL_YAW_RATE_RAD_S) for x, w in zip(v, turning, strict=True)]
+    b.add(Factor(name, moves, "[moving]", 1), on)
+    b.add(Factor(name, f"(1 - {moves})", "[still]", 1), [~x for x in on])
+    top = max((float(np.max(x, initial=0.0)) for x in v), default=0.0)
+    gate = _round(0.05 * top)
+    b.add(Factor(name, f"({text} > {gate:g})", "[driving]", 1), [x > gate for x in v])
+    b.add(Factor(name, f"({text} <= {gate:g})", "[not driving]", 1), [x <= gate for x in v])
+    driven = [np.where(x > gate, x, 0.0) for x in v]
+    levels = b.quantiles(driven, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+    low, middle, high = b.quantiles(driven, 0.25, 0.5, 0.75)
+    if low <= 0.0:
+        return
+    b.family(
+        lambda n: Factor(name, f"max({text} - {n}, 0)", f"(v − {n})₊", 2),
+        lambda x, n: np.maximum(x - n, 0.0),
+        v,
+        levels,
+        (middle, high),
+    )
+    shapes = low * np.array([0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2])
+    b.family(
+        lambda n: Factor(name, f"tanh({text} / {n})", f"tanh(v/{n})", 2), lambda x, n: np.tanh(x / n), v, shapes, (low,)
+    )
+    b.family(
+        lambda n: Factor(name, f"{moves} * exp(-{text} / {n})", f"[moving]·exp(−v/{n})", 2),
+        lambda x, n: x[0] * np.exp(-x[1] / n),
+        [np.vstack([o, x]) for o, x in zip(on, v, strict=True)],
+        shapes,
+        (0.5 * low,),
+    )
+    width = _round(0.2 * high)
+    b.family(
+        lambda n: Factor(name, f"exp(-(({text} - {n}) / {width:g})**2)", f"bump(v at {n})", 3),
+        lambda x, n: np.exp(-(((x - n) / width) ** 2)),
+        v,
+        levels,
+        (middle, high),
+    )
+    late = {tau: [_lagged(x, run["time_s"], tau) for x, run in zip(v, b.runs, strict=True)] for tau in LAGS_S}
+    for tau, slow in late.items():
+        symbol = f"(v lagged {tau:g} s − v)₊"
+        memory = Factor(f"{name} memory", f"max(lag({text}, {tau:g}) - {text}, 0)", symbol, 3, simulated=False)
+        b.add(memory, [np.maximum(a - x, 0.0) for a, x in zip(slow, v, strict=True)])
+
+
+def _turning(b: _Builder) -> None:
+    name = "yaw_rate_rad_s"
+    if not b.has(name):
+        return
+    w = [np.abs(x) for x in b.raw(name)]
+    text = f"abs({name})"
+    _powers(b, name, text, "|ω|", w, (1, 2), fine=True)
+    top = max((float(np.quantile(x, 0.99)) for x in w if len(x)), default=0.0)
+    gate = _round(0.1 * top)
+    if gate <= 0.0:
+        return
+    turned = [np.where(x > gate, x, 0.0) for x in w]
+    low, middle, high = b.quantiles(turned, 0.25, 0.5, 0.75)
+    b.add(Factor(name, f"({text} > {gate:g})", "[turning]", 1), [x > gate for x in w])
+    b.family(
+        lambda n: Factor(name, f"tanh({text} / {n})", f"tanh(|ω|/{n})", 2),
+        lambda x, n: np.tanh(x / n),
+        w,
+        low * np.array([0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2]),
+        (low,),
+    )
+    b.family(
+        lambda n: Factor(name, f"max({text} - {n}, 0)", f"(|ω| − {n})₊", 2),
+        lambda x, n: np.maximum(x - n, 0.0),
+        w,
+        b.quantiles(turned, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9),
+        (middle, high),
+    )
+
+
+def _signed(b: _Builder, name: str) -> None:
+    """One-sided parts, size and square of a quantity that goes both ways."""
+    if not b.has(name):
+        return
+    x = b.raw(name)
+    symbol = SYMBOLS[name]
+    b.add(Factor(name, f"max({name}, 0)", f"{symbol}₊"), [np.maximum(a, 0.0) for a in x])
+    b.add(Factor(name, f"max(-{name}, 0)", f"{symbol}₋", gives_back=True), [np.maximum(-a, 0.0) for a in x])
+    b.add(Factor(name, f"abs({name})", f"|{symbol}|", 1), [np.abs(a) for a in x])
+    b.add(Factor(name, f"{name}**2", f"{symbol}²", 1), [a**2 for a in x])
+
+
+def _about_thresholds(b: _Builder, name: str) -> None:
+    """Parts above and below values that the runs hold; a temperature in degC has no zero of its own."""
+    if not b.has(name):
+        return
+    x, symbol = b.raw(name), SYMBOLS.get(name, name)
+    every = np.concatenate(x)
+    inside = [float(q) for q in np.quantile(every, np.linspace(0.1, 0.9, 9))]
+    low, high = (float(q) for q in np.quantile(every, (0.35, 0.65)))
+    first, last = (float(q) for q in np.quantile(every, (0.01, 0.99)))
+    b.family(
+        lambda n: Factor(name, f"max({name} - {n}, 0)", f"({symbol} − {n})₊", 1),
+        lambda a, n: np.maximum(a - n, 0.0),
+        x,
+        [first, *inside],
+        (low, high),
+    )
+    b.family(
+        lambda n: Factor(name, f"max({n} - {name}, 0)", f"({n} − {symbol})₊", 1),
+        lambda a, n: np.maximum(n - a, 0.0),
+        x,
+        [*inside, last],
+        (low, high, last),
+    )
+
+
+def _further(b: _Builder, name: str) -> None:
+    """A numeric column that the glossary does not hold: itself, and its parts above and below the middle."""
+    x = b.raw(name)
+    middle = _round(float(np.median(np.concatenate(x))))
+    low = min(float(np.min(a, initial=0.0)) for a in x)
+    if low > -NOISE_PART * max(float(np.max(a, initial=0.0)) for a in x):
+        text = name if low >= 0.0 else f"max({name}, 0)"  # noise about zero has no powers
+        _powers(b, name, text, name, [np.maximum(a, 0.0) for a in x], (1, 2), fine=True)
+    else:
+        b.add(Factor(name, name, name), x)
+        b.add(Factor(name, f"abs({name})", f"|{name}|", 1), [np.abs(a) for a in x])
+    b.add(
+        Factor(name, f"max({name} - {middle:g}, 0)", f"({name} − {middle:g})₊", 1),
+        [np.maximum(a - middle, 0) for a in x],
+    )
+    b.add(
+        Factor(name, f"max({middle:g} - {name}, 0)", f"({middle:g} − {name})₊", 1),
+        [np.maximum(middle - a, 0) for a in x],
+    )
+
+
+def _switched(b: _Builder, name: str) -> None:
+    """A component that is on, and first-order memories of its being switched on."""
+    part = name[3:]
+    on = b.raw(name)
+    b.add(Factor(name, name, f"[{part} on]"), on)
+    clock = f"on_time_{part}_s"
+    if not b.has(clock):
+        return
+    since = b.raw(clock)
+    for tau in WARM_S:
+        b.add(
+            Factor(name, f"{name} * (1 - exp(-{clock} / {tau:g}))", f"[{part} on]·(1 − exp(−t_on/{tau:g} s))", 2),
+            [o * (1.0 - np.exp(-t / tau)) for o, t in zip(on, since, strict=True)],
+        )
+
+
+def _levels(b: _Builder, name: str) -> None:
+    """One factor for each text of a column, where these are few."""
+    used = sorted({text for run in b.runs for text in _texts(run[name])})
+    if not 2 <= len(used) <= MOST_LEVELS:
+        return
+    for text in used:
+        if "'" in text:
+            continue
+        rows = [_equals(run[name], text) for run in b.runs]
+        b.add(Factor(name, f"({name} == '{text}')", f"[{name} {text}]", 0), rows)
+
+
+def _texts(value: Any) -> set[str]:
+    return {value.names[int(i)] for i in np.unique(value.codes) if i >= 0} if isinstance(value, Labels) else set()
+
+
+def _equals(value: Any, text: str) -> NDArray[np.bool_]:
+    return np.asarray(value.equals(text)) if isinstance(value, Labels) else np.asarray(value) == text
+
+
+def _lagged(values: Array, time_s: Array, tau_s: float) -> Array:
+    """First-order lag of a signal that starts in its steady state."""
+    from scipy.signal import lfilter
+
+    step = float(np.median(np.diff(time_s)))
+    keep = float(np.exp(-step / tau_s))
+    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])[0])
