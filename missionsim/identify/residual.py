@@ -306,7 +306,10 @@ def wrong_form(model: Model, column: int, covariate: str, settings: Settings) ->
         judges.insert(0, (steady(model), settings.form_ratio))
     for judge, ratio in judges:
         beyond, p_value, values = test_curve(judge, rows, model.chosen)
-        if p_value > FORM_FAINT or beyond < CURVE_NATS or (p_value > FORM_LEVEL and beyond < FORM_NATS):
+        # blocks that differ much among themselves hide a misfit from the sandwich, but not one as loud as this
+        loud = beyond > CURVE_NATS_ON_RAMPS
+        faint = beyond < CURVE_NATS or (p_value > FORM_LEVEL and beyond < FORM_NATS)
+        if faint or (p_value > FORM_FAINT and not loud):
             continue
         # both against the model without the effect, so that they compare
         own, _, _ = test_curve(judge, model.design.phi[[column]], rest)

@@ -50,7 +50,7 @@ def test_a_form_that_the_library_does_not_have_is_not_named(shared: Path) -> Non
     assert "turning_scrub" not in {effect.effect for effect in found.effects}
     assert "yaw_rate_rad_s" in found.unexplained.depends_on
     assert "turning_scrub" not in dict(words.report(found))["NOT SEEN"]  # it acts, only not in the library's form
-    assert any("turn" in e.do or "circles" in e.do for e in found.next_experiments)
+    assert [law.certain for law in found.proposed_laws] == [("yaw_rate_rad_s",)]  # the law itself, in place of a drive
 
 
 def test_nothing_hidden_nothing_named(shared: Path) -> None:
