@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from missionsim.identify import settings as constants
 from missionsim.identify.data import Candidate
-from missionsim.identify.evidence import evidence_of, nats_needed, predicts_left_out, tails
+from missionsim.identify.evidence import evidence_of, nats_needed, predicts_left_out, rests_on_one_run, tails
 from missionsim.identify.findings import Estimate, Finding, Structure
+from missionsim.identify.gram import Gram
+from missionsim.identify.identifiability import rivals
 from missionsim.identify.identification import Identification, fit_effects, identify
 from missionsim.identify.rules import DEMOTIONS, GATES, LAST_GATES, Question, Remains, demoted
 from missionsim.identify.search import Constraints
@@ -95,6 +97,23 @@ def one_cold_run(cold: set[int]) -> Question:
     return question(fit_effects(runs, [own, *library()], ["temperature_friction"], {}))
 
 
+@pytest.mark.parametrize(("other", "alone"), [((1.0, 2.0), True), ((1.0, 3.0), True), ((20.0, 40.0), False)])
+def test_one_run_is_one_that_says_all_but_three_nats_or_a_twentieth(other: tuple[float, float], alone: bool) -> None:
+    # information and product of two runs: the first alone gains 200 nats, the other 2, 4.5 and 40
+    runs = [np.array([[0.0, xy], [xy, xx]]) for xx, xy in ((100.0, 200.0), other)]
+    model = SimpleNamespace(gram=Gram(np.array(runs), np.zeros(0)), chosen=(0,))
+    assert rests_on_one_run(model, 0) is alone
+
+
+def test_an_effect_that_hardly_gains_has_rivals_and_a_clear_one_has_none() -> None:
+    for share, some in ((0.001, True), (0.05, False)):
+        found = fitted("grade", share)
+        model = found.choice.model
+        constraints = Constraints.of(model.design.layout, found.library)
+        number = int(constraints.effect[model.chosen[0]])
+        assert bool(rivals(model, number, constraints, found.library, Settings())) is some
+
+
 def test_an_effect_that_left_out_runs_speak_against_goes() -> None:
     """Power that is drawn in every other run and saved in the rest: no fit to some of them predicts the others."""
     runs = make_runs(5, count=8)
@@ -165,7 +184,7 @@ def test_each_demotion_alone_keeps_an_effect_unnamed(grade: Question) -> None:
     assert demoted(grade, Remains({column: STRUCTURE}, (), ())) == DEMOTIONS[0].name
     standby = question(fitted("standby_load", 0.2))
     assert demoted(standby, Remains({}, (), (LOOSE,))) == DEMOTIONS[1].name
-    faint = replace(grade, evidence=replace(grade.evidence, gain=constants.FAINT_NATS - 1.0))
+    faint = replace(grade, evidence=replace(grade.evidence, gain=45.0))
     assert demoted(replace(grade, evidence=replace(grade.evidence, gain=500.0)), Remains({}, (), (LOOSE,))) == ""
     assert demoted(faint, Remains({}, (), (LOOSE,))) == DEMOTIONS[2].name
     # a free curve over the slope takes all that grade explains, and grade is no curve over the payload
