@@ -23,6 +23,8 @@ ALIKE = 0.06
 """Part of the gain by which a form may lag behind and still be in the set: no form is exact, and rows blur them all."""
 AS_GOOD = 0.03
 """Within this part the form with the fewest quantities, then the plainest, stands first."""
+CLEARLY = 0.985
+"""Left-out errors that lie closer than this do not put a less plain form first."""
 LEAST_NATS = 4.0
 SYSTEMATIC = 0.10
 """Relative standard deviation of a law's size beyond what the rows scatter: blur of rows and clock, base that gives way
@@ -74,7 +76,7 @@ def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored],
     """The set of forms, those beside it, the fit of the first, and its gates."""
     near, beside = _set(done.near, search.grammar)
     fitted = search.settled(done.best if near[0].form == done.best.form else search.fit(near[0].form))
-    if done.best.form != near[0].form and done.best.errors.with_law < fitted.errors.with_law:
+    if done.best.form != near[0].form and done.best.errors.with_law < CLEARLY * fitted.errors.with_law:
         # the plainest predicts left-out runs less well than the best, which then stands first
         best = next(one for one in done.near if one.form == done.best.form)
         near = [best, *(one for one in near if one.form != best.form)][:MOST_LAWS]
