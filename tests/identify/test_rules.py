@@ -124,6 +124,7 @@ def test_an_effect_that_left_out_runs_speak_against_goes() -> None:
     ]
     found = fit_effects(turned, library(), ["grade"], {})
     assert not predicts_left_out(found.choice.model, found.choice.model.chosen)[0]
+    assert passed(question(found))["runs"] is False
     assert predicts_left_out(fitted("grade", 0.03).choice.model, fitted("grade", 0.03).choice.model.chosen)[0]
 
 
