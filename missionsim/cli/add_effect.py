@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import check_search, console, emit_json, shows_text, tell_left_out, tell_logs
+from missionsim.cli.common import check_search, emit_json, shows_text, tell_left_out, tell_logs
 from missionsim.cli.diagnose import HoldoutOption, RobotOption
 from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
+from missionsim.report.terminal import console
 
 if TYPE_CHECKING:
     from missionsim.diagnose.split import Split

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import console, emit_json, shows_text, simple_table, tell_left_out
+from missionsim.cli.common import emit_json, shows_text, tell_left_out
 from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
     from missionsim.fit.parameters import ModelFit
@@ -139,11 +140,7 @@ def _print(fits: list[ModelFit], remarks: list[str], out: Path) -> None:
             for p in fit.parameters.values()
             if p.seen
         ]
-        terminal.print(
-            simple_table(
-                f"Battery {fit.battery}", ["parameter", ("value", "right"), ("95 % interval", "right"), "unit"], rows
-            )
-        )
+        terminal.print(simple_table(f"Battery {fit.battery}", ["parameter", ">value", ">95 % interval", "unit"], rows))
         clock = "clocks as logged"
         if fit.delay_s or fit.lag_s:
             clock = f"meter {fit.delay_s:+.2f} s behind the motion, lag {fit.lag_s:.2f} s"

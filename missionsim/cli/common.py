@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from missionsim.files import write_text
+from missionsim.report.terminal import console
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.progress import Progress
 
     from missionsim.errors import Fault
@@ -53,16 +53,6 @@ def emit_json(data: Any, target: str | None) -> None:
 def shows_text(json_target: str | None, quiet: bool) -> bool:
     """Whether tables are printed: not with ``--quiet``, nor where JSON goes to standard output."""
     return not quiet and json_target != "-"
-
-
-def console(stderr: bool = False) -> Console:
-    """A terminal for tables and text; at most 100 columns, and 100 where the output is not a terminal."""
-    from rich.console import Console
-
-    terminal = Console(stderr=stderr, highlight=False)
-    if not terminal.is_terminal or terminal.width > 100:
-        terminal = Console(stderr=stderr, highlight=False, width=100)
-    return terminal
 
 
 @contextmanager
@@ -134,18 +124,3 @@ def tell_left_out(told: Sequence[str]) -> None:
     """Say before anything else which runs were left out; the command ends with exit code 1."""
     for line in told:
         print(f"LEFT OUT {line}", file=sys.stderr)
-
-
-def simple_table(title: str, columns: Iterable[str | tuple[str, str]], rows: Iterable[Iterable[Any]]) -> Any:
-    """A rich table; a column is its heading, or (heading, "right" or "left")."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(title=escape(title), title_justify="left", title_style="bold", pad_edge=False)
-    for column in columns:
-        heading, justify = (column, "left") if isinstance(column, str) else column
-        # a name that is cut off could be any of several
-        table.add_column(heading, justify=justify, overflow="fold")  # type: ignore[arg-type]
-    for row in rows:
-        table.add_row(*(escape(str(cell)) for cell in row))
-    return table

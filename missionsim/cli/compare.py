@@ -7,9 +7,10 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import console, emit_json, progress, shows_text
+from missionsim.cli.common import emit_json, progress, shows_text
 from missionsim.cli.options import JsonOption, QuietOption
 from missionsim.errors import InputError
+from missionsim.report.terminal import console
 
 
 def compare(

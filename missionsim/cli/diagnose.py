@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import check_search, console, emit_json, shows_text, tell_left_out
+from missionsim.cli.common import check_search, emit_json, shows_text, tell_left_out
 from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
+from missionsim.report.terminal import console
 
 if TYPE_CHECKING:
     from missionsim.identify.findings import Diagnosis

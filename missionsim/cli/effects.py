@@ -7,8 +7,9 @@ from typing import Any
 
 from cyclopts import App
 
-from missionsim.cli.common import console, emit_json, shows_text, simple_table
+from missionsim.cli.common import emit_json, shows_text
 from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.report.terminal import console, simple_table
 
 app = App(name="effects", help="The library of effects: equation, parameters, units, source.", help_format="plaintext")
 

@@ -8,8 +8,9 @@ from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
-from missionsim.cli.common import console, emit_json, shows_text, simple_table
+from missionsim.cli.common import emit_json, shows_text
 from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.report.terminal import console, simple_table
 
 app = App(name="export", help="Write our numbers and missions into the files of other tools.")
 
@@ -127,10 +128,10 @@ def rmf(
             (".".join(NUMBERS[key].path), f"{before:.6g}", f"{after:.6g}")
             for key, (before, after) in found.changed.items()
         ]
-        terminal.print(simple_table("Numbers", ["key", ("before", "right"), ("after", "right")], rows))
+        terminal.print(simple_table("Numbers", ["key", ">before", ">after"], rows))
         if found.errors:
             rows = [(e["formula"], f"{e['energy_error_pct']:+.2f} %", f"{e['power_rmse_w']:.3g}") for e in found.errors]
-            heads: list[str | tuple[str, str]] = ["formula", ("energy error", "right"), ("power RMSE W", "right")]
+            heads = ["formula", ">energy error", ">power RMSE W"]
             terminal.print(simple_table("On the logs", heads, rows))
         _tell("", found.remarks, out)
     return 0

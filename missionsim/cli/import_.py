@@ -167,8 +167,8 @@ def _summary(log: LogTable, target: Path) -> dict[str, Any]:
 
 
 def _print(logs: list[LogTable], targets: list[Path]) -> None:
-    from missionsim.cli.common import console, simple_table
     from missionsim.logs import describe
+    from missionsim.report.terminal import console, simple_table
 
     rows = [
         (
@@ -180,7 +180,7 @@ def _print(logs: list[LogTable], targets: list[Path]) -> None:
         for log in logs[:20]
     ]
     terminal = console()
-    terminal.print(simple_table("Runs", ["run", ("rows", "right"), ("time s", "right"), "energy Wh"], rows))
+    terminal.print(simple_table("Runs", ["run", ">rows", ">time s", "energy Wh"], rows))
     if len(logs) > len(rows):
         terminal.print(f"… and {len(logs) - len(rows)} more runs")
     for line in describe(logs, notes=True):
@@ -190,9 +190,10 @@ def _print(logs: list[LogTable], targets: list[Path]) -> None:
 
 
 def _list(sources: Sequence[Path], json: str | None, text: bool) -> int:
-    from missionsim.cli.common import console, emit_json, simple_table
+    from missionsim.cli.common import emit_json
     from missionsim.importer.roles import folded, guess_all
     from missionsim.importer.sources import fields_of, find_files
+    from missionsim.report.terminal import console, simple_table
 
     paths = find_files(sources)
     listed = []
@@ -220,7 +221,7 @@ def _list(sources: Sequence[Path], json: str | None, text: bool) -> int:
             (field.name, field.count, field.range(), guesses[field.name].words() if field.name in guesses else "")
             for field in shown
         ]
-        columns: list[str | tuple[str, str]] = ["column or field", ("values", "right"), "range", "perhaps"]
+        columns = ["column or field", ">values", "range", "perhaps"]
         terminal.print(simple_table(f"{path}: what a map can read", columns, rows))
         for why in ("constant", "stamp or covariance", "empty"):
             hidden = [field for field in fields if folded(field) == why]

@@ -33,10 +33,11 @@ def import_robot(
     quiet
         Print nothing but what was asked for.
     """
-    from missionsim.cli.common import console, emit_json, shows_text
+    from missionsim.cli.common import emit_json, shows_text
     from missionsim.exchange.rmf_fleet import read_fleet
     from missionsim.files import write_text
     from missionsim.inputs.loading import robot_from_text
+    from missionsim.report.terminal import console
 
     fleet = read_fleet(config)
     text = fleet.robot_text(battery)

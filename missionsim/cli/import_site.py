@@ -81,7 +81,7 @@ def import_site(
 
 
 def _print(site: Site, out: Path | None, mission: Path | None) -> None:
-    from missionsim.cli.common import console
+    from missionsim.report.terminal import console
 
     terminal = console()
     one_way = sum(not edge.get("both_ways", True) for edge in site.edges)

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import check_search, console, emit_json, shows_text, simple_table, tell_left_out, tell_logs
+from missionsim.cli.common import check_search, emit_json, shows_text, tell_left_out, tell_logs
 from missionsim.cli.diagnose import HoldoutOption, ReportOption, RobotOption
 from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
+from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
     from missionsim.diagnose.improve import Improved
@@ -176,9 +177,7 @@ def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Pat
             terminal.print(one.worse, style="bold red", markup=False)
         terminal.print(
             simple_table(
-                f"Battery {one.battery}: error on {which}",
-                ["model", ("energy error, %", "right"), ("power RMSE, W", "right"), ""],
-                rows,
+                f"Battery {one.battery}: error on {which}", ["model", ">energy error, %", ">power RMSE, W", ""], rows
             )
         )
         terminal.print(f"added: {', '.join(one.added) or 'nothing'}; {one.stopped}", markup=False)

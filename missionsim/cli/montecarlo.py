@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import console, emit_json, progress, shows_text, simple_table
+from missionsim.cli.common import emit_json, progress, shows_text
 from missionsim.cli.options import JsonOption, QuietOption
 from missionsim.errors import Fault, InputError
+from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
     from missionsim.uncertainty.batch import Prepared, Task
@@ -160,9 +161,7 @@ def _only(prepared: Prepared, seed: int, run: int, out: Path | None, json: str |
         terminal = console()
         units = {value.name: value.unit for value in prepared.sampler.values}
         rows = [(name, f"{value:.6g}", units.get(name, "times")) for name, value in drawn.items()]
-        terminal.print(
-            simple_table(f"Run {run} of seed {seed}: drawn values", ["value", ("drawn", "right"), "unit"], rows)
-        )
+        terminal.print(simple_table(f"Run {run} of seed {seed}: drawn values", ["value", ">drawn", "unit"], rows))
         if limited:
             terminal.print("A drawn speed is above the greatest of the robot or its control scheme and is cut to that.")
         from missionsim.cli.run_mission import show
@@ -312,7 +311,7 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
             "Energy [Wh]",
             [
                 "battery",
-                *[(h, "right") for h in ("mean", "sd", "5 %", "50 %", "95 %", "99 % need")],
+                *[f">{h}" for h in ("mean", "sd", "5 %", "50 %", "95 %", "99 % need")],
                 "95 % quantile lies in",
             ],
             rows,
@@ -348,7 +347,7 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
         terminal.print(
             simple_table(
                 "What matters: rank correlation with energy and with the margin above the reserve; indices of energy",
-                ["battery", "value", *((head, "right") for head in ("energy", "margin", "first order", "total"))],
+                ["battery", "value", *(f">{head}" for head in ("energy", "margin", "first order", "total"))],
                 important,
             )
         )

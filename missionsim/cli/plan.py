@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import console, emit_json, progress, shows_text, simple_table, tell_warnings
+from missionsim.cli.common import emit_json, progress, shows_text, tell_warnings
 from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
     from missionsim.planner.answer import Answer
@@ -135,7 +136,6 @@ def show(answer: Answer) -> None:
     energy = ", ".join(f"{name} {value:.3f} Wh" for name, value in answer.energy_wh.items())
     terminal.print(f"{clock(answer.duration_s)}, {energy}")
     batteries = list(answer.energy_wh)
-    right = "right"
     rows = []
     for leg in answer.legs:
         piece = leg.piece
@@ -146,8 +146,8 @@ def show(answer: Answer) -> None:
         cells += [f"{leg.energy_wh[name]:.3f}" for name in batteries]
         cells += [f"{leg.charge_wh[name]:.1f}" for name in batteries]
         rows.append(cells)
-    columns: list[str | tuple[str, str]] = ["leg", "to", "along", "scheme", ("m/s", right), ("s", right)]
-    columns += [(f"{name} Wh", right) for name in batteries] + [(f"{name} left", right) for name in batteries]
+    columns = ["leg", "to", "along", "scheme", ">m/s", ">s"]
+    columns += [f">{name} Wh" for name in batteries] + [f">{name} left" for name in batteries]
     terminal.print(simple_table("Legs", columns, rows))
     for item in answer.extra.get("alternatives", ()):
         if item["feasible"]:
@@ -156,6 +156,6 @@ def show(answer: Answer) -> None:
             terminal.print(f"  {item['kind']}: no plan")
     front = answer.extra.get("pareto")
     if front:
-        heads: list[str | tuple[str, str]] = [("s", right), *((f"{name} Wh", right) for name in batteries)]
+        heads = [">s", *(f">{name} Wh" for name in batteries)]
         table = [[f"{p['duration_s']:.1f}", *(f"{p['energy_wh'][n]:.3f}" for n in batteries)] for p in front]
         terminal.print(simple_table("Energy against time", heads, table))

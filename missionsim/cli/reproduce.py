@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from missionsim.cli.common import console, emit_json, progress, shows_text
+from missionsim.cli.common import emit_json, progress, shows_text
 from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.report.terminal import console
 
 if TYPE_CHECKING:
     from typing import Any

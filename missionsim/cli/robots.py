@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from missionsim.cli.common import console, emit_json, shows_text, simple_table
+from missionsim.cli.common import emit_json, shows_text
 from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.report.terminal import console, simple_table
 
 
 def robots(*, json: JsonOption = None, quiet: QuietOption = False) -> int:

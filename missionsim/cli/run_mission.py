@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from missionsim.cli.common import console, emit_json, shows_text, simple_table, tell_warnings
+from missionsim.cli.common import emit_json, shows_text, tell_warnings
+from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
     from missionsim.engine.outcome import RunResult
@@ -78,20 +79,19 @@ def show(result: RunResult) -> None:
         )
         for name, b in result.batteries.items()
     ]
-    right = "right"
     terminal.print(
         simple_table(
             "Batteries",
             [
                 "battery",
-                ("Wh used", right),
-                ("mean W", right),
-                ("full Wh", right),
-                ("Wh left", right),
-                ("left", right),
-                ("to keep Wh", right),
-                ("home Wh", right),
-                ("reserve Wh", right),
+                ">Wh used",
+                ">mean W",
+                ">full Wh",
+                ">Wh left",
+                ">left",
+                ">to keep Wh",
+                ">home Wh",
+                ">reserve Wh",
             ],
             rows,
         )
@@ -108,7 +108,7 @@ def show(result: RunResult) -> None:
     terminal.print(
         simple_table(
             "Three largest consumers",
-            ["component", "battery", ("Wh", right), ("share", right)],
+            ["component", "battery", ">Wh", ">share"],
             [
                 (component, battery, f"{energy:.3f}", f"{100 * share:.1f} %")
                 for battery, component, energy, share in largest_consumers(result)
@@ -122,7 +122,7 @@ def show(result: RunResult) -> None:
         terminal.print(
             simple_table(
                 "Energy by control scheme [Wh]",
-                ["scheme", *((b, right) for b in schemes)],
+                ["scheme", *(f">{b}" for b in schemes)],
                 [
                     (told.get(name, name), *(f"{energies.get(name, 0.0):.4f}" for energies in schemes.values()))
                     for name in names
@@ -169,8 +169,8 @@ def segment_rows(result: RunResult, most: int = 14) -> Any:
         keep = {row[1] for row in sorted(rows, reverse=True)[:most]}
         shown = [row for row in rows if row[1] in keep]
         title += f", the {most} largest of {len(rows)}"
-    columns: list[str | tuple[str, str]] = ["segment", "kind", ("times", "right")]
-    columns += [(name, "right") for name in result.batteries]
+    columns = ["segment", "kind", ">times"]
+    columns += [f">{name}" for name in result.batteries]
     return simple_table(
         title,
         columns,

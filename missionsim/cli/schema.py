@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from missionsim.cli.common import console, emit_json, shows_text
+from missionsim.cli.common import emit_json, shows_text
 from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.report.terminal import console
 
 
 def schema(

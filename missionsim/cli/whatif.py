@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import console, emit_json, progress, shows_text, simple_table, tell_warnings
+from missionsim.cli.common import emit_json, progress, shows_text, tell_warnings
 from missionsim.cli.options import JsonOption, QuietOption
 from missionsim.cli.run_mission import clock
 from missionsim.errors import Fault, InputError
+from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
     from missionsim.results.whatif import Alternative, WhatIf
@@ -155,7 +156,7 @@ def show_differences(answer: dict[str, Any]) -> None:
     terminal.print(
         simple_table(
             "Differences to the baseline",
-            ["alternative", ("succeeds", "right"), "quantity", ("mean", "right"), "95 % interval", "real?"],
+            ["alternative", ">succeeds", "quantity", ">mean", "95 % interval", "real?"],
             rows,
         )
     )
@@ -209,9 +210,9 @@ def show(found: WhatIf) -> None:
     terminal = console()
     rows = found.rows()
     terminal.print(f"[bold]{found.mission}[/bold], {len(rows) - 1} alternatives; differences are to the baseline")
-    columns: list[str | tuple[str, str]] = ["alternative", ("duration", "right"), ("± s", "right")]
+    columns = ["alternative", ">duration", ">± s"]
     for name in found.batteries:
-        columns += [(f"{name} Wh", "right"), ("± Wh", "right"), ("± %", "right")]
+        columns += [f">{name} Wh", ">± Wh", ">± %"]
     columns.append("feasible")
     cells = []
     for number, row in enumerate(rows):

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.compare import BatteryComparison, Comparison, Dependence, RunComparison
+from missionsim.compare.place import PlaceCell
 from missionsim.files import atomic_write
 from missionsim.report.downsample import shared_indices
-from missionsim.report.page import COLOURS
+from missionsim.report.traces import MEASURED, MODEL, RESIDUAL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MEASURED, MODEL, RESIDUAL = COLOURS[0], COLOURS[1], "#52606d"
+DIVERGING = ("#0b4f8a", "#7fb2d9", "#f7f7f7", "#f2a477", "#a63603")
+"""Blue where the model is too low, orange where it is too high; told apart with any colour vision."""
 MOST_RUNS = 12
 MOST_COVARIATES = 9
 POINTS = 4000
@@ -133,31 +138,55 @@ def progress_figure(one: BatteryComparison) -> Figure:
     return figure
 
 
+@dataclass(frozen=True)
+class ErrorMap:
+    """Mean power error on a grid of places.
+
+    Attributes
+    ----------
+    x_m, y_m : ndarray, shape (columns,) and (rows,)
+        Middles of the cells.
+    error_w, seconds : ndarray, shape (rows, columns)
+        Model minus measured, and the time spent there; NaN where the robot never was.
+    limit_w : float
+        98th percentile of the magnitude of the error, where colours end.
+    """
+
+    x_m: NDArray[np.float64]
+    y_m: NDArray[np.float64]
+    error_w: NDArray[np.float64]
+    seconds: NDArray[np.float64]
+    limit_w: float
+
+
+def error_map(cells: Sequence[PlaceCell]) -> ErrorMap:
+    """The cells of a battery's map as a grid."""
+    width = cells[0].width_m
+    x, y = (np.arange(min(v), max(v) + 0.5 * width, width) for v in ([c.x_m for c in cells], [c.y_m for c in cells]))
+    error, seconds = np.full((2, len(y), len(x)), np.nan)
+    for cell in cells:
+        at = round((cell.y_m - y[0]) / width), round((cell.x_m - x[0]) / width)
+        error[at], seconds[at] = -cell.gap_j / cell.seconds, cell.seconds
+    return ErrorMap(x, y, error, seconds, float(np.nanquantile(np.abs(error), 0.98)) or 1.0)
+
+
 def map_figure(one: BatteryComparison) -> Figure:
     """Mean power error by place."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    cells = one.places
-    width = cells[0].width_m
-    left, low = min(c.x_m for c in cells), min(c.y_m for c in cells)
-    columns = round((max(c.x_m for c in cells) - left) / width) + 1
-    rows = round((max(c.y_m for c in cells) - low) / width) + 1
-    error = np.full((rows, columns), np.nan)
-    for cell in cells:
-        error[round((cell.y_m - low) / width), round((cell.x_m - left) / width)] = -cell.gap_j / cell.seconds
-    limit = float(np.nanquantile(np.abs(error), 0.98)) or 1.0
-    colours = LinearSegmentedColormap.from_list("error", ["#0b4f8a", "#7fb2d9", "#f7f7f7", "#f2a477", "#a63603"])
+    found = error_map(one.places)
+    rows, columns = found.error_w.shape
     figure = _figure(7.0, float(np.clip(7.0 * rows / columns, 3.0, 8.0)))
     axes = figure.subplots()
-    edge = 0.5 * width
+    edge = 0.5 * one.places[0].width_m
     image = axes.imshow(
-        error,
+        found.error_w,
         origin="lower",
-        cmap=colours,
-        vmin=-limit,
-        vmax=limit,
+        cmap=LinearSegmentedColormap.from_list("error", DIVERGING),
+        vmin=-found.limit_w,
+        vmax=found.limit_w,
         interpolation="nearest",
-        extent=(left - edge, left + columns * width - edge, low - edge, low + rows * width - edge),
+        extent=(found.x_m[0] - edge, found.x_m[-1] + edge, found.y_m[0] - edge, found.y_m[-1] + edge),
     )
     axes.set_facecolor("#e5e8ec")
     figure.colorbar(image, ax=axes, label="mean error (model − measured), W")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from missionsim.diagnose import sentences, words
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
@@ -13,19 +12,34 @@ from missionsim.report.blocks import (
     Block,
     Bullets,
     Chart,
-    Choice,
     Command,
     Details,
     Paragraph,
     Section,
     Table,
     Tiles,
+    Tone,
     Verdict,
 )
 from missionsim.report.downsample import shared_indices
-from missionsim.report.page import COLOURS, format_cell, label, page
+from missionsim.report.page import format_cell, label, page
+from missionsim.report.traces import (
+    FITTED,
+    MARGIN,
+    MEASURED,
+    MODEL,
+    PALE,
+    RESIDUAL,
+    Trace,
+    axis,
+    band,
+    bars,
+    line,
+    one_of,
+    over_time,
+)
 
-TONES: dict[str, Any] = {
+TONES: dict[str, Tone] = {
     "effects_found": "warn",
     "nothing_missing": "good",
     "ambiguous": "warn",
@@ -34,7 +48,6 @@ TONES: dict[str, Any] = {
 TOTAL_POINTS = 90_000
 MOST_RUNS = 30
 MOST_ALIKE = 14
-MEASURED, NOMINAL, FITTED, RESIDUAL = COLOURS[0], COLOURS[1], COLOURS[2], "#52606d"
 
 
 def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "", robot: str = "", logs: Sequence[str | Path] = ()) -> str:
@@ -63,18 +76,15 @@ def diagnosis_sections(diagnosis: Diagnosis, robot: str = "", logs: Sequence[str
     several = len(diagnosis.batteries) > 1
     for battery in diagnosis.batteries.values():
         prefix = f"Battery {battery.battery}: " if several else ""
-        sections += [
-            Section(f"{prefix}Result", _result(battery, robot, logs, several)),
-            *(
-                [Section(f"{prefix}A law that the library does not hold", _law(battery))]
-                if battery.proposed_laws
-                else []
-            ),
-            Section(f"{prefix}What was found and what was not", _candidates(battery)),
-            Section(f"{prefix}Power over time", _series(battery, several)),
-            Section(f"{prefix}What to drive next", _next(battery)),
-            Section(f"{prefix}Details", _details(battery)),
-        ]
+        parts = {
+            "Result": _result(battery, robot, logs, several),
+            "A law that the library does not hold": _law(battery),
+            "What was found and what was not": _candidates(battery),
+            "Power over time": _series(battery, several),
+            "What to drive next": _next(battery),
+            "Details": _details(battery),
+        }
+        sections += [Section(prefix + title, blocks) for title, blocks in parts.items() if blocks]
     if diagnosis.skipped:
         told = [f"{name}: {why}" for name, why in diagnosis.skipped.items()]
         sections.append(Section("Batteries that were not diagnosed", [Bullets(told)]))
@@ -137,30 +147,20 @@ def _law(battery: BatteryDiagnosis) -> list[Block]:
                 f"{sentences.QUANTITY.get(n, (n, ''))[0]} {v if isinstance(v, str) else format_cell(v, 2)}"
                 for n, v in curve.at.items()
             )
-            band: dict[str, Any] = {"type": "scatter", "mode": "lines", "x": curve.x, "hoverinfo": "skip"}
             traces = [
-                {**band, "y": curve.low, "line": {"width": 0}, "showlegend": False},
-                {
-                    **band,
-                    "y": curve.high,
-                    "line": {"width": 0},
-                    "fill": "tonexty",
-                    "fillcolor": "rgba(0,114,178,0.2)",
-                    "name": "band of all forms, about 95 %",
-                },
-                {
-                    "type": "scatter",
-                    "mode": "lines",
-                    "x": curve.x,
-                    "y": curve.watts,
-                    "name": "the plainest form",
-                    "line": {"color": MEASURED, "width": 2},
-                    "hovertemplate": "%{x:.3g}: %{y:.3g} W<extra></extra>",
-                },
+                *band(curve.x, curve.low, curve.high, "band of all forms, about 95 %"),
+                line(
+                    curve.x,
+                    curve.watts,
+                    "the plainest form",
+                    MEASURED,
+                    2,
+                    hovertemplate="%{x:.3g}: %{y:.3g} W<extra></extra>",
+                ),
             ]
             layout = {
-                "xaxis": {"title": {"text": f"{label(word)}{', ' if unit else ''}{label(unit)}"}},
-                "yaxis": {"title": {"text": "power that the model lacks, W"}},
+                "xaxis": axis(f"{label(word)}{', ' if unit else ''}{label(unit)}"),
+                "yaxis": axis("power that the model lacks, W"),
                 "hovermode": "closest",
             }
             held = f", {fixed} held" if fixed else ""
@@ -169,14 +169,9 @@ def _law(battery: BatteryDiagnosis) -> list[Block]:
             [i, one.formula, one.k, one.low, one.high, one.unit, one.behind_nats, "yes" if one.simulated else "not yet"]
             for i, one in enumerate(law.laws, 1)
         ]
-        blocks.append(
-            Table(
-                ["form", "formula", "k", "from", "to", "unit of k", "nats behind", "run can use it"],
-                rows,
-                "Forms that these data cannot tell apart; their numbers serve add-effect --formula",
-                3,
-            )
-        )
+        columns = ["form", "formula", "k", "from", "to", "unit of k", "nats behind", "run can use it"]
+        caption = "Forms that these data cannot tell apart; their numbers serve add-effect --formula"
+        blocks.append(Table(columns, rows, caption, 3))
         if law.experiment:
             blocks.append(Paragraph(f"To tell them apart: {law.experiment}."))
     return blocks
@@ -193,68 +188,41 @@ def _candidates(battery: BatteryDiagnosis) -> list[Block]:
         names = [label(c.effect) for c in rows][::-1]
         limits = [_percent(c.smallest_detectable_share) for c in rows][::-1]
         effects = [found[c.effect] for c in rows if c.effect in found][::-1]
-        traces: list[dict[str, Any]] = [
-            {
-                "type": "bar",
-                "orientation": "h",
-                "y": names,
-                "x": limits,
-                "name": "smallest share that would be found",
-                "marker": {"color": "#d9dee4"},
-                "hovertemplate": "%{y}: %{x:.2f} %<extra></extra>",
-            }
-        ]
+        hover = "%{y}: %{x:.2f} %<extra></extra>"
+        traces = [bars(names, limits, PALE, name="smallest share that would be found", hovertemplate=hover)]
         if effects:
-            shares = [100 * e.energy_share for e in effects]
             up = [100 * (e.share_high - e.energy_share) if _finite(e.share_high) else 0.0 for e in effects]
             down = [100 * (e.energy_share - e.share_low) if _finite(e.share_low) else 0.0 for e in effects]
-            traces.append(
-                {
-                    "type": "scatter",
-                    "mode": "markers",
-                    "x": shares,
-                    "y": [label(e.effect) for e in effects],
-                    "name": "found, with 95 % interval",
-                    "marker": {"color": MEASURED, "size": 10},
-                    "error_x": {"type": "data", "symmetric": False, "array": up, "arrayminus": down, "color": MEASURED},
-                    "hovertemplate": "%{y}: %{x:.2f} % of the energy<extra></extra>",
-                }
-            )
-        blocks.append(
-            Chart(
-                traces,
-                {
-                    "xaxis": {"title": {"text": "share of the battery's energy, %"}, "rangemode": "tozero"},
-                    "hovermode": "closest",
-                    "margin": {"l": 220, "r": 16, "t": 30, "b": 48},
-                },
-                "Effects that were found, and how large the others could be without being seen (80 % power); those of "
-                "which these data say nothing are left out.",
-                90 + 24 * len(names),
-            )
+            points: Trace = {
+                "type": "scatter",
+                "mode": "markers",
+                "x": [100 * e.energy_share for e in effects],
+                "y": [label(e.effect) for e in effects],
+                "name": "found, with 95 % interval",
+                "marker": {"color": MEASURED, "size": 10},
+                "error_x": {"type": "data", "symmetric": False, "array": up, "arrayminus": down, "color": MEASURED},
+                "hovertemplate": "%{y}: %{x:.2f} % of the energy<extra></extra>",
+            }
+            traces.append(points)
+        layout = {
+            "xaxis": axis("share of the battery's energy, %", rangemode="tozero"),
+            "hovermode": "closest",
+            "margin": {"l": 220, **MARGIN},
+        }
+        caption = (
+            "Effects that were found, and how large the others could be without being seen (80 % power); those of "
+            "which these data say nothing are left out."
         )
-    blocks.append(
-        Details(
-            "Every candidate and the reason",
-            [
-                Table(
-                    ["effect", "taken", "reason", "smallest detectable share, %"],
-                    [
-                        [c.effect, "yes" if c.accepted else "no", c.reason, _percent(c.smallest_detectable_share)]
-                        for c in battery.candidates
-                    ],
-                    digits=3,
-                )
-            ],
-        )
-    )
+        blocks.append(Chart(traces, layout, caption, 90 + 24 * len(names)))
+    columns = ["effect", "taken", "reason", "smallest detectable share, %"]
+    told = [
+        [c.effect, "yes" if c.accepted else "no", c.reason, _percent(c.smallest_detectable_share)]
+        for c in battery.candidates
+    ]
+    blocks.append(Details("Every candidate and the reason", [Table(columns, told, digits=3)]))
     if battery.untestable:
-        blocks.append(
-            Details(
-                "Effects that these logs cannot test",
-                [Table(["effect", "needs"], [[name, ", ".join(needs)] for name, needs in battery.untestable.items()])],
-            )
-        )
+        needs = Table(["effect", "needs"], [[name, ", ".join(needs)] for name, needs in battery.untestable.items()])
+        blocks.append(Details("Effects that these logs cannot test", [needs]))
     return blocks
 
 
@@ -263,10 +231,9 @@ def _series(battery: BatteryDiagnosis, several: bool) -> list[Block]:
     if not shown:
         return [Paragraph("No run to show.")]
     points = TOTAL_POINTS // (len(shown) * (2 if several else 1))
-    blocks: list[Block] = [Choice("Run", [(run.run, [_run_chart(run, points)]) for run in shown])]
-    if len(battery.series) > len(shown):
-        blocks.append(Paragraph(f"The first {len(shown)} of {len(battery.series)} runs.", small=True))
-    return blocks
+    more = len(battery.series) > len(shown)
+    note = f"The first {len(shown)} of {len(battery.series)} runs." if more else ""
+    return one_of("Run", [(run.run, [_run_chart(run, points)]) for run in shown], note)
 
 
 def _run_chart(run: RunSeries, points: int) -> Chart:
@@ -275,53 +242,15 @@ def _run_chart(run: RunSeries, points: int) -> Chart:
     time_s = run.time_s[pick]
     lines = [
         ("measured", run.measured_w, MEASURED),
-        ("model of the robot file", run.nominal_w, NOMINAL),
+        ("model of the robot file", run.nominal_w, MODEL),
         ("with what was found", run.fitted_w, FITTED),
     ]
-    traces: list[dict[str, Any]] = [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "name": name,
-            "x": time_s,
-            "y": values[pick],
-            "line": {"color": colour, "width": 1.3},
-        }
-        for name, values, colour in lines
-    ]
-    traces += [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "name": "left: robot file",
-            "x": time_s,
-            "visible": "legendonly",
-            "y": (run.measured_w - run.nominal_w)[pick],
-            "yaxis": "y2",
-            "line": {"color": NOMINAL, "width": 1},
-        },
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "name": "left: with what was found",
-            "x": time_s,
-            "y": left[pick],
-            "yaxis": "y2",
-            "line": {"color": RESIDUAL, "width": 1},
-        },
-    ]
-    layout = {
-        "xaxis": {"title": {"text": "time, s"}, "anchor": "y2"},
-        "margin": {"l": 64, "r": 16, "t": 56, "b": 48},  # the legend stands below the buttons
-        "yaxis": {"title": {"text": "power, W"}, "domain": [0.36, 1.0]},
-        "yaxis2": {"title": {"text": "left, W"}, "domain": [0.0, 0.28]},
-    }
-    return Chart(
-        traces,
-        layout,
-        f"Run {run.run}: measured and modelled power, and what is left (measured minus model), clocks aligned.",
-        520,
-    )
+    traces = [line(time_s, values[pick], name, colour, 1.3) for name, values, colour in lines]
+    before = line(time_s, (run.measured_w - run.nominal_w)[pick], "left: robot file", MODEL, 1, yaxis="y2")
+    traces.append({**before, "visible": "legendonly"})
+    traces.append(line(time_s, left[pick], "left: with what was found", RESIDUAL, 1, yaxis="y2"))
+    caption = f"Run {run.run}: measured and modelled power, and what is left (measured minus model), clocks aligned."
+    return over_time(traces, "left, W", caption, 520)
 
 
 def _next(battery: BatteryDiagnosis) -> list[Block]:
@@ -331,30 +260,14 @@ def _next(battery: BatteryDiagnosis) -> list[Block]:
             [e.do, " / ".join(e.separates), e.separation_now, e.separation_after, e.expected_power, e.minutes]
             for e in battery.next_experiments
         ]
-        blocks.append(
-            Table(
-                [
-                    "drive this",
-                    "to tell apart",
-                    "separation now, nats",
-                    "after, nats",
-                    "probability that it resolves",
-                    "minutes",
-                ],
-                rows,
-                digits=3,
-            )
-        )
+        columns = ["drive this", "to tell apart", "separation now, nats", "after, nats"]
+        blocks.append(Table([*columns, "probability that it resolves", "minutes"], rows, digits=3))
     elif any(law.experiment for law in battery.proposed_laws):
         blocks += [Paragraph(f"{law.experiment[:1].upper()}{law.experiment[1:]}.") for law in battery.proposed_laws]
     else:
-        blocks.append(
-            Paragraph(
-                "No drive of ours varies what remains; log what may cause it."
-                if battery.unexplained.shape
-                else "Nothing is left that an experiment would have to separate."
-            )
-        )
+        varies = "No drive of ours varies what remains; log what may cause it."
+        left = "Nothing is left that an experiment would have to separate."
+        blocks.append(Paragraph(varies if battery.unexplained.shape else left))
     return blocks
 
 
@@ -385,43 +298,35 @@ def _alike(battery: BatteryDiagnosis) -> Chart:
             most[name] = max(most.get(name, 0.0), abs(r))
     others = sorted(most, key=lambda name: -most[name])[:MOST_ALIKE]
     values = [[1.0 if a == b else battery.confounding[a].get(b) for b in others] for a in found]
-    return Chart(
-        [
-            {
-                "type": "heatmap",
-                "x": [label(n) for n in others],
-                "y": [label(n) for n in found],
-                "zmin": -1,
-                "zmax": 1,
-                "z": values,
-                "texttemplate": "%{z:.2f}",
-                "colorscale": [[0, "#d55e00"], [0.5, "#f4f6f8"], [1, "#0072b2"]],
-                "hovertemplate": "%{y} and %{x}: r = %{z:.2f}<extra></extra>",
-            }
-        ],
-        {"hovermode": "closest", "margin": {"l": 200, "r": 16, "t": 36, "b": 160}},
+    heat: Trace = {
+        "type": "heatmap",
+        "x": [label(n) for n in others],
+        "y": [label(n) for n in found],
+        "zmin": -1,
+        "zmax": 1,
+        "z": values,
+        "texttemplate": "%{z:.2f}",
+        "colorscale": [[0, "#d55e00"], [0.5, "#f4f6f8"], [1, "#0072b2"]],
+        "hovertemplate": "%{y} and %{x}: r = %{z:.2f}<extra></extra>",
+    }
+    layout = {"hovermode": "closest", "margin": {"l": 200, "r": 16, "t": 36, "b": 160}}
+    caption = (
         "How alike the effects found and others look in these data once recalibration is allowed for: at 1 they look "
-        "the same, at 0 they have nothing in common.",
-        240 + 30 * len(found),
+        "the same, at 0 they have nothing in common."
     )
+    return Chart([heat], layout, caption, 240 + 30 * len(found))
 
 
 def _heldout_table(battery: BatteryDiagnosis) -> Table:
-    rows: list[Sequence[Any]] = []
-    for held in (battery.heldout, battery.shifted):
-        if held is not None:
-            for kind, text in (
-                ("nominal", "robot file"),
-                ("recalibrated", "recalibrated"),
-                ("with_effects", "with what was found"),
-            ):
-                rows.append([held.how, text, held.energy_error_pct[kind], held.power_rmse_w[kind]])
-    return Table(
-        ["held-out runs", "model", "energy error, %", "power error (RMS), W"],
-        rows,
-        "Errors on runs that were not used to fit",
-        3,
-    )
+    models = {"nominal": "robot file", "recalibrated": "recalibrated", "with_effects": "with what was found"}
+    rows = [
+        [held.how, text, held.energy_error_pct[kind], held.power_rmse_w[kind]]
+        for held in (battery.heldout, battery.shifted)
+        if held is not None
+        for kind, text in models.items()
+    ]
+    columns = ["held-out runs", "model", "energy error, %", "power error (RMS), W"]
+    return Table(columns, rows, "Errors on runs that were not used to fit", 3)
 
 
 def _seen(limit: float | None) -> bool:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from missionsim.diagnose.improve import Improved
 from missionsim.diagnose.waterfall import energy_note, measured_note
 from missionsim.identify.findings import Diagnosis
-from missionsim.report.blocks import Block, Chart, Section, Table, Tiles, Verdict
+from missionsim.report.blocks import Block, Chart, Section, Table, Tiles, Tone, Verdict
 from missionsim.report.diagnosis_page import diagnosis_sections
 from missionsim.report.page import COLOURS, format_cell, label, page
+from missionsim.report.traces import RESIDUAL, Trace, axis, line
 
 
 def improve_page(robot: str, done: Sequence[Improved], *, footer: str = "") -> str:
@@ -54,38 +54,23 @@ def _result(one: Improved) -> list[Block]:
         ("energy error, mean over runs, %", [s.energy_error_pct for s in one.steps], floor.energy_error_pct),
     ):
         colours = [COLOURS[1], *([COLOURS[4]] * (len(values) > 2)), *([COLOURS[2]] * (len(values) - 3)), "#aab2bd"]
-        traces: list[dict[str, Any]] = [
-            {
-                "type": "bar",
-                "x": names,
-                "y": values,
-                "marker": {"color": colours},
-                "showlegend": False,
-                "text": [format_cell(v, 3) for v in values],
-                "textposition": "outside",
-                "hovertemplate": "%{x}: %{y:.3g}<extra></extra>",
-            },
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "x": names,
-                "y": [level] * len(names),
-                "name": "noise floor",
-                "line": {"color": "#52606d", "dash": "dot"},
-                "hoverinfo": "skip",
-            },
-        ]
-        layout = {"yaxis": {"title": {"text": title}, "rangemode": "tozero"}, "hovermode": "closest"}
-        charts.append(
-            Chart(
-                traces,
-                layout,
-                f"The {title.split(',')[0]} on {which}, step by step; the noise floor is what a true model "
-                "would still show.",
-                360,
-            )
-        )
-    tone: Any = "bad" if one.worse else "good" if one.added and last.power_rmse_w < first.power_rmse_w else "neutral"
+        steps: Trace = {
+            "type": "bar",
+            "x": names,
+            "y": values,
+            "marker": {"color": colours},
+            "showlegend": False,
+            "text": [format_cell(v, 3) for v in values],
+            "textposition": "outside",
+            "hovertemplate": "%{x}: %{y:.3g}<extra></extra>",
+        }
+        noise = line(names, [level] * len(names), "noise floor", hoverinfo="skip")
+        noise["line"] = {"color": RESIDUAL, "dash": "dot"}
+        layout = {"yaxis": axis(title, rangemode="tozero"), "hovermode": "closest"}
+        floors = "the noise floor is what a true model would still show"
+        caption = f"The {title.split(',')[0]} on {which}, step by step; {floors}."
+        charts.append(Chart([steps, noise], layout, caption, 360))
+    tone: Tone = "bad" if one.worse else "good" if one.added and last.power_rmse_w < first.power_rmse_w else "neutral"
     table = Table(
         ["model", "energy error, %", "power error (RMS), W"],
         [[s.name, s.energy_error_pct, s.power_rmse_w] for s in one.steps],

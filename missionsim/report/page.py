@@ -8,11 +8,11 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
-from missionsim.report.blocks import Bullets, Chart, Choice, Details, Paragraph, Section, Table, Tiles, Verdict
+from missionsim.report.blocks import Chart, Section
 
 MARKS = {"good": ("✓", "Good"), "warn": ("!", "Attention"), "bad": ("✗", "Wrong"), "neutral": ("i", "Result")}
 AXIS = {
@@ -85,7 +85,7 @@ def page(title: str, sections: Sequence[Section], *, subtitle: str = "", footer:
     )
 
 
-def format_cell(value: Any, digits: int = 4) -> str:
+def format_cell(value: object, digits: int = 4) -> str:
     """A cell as text: numbers with `digits` significant digits, without exponent where readable; None as a dash."""
     if value is None:
         return "–"
@@ -106,7 +106,7 @@ def format_cell(value: Any, digits: int = 4) -> str:
     return str(value)
 
 
-def plain(data: Any) -> Any:
+def plain(data: object) -> object:
     """NumPy arrays and numbers as JSON values; floats at six significant digits, non-finite ones as null."""
     if isinstance(data, Mapping):
         return {str(key): plain(value) for key, value in data.items()}
@@ -134,7 +134,7 @@ def _chart(block: Chart) -> dict[str, Any]:
     return {"data": plain(list(block.traces)), "layout": plain(layout)}
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> TypeGuard[int | float | str]:
     """Whether a cell stands at the right: a number, or one written with its sign."""
     if isinstance(value, str):
         return _SIGNED.fullmatch(value) is not None
@@ -167,21 +167,3 @@ def _environment() -> Any:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-
-
-__all__ = [
-    "COLOURS",
-    "Bullets",
-    "Chart",
-    "Choice",
-    "Details",
-    "Paragraph",
-    "Section",
-    "Table",
-    "Tiles",
-    "Verdict",
-    "format_cell",
-    "label",
-    "page",
-    "plain",
-]

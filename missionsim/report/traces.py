@@ -1,0 +1,58 @@
+"""Pieces of Plotly charts that the pages share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.report.blocks import Block, Chart, Choice, Paragraph
+from missionsim.report.page import COLOURS
+
+MEASURED, MODEL, FITTED = COLOURS[:3]
+RESIDUAL = "#52606d"
+PALE = "#d9dee4"
+MARGIN = {"r": 16, "t": 30, "b": 48}
+Values: TypeAlias = Sequence[object] | NDArray[np.float64]
+Trace: TypeAlias = dict[str, object]
+
+
+def line(x: Values, y: Values, name: str, colour: str = "", width: float = 1.4, **more: object) -> Trace:
+    """A curve."""
+    style: Trace = {"width": width, "color": colour} if colour else {"width": width}
+    return {"type": "scatter", "mode": "lines", "x": x, "y": y, "name": name, "line": style, **more}
+
+
+def bars(names: Sequence[str], values: Values, colour: str, **more: object) -> Trace:
+    """Bars from left to right, the last name on top."""
+    return {"type": "bar", "orientation": "h", "x": values, "y": names, "marker": {"color": colour}, **more}
+
+
+def band(x: Values, low: Values, high: Values, name: str, strength: float = 0.2) -> list[Trace]:
+    """The range between two curves."""
+    hidden = line(x, low, "", width=0, hoverinfo="skip", showlegend=False)
+    fill = {"fill": "tonexty", "fillcolor": f"rgba(0,114,178,{strength})"}
+    return [hidden, line(x, high, name, width=0, hoverinfo="skip", **fill)]
+
+
+def axis(title: str, **more: object) -> Trace:
+    """An axis with its title."""
+    return {"title": {"text": title}, **more}
+
+
+def over_time(traces: Sequence[Mapping[str, object]], below: str, caption: str, height: int = 480) -> Chart:
+    """Power over time, and under it on the axis ``y2`` what the caption says."""
+    layout = {
+        "xaxis": axis("time since the start, s", anchor="y2"),
+        "yaxis": axis("power, W", domain=[0.36, 1.0]),
+        "yaxis2": axis(below, domain=[0.0, 0.28], zeroline=True, zerolinewidth=2),
+    }
+    return Chart(traces, layout, caption, height)
+
+
+def one_of(label: str, options: Sequence[tuple[str, Sequence[Block]]], note: str = "") -> list[Block]:
+    """One of several, chosen from a list where there is a choice; a note on what is left out."""
+    shown = list(options[0][1]) if len(options) == 1 else [Choice(label, options)]
+    return [*([Paragraph(note, small=True)] if note else []), *shown]
