@@ -35,6 +35,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import-robot": ("import_robot:import_robot", "Turn a fleet config of Open-RMF into a robot file."),
     "export": ("export:app", "Write our numbers and missions into the files of other tools."),
     "validate": ("validate:validate", "Check YAML files and logs, all faults at once."),
+    "examples": ("examples:examples", "Write the missions, logs and maps that come with missionsim into a folder."),
     "schema": ("schema:schema", "Write the JSON Schema of each kind of YAML file."),
     "robots": ("robots:robots", "List the shipped robots."),
 }

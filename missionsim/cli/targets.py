@@ -9,7 +9,7 @@ from pathlib import Path
 
 from missionsim.errors import Fault, InputError
 
-_FOLDER = {"run", "montecarlo", "compare", "reproduce", "schema"}
+_FOLDER = {"run", "montecarlo", "compare", "reproduce", "schema", "examples"}
 """Commands whose ``--out`` is a folder."""
 _FILE = {"whatif", "calibrate", "add-effect", "improve", "import-site", "import-robot", "export"}
 """Commands whose ``--out`` is a file; `import` takes either."""

@@ -6,7 +6,7 @@ import functools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from missionsim.errors import InputError
+from missionsim.inputs.examples import examples_folder
 
 if TYPE_CHECKING:
     from missionsim.engine.outcome import RunResult
@@ -16,17 +16,8 @@ Overrides = tuple[tuple[str, str], ...]
 
 
 def missions_folder() -> Path:
-    """Folder ``missions`` of the clone.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where missionsim is installed without its missions.
-    """
-    for base in (Path(__file__).resolve().parents[2], Path.cwd()):
-        if (base / "missions" / "pioneer3dx").is_dir():
-            return base / "missions"
-    raise InputError.single("the shipped missions are not here", allowed="a clone of the repository as working folder")
+    """Folder ``missions`` of the clone, or of the installed package."""
+    return examples_folder() / "missions"
 
 
 @functools.lru_cache(maxsize=256)

@@ -54,7 +54,7 @@ def test_commands_of_page(page: Path, tmp_path: Path) -> None:
         pytest.skip("this page reads the shared logs, which are not here")
     here = tmp_path / "repository"
     here.mkdir()
-    for name in ("missions", "environments", "docs", "missionsim", "results", "tests/exchange/files"):
+    for name in ("missions", "environments", "docs", "missionsim", "results"):
         if (ROOT / name).is_dir():
             shutil.copytree(ROOT / name, here / name)
     if (ROOT.parent / "shared").is_dir():

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
-    for name in ("missions", "environments", "docs/examples", "missionsim/robots", "tests/exchange/files"):
+    for name in ("missions", "environments", "docs/examples", "missionsim/robots"):
         shutil.copytree(ROOT / name, tmp_path / name)
     monkeypatch.chdir(tmp_path)
     notebook = json.loads((ROOT / "docs/notebook.ipynb").read_text(encoding="utf-8"))

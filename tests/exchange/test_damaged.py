@@ -11,7 +11,7 @@ import pytest
 from missionsim.cli.app import run_command
 from missionsim.inputs.loading import check_files
 
-FILES = Path(__file__).parent / "files"
+FILES = Path(__file__).parents[2] / "docs" / "examples" / "sites"
 SITES = sorted(path.name for path in FILES.iterdir())
 
 

@@ -26,7 +26,7 @@ from missionsim.inputs.loading import load_mission, load_robot, robot_from_text
 from missionsim.inputs.mission import MissionSpec
 
 HERE = Path(__file__).parent
-FILES = HERE / "files"
+FILES = HERE.parents[1] / "docs" / "examples" / "sites"
 COST, LIMIT = re.compile(r',? ?"(?:cost|speed_limit)": [-+.\deE]+'), re.compile(r',? ?"metadata": \{ *\}')
 
 

@@ -20,7 +20,7 @@ from missionsim.inputs.loading import load_environment, load_mission, load_robot
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.segments import flat_segments
 
-FILES = Path(__file__).parent / "files"
+FILES = Path(__file__).parents[2] / "docs" / "examples" / "sites"
 
 
 def loaded(name: str, tmp_path: Path, **options: Any) -> EnvironmentSpec:
