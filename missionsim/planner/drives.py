@@ -110,7 +110,8 @@ class Drives:
         # csgraph takes a stored zero for no arc
         weight = np.where(least == 0.0, 1e-300, least)
         size = len(road.states)
-        tails, heads = road.tails[chosen], road.heads[chosen]
+        # csgraph reads indices of 32 bits only
+        tails, heads = (ends[chosen].astype(np.int32) for ends in (road.tails, road.heads))
         return csr_array((weight, (heads, tails) if back else (tails, heads)), shape=(size, size)), chosen
 
     @staticmethod
