@@ -157,11 +157,16 @@ def segment_rows(result: RunResult, most: int = 14) -> Any:
     for i, segment in enumerate(result.segments):
         index.setdefault(segment.label or segment.name, []).append(i)
     energies = {name: result.by_segment_wh(name) for name in result.batteries}
+    passed = result.places_passed()
     rows = []
     for label, members in index.items():
         parts = [float(energies[name][members].sum()) for name in result.batteries]
         driven = sum(i < result.segments_driven or result.segments[i].kind == "return" for i in members)
         if driven:
+            ways = {tuple(passed.get(i, ())[1:-1]) for i in members}
+            if len(ways) == 1 and (between := ways.pop()):
+                shown_by = ", ".join(between)
+                label += f" (by {shown_by if len(shown_by) < 40 else f'{len(between)} places'})"
             rows.append((sum(parts), label, result.segments[members[0]].kind, driven, parts))
     shown = rows
     title = "Energy by segment [Wh]"

@@ -9,6 +9,7 @@ from typing import Any
 import simpy
 
 from missionsim.engine.recorder import Recorder
+from missionsim.plan.steady import closure
 
 LATE = simpy.events.EventPriority(2)
 """Priority after every normal event of the same instant: a component that one asks off and another on stays on,
@@ -36,19 +37,6 @@ class ComponentInfo:
     always_on: bool = False
     requires: tuple[str, ...] = ()
     startup_s: float = 0.0
-
-
-def closure(infos: Mapping[str, ComponentInfo], sensors: tuple[tuple[str, int], ...]) -> dict[str, int]:
-    """Components with everything that they require, one unit of each requirement at least."""
-    known: dict[str, int] = {}
-    waiting = [(name, units) for name, units in sensors if units > 0]
-    while waiting:
-        name, units = waiting.pop()
-        if known.get(name, 0) >= units:
-            continue
-        known[name] = units
-        waiting.extend((required, 1) for required in infos[name].requires)
-    return known
 
 
 class Late(simpy.Event):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from missionsim.effects.model import TermKey
 from missionsim.effects.timeline import Timeline
+from missionsim.engine.driven import DrivenEdge
 from missionsim.errors import Fault
 from missionsim.plan.legs import SegmentInfo
 
@@ -144,6 +145,18 @@ class RunResult:
     never_on: tuple[str, ...] = ()
     segments_driven: int = 0
     interrupted: Alarm | None = None
+    driven: Callable[[], list[DrivenEdge]] | None = field(default=None, repr=False, compare=False)
+
+    def edges_driven(self) -> list[DrivenEdge]:
+        """The edges of the map in the order in which they were driven; none without a map or without a trace."""
+        return self.driven() if self.driven is not None else []
+
+    def places_passed(self) -> dict[int, list[str]]:
+        """Segment → the places from where it began to where it ended, of drives on the map."""
+        passed: dict[int, list[str]] = {}
+        for edge in self.edges_driven():
+            passed.setdefault(edge.segment, [edge.begin]).append(edge.end)
+        return passed
 
     @property
     def returned(self) -> bool:
@@ -215,7 +228,7 @@ class RunResult:
         }
         last = {name: values[-1:] for name, values in self.charge_wh.items()}
         short = Timeline(start, duration, {}, {}, np.arange(count, dtype=np.int64))
-        return replace(self, timeline=short, energies=sums, charge_wh=last, home=None)
+        return replace(self, timeline=short, energies=sums, charge_wh=last, home=None, driven=None)
 
     def summary(self) -> dict[str, Any]:
         """The run as the JSON of the command line (schema ``missionsim.run/1``)."""
@@ -254,6 +267,15 @@ class RunResult:
             "distance_m": self.distance_m,
             "segments": [segment.name for segment in self.segments],
             "segments_driven": self.segments_driven,
+            "ways": [
+                {
+                    "segment": index,
+                    "edges": [edge.name for edge in edges],
+                    "edge_indices": [e.edge for e in edges],
+                    "places": [edges[0].begin, *(edge.end for edge in edges)],
+                }
+                for index, edges in _grouped(self.edges_driven()).items()
+            ],
             "interrupted": None
             if self.interrupted is None
             else {
@@ -268,6 +290,13 @@ class RunResult:
             "never_on": list(self.never_on),
             "provenance": dict(self.provenance),
         }
+
+
+def _grouped(edges: list[DrivenEdge]) -> dict[int, list[DrivenEdge]]:
+    found: dict[int, list[DrivenEdge]] = {}
+    for edge in edges:
+        found.setdefault(edge.segment, []).append(edge)
+    return found
 
 
 def _totals(terms: Mapping[TermKey, Array], name_of: Callable[[TermKey], str]) -> dict[str, float]:

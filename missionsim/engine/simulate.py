@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery, ConstantEnergy
 from missionsim.engine.battery_build import build_battery
 from missionsim.engine.components import ComponentInfo
+from missionsim.engine.driven import DrivenEdge, edges_driven
 from missionsim.engine.joining import distance_of, joined
 from missionsim.engine.meter import Batch
 from missionsim.engine.outcome import J_PER_WH, Alarm, BatteryResult, RunResult
@@ -235,8 +236,17 @@ class RunSetup:
             never_on=off,
             segments_driven=world.begun,
             interrupted=world.interrupted,
+            driven=self._driven(world, line, energies, charge),
         )
         return result if trace else replace(result.totals(), home=result.home)
+
+    def _driven(
+        self, world: World, line: Timeline, energies: Any, charge: Any
+    ) -> Callable[[], list[DrivenEdge]] | None:
+        environment = self.mission.environment
+        if environment is None:
+            return None
+        return lambda: edges_driven(environment, world.recorder.rows, world.legs, line, energies, charge)
 
     def _home_at_end(self, world: World) -> dict[str, float | None]:
         if self.mission.environment is None:

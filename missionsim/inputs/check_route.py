@@ -128,7 +128,7 @@ class RouteCheck:
                     neighbours = ", ".join(sorted(self.ways.get(here, ()) if near else self.reachable(here)))
                     self.check.add(
                         at,
-                        f"no {'edge' if near else 'way'} from '{here}' to '{name}'",
+                        f"no {'edge' if near else 'way'} from '{here}' to '{name}'{self.shut(here, name, near)}",
                         got=name,
                         allowed=neighbours[:200] or f"nothing can be reached from '{here}'",
                     )
@@ -136,6 +136,16 @@ class RouteCheck:
                 return None, True
             here = end
         return here, False
+
+    def shut(self, here: str, name: str, near: bool) -> str:
+        """What is closed, where a way is missing for that."""
+        environment = self.environment
+        assert environment is not None
+        places = [place for place, spec in environment.places.items() if spec.closed]
+        beside = [edge for edge in environment.edges if not near or {here, name} & {edge.from_, edge.to, edge.name}]
+        shut = [edge.name or f"{edge.from_} to {edge.to}" for edge in beside if edge.closed]
+        shut += [place for place in places if not near or any(place in (edge.from_, edge.to) for edge in beside)]
+        return f" (closed: {', '.join(shut[:6])})" if shut else ""
 
     def _lost_before(self, segment: Any) -> bool:
         """Whether a movement off the map comes before this segment in the file."""
@@ -194,8 +204,6 @@ class RouteCheck:
 
 def _ways(environment: EnvironmentSpec) -> dict[str, set[str]]:
     ways: dict[str, set[str]] = {name: set() for name in environment.places}
-    for edge in environment.edges:
-        ways.setdefault(edge.from_, set()).add(edge.to)
-        if edge.both_ways:
-            ways.setdefault(edge.to, set()).add(edge.from_)
+    for _, _, begin, end in environment.open_ways():
+        ways.setdefault(begin, set()).add(end)
     return ways

@@ -265,17 +265,13 @@ def earlier_of(visits: tuple[VisitSpec, ...]) -> list[set[int]]:
 def _reached(environment: Any, start: str, closed: set[str], *, against: bool = False) -> set[str]:
     """Places that open edges lead to from a place; `against` their direction, the places that lead to it."""
     ways: dict[str, set[str]] = {}
-    for edge in environment.edges:
-        if edge.name in closed or getattr(edge, "closed", False):
-            continue
-        ends = [(edge.from_, edge.to), *([(edge.to, edge.from_)] if edge.both_ways else [])]
-        for begin, end in ends:
+    for _, edge, begin, end in environment.open_ways():
+        if edge.name not in closed:
             begin, end = (end, begin) if against else (begin, end)
             ways.setdefault(begin, set()).add(end)
     found, waiting = {start}, [start]
     while waiting:
-        for place in ways.get(waiting.pop(), set()) - found:
-            if not getattr(environment.places.get(place), "closed", False):
-                found.add(place)
-                waiting.append(place)
+        new = ways.get(waiting.pop(), set()) - found
+        found |= new
+        waiting += new
     return found

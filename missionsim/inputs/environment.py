@@ -1,6 +1,7 @@
 """The environment file: places, ways between them, chargers, ambient."""
 
 import math
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
@@ -32,12 +33,13 @@ class ChargerSpec(Model):
 
 
 class PlaceSpec(Model):
-    """A named place; coordinates may be left out where every edge has a length."""
+    """A named place; coordinates may be left out where every edge has a length. No way leads to a closed one."""
 
     x: Coordinate | None = None
     y: Coordinate | None = None
     heading: Angle | None = None
     charger: ChargerSpec | None = None
+    closed: bool = False
     title: Text = ""
 
     @model_validator(mode="after")
@@ -53,7 +55,7 @@ class PlaceSpec(Model):
 
 
 class EdgeSpec(Model):
-    """A way between two places; slope uphill positive from `from` to `to`."""
+    """A way between two places; slope uphill positive from `from` to `to`. A closed one is not driven."""
 
     name: Name | None = None
     from_: Name = Field(alias="from")
@@ -62,6 +64,7 @@ class EdgeSpec(Model):
     slope: Slope = Parameter(0.0, unit="rad")
     surface: Name | None = None
     both_ways: bool = True
+    closed: bool = False
     max_speed: Speed | None = None
     temperature: Temperature | None = None
     access_point_distance: Length | None = None
@@ -111,18 +114,25 @@ class EnvironmentSpec(FileModel):
         """
         to_place: list[tuple[float, int]] = []
         by_name: tuple[int, str] | None = None
-        for index, edge in enumerate(self.edges):
-            if here == edge.from_:
-                end = edge.to
-            elif here == edge.to and edge.both_ways:
-                end = edge.from_
-            else:
+        for index, edge, begin, end in self.open_ways():
+            if begin != here:
                 continue
             if end == name:
                 to_place.append((self.length_m(edge) or 0.0, index))
             if edge.name == name and by_name is None:
                 by_name = index, end
         return (min(to_place)[1], name) if to_place else by_name
+
+    def open_ways(self) -> Iterator[tuple[int, EdgeSpec, str, str]]:
+        """Every way that may be driven: the edge's index, the edge, begin and end in the direction of travel."""
+        closed = {name for name, place in self.places.items() if place.closed}
+        for index, edge in enumerate(self.edges):
+            if edge.closed:
+                continue
+            if edge.to not in closed:
+                yield index, edge, edge.from_, edge.to
+            if edge.both_ways and edge.from_ not in closed:
+                yield index, edge, edge.to, edge.from_
 
     def straight_m(self, first: str, second: str) -> float | None:
         """Straight distance between two places, m."""
@@ -138,9 +148,10 @@ class EnvironmentSpec(FileModel):
         graph = networkx.MultiDiGraph()
         for name, place in self.places.items():
             graph.add_node(name, spec=place)
-        for index, edge in enumerate(self.edges):
-            common = {"spec": edge, "index": index, "length_m": self.length_m(edge)}
-            graph.add_edge(edge.from_, edge.to, slope_rad=edge.slope.value, reverse=False, **common)
-            if edge.both_ways:
-                graph.add_edge(edge.to, edge.from_, slope_rad=-edge.slope.value, reverse=True, **common)
+        for index, edge, begin, end in self.open_ways():
+            back = begin != edge.from_
+            slope = -edge.slope.value if back else edge.slope.value
+            graph.add_edge(
+                begin, end, spec=edge, index=index, length_m=self.length_m(edge), slope_rad=slope, reverse=back
+            )
         return graph

@@ -50,9 +50,10 @@ class Settings(Model):
 
 
 class DefaultSpec(Settings):
-    """Settings of all segments that do not say otherwise."""
+    """Settings of all segments that do not say otherwise, and what the way of a drive `to` a place is least in."""
 
     turn_at_places: bool = False
+    route: Literal["length", "time", "energy"] = "length"
 
 
 class SegmentSpec(Settings):

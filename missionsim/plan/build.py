@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -12,12 +12,14 @@ import numpy as np
 from missionsim.errors import Fault, InputError
 from missionsim.expressions import Place
 from missionsim.inputs.mission import AnchorSpec, MissionSpec
+from missionsim.inputs.power import build_power_model
 from missionsim.inputs.values import Parameter
 from missionsim.plan.chance import failures, stopped_by_obstacles, told_at
 from missionsim.plan.draws import Odd, least, remainder, sign
 from missionsim.plan.legs import Activity, Leg, Limits, OnEdge, Plan, Recharge, SegmentInfo, Settings, Trigger
 from missionsim.plan.pace import Pace
 from missionsim.plan.routes import Routes, Way, along
+from missionsim.plan.steady import steady_power_w
 from missionsim.plan.steps import group, slow_components
 
 if TYPE_CHECKING:
@@ -137,6 +139,7 @@ class _Builder:
         self._default_extras = {key: getattr(mission.defaults, key, None) for key, _ in _EXTRAS}
         self._tops: dict[tuple[str, bool, float], tuple[float, float, float]] = {}
         self._behaviours_of: dict[str, tuple[tuple[Any, str], ...]] = {}
+        self._costs: dict[int, dict[tuple[int, str], float]] = {}
 
     def number(self, parameter: Parameter, prefix: str = "") -> float:
         """Value of a parameter, drawn or nominal."""
@@ -374,12 +377,41 @@ class _Builder:
                 way = self.routes.along(self.place, stop, file)
                 self._way(segment, base, way)
                 self.place = way.end
+        least_of = self.mission.defaults.route
+        cost = None if least_of == "length" or segment.to is None else self._cost(segment, base, least_of)
         for stop in (*segment.via, segment.to) if segment.to is not None else ():
-            ways = self.routes.route(self.place, stop, file) if stop != self.place else []
-            self._routes.append((self.place, stop, tuple(way.edge for way in ways)))
+            ways = self.routes.route(self.place, stop, file, cost) if stop != self.place else []
+            if cost is None:
+                self._routes.append((self.place, stop, tuple(way.edge for way in ways)))
             for way in ways:
                 self._way(segment, base, way)
             self.place = stop
+
+    def _cost(self, segment: Any, base: Settings, least_of: str) -> Callable[[Way], float]:
+        """Seconds, or Wh of all batteries, of each way at steady speed, by the files' values whatever is drawn."""
+        key = id(segment)
+        if key not in self._costs:
+            plain = self if not self.numbers else _Builder(self.mission, {}, None)
+            assert plain.routes is not None
+            plain._scheme = base.scheme
+            settings = base if plain is self else plain._settings(segment)
+            ways = [way for leaving in plain.routes.ways.values() for way in leaving]
+            heading, before = plain.heading, len(plain.legs)
+            ends = []
+            for way in ways:
+                plain.heading = None
+                plain._way(segment, settings, way)
+                ends.append(len(plain.legs) - before)
+            legs = plain.legs[before:]
+            plain.heading = heading
+            del plain.legs[before:]
+            seconds = np.array([leg.distance_m / leg.speed_m_s for leg in legs])
+            model = self.mission.remembered("power model", lambda: build_power_model(self.robot))
+            costs = seconds if least_of == "time" else seconds * steady_power_w(self.robot, model, legs) / 3600.0
+            sums = np.diff(np.concatenate([[0.0], np.concatenate([[0.0], np.cumsum(costs)])[ends]]))
+            self._costs[key] = {(w.edge, w.begin): c for w, c in zip(ways, sums.tolist(), strict=True)}
+        table = self._costs[key]
+        return lambda way: table[way.edge, way.begin]
 
     def _way(self, segment: Any, base: Settings, way: Way) -> None:
         self._face(segment, base, way.heading_rad)

@@ -12,12 +12,13 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import InputError, did_you_mean
-from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.inputs.environment import EdgeSpec, EnvironmentSpec
 from missionsim.inputs.values import Parameter
 from missionsim.plan.draws import least
 from missionsim.plan.legs import Settings
@@ -77,33 +78,37 @@ class Routes:
         self.environment = environment
         self.ways: dict[str, list[Way]] = {name: [] for name in environment.places}
         self.drawn = False
-        for index, edge in enumerate(environment.edges):
-            length = number(edge.length) if edge.length is not None else environment.length_m(edge)
-            if length is None:
-                raise InputError.single(
-                    f"the edge from '{edge.from_}' to '{edge.to}' has neither a length nor coordinates at both ends",
-                    file=str(environment.path),
-                    allowed="length: 16 m",
-                )
-            search = length
-            if isinstance(length, np.ndarray):
-                search, self.drawn = environment.length_m(edge) or 0.0, True
-            extra: dict[str, float | str] = {}
-            if edge.temperature is not None:
-                extra["temp_ambient_c"] = number(edge.temperature)
-            if edge.access_point_distance is not None:
-                extra["access_point_distance_m"] = number(edge.access_point_distance)
-            for name, value in edge.conditions.items():
-                extra[name] = number(value) if isinstance(value, Parameter) else str(value)
-            slope = number(edge.slope)
-            fastest = math.inf if edge.max_speed is None else number(edge.max_speed)
-            surface = edge.surface or environment.ambient.surface or ""
-            ends = [(edge.from_, edge.to, slope)]
-            if edge.both_ways:
-                ends.append((edge.to, edge.from_, -slope))
-            for begin, end, grade in ends:
-                heading = self.heading(begin, end)
-                self.ways[begin].append(Way(begin, end, length, grade, surface, fastest, heading, extra, index, search))
+        known: dict[int, tuple[Any, ...]] = {}
+        for index, edge, begin, end in environment.open_ways():
+            if index not in known:
+                known[index] = self._edge(edge, number)
+            length, search, slope, surface, fastest, extra = known[index]
+            grade = slope if begin == edge.from_ else -slope
+            heading = self.heading(begin, end)
+            self.ways[begin].append(Way(begin, end, length, grade, surface, fastest, heading, extra, index, search))
+
+    def _edge(self, edge: EdgeSpec, number: Number) -> tuple[Any, ...]:
+        """Length, length to search by, slope, surface, greatest speed and covariates of an edge."""
+        length = number(edge.length) if edge.length is not None else self.environment.length_m(edge)
+        if length is None:
+            raise InputError.single(
+                f"the edge from '{edge.from_}' to '{edge.to}' has neither a length nor coordinates at both ends",
+                file=str(self.environment.path),
+                allowed="length: 16 m",
+            )
+        search = length
+        if isinstance(length, np.ndarray):
+            search, self.drawn = self.environment.length_m(edge) or 0.0, True
+        extra: dict[str, float | str] = {}
+        if edge.temperature is not None:
+            extra["temp_ambient_c"] = number(edge.temperature)
+        if edge.access_point_distance is not None:
+            extra["access_point_distance_m"] = number(edge.access_point_distance)
+        for name, value in edge.conditions.items():
+            extra[name] = number(value) if isinstance(value, Parameter) else str(value)
+        fastest = math.inf if edge.max_speed is None else number(edge.max_speed)
+        surface = edge.surface or self.environment.ambient.surface or ""
+        return length, search, number(edge.slope), surface, fastest, extra
 
     def position(self, place: str) -> tuple[float, float] | None:
         """Coordinates of a place [m]."""
@@ -136,23 +141,24 @@ class Routes:
             pieces.append((low, high, square**0.5))
         return pieces
 
-    def shortest(self, begin: str, end: str) -> list[Way] | None:
-        """The ways of the shortest route (Dijkstra 1959); None where there is none."""
+    def shortest(self, begin: str, end: str, cost: Callable[[Way], float] | None = None) -> list[Way] | None:
+        """The ways of the route of least cost (Dijkstra 1959), by default of least length; None where there is none.
+
+        A cost may be negative (downhill with recuperation) as long as no round trip gains anything.
+        """
         best: dict[str, tuple[float, Way | None]] = {begin: (0.0, None)}
-        done: set[str] = set()
         queue = [(0.0, 0, begin)]
         count = 0
         while queue:
             length, _, here = heapq.heappop(queue)
-            if here == end:
+            if here == end and cost is None:
                 break
-            if here in done:
+            if length > best[here][0]:
                 continue
-            done.add(here)
             for way in self.ways[here]:
-                there = length + way.search_m
+                there = length + (way.search_m if cost is None else cost(way))
                 known = best.get(way.end)
-                if known is None or there < known[0]:
+                if known is None or there < known[0] - (0.0 if cost is None else _ROUNDING * abs(known[0])):
                     best[way.end] = (there, way)
                     count += 1
                     heapq.heappush(queue, (there, count, way.end))
@@ -165,8 +171,8 @@ class Routes:
             here = way_here.begin
         return route[::-1]
 
-    def route(self, begin: str, end: str, where: str = "") -> list[Way]:
-        """The shortest route, or a fault that names both places."""
+    def route(self, begin: str, end: str, where: str = "", cost: Callable[[Way], float] | None = None) -> list[Way]:
+        """The route of least cost (see `shortest`), or a fault that names both places."""
         for place in (begin, end):
             if place not in self.ways:
                 raise InputError.single(
@@ -176,7 +182,7 @@ class Routes:
                     allowed=", ".join(self.ways),
                     hint=did_you_mean(place, self.ways),
                 )
-        found = self.shortest(begin, end)
+        found = self.shortest(begin, end, cost)
         if found is None:
             raise InputError.single(
                 f"no way from '{begin}' to '{end}'", file=where, got=end, allowed="a place that the edges connect"

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.integrate import integrate
-from missionsim.engine.components import closure
 from missionsim.engine.recorder import Row, timeline
 from missionsim.engine.simulate import RunSetup
 from missionsim.errors import InputError
@@ -19,6 +18,7 @@ from missionsim.inputs.task import TaskSpec
 from missionsim.inputs.values import Parameter
 from missionsim.plan.build import make_plan
 from missionsim.plan.legs import Leg, Phase, Settings
+from missionsim.plan.steady import closure
 
 Array = NDArray[np.float64]
 J_PER_WH = 3600.0

@@ -25,13 +25,15 @@ def tables(result: RunResult) -> dict[str, Table]:
     -------
     dict
         ``intervals`` (time, covariates, mean power of each term and charge), ``segments``, ``energy`` (segment ×
-        component × term, cells that add up to the drain), ``summary`` (one row a battery).
+        component × term, cells that add up to the drain), ``summary`` (one row a battery), ``edges`` (one row an edge
+        of the map driven).
     """
     return {
         "intervals": intervals_table(result),
         "segments": segments_table(result),
         "energy": energy_table(result),
         "summary": summary_table(result),
+        "edges": edges_table(result),
     }
 
 
@@ -74,12 +76,14 @@ def segments_table(result: RunResult) -> dict[str, Sequence[Any]]:
         ahead = cov["speed_m_s"] * line.duration_s + 0.5 * rates["speed_m_s"] * line.duration_s**2
         aside = cov["lateral_speed_m_s"] * line.duration_s + 0.5 * rates["lateral_speed_m_s"] * line.duration_s**2
         distance = np.bincount(line.segment, weights=np.hypot(ahead, aside), minlength=count)
+    passed = result.places_passed()
     end = [result.segment_end_s.get(i) for i in range(count)]
     table: dict[str, Sequence[Any]] = {
         "segment": list(range(count)),
         "segment_name": [segment.name for segment in result.segments],
         "kind": [segment.kind for segment in result.segments],
         "line": [segment.line for segment in result.segments],
+        "way": [" → ".join(passed.get(i, ())) for i in range(count)],
         "end_s": end,
         "duration_s": duration.tolist(),
         "distance_m": distance.tolist(),
@@ -100,7 +104,12 @@ def segments_table(result: RunResult) -> dict[str, Sequence[Any]]:
 def energy_table(result: RunResult) -> dict[str, Sequence[Any]]:
     """One row a cell: segment × battery × component × term, with its energy [Wh]; the cells add up to the drain."""
     table: dict[str, list[Any]] = {
-        "segment": [], "segment_name": [], "battery": [], "component": [], "term": [], "energy_wh": [],
+        "segment": [],
+        "segment_name": [],
+        "battery": [],
+        "component": [],
+        "term": [],
+        "energy_wh": [],
     }
     for battery in result.batteries:
         for key, cells in result.cells_wh(battery).items():
@@ -115,12 +124,25 @@ def summary_table(result: RunResult) -> dict[str, Sequence[Any]]:
     """One row a battery."""
     rows = [vars(battery) for battery in result.batteries.values()]
     table: dict[str, Sequence[Any]] = {
-        "mission": [result.mission] * len(rows), "robot": [result.robot] * len(rows),
-        "feasible": [result.feasible] * len(rows), "duration_s": [result.duration_s] * len(rows),
+        "mission": [result.mission] * len(rows),
+        "robot": [result.robot] * len(rows),
+        "feasible": [result.feasible] * len(rows),
+        "duration_s": [result.duration_s] * len(rows),
         "distance_m": [result.distance_m] * len(rows),
     }
     for name in rows[0] if rows else ():
         table["battery" if name == "name" else name] = [row[name] for row in rows]
+    return table
+
+
+def edges_table(result: RunResult) -> dict[str, Sequence[Any]]:
+    """One row an edge of the map driven: from where to where, when, energy and charge at its end of each battery."""
+    edges = result.edges_driven()
+    keys = ("segment", "name", "edge", "begin", "end", "length_m", "begin_s", "end_s")
+    table: dict[str, Sequence[Any]] = {key: [getattr(edge, key) for edge in edges] for key in keys}
+    for battery in result.batteries:
+        table[f"energy_{battery}_wh"] = [edge.energy_wh[battery] for edge in edges]
+        table[f"charge_{battery}_wh"] = [edge.charge_wh[battery] for edge in edges]
     return table
 
 
@@ -152,5 +174,3 @@ def largest_consumers(result: RunResult, count: int = 3) -> list[tuple[str, str,
     total = sum(battery.energy_wh for battery in result.batteries.values())
     rows.sort(key=lambda row: -row[2])
     return [(b, c, energy, energy / total if total else 0.0) for b, c, energy in rows[:count]]
-
-

@@ -21,13 +21,13 @@ from missionsim.effects.covariates import Labels
 from missionsim.effects.integrate import GAUSS_WEIGHTS, NODES, WEIGHTS
 from missionsim.effects.model import PowerModel
 from missionsim.engine.batteries import ConstantEnergy
-from missionsim.engine.components import closure
 from missionsim.engine.outcome import J_PER_WH
 from missionsim.engine.simulate import RESERVE_TOLERANCE, RunSetup, simulate, split_values
 from missionsim.errors import MissionsimError
 from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.build import make_plan, plan_runs
 from missionsim.plan.legs import Leg, Phase, Plan
+from missionsim.plan.steady import closure
 from missionsim.uncertainty.draws import Draws, Sampler
 from missionsim.uncertainty.matrices import Progress, at_nodes, matrix, running_sum, take
 from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, left_to_chance, simulate_block

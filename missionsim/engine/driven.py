@@ -1,0 +1,110 @@
+"""The edges of the map that a run drove, one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.timeline import Timeline
+from missionsim.engine.recorder import Row
+from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.plan.legs import Leg
+
+
+@dataclass(frozen=True)
+class DrivenEdge:
+    """An edge, or the part of it that was driven before the robot turned back.
+
+    Attributes
+    ----------
+    segment : int
+    begin, end : str
+        Places, in the direction of travel.
+    edge : int
+        Which of the environment's edges.
+    name : str
+        Of the edge; its places where it has none.
+    length_m : float
+        Of the map that was passed.
+    begin_s, end_s : float
+    energy_wh, charge_wh : mapping of str to float
+        By battery: delivered on it, and left at its end.
+    """
+
+    segment: int
+    begin: str
+    end: str
+    edge: int
+    name: str
+    length_m: float
+    begin_s: float
+    end_s: float
+    energy_wh: Mapping[str, float]
+    charge_wh: Mapping[str, float]
+
+
+def edges_driven(
+    environment: EnvironmentSpec,
+    rows: Sequence[Row],
+    legs: Sequence[Leg],
+    line: Timeline,
+    energies: Mapping[str, Mapping[Any, NDArray[np.float64]]],
+    charge_wh: Mapping[str, NDArray[np.float64]],
+) -> list[DrivenEdge]:
+    """The edges of a run in order; standing on them (obstacles) belongs to them.
+
+    Parameters
+    ----------
+    environment : EnvironmentSpec
+    rows : sequence of Row
+        Of the recorder, as many as `line` has intervals.
+    legs : sequence of Leg
+    line, energies, charge_wh
+        As in `missionsim.engine.outcome.RunResult`.
+    """
+    leg_of = np.array([row.leg for row in rows], dtype=np.intp)
+    starts = np.flatnonzero(np.append(True, leg_of[1:] != leg_of[:-1])) if len(leg_of) else leg_of
+    spans: list[list[int]] = []
+    last: Leg | None = None
+    for first, stop in zip(starts.tolist(), [*starts[1:].tolist(), len(leg_of)], strict=True):
+        leg = legs[int(leg_of[first])]
+        if leg.edge is None or leg.kind != "roll":
+            continue
+        went_on = (
+            last is not None
+            and last.edge is not None
+            and last.edge[:3] == leg.edge[:3]
+            and last.settings.segment == leg.settings.segment
+            and abs(last.edge.to_m - leg.edge.from_m) < 1e-9
+        )
+        if went_on and last is not leg:
+            spans[-1][1] = stop
+        else:
+            spans.append([first, stop])
+        last = leg
+    total = {name: np.sum(list(terms.values()), axis=0) / 3600.0 for name, terms in energies.items()}
+    sums = {name: np.concatenate([[0.0], np.cumsum(wh)]) for name, wh in total.items()}
+    made = []
+    for first, stop in spans:
+        begin, end = legs[int(leg_of[first])], legs[int(leg_of[stop - 1])]
+        assert begin.edge is not None
+        spec = environment.edges[begin.edge.edge]
+        made.append(
+            DrivenEdge(
+                int(line.segment[first]),
+                begin.edge.begin,
+                begin.edge.end,
+                begin.edge.edge,
+                spec.name or f"{spec.from_}–{spec.to}",
+                (end.edge or begin.edge).to_m - begin.edge.from_m,
+                float(line.start_s[first]),
+                float(line.start_s[stop - 1] + line.duration_s[stop - 1]),
+                {name: float(known[stop] - known[first]) for name, known in sums.items()},
+                {name: float(charge[stop - 1]) for name, charge in charge_wh.items()},
+            )
+        )
+    return made

@@ -1,0 +1,74 @@
+"""Power of driving steadily on legs, and what a component needs to be on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.covariates import Labels
+from missionsim.effects.model import PowerModel
+from missionsim.inputs.robot import RobotSpec
+from missionsim.plan.legs import Leg
+
+LONG_AGO_S = 1e7
+"""After which what fades has faded."""
+
+
+class Requiring(Protocol):
+    """A component as far as it names others."""
+
+    @property
+    def requires(self) -> tuple[str, ...]:
+        """Components that must be on before."""
+        ...
+
+
+def closure(infos: Mapping[str, Requiring], sensors: Sequence[tuple[str, int]]) -> dict[str, int]:
+    """Components with everything that they require, one unit of each requirement at least."""
+    known: dict[str, int] = {}
+    waiting = [(name, units) for name, units in sensors if units > 0]
+    while waiting:
+        name, units = waiting.pop()
+        if known.get(name, 0) >= units:
+            continue
+        known[name] = units
+        waiting.extend((required, 1) for required in infos[name].requires)
+    return known
+
+
+def steady_power_w(robot: RobotSpec, model: PowerModel, legs: Sequence[Leg]) -> NDArray[np.float64]:
+    """Power of all batteries together while legs are driven at their speed, shape (legs,), W.
+
+    Without accelerations, activities and what fades with time.
+    """
+    zero = np.zeros(len(legs))
+    settings = [leg.settings for leg in legs]
+    cov: dict[str, Any] = dict.fromkeys(("accel_m_s2", "lateral_speed_m_s", "lateral_accel_m_s2", "starts"), zero)
+    cov |= {
+        "speed_m_s": np.array([leg.speed_m_s for leg in legs]),
+        "yaw_rate_rad_s": np.array([leg.speed_m_s * leg.curvature_1_m for leg in legs]),
+        "moving": zero + 1.0,
+        "moving_time_s": zero + LONG_AGO_S,
+        "time_s": zero + LONG_AGO_S,
+        "slope_rad": np.array([s.slope_rad for s in settings]),
+        "payload_kg": np.array([s.payload_kg for s in settings]),
+    }
+    cov |= {name: Labels.of([getattr(s, name) for s in settings]) for name in ("scheme", "navigation", "surface")}
+    for name in sorted({name for s in settings for name, _ in s.extra}):
+        given = [dict(s.extra).get(name, np.nan) for s in settings]
+        text = any(isinstance(value, str) for value in given)
+        cov[name] = Labels.of(given) if text else np.array(given, dtype=float)
+    always = tuple((name, spec.units) for name, spec in robot.components.items() if spec.always_on)
+    on = [closure(robot.components, (*s.sensors, *always)) for s in settings]
+    for name in robot.components:
+        cov[f"on_{name}"] = np.array([float(units.get(name, 0)) for units in on])
+        cov[f"starting_{name}"] = zero
+        cov[f"on_time_{name}_s"] = zero + LONG_AGO_S
+    total = zero.copy()
+    for terms in model.evaluate(cov).values():
+        for power in terms.values():
+            total = total + power
+    return total
