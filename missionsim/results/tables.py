@@ -28,13 +28,13 @@ def tables(result: RunResult) -> dict[str, Table]:
         component × term, cells that add up to the drain), ``summary`` (one row a battery), ``edges`` (one row an edge
         of the map driven).
     """
-    return {
+    made = {
         "intervals": intervals_table(result),
         "segments": segments_table(result),
         "energy": energy_table(result),
         "summary": summary_table(result),
-        "edges": edges_table(result),
     }
+    return made | {"edges": edges_table(result)} if result.edges_driven() else made
 
 
 def intervals_table(result: RunResult) -> dict[str, Sequence[Any]]:

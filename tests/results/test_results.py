@@ -78,7 +78,7 @@ def test_files(patrol: Path, tmp_path: Path, format: str) -> None:
     )
     assert code == 0
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {f"{n}.{format}" for n in ("intervals", "segments", "energy", "summary")} | {
+    assert names == {f"{n}.{format}" for n in ("intervals", "segments", "energy", "summary", "edges")} | {
         "run.json",
         "provenance.json",
     }
