@@ -55,7 +55,8 @@ GAUSS_WEIGHTS[1::2] = np.concatenate([_GAUSS[:-1], _GAUSS[-1:], _GAUSS[:-1][::-1
 _GAP = 1.0 - float(NODES[-1])
 _ENDS = np.outer([-1.0, 1.0], 1.0 - np.array([1e-7, 0.125 * _GAP])).ravel()
 """More samples beyond the outermost nodes, which see no kink there; not at the very ends, where a power may jump."""
-_SAMPLES = np.concatenate([NODES, _ENDS])
+SAMPLES = np.concatenate([NODES, _ENDS])
+"""Where a power is asked for within an interval, on [-1, 1]; see `averaged`."""
 
 
 def _towards(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -69,6 +70,28 @@ def _towards(points: NDArray[np.float64]) -> NDArray[np.float64]:
 _TO_ENDS = _towards(_ENDS)
 _KINK = 0.25 * _GAP
 """A kink beyond the outermost node that moves the power at the end by 1 moves the mean by this much at most."""
+
+
+def averaged(powers: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Mean of a power over an interval by the Kronrod rule, and how far it may be off.
+
+    Parameters
+    ----------
+    powers : ndarray, shape (..., 19)
+        At `SAMPLES` of the interval.
+
+    Returns
+    -------
+    mean : ndarray, shape (...)
+    spread : ndarray, shape (...)
+        Difference to the Gauss rule: what is not smooth between the nodes.
+    bent : ndarray, shape (...)
+        Bound of what a kink beyond the outermost nodes changes.
+    """
+    inside, ends = powers[..., : len(NODES)], powers[..., len(NODES) :]
+    mean = inside @ (0.5 * WEIGHTS)
+    spread = np.abs(inside @ (0.5 * GAUSS_WEIGHTS) - mean)
+    return mean, spread, _KINK * np.abs(ends - inside @ _TO_ENDS).max(axis=-1)
 
 
 def integrate(
@@ -144,7 +167,7 @@ def _quadrature(
         Interval, start within it and length of each piece.
     """
     half = 0.5 * length
-    times = offset[:, None] + half[:, None] * (_SAMPLES + 1.0)
+    times = offset[:, None] + half[:, None] * (SAMPLES + 1.0)
     powers = model.evaluate(timeline.at(index, times), values)
     bad = np.zeros(index.size, dtype=bool)
     parts: dict[TermKey, NDArray[np.float64]] = {}
@@ -153,14 +176,13 @@ def _quadrature(
         spread, bent = np.zeros(index.size), np.zeros(index.size)
         for key, power in terms.items():
             whole = np.broadcast_to(np.asarray(power, dtype=float), times.shape)
-            samples, ends = whole[:, : len(NODES)], whole[:, len(NODES) :]
             with np.errstate(over="ignore", invalid="ignore"):
-                integral = half * (samples @ WEIGHTS)
-                parts[key] = integral
-                scale += half * (np.abs(samples) @ WEIGHTS)
-                spread += np.abs(half * (samples @ GAUSS_WEIGHTS) - integral)
-                bent += length * np.abs(ends - samples @ _TO_ENDS).max(axis=1)
-        bad |= (spread > RELATIVE_TOLERANCE * scale) | (_KINK * bent > RELATIVE_TOLERANCE * scale)
+                mean, apart, beyond = averaged(whole)
+                parts[key] = length * mean
+                scale += np.abs(whole[:, : len(NODES)]) @ (0.5 * WEIGHTS)
+                spread += apart
+                bent += beyond
+        bad |= (spread > RELATIVE_TOLERANCE * scale) | (bent > RELATIVE_TOLERANCE * scale)
     # a jump needs one piece a level; where pieces go on multiplying, the power is noise that no halving resolves
     if depth >= _MAX_DEPTH or (depth >= _NOISE_DEPTH and index.size > max(_MOST_PIECES, 8 * len(timeline))):
         bad[:] = False

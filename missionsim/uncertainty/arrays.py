@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Labels
-from missionsim.effects.integrate import GAUSS_WEIGHTS, NODES, WEIGHTS
+from missionsim.effects.integrate import SAMPLES, averaged
 from missionsim.effects.model import PowerModel
 from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.outcome import J_PER_WH
@@ -314,7 +314,7 @@ class ArrayMission:
     ) -> tuple[dict[str, Array], Any]:
         """Energy by battery and interval, shape (runs, intervals), in J; by component it is added to `parts`.
 
-        Also how far two quadratures of each run differ [J]: far, where a term has a kink inside an interval.
+        Also how far the energy of each run may be off [J]: far, where a term has a kink inside an interval.
         """
         doubt: Any = 0.0
         total, even, changing, powers = self._fixed
@@ -327,7 +327,7 @@ class ArrayMission:
         steady_loads = [name for name in total if name not in self._even and not self.varying.of(name)]
         energy = {name: duration * total[name] for name in steady_loads}
 
-        def book(powers: Mapping[str, Mapping[Any, Any]], where: Any, length: Array, weights: Array | None) -> None:
+        def book(powers: Mapping[str, Mapping[Any, Any]], where: Any, length: Array, sampled: bool = False) -> None:
             nonlocal doubt
             whole = length is duration
             lasts = time_s if whole else length.sum(axis=1)
@@ -335,11 +335,11 @@ class ArrayMission:
                 mean = total[battery] if isinstance(total[battery], float) else total[battery][where]
                 for key, watts in terms.items():
                     watts = np.asarray(watts, dtype=float)
-                    if weights is not None:
-                        shape = (length.shape[1], len(weights))
+                    if sampled:
+                        shape = (length.shape[1], len(SAMPLES))
                         watts = np.broadcast_to(watts, (*watts.shape[:-1], shape[0] * shape[1])).reshape(-1, *shape)
-                        doubt = doubt + (length * np.abs(watts @ (weights - 0.5 * GAUSS_WEIGHTS))).sum(axis=1)
-                        watts = watts @ weights
+                        watts, spread, bent = averaged(watts)
+                        doubt = doubt + (length * np.maximum(spread, bent)).sum(axis=1)
                     if watts.shape == (len(length), 1):  # the same in all intervals
                         joules = lasts * watts[:, 0]
                     else:
@@ -357,14 +357,14 @@ class ArrayMission:
                     energy[battery][:, where] = length * mean
 
         if self.varying.terms and not curved_at.any():
-            book(self.varying.evaluate(cov, values), slice(None), duration, None)
+            book(self.varying.evaluate(cov, values), slice(None), duration)
         elif self.varying.terms:
             steady, curved = np.flatnonzero(~curved_at), np.flatnonzero(curved_at)
             if steady.size:
-                book(self.varying.evaluate(take(cov, steady), values), steady, duration[:, steady], None)
+                book(self.varying.evaluate(take(cov, steady), values), steady, duration[:, steady])
             length = duration[:, curved]
-            times = (0.5 * length[..., None] * (NODES + 1.0)).reshape(len(length), -1)
-            book(self.varying.evaluate(at_nodes(cov, rates, curved, times), values), curved, length, 0.5 * WEIGHTS)
+            times = (0.5 * length[..., None] * (SAMPLES + 1.0)).reshape(len(length), -1)
+            book(self.varying.evaluate(at_nodes(cov, rates, curved, times), values), curved, length, sampled=True)
         if self._impulsive:
             for term, impulse in self.model.impulses(cov, values).items():
                 spread = np.broadcast_to(impulse, duration.shape)

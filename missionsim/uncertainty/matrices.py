@@ -1,4 +1,4 @@
-"""Matrices of runs × intervals: sums along a run, interpolation at even instants, covariates at quadrature nodes.
+"""Matrices of runs × intervals: sums along a run, interpolation at even instants, covariates within intervals.
 
 They are kept in Fortran order here and in `arrays`: the runs of one interval lie side by side, so that what holds for
 an interval meets them as one number, and sums over intervals add whole rows.
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.integrate import NODES
+from missionsim.effects.integrate import SAMPLES
 
 Array = NDArray[np.float64]
 
@@ -97,8 +97,8 @@ class Progress:
 def at_nodes(
     cov: Mapping[str, Any], rates: Mapping[str, Any], curved: NDArray[np.intp], times: Array
 ) -> dict[str, Any]:
-    """Covariates at the nodes of the intervals in which power changes, in their last axis interval by interval."""
-    repeated = np.repeat(curved, len(NODES))
+    """Covariates at the samples of the intervals in which power changes, in their last axis interval by interval."""
+    repeated = np.repeat(curved, len(SAMPLES))
     nodes = take(cov, repeated)
     for name, change in rates.items():
         if np.any(change):
