@@ -334,7 +334,8 @@ class _Builder:
     def _above_0(self, number: float, segment: Any, message: str) -> None:
         """A fault of the segment where a number is not above 0; of many runs, those in which it is not are odd."""
         if isinstance(number, np.ndarray):
-            self.odd.mark(~(number > 0.0))
+            if not number.min() > 0.0:
+                self.odd.mark(~(number > 0.0))
         elif not number > 0.0:
             raise self.fault(segment, message)
 

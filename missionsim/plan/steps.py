@@ -129,8 +129,7 @@ def _step_phases(legs: Sequence[Leg], low: int, high: int, profile: Profile | No
     for i, rows in zip(range(low, high), profile, strict=True):
         before = len(made)
         for duration, speed, rate in rows:
-            lasts = duration > SHORTEST_PHASE_S
-            if lasts if isinstance(lasts, bool) else lasts.any():
+            if duration > SHORTEST_PHASE_S if isinstance(duration, float) else np.any(duration > SHORTEST_PHASE_S):
                 made.append(_phase(legs[i], i, duration, speed, rate))
         if len(made) == before:
             made.append(Phase(0.0, i))

@@ -29,7 +29,7 @@ from missionsim.plan.build import make_plan, plan_runs
 from missionsim.plan.legs import Leg, Phase, Plan
 from missionsim.plan.steady import closure
 from missionsim.uncertainty.draws import Draws, Sampler
-from missionsim.uncertainty.matrices import Progress, at_nodes, matrix, running_sum, take
+from missionsim.uncertainty.matrices import Progress, at_nodes, running_sum, table, take
 from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, left_to_chance, simulate_block
 
 Array = NDArray[np.float64]
@@ -47,6 +47,7 @@ del _largest
 _CHECK_PROBABILITIES = (0.5, 0.002, 0.998, 0.25, 0.75)
 _CHECK_DRAWS, _TRIED = 3, 256
 _BELOW = "below its reserve: "
+_RATE = "d/dt "
 
 
 @dataclass(frozen=True)
@@ -388,10 +389,31 @@ class _Intervals:
 
     def duration(self, part: slice) -> Array:
         """Of each interval [s], shape (runs, intervals)."""
-        lasting = matrix([phase.duration_s for phase in self.phases], part)
-        if len(lasting) == part.stop - part.start:
-            return lasting
-        return np.repeat(lasting, part.stop - part.start, axis=0).T.copy().T
+        lasting = self._tables[""]
+        if lasting.ndim > 1:
+            return lasting[:, part].T
+        return np.repeat(lasting[:, None], part.stop - part.start, axis=1).T
+
+    @functools.cached_property
+    def _tables(self) -> dict[str, Array]:
+        """Covariates of each interval at its start and, with a prefix, their rates; see `table`."""
+        phases = self.phases
+        found = {"": table([phase.duration_s for phase in phases])}
+        for name, level, rate in (
+            ("speed_m_s", "speed_m_s", "accel_m_s2"),
+            ("lateral_speed_m_s", "lateral_m_s", "lateral_m_s2"),
+            ("yaw_rate_rad_s", "yaw_rad_s", "yaw_rad_s2"),
+        ):
+            found[name] = table([getattr(phase, level) for phase in phases])
+            found[_RATE + name] = table([getattr(phase, rate) for phase in phases])
+        legs: list[Leg] = [self.plan.legs[i] for i in self.leg_of.tolist()]
+        for name in ("payload_kg", "slope_rad"):
+            found[name] = table([getattr(leg.settings, name) for leg in legs])
+        extra = [dict(leg.settings.extra) for leg in self.plan.legs]
+        for name in sorted({name for item in extra for name in item} - self._of_legs.keys()):
+            given = [item.get(name, np.nan) for item in extra]
+            found[name] = table([given[i] for i in self.leg_of.tolist()])
+        return found
 
     @functools.cached_property
     def _of_legs(self) -> dict[str, Any]:
@@ -411,30 +433,15 @@ class _Intervals:
 
     def covariates(self, part: slice) -> tuple[dict[str, Any], dict[str, Any]]:
         """Covariates at the start of each interval, shape (runs, intervals) or (intervals,), and their rates."""
-        phases = self.phases
         cov: dict[str, Any] = dict(self._of_legs)
         rates: dict[str, Any] = {}
-        for name, level, rate in (
-            ("speed_m_s", "speed_m_s", "accel_m_s2"),
-            ("lateral_speed_m_s", "lateral_m_s", "lateral_m_s2"),
-            ("yaw_rate_rad_s", "yaw_rad_s", "yaw_rad_s2"),
-        ):
-            cov[name] = _flat(matrix([getattr(phase, level) for phase in phases], part))
-            rates[name] = _flat(matrix([getattr(phase, rate) for phase in phases], part))
+        for name, rows in self._tables.items():
+            (rates if name.startswith(_RATE) else cov)[name.removeprefix(_RATE)] = (
+                rows[:, part].T if rows.ndim > 1 else rows
+            )
+        del cov[""]
         cov["accel_m_s2"], cov["lateral_accel_m_s2"] = rates["speed_m_s"], rates["lateral_speed_m_s"]
-        legs: list[Leg] = [self.plan.legs[i] for i in self.leg_of.tolist()]
-        for name in ("payload_kg", "slope_rad"):
-            cov[name] = _flat(matrix([getattr(leg.settings, name) for leg in legs], part))
-        extra = [dict(leg.settings.extra) for leg in self.plan.legs]
-        for name in sorted({name for item in extra for name in item} - cov.keys()):
-            given = [item.get(name, np.nan) for item in extra]
-            cov[name] = _flat(matrix([given[i] for i in self.leg_of.tolist()], part))
         return cov, rates
-
-
-def _flat(numbers: Array) -> Array:
-    """One row for all runs as a vector of intervals."""
-    return numbers if len(numbers) > 1 else numbers[0]
 
 
 def _distance(cov: Mapping[str, Any], duration: Array) -> Array:

@@ -17,20 +17,20 @@ from missionsim.effects.integrate import SAMPLES
 Array = NDArray[np.float64]
 
 
-def matrix(numbers: Sequence[float | Array], part: slice) -> Array:
-    """Numbers of intervals, each a float or an array of all runs, for some runs.
+def table(numbers: Sequence[float | Array]) -> Array:
+    """Numbers of intervals, each a float or an array of all runs.
 
     Returns
     -------
-    ndarray, shape (runs, intervals) in Fortran order
-        Or (1, intervals) where none of them is an array.
+    ndarray, shape (intervals, runs)
+        Or (intervals,) where none of them is an array.
     """
     if not any(isinstance(number, np.ndarray) for number in numbers):
-        return np.array([numbers], dtype=float)
-    rows = np.empty((len(numbers), part.stop - part.start))
+        return np.array(numbers, dtype=float)
+    rows = np.empty((len(numbers), max(np.size(number) for number in numbers)))
     for row, number in zip(rows, numbers, strict=True):
-        row[:] = number[part] if isinstance(number, np.ndarray) else number
-    return rows.T
+        row[:] = number
+    return rows
 
 
 def running_sum(rows: Array) -> Array:
