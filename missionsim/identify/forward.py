@@ -338,10 +338,24 @@ def _rivals(
                 continue
             behind = other.left.square - trial.left.square
             error = float(np.std(behind, ddof=1)) * np.sqrt(len(behind))
-            if behind.sum() < UNCLEAR * error and behind.sum() < (1.0 - RIVAL_PART) * gain:
+            near = behind.sum() < UNCLEAR * error and behind.sum() < (1.0 - RIVAL_PART) * gain
+            if near and not _encompasses(squares, layout, candidates, trial, [*rest, *option], settings):
                 found.append(number)
                 break
     return tuple(found)
+
+
+def _encompasses(
+    squares: LeastSquares,
+    layout: Layout,
+    candidates: Sequence[Candidate],
+    trial: Trial,
+    beside: Sequence[int],
+    settings: Settings,
+) -> bool:
+    """Whether an effect explains what another in its place leaves over (Davidson and MacKinnon 1981)."""
+    again = _try(squares, layout, candidates, trial.candidate, trial.columns, beside, settings)
+    return again is not None and again.passed["runs"] and again.passed["several runs"] and again.passed["robust"]
 
 
 def _nested(squares: LeastSquares, one: Sequence[int], other: Sequence[int]) -> bool:
