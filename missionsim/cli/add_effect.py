@@ -5,13 +5,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from cyclopts import Parameter
-
-from missionsim.cli.common import check_search, emit_json, shows_text, tell_left_out, tell_logs
-from missionsim.cli.diagnose import HoldoutOption, RobotOption
-from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
+from missionsim.cli.options import TERMINAL, Output, RobotFile, Search
 from missionsim.report.terminal import console
 
 if TYPE_CHECKING:
@@ -23,18 +19,13 @@ if TYPE_CHECKING:
 
 def add_effect(
     *logs: Path,
-    robot: RobotOption,
-    out: Annotated[Path, Parameter(name="--out")],
-    effect: Annotated[str | None, Parameter(name="--effect")] = None,
-    formula: Annotated[str | None, Parameter(name="--formula")] = None,
-    battery: Annotated[str | None, Parameter(name="--battery")] = None,
-    holdout: HoldoutOption = None,
-    alpha: Annotated[float, Parameter(name="--alpha")] = FALSE_ALARM_RATE,
-    force: Annotated[bool, Parameter(name="--force", negative="")] = False,
-    keep_base: Annotated[bool, Parameter(name="--keep-base", negative="")] = False,
-    no_align: Annotated[bool, Parameter(name="--no-align", negative="")] = False,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
+    search: Search,
+    out: RobotFile,
+    effect: str | None = None,
+    formula: str | None = None,
+    force: bool = False,
+    keep_base: bool = False,
+    to: Output = TERMINAL,
 ) -> int:
     """Fit an effect to logs and write the robot file that has it, with its uncertainty and where it comes from.
 
@@ -45,8 +36,6 @@ def add_effect(
     ----------
     logs
         Log files or folders of them.
-    robot
-        Shipped robot's name or a robot file.
     out
         Robot file to write.
     effect
@@ -54,76 +43,44 @@ def add_effect(
     formula
         In place of --effect, a law of your own over columns of the log, such as "k * abs(yaw_rate_rad_s) * payload_kg",
         or the number of a form that diagnose proposes (1 is the first). Its k is fitted; the unit of k follows.
-    battery
-        Battery that the effect is on; by default the one that feeds the motors.
-    holdout
-        Runs that are not fitted but tested on; see diagnose. By default the last quarter of four or more runs.
-    alpha
-        Family-wise rate of false alarms; 0.01 names more small effects, and more wrong ones.
     force
         Write it even if the logs do not support it.
     keep_base
         Leave the base parameters as they are instead of writing the values that were fitted with the effect.
-    no_align
-        Take the clocks of meter and motion as they are.
-    json
-        Write what was fitted as JSON to this file, or - for standard output.
-    quiet
-        Print nothing.
     """
     from missionsim.diagnose.adopt import NotSignificant, adopt
-    from missionsim.diagnose.split import choose_split
     from missionsim.diagnose.words import heldout_line
     from missionsim.errors import InputError
     from missionsim.files import write_text
-    from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import for_folder, robot_text
-    from missionsim.inputs.loading import load_robot, robot_from_text
-    from missionsim.inputs.power import build_power_model
-    from missionsim.logs import read_logs
-    from missionsim.runs.admit import admit
+    from missionsim.inputs.loading import robot_from_text
 
-    check_search(logs, alpha)
+    search.check(logs)
     if (effect is None) == (formula is None):
         raise InputError.single(
             "add-effect needs either --effect or --formula",
             got="both" if effect else "neither",
             allowed='--effect turning_scrub, or --formula 1, or --formula "k * abs(yaw_rate_rad_s) * payload_kg"',
         )
-    spec = load_robot(robot)
-    tables, left_out = admit(read_logs(list(logs), robot=spec), build_power_model(spec))
-    tell_left_out(left_out)
-    tell_logs(tables, quiet)
-    split = choose_split(tables, holdout)
-    chosen = battery or motors_battery(spec, tables)
-    settings = Settings(alpha=alpha, align=not no_align)
-    text = robot_text(robot)
+    spec, split, tables, left_out = search.read(logs, to)
+    chosen = search.battery or motors_battery(spec, tables)
+    text = robot_text(search.robot)
     if formula is not None:
-        text, effect = _candidate(text, spec, split, chosen, formula, settings)
+        text, effect = _candidate(text, spec, split, chosen, formula, search.settings)
         spec = robot_from_text(text)
     assert effect is not None
+    told = {"schema": "missionsim.add_effect/1", "effect": effect, "battery": chosen}
     try:
-        made = adopt(text, spec, split, effect, chosen, settings, force=force, recalibrate=not keep_base)
+        made = adopt(text, spec, split, effect, chosen, search.settings, force=force, recalibrate=not keep_base)
     except NotSignificant as error:
-        emit_json(
-            {
-                "schema": "missionsim.add_effect/1",
-                "effect": effect,
-                "battery": chosen,
-                "added": False,
-                "reason": str(error),
-            },
-            json,
-        )
+        to.emit(told | {"added": False, "reason": str(error)})
         print(f"{error}\n    nothing was written; --force writes it all the same", file=sys.stderr)
         return 1
     write_text(out, for_folder(made.text, out.parent))
     parameters = {name: estimate.to_json() for name, estimate in made.effect.parameters.items()}
-    emit_json(
-        {
-            "schema": "missionsim.add_effect/1",
-            "effect": effect,
-            "battery": chosen,
+    to.emit(
+        told
+        | {
             "added": True,
             "significant": made.significant,
             "reason": made.reason,
@@ -136,8 +93,7 @@ def add_effect(
             "left_out": left_out,
             "robot_file": str(out),
             "base": {name: {"value": value, "sd": sd} for name, (value, sd) in made.base.items()},
-        },
-        json,
+        }
     )
     if made.worse:
         print(made.worse, file=sys.stderr)
@@ -147,14 +103,14 @@ def add_effect(
             "what to drive to find out",
             file=sys.stderr,
         )
-    if shows_text(json, quiet):
+    if to.text:
         terminal = console()
-        told = ", ".join(
+        found = ", ".join(
             f"{name} = {p.value:.4g}{'' if p.unit in ('', '1') else ' ' + p.unit} (95 % {p.low:.4g} to {p.high:.4g})"
             for name, p in made.effect.parameters.items()
         )
         terminal.print(
-            f"{effect} on battery {chosen}: {100 * made.effect.energy_share:.1f} % of the energy; {told}; "
+            f"{effect} on battery {chosen}: {100 * made.effect.energy_share:.1f} % of the energy; {found}; "
             f"p = {made.effect.p_value:.1g}",
             markup=False,
         )

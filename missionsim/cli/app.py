@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from missionsim.cli.quick import quick, with_plot_last
+from missionsim.cli.parse import Call, build_app, plain_call, whole_call
 from missionsim.cli.targets import check_targets
 from missionsim.errors import Fault, InputError, did_you_mean
-
-if TYPE_CHECKING:
-    from cyclopts import App
 
 EXIT_FINE, EXIT_NO, EXIT_INPUT, EXIT_OURS = 0, 1, 2, 3
 EXIT_INTERRUPTED, EXIT_PIPE = 130, 141
@@ -32,7 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "effects": ("effects:app", "Show the library of effects."),
     "import": ("import_:import_", "Turn a bag, MCAP, ULog or CSV of any layout into a log."),
     "import-site": ("import_site:import_site", "Turn a map, route graph, track or order of another tool into a site."),
-    "import-robot": ("import_robot:import_robot", "Turn a fleet config of Open-RMF into a robot file."),
+    "import-robot": ("import_site:import_robot", "Turn a fleet config of Open-RMF into a robot file."),
     "export": ("export:app", "Write our numbers and missions into the files of other tools."),
     "validate": ("validate:validate", "Check YAML files and logs, all faults at once."),
     "examples": ("examples:examples", "Write the missions, logs and maps that come with missionsim into a folder."),
@@ -44,19 +41,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
 HELP = """Energy that mobile robots spend on missions: simulate, vary, compare with measurements, find what is missing.
 
 Exit codes: 0 fine, 1 the answer is no (infeasible, outside the tolerance), 2 a fault in the input, 3 our own fault."""
-
-
-def build_app() -> App:
-    """The command-line application with every command of `COMMANDS`."""
-    from cyclopts import App
-
-    from missionsim import __version__
-
-    app = App(name="missionsim", help=HELP, version=__version__, help_format="plaintext")
-    app.register_install_completion_command(help="Install completion for a shell: bash, zsh or fish.")
-    for name, (target, summary) in COMMANDS.items():
-        app.command(f"missionsim.cli.{target}", name=name, help=summary)
-    return app
 
 
 def run_command(arguments: Sequence[str]) -> int:
@@ -83,12 +67,14 @@ def run_command(arguments: Sequence[str]) -> int:
         )
         return EXIT_INPUT
     try:
-        check_targets(arguments)
-        code = quick(arguments)
-        if code is None:
-            code = _parsed(with_plot_last(arguments))
+        call = read_call(arguments)
+        if call is None:
+            return EXIT_INPUT
+        if call.function.__module__.startswith(__package__):  # help and completion write nothing
+            check_targets(call)
+        result = call.function(*call.arguments, **call.options)
         sys.stdout.flush()
-        return code
+        return result if isinstance(result, int) and not isinstance(result, bool) else EXIT_FINE
     except InputError as error:
         print(error, file=sys.stderr)
         return EXIT_INPUT
@@ -116,17 +102,30 @@ def run_command(arguments: Sequence[str]) -> int:
         return EXIT_OURS
 
 
-def _parsed(arguments: Sequence[str]) -> int:
-    """Parse a command line and run it."""
+def read_call(arguments: Sequence[str], plain: bool = True) -> Call | None:
+    """The call that a command line means; None, with a message on standard error, where the parser refuses it.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+    plain : bool
+        Whether plain calls go without the whole parser.
+    """
+    word = next(iter(arguments), "")
+    if plain and word in COMMANDS and (call := plain_call(word, arguments[1:], COMMANDS[word][0])) is not None:
+        return call
+    for before, after in itertools.pairwise([*arguments, "-"]):
+        # as a path, nothing would be the present folder
+        if before.strip("=") in ("--out", "--json", "--report", "--mcap") and (before[-1] == "=" or not after.strip()):
+            raise InputError.single(f"{before.strip('=')} names nothing", got="''", allowed="a path")
     from cyclopts import CycloptsError
 
     try:
-        result = build_app()(list(arguments), exit_on_error=False, print_error=False, result_action="return_value")
+        return whole_call(build_app(COMMANDS, HELP), arguments)
     except CycloptsError as error:
         print(f"command line: error: {' '.join(str(error).split())}", file=sys.stderr)
         print("    see: missionsim --help", file=sys.stderr)
-        return EXIT_INPUT
-    return result if isinstance(result, int) and not isinstance(result, bool) else EXIT_FINE
+        return None
 
 
 def _reader_gone() -> int:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import Parameter
-
-from missionsim.cli.common import emit_json, shows_text, tell_left_out
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import TERMINAL, Output, RobotFile, tell_left_out
 from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
@@ -17,17 +14,16 @@ if TYPE_CHECKING:
 
 def calibrate(
     *logs: Path,
-    out: Annotated[Path, Parameter(name="--out")],
-    new: Annotated[str | None, Parameter(name="--new")] = None,
-    base: Annotated[str | None, Parameter(name="--base")] = None,
-    robot: Annotated[str | None, Parameter(name="--robot")] = None,
-    battery: Annotated[str | None, Parameter(name="--battery")] = None,
-    mass: Annotated[str, Parameter(name="--mass")] = "",
-    capacity: Annotated[str, Parameter(name="--capacity")] = "",
-    max_speed: Annotated[str, Parameter(name="--max-speed")] = "",
-    drive: Annotated[str, Parameter(name="--drive")] = "differential",
-    json: JsonOption = None,
-    quiet: QuietOption = False,
+    out: RobotFile,
+    new: str | None = None,
+    base: str | None = None,
+    robot: str | None = None,
+    battery: str | None = None,
+    mass: str = "",
+    capacity: str = "",
+    max_speed: str = "",
+    drive: str = "differential",
+    to: Output = TERMINAL,
 ) -> int:
     """Fit a base model for a new robot to logs, or refit the parameters of a robot.
 
@@ -55,10 +51,6 @@ def calibrate(
         Top speed of a new robot; by default the fastest in the logs.
     drive
         differential, skid_steer, mecanum, omni or ackermann.
-    json
-        Write the fit as JSON to this file, or - for standard output.
-    quiet
-        Print no table.
     """
     from missionsim.errors import InputError
     from missionsim.files import write_text
@@ -94,8 +86,8 @@ def calibrate(
         text, fits, remarks = again.text, list(again.fits), list(again.remarks)
     remarks = [*describe(tables), *remarks]
     write_text(out, text)
-    emit_json(_as_json(fits, remarks, out) | {"left_out": left_out}, json)
-    if shows_text(json, quiet):
+    to.emit(_as_json(fits, remarks, out) | {"left_out": left_out})
+    if to.text:
         _print(fits, remarks, out)
     return 1 if left_out else 0
 

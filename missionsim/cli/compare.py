@@ -7,8 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import emit_json, progress, shows_text
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import TERMINAL, OutFile, OutFolder, Output
 from missionsim.errors import InputError
 from missionsim.report.terminal import console
 
@@ -19,11 +18,10 @@ def compare(
     mission: Path | None = None,
     by: Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=False)] = (),
     tolerance: float | None = None,
-    report: Path | None = None,
-    out: Path | None = None,
-    mcap: Path | None = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
+    report: OutFile | None = None,
+    out: OutFolder | None = None,
+    mcap: OutFile | None = None,
+    to: Output = TERMINAL,
 ) -> int:
     """Compare a robot's model with measured logs: energy, power, and where it fails.
 
@@ -49,10 +47,6 @@ def compare(
     mcap
         Write measured and modelled power, residual, watts by term and all columns over time into this MCAP file, with a
         layout for Foxglove and a map for import beside it.
-    json
-        Write the result as JSON to a file, or - for standard output.
-    quiet
-        Print nothing but what was asked for.
     """
     from missionsim.compare import compare_files
 
@@ -60,8 +54,8 @@ def compare(
         raise InputError.single("the tolerance is a percentage", got=tolerance, allowed="zero or more")
     if report is not None and report.suffix.lower() not in (".html", ".htm"):
         raise InputError.single("the report is a page", got=report, allowed="a file name that ends in .html")
-    text = shows_text(json, quiet)
-    with progress(quiet) as bar:
+    text = to.text
+    with to.progress() as bar:
         task = bar.add_task("runs", total=None)
         result = compare_files(robot, logs, mission=mission, by=by, on_run=lambda _: bar.advance(task))
     if report is not None:
@@ -80,7 +74,7 @@ def compare(
         from missionsim.inputs import load_robot
 
         write_comparison(load_robot(robot), logs, mcap)
-    emit_json(result.to_json(), json)
+    to.emit(result.to_json())
     inside = tolerance is None or result.within(tolerance)
     if text:
         from missionsim.report.compare_terminal import print_comparison

@@ -4,34 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from cyclopts import Parameter
-
-from missionsim.cli.common import check_search, emit_json, shows_text, tell_left_out
-from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
+from missionsim.cli.options import TERMINAL, OutFile, Output, Search, tell_left_out
 from missionsim.report.terminal import console
 
 if TYPE_CHECKING:
     from missionsim.identify.findings import Diagnosis
 
-RobotOption = Annotated[str, Parameter(name="--robot")]
-HoldoutOption = Annotated[list[str] | None, Parameter(name="--holdout")]
-MissionOption = Annotated[Path | None, Parameter(name="--mission")]
-ReportOption = Annotated[Path | None, Parameter(name="--report")]
-
 
 def diagnose(
-    *logs: Path,
-    robot: RobotOption,
-    mission: MissionOption = None,
-    holdout: HoldoutOption = None,
-    battery: Annotated[str | None, Parameter(name="--battery")] = None,
-    alpha: Annotated[float, Parameter(name="--alpha")] = FALSE_ALARM_RATE,
-    no_align: Annotated[bool, Parameter(name="--no-align", negative="")] = False,
-    report: ReportOption = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
+    *logs: Path, search: Search, mission: Path | None = None, report: OutFile | None = None, to: Output = TERMINAL
 ) -> int:
     """Find which physical effect the robot's model lacks, or say that these data cannot tell and what to drive next.
 
@@ -39,50 +22,34 @@ def diagnose(
     ----------
     logs
         Log files or folders of them.
-    robot
-        Shipped robot's name or a robot file.
     mission
         The mission that was driven; with it the robot's behaviour (longer, slower, waiting) is examined as well.
-    holdout
-        Runs that are not fitted but tested on: a fraction, run names with commas between, a condition such as
-        "surface == 'carpet'", or files and folders of other logs; none for no hold-out. By default the last quarter of
-        four or more runs.
-    battery
-        Only this battery.
-    alpha
-        Family-wise rate of false alarms; 0.01 names more small effects, and more wrong ones.
-    no_align
-        Take the clocks of meter and motion as they are, for logs that were aligned already.
     report
         Write an interactive page to this HTML file.
-    json
-        Write the diagnosis as JSON to this file, or - for standard output.
-    quiet
-        Print nothing.
     """
     from missionsim.diagnose import diagnose_files
 
-    check_search(logs, alpha)
+    search.check(logs)
     left_out: list[str] = []
     result = diagnose_files(
-        robot,
+        search.robot,
         list(logs),
-        holdout=holdout,
+        holdout=search.holdout,
         mission=mission,
-        battery=battery,
-        alpha=alpha,
-        align=not no_align,
+        battery=search.battery,
+        alpha=search.alpha,
+        align=not search.no_align,
         on_left_out=left_out.extend,
     )
     tell_left_out(left_out)
-    emit_json(result.to_json() | {"left_out": left_out}, json)
+    to.emit(result.to_json() | {"left_out": left_out})
     if report is not None:
         from missionsim.files import write_text
         from missionsim.report.diagnosis_page import diagnosis_page
 
-        write_text(report, diagnosis_page(result, footer=_footer(), robot=robot, logs=logs))
-    if shows_text(json, quiet):
-        show(result, robot, logs)
+        write_text(report, diagnosis_page(result, footer=_footer(), robot=search.robot, logs=logs))
+    if to.text:
+        show(result, search.robot, logs)
         if report is not None:
             console().print(f"report written: {report}", markup=False)
     return 1 if left_out else 0

@@ -7,8 +7,7 @@ from typing import Any
 
 from cyclopts import App
 
-from missionsim.cli.common import emit_json, shows_text
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import TERMINAL, Output
 from missionsim.report.terminal import console, simple_table
 
 app = App(name="effects", help="The library of effects: equation, parameters, units, source.", help_format="plaintext")
@@ -57,21 +56,17 @@ def _needed(described: dict[str, Any]) -> str:
 
 
 @app.default
-def list_effects(*, json: JsonOption = None, quiet: QuietOption = False) -> int:
+def list_effects(*, to: Output = TERMINAL) -> int:
     """List every effect of the library.
 
     Parameters
     ----------
-    json
-        Write the list as JSON to this file, or - for standard output.
-    quiet
-        Print no table.
     """
     from missionsim.effects.library import effect_ids
 
     described = [_describe(id) for id in effect_ids()]
-    emit_json({"schema": "missionsim.effects/1", "effects": described}, json)
-    if shows_text(json, quiet):
+    to.emit({"schema": "missionsim.effects/1", "effects": described})
+    if to.text:
         rows = [(d["id"], d["equation"], _needed(d) or "–") for d in described]
         console().print(simple_table("Library of effects", ["effect", "power it adds", "needs in the log"], rows))
         console().print(
@@ -82,21 +77,17 @@ def list_effects(*, json: JsonOption = None, quiet: QuietOption = False) -> int:
 
 
 @app.command
-def show(id: str, *, json: JsonOption = None, quiet: QuietOption = False) -> int:
+def show(id: str, *, to: Output = TERMINAL) -> int:
     """Show one effect in full.
 
     Parameters
     ----------
     id
         Name of the effect, such as grade or component_power:kinect.
-    json
-        Write it as JSON to this file, or - for standard output.
-    quiet
-        Print no table.
     """
     described = _describe(id)
-    emit_json({"schema": "missionsim.effect/1", **described}, json)
-    if shows_text(json, quiet):
+    to.emit({"schema": "missionsim.effect/1", **described})
+    if to.text:
         terminal = console()
         terminal.print(f"[bold]{id}[/bold]  {described['meaning']}")
         terminal.print(f"power   {described['equation']}", markup=False)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from missionsim.cli.common import console, emit_json, shows_text
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import TERMINAL, OutFolder, Output
+from missionsim.report.terminal import console
 
 
-def examples(*, out: Path | None = None, json: JsonOption = None, quiet: QuietOption = False) -> int:
+def examples(*, out: OutFolder | None = None, to: Output = TERMINAL) -> int:
     """Write the missions, environments, example logs, maps, sites and pages that come with missionsim.
 
     The commands of README and of the pages run in that folder.
@@ -18,16 +16,12 @@ def examples(*, out: Path | None = None, json: JsonOption = None, quiet: QuietOp
     out
         Folder for the files, made if need be; files with another content are not overwritten. Without it, the files
         are listed.
-    json
-        Write the list of files as JSON to this file, or - for standard output.
-    quiet
-        Print nothing.
     """
     from missionsim.inputs.examples import example_files, write_examples
 
     names = list(example_files()) if out is None else write_examples(out)
-    emit_json({"schema": "missionsim.examples/1", "out": out, "files": names}, json)
-    if shows_text(json, quiet):
+    to.emit({"schema": "missionsim.examples/1", "out": out, "files": names})
+    if to.text:
         if out is None:
             for name in names:
                 console().print(str(name), soft_wrap=True, markup=False)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
-from missionsim.cli.common import emit_json, shows_text
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import TERMINAL, OutFile, Output
 from missionsim.report.terminal import console, simple_table
 
 app = App(name="export", help="Write our numbers and missions into the files of other tools.")
@@ -21,14 +20,13 @@ def nav2(
     /,
     *,
     robot: str,
-    out: Path,
+    out: OutFile,
     battery: str = "",
     time_weight: float = 0.0,
     speed: float | None = None,
-    best_speed: Annotated[bool, Parameter(negative="")] = False,
+    best_speed: bool = False,
     payload: float = 0.0,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
+    to: Output = TERMINAL,
 ) -> int:
     """Write energy costs and speed limits into a Nav2 route graph; all else stays as it is, byte for byte.
 
@@ -50,10 +48,6 @@ def nav2(
         On each edge the speed of the lowest cost, up to its limit.
     payload
         Carried, kg.
-    json
-        Write costs, energies and times of the edges as JSON to this file, or - for standard output.
-    quiet
-        Print nothing but what was asked for.
     """
     from missionsim.errors import InputError
     from missionsim.exchange.nav2 import export_costs
@@ -68,10 +62,8 @@ def nav2(
         graph, spec, battery=battery, wh_per_s=time_weight, speed=speed, best_speed=best_speed, payload_kg=payload
     )
     _write(out, found.raw)
-    emit_json(
-        {"schema": "missionsim.graph_costs/1", "graph": str(graph), "robot": spec.name, "edges": found.edges}, json
-    )
-    if shows_text(json, quiet):
+    to.emit({"schema": "missionsim.graph_costs/1", "graph": str(graph), "robot": spec.name, "edges": found.edges})
+    if to.text:
         costs = [edge["cost"] for edge in found.edges]
         spread = f", cost {min(costs):.4g} to {max(costs):.4g}" if costs else ""
         _tell(
@@ -83,16 +75,7 @@ def nav2(
 
 
 @app.command
-def rmf(
-    config: Path,
-    /,
-    *logs: Path,
-    robot: str,
-    out: Path,
-    battery: str = "",
-    json: JsonOption = None,
-    quiet: QuietOption = False,
-) -> int:
+def rmf(config: Path, /, *logs: Path, robot: str, out: Path, battery: str = "", to: Output = TERMINAL) -> int:
     """Write friction, ambient and tool watts and capacity into a fleet config of Open-RMF, and say how far it follows.
 
     Parameters
@@ -108,10 +91,6 @@ def rmf(
         Config to write.
     battery
         The robot's battery; that of its motion unless given.
-    json
-        Write numbers and errors as JSON to this file, or - for standard output.
-    quiet
-        Print nothing but what was asked for.
     """
     from missionsim.exchange.rmf_fleet import NUMBERS, export_fleet
     from missionsim.inputs.loading import load_robot
@@ -121,8 +100,8 @@ def rmf(
     _write(out, found.raw)
     changed = {key: {"before": before, "after": after} for key, (before, after) in found.changed.items()}
     result = {"schema": "missionsim.fleet_export/1", "config": str(config), "robot": spec.name, "changed": changed}
-    emit_json({**result, "errors": found.errors, "remarks": found.remarks}, json)
-    if shows_text(json, quiet):
+    to.emit({**result, "errors": found.errors, "remarks": found.remarks})
+    if to.text:
         terminal = console()
         rows: list[tuple[Any, ...]] = [
             (".".join(NUMBERS[key].path), f"{before:.6g}", f"{after:.6g}")
@@ -142,13 +121,12 @@ def vda5050(
     mission: Path,
     /,
     *,
-    out: Path,
+    out: OutFile,
     robot: str | None = None,
     version: str = "3.0.0",
     timestamp: str = "",
     serial: str = "1",
-    json: JsonOption = None,
-    quiet: QuietOption = False,
+    to: Output = TERMINAL,
 ) -> int:
     """Write a mission as an order of VDA 5050.
 
@@ -166,29 +144,18 @@ def vda5050(
         Of the order, such as 2026-01-01T00:00:00.000Z; now unless given.
     serial
         Serial number of the robot.
-    json
-        Write what was told as JSON to this file, or - for standard output.
-    quiet
-        Print nothing but what was asked for.
     """
     from missionsim.exchange.vda5050 import order_of
     from missionsim.inputs.loading import load_mission
 
     order = order_of(load_mission(mission, robot=robot), version=version, timestamp=timestamp, robot_id=serial)
     title = f"order {order.data['orderId']}: {len(order.data['nodes'])} nodes, VDA 5050 {version}"
-    return _mission(order.data, title, order.remarks, out, json, quiet)
+    return _mission(order.data, title, order.remarks, out, to)
 
 
 @app.command
 def qgc(
-    mission: Path,
-    /,
-    *,
-    out: Path,
-    robot: str | None = None,
-    origin: str | None = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
+    mission: Path, /, *, out: Path, robot: str | None = None, origin: str | None = None, to: Output = TERMINAL
 ) -> int:
     """Write a mission as a plan of QGroundControl for a rover.
 
@@ -202,10 +169,6 @@ def qgc(
         Shipped robot or robot file in place of the mission's own.
     origin
         LATITUDE,LONGITUDE of the map's point 0, 0 in degrees; what the map's notes say unless given.
-    json
-        Write what was told as JSON to this file, or - for standard output.
-    quiet
-        Print nothing but what was asked for.
     """
     from missionsim.errors import InputError
     from missionsim.exchange.qgc import plan_of
@@ -222,15 +185,15 @@ def qgc(
         where = (latitude, longitude)
     plan, remarks = plan_of(load_mission(mission, robot=robot), where)
     title = f"plan of {len(plan['mission']['items'])} items"
-    return _mission(plan, title, remarks, out, json, quiet)
+    return _mission(plan, title, remarks, out, to)
 
 
-def _mission(data: dict[str, Any], title: str, remarks: Sequence[str], out: Path, json: str | None, quiet: bool) -> int:
-    import json as encoder
+def _mission(data: dict[str, Any], title: str, remarks: Sequence[str], out: Path, to: Output) -> int:
+    import json
 
-    _write(out, (encoder.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode())
-    emit_json({"schema": "missionsim.export/1", "out": str(out), "told": list(remarks)}, json)
-    if shows_text(json, quiet):
+    _write(out, (json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode())
+    to.emit({"schema": "missionsim.export/1", "out": str(out), "told": list(remarks)})
+    if to.text:
         _tell(title, remarks, out)
     return 0
 

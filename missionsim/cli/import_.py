@@ -6,11 +6,9 @@ import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import Parameter
-
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import TERMINAL, OutPath, Output
 
 if TYPE_CHECKING:
     from missionsim.errors import Fault
@@ -19,12 +17,11 @@ if TYPE_CHECKING:
 
 def import_(
     *sources: Path,
-    map_: Annotated[Path | None, Parameter(name="--map")] = None,
-    out: Path | None = None,
-    suggest: Annotated[bool, Parameter(negative="")] = False,
-    strict: Annotated[bool, Parameter(negative="")] = False,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
+    map_: Path | None = None,
+    out: OutPath | None = None,
+    suggest: bool = False,
+    strict: bool = False,
+    to: Output = TERMINAL,
 ) -> int:
     """Turn bags, MCAP, ULog or tables of any layout into logs with the columns that missionsim reads.
 
@@ -44,30 +41,25 @@ def import_(
         how sure it is.
     strict
         Refuse everything where a file cannot be read or a recording is damaged, in place of leaving it out.
-    json
-        Write what was read and what was found as JSON to this file, or - for standard output.
-    quiet
-        Print nothing but what was asked for.
 
     Returns
     -------
     int
         0 when everything was read, 1 when a file was left out or is damaged, or a suggestion has no power or no time.
     """
-    from missionsim.cli.common import emit_json, shows_text
     from missionsim.errors import InputError
 
-    text = shows_text(json, quiet)
+    text = to.text
     if not sources:
         raise InputError.single("no file was given", allowed="missionsim import FILE…")
     if suggest:
         if map_ is not None:
             raise InputError.single("--suggest writes a map, --map reads one", allowed="one of them")
-        return _suggest(sources, out, json, text)
+        return _suggest(sources, out, to)
     if map_ is None:
         if out is not None:
             raise InputError.single("--out needs --map", allowed="--map MAP.yaml --out LOG.parquet, or --suggest")
-        return _list(sources, json, text)
+        return _list(sources, to)
     if out is None:
         raise InputError.single("--out is missing", allowed="--out LOG.parquet, or a folder for several runs")
     from missionsim.importer.mapping import import_source, provenance
@@ -84,7 +76,7 @@ def import_(
     _spare_sources(logs, targets)
     for log, target in zip(logs, targets, strict=True):
         write_log(log, target, provenance(log, spec))
-    emit_json(
+    to.emit(
         {
             "schema": "missionsim.import/1",
             "source": str(sources[0]),
@@ -92,12 +84,11 @@ def import_(
             "map": str(map_),
             "runs": [_summary(log, target) for log, target in zip(logs, targets, strict=True)],
             "left_out": [dataclasses.asdict(fault) for fault in left_out],
-        },
-        json,
+        }
     )
     if text:
         _print(logs, targets)
-    for fault in left_out if json != "-" else []:
+    for fault in left_out if to.json != "-" else []:
         print(fault, file=sys.stderr)
     if left_out and text:
         names = sorted({fault.file for fault in left_out})
@@ -189,8 +180,7 @@ def _print(logs: list[LogTable], targets: list[Path]) -> None:
     terminal.print(f"written: {where}" + (f" ({len(targets)} files)" if len(targets) > 1 else ""), markup=False)
 
 
-def _list(sources: Sequence[Path], json: str | None, text: bool) -> int:
-    from missionsim.cli.common import emit_json
+def _list(sources: Sequence[Path], to: Output) -> int:
     from missionsim.importer.roles import folded, guess_all
     from missionsim.importer.sources import fields_of, find_files
     from missionsim.report.terminal import console, simple_table
@@ -205,15 +195,14 @@ def _list(sources: Sequence[Path], json: str | None, text: bool) -> int:
             key=lambda field: (guesses[field.name].rank if field.name in guesses else 9.0, len(field.name)),
         )
         listed.append((path, fields, shown, guesses))
-    emit_json(
+    to.emit(
         {
             "schema": "missionsim.source/1",
             "source": str(listed[0][0]),
             "fields": [{"name": field.name, "kind": field.kind, "count": field.count} for field in listed[0][1]],
-        },
-        json,
+        }
     )
-    if not text:
+    if not to.text:
         return 0
     terminal = console()
     for path, fields, shown, guesses in listed:
@@ -234,8 +223,7 @@ def _list(sources: Sequence[Path], json: str | None, text: bool) -> int:
     return 0
 
 
-def _suggest(sources: Sequence[Path], out: Path | None, json: str | None, text: bool) -> int:
-    from missionsim.cli.common import emit_json
+def _suggest(sources: Sequence[Path], out: Path | None, to: Output) -> int:
     from missionsim.errors import InputError
     from missionsim.files import write_text
     from missionsim.importer.sources import find_files
@@ -246,18 +234,17 @@ def _suggest(sources: Sequence[Path], out: Path | None, json: str | None, text: 
     found = suggest_map(find_files(sources))
     if out is not None:
         write_text(out, found.text)
-    emit_json(
+    to.emit(
         {
             "schema": "missionsim.suggestion/1",
             "map": found.text,
             "columns": {name: guess.as_json() for name, guess in found.columns.items()},
             "missing": list(found.missing),
-        },
-        json,
+        }
     )
-    if text and out is None:
+    if to.text and out is None:
         sys.stdout.write(found.text)
-    elif text:
+    elif to.text:
         for name, guess in found.columns.items():
             print(f"{name:22} {guess.sure:8} {guess.why}")
         print(f"written: {out}")

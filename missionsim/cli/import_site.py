@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from cyclopts import Parameter
-
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import TERMINAL, OutFile, Output
 
 if TYPE_CHECKING:
     from missionsim.exchange.site import Site
@@ -17,15 +15,14 @@ def import_site(
     file: Path,
     /,
     *,
-    out: Path | None = None,
-    mission: Path | None = None,
+    out: OutFile | None = None,
+    mission: OutFile | None = None,
     robot: str | None = None,
     vehicle: str = "",
-    graph: Annotated[int | None, Parameter(name="--graph")] = None,
+    graph: int | None = None,
     scale: float | None = None,
     smooth: float = 50.0,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
+    to: Output = TERMINAL,
 ) -> int:
     """Turn a site map, route graph, track or order of another tool into an environment, and perhaps a mission.
 
@@ -51,12 +48,7 @@ def import_site(
         m per pixel of a drawing without measurements (Open-RMF).
     smooth
         m to each side over which elevations of a track are smoothed (GPX).
-    json
-        Write what was read and what was left out as JSON to this file, or - for standard output.
-    quiet
-        Print nothing but what was asked for.
     """
-    from missionsim.cli.common import emit_json, shows_text
     from missionsim.errors import InputError
     from missionsim.exchange.formats import import_site as read
     from missionsim.exchange.site import SiteOptions, write_site
@@ -74,8 +66,8 @@ def import_site(
     if out is not None:
         write_site(site, out, mission, driver or "")
     result = {**site.summary(), "out": out, "mission": mission}
-    emit_json(result, json)
-    if shows_text(json, quiet):
+    to.emit(result)
+    if to.text:
         _print(site, out, mission)
     return 0
 
@@ -97,3 +89,56 @@ def _print(site: Site, out: Path | None, mission: Path | None) -> None:
         terminal.print(f"  {remark}", markup=False, soft_wrap=True)
     for path in filter(None, (out, mission)):
         terminal.print(f"written: {path}", markup=False, soft_wrap=True)
+
+
+def import_robot(config: Path, /, *, out: Path | None = None, battery: str = "main", to: Output = TERMINAL) -> int:
+    """Turn a fleet config of Open-RMF into a robot file.
+
+    Its power is the one that Open-RMF plans with: friction, acceleration, ambient and tool watts.
+
+    Parameters
+    ----------
+    config
+        Fleet config (config.yaml of a fleet adapter).
+    out
+        Robot file to write; without it, it is told what would be written.
+    battery
+        Name of the robot's battery, as logs call it.
+    """
+    from missionsim.exchange.rmf_fleet import read_fleet
+    from missionsim.files import write_text
+    from missionsim.inputs.loading import robot_from_text
+    from missionsim.report.terminal import console
+
+    fleet = read_fleet(config)
+    text = fleet.robot_text(battery)
+    name = robot_from_text(text, str(out or config)).name
+    if out is not None:
+        write_text(out, text)
+    told = [{"message": r.message, "line": r.line, "count": r.count} for r in fleet.remarks.values()]
+    to.emit(
+        {
+            "schema": "missionsim.fleet/1",
+            "source": str(config),
+            "robot": name,
+            "numbers": fleet.numbers,
+            "limits": fleet.limits,
+            "robots": fleet.robots,
+            "told": told,
+            "out": out,
+        }
+    )
+    if to.text:
+        terminal = console()
+        n = fleet.numbers
+        terminal.print(
+            f"{config}: Open-RMF fleet {fleet.name}, {n['mass']:g} kg, {n['capacity'] * n['voltage']:g} Wh, friction "
+            f"{n['friction']:g}, ambient {n['ambient']:g} W, tool {n['tool']:g} W",
+            markup=False,
+            soft_wrap=True,
+        )
+        for remark in fleet.remarks.values():
+            terminal.print(f"  {remark}", markup=False, soft_wrap=True)
+        if out is not None:
+            terminal.print(f"written: {out}", markup=False, soft_wrap=True)
+    return 0

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import Parameter
-
-from missionsim.cli.common import check_search, emit_json, shows_text, tell_left_out, tell_logs
-from missionsim.cli.diagnose import HoldoutOption, ReportOption, RobotOption
-from missionsim.cli.options import FALSE_ALARM_RATE, JsonOption, QuietOption
+from missionsim.cli.options import TERMINAL, OutFile, Output, RobotFile, Search
 from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
@@ -19,17 +15,7 @@ if TYPE_CHECKING:
 
 
 def improve(
-    *logs: Path,
-    robot: RobotOption,
-    out: Annotated[Path, Parameter(name="--out")],
-    battery: Annotated[str | None, Parameter(name="--battery")] = None,
-    holdout: HoldoutOption = None,
-    alpha: Annotated[float, Parameter(name="--alpha")] = FALSE_ALARM_RATE,
-    yes: Annotated[bool, Parameter(name="--yes", negative="")] = False,
-    no_align: Annotated[bool, Parameter(name="--no-align", negative="")] = False,
-    report: ReportOption = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
+    *logs: Path, search: Search, out: RobotFile, yes: bool = False, report: OutFile | None = None, to: Output = TERMINAL
 ) -> int:
     """Compare, diagnose, add what is missing and compare again, until nothing is left to find.
 
@@ -40,56 +26,32 @@ def improve(
     ----------
     logs
         Log files or folders of them.
-    robot
-        Shipped robot's name or a robot file.
     out
         Robot file to write.
-    battery
-        Only this battery; by default every one that can be diagnosed.
-    holdout
-        Runs that are not fitted but tested on; see diagnose. By default the last quarter of four or more runs.
-    alpha
-        Family-wise rate of false alarms; 0.01 names more small effects, and more wrong ones.
     yes
         Add every effect that was identified, without asking.
-    no_align
-        Take the clocks of meter and motion as they are.
     report
         Write an interactive page to this HTML file.
-    json
-        Write the steps as JSON to this file, or - for standard output.
-    quiet
-        Print nothing.
     """
     from missionsim.diagnose.improve import improve as run_improve
-    from missionsim.diagnose.split import choose_split
     from missionsim.errors import InputError
     from missionsim.files import write_text
-    from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import for_folder, robot_text
-    from missionsim.inputs.loading import load_robot
-    from missionsim.inputs.power import build_power_model
-    from missionsim.logs import read_logs
-    from missionsim.runs.admit import admit
 
-    check_search(logs, alpha)
+    search.check(logs)
     if not yes and not sys.stdin.isatty():
         raise InputError.single(
             "improve asks before it adds an effect, and this is no terminal",
             allowed="--yes to add every effect that was identified",
         )
-    spec = load_robot(robot)
-    tables, left_out = admit(read_logs(list(logs), robot=spec), build_power_model(spec))
-    tell_left_out(left_out)
-    tell_logs(tables, quiet)
-    split = choose_split(tables, holdout)
-    text = robot_text(robot)
-    wanted = [battery] if battery is not None else _batteries(spec, tables)
+    spec, split, tables, left_out = search.read(logs, to)
+    text = robot_text(search.robot)
+    wanted = [search.battery] if search.battery is not None else _batteries(spec, tables)
     done: list[Improved] = []
     skipped: dict[str, InputError] = {}
     for name in wanted:
         try:
-            result = run_improve(text, split, name, Settings(alpha=alpha, align=not no_align), _always if yes else _ask)
+            result = run_improve(text, split, name, search.settings, _always if yes else _ask)
         except InputError as error:
             skipped[name] = error
             continue
@@ -98,12 +60,12 @@ def improve(
     if not done:
         raise next(iter(skipped.values()))
     write_text(out, for_folder(text, out.parent))
-    emit_json(_as_json(done, skipped, out, split.how) | {"left_out": left_out}, json)
+    to.emit(_as_json(done, skipped, out, split.how) | {"left_out": left_out})
     if report is not None:
         from missionsim.report.improve_page import improve_page
 
         write_text(report, improve_page(spec.name, done))
-    if shows_text(json, quiet):
+    if to.text:
         _print(done, skipped, out, report)
     return 1 if left_out or any(one.worse for one in done) else 0
 

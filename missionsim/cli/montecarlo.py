@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from cyclopts import Parameter
 
-from missionsim.cli.common import emit_json, progress, shows_text
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFolder, Output, to_json
 from missionsim.errors import Fault, InputError
 from missionsim.report.terminal import console, simple_table
 
@@ -21,33 +21,13 @@ RESUMABLE = 130
 MOST_RUNS, MOST_WORKERS = 10**9, 1024
 
 
-def montecarlo(
-    mission: Path,
-    *,
-    runs: Annotated[int | None, Parameter(name="--runs")] = None,
-    seed: Annotated[int, Parameter(name="--seed")] = 0,
-    workers: Annotated[int, Parameter(name="--workers")] = 1,
-    scheduler: Annotated[str | None, Parameter(name="--scheduler")] = None,
-    engine: Annotated[Literal["auto", "arrays", "simpy"], Parameter(name="--engine")] = "auto",
-    only: Annotated[int | None, Parameter(name="--only")] = None,
-    until: Annotated[float | None, Parameter(name="--until")] = None,
-    sobol: Annotated[int | None, Parameter(name="--sobol")] = None,
-    out: Annotated[Path | None, Parameter(name="--out")] = None,
-    resume: Annotated[bool, Parameter(name="--resume", negative="")] = False,
-    plot: Annotated[bool, Parameter(name="--plot", negative="")] = False,
-    set_: Annotated[list[str] | None, Parameter(name="--set")] = None,
-    robot: str | None = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
-) -> int:
-    """Draw the uncertain values of a mission many times and run it with each draw.
-
-    Exit code 0: done; 1: a run asked with --only is infeasible; 130: interrupted, go on with --resume.
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Batch:
+    """Options of a batch.
 
     Parameters
     ----------
-    mission
-        Mission file.
     runs
         How many runs; 1000 without it.
     seed
@@ -56,8 +36,6 @@ def montecarlo(
         Processes on this machine.
     scheduler
         Address of a running Dask scheduler, in place of processes here (needs missionsim[dask]).
-    engine
-        arrays evaluates many runs at once, simpy runs each; auto takes arrays where the mission allows it.
     only
         Run this one run of the batch alone, with SimPy, and print its draws and its result; its full trace goes to the
         folder run_<number> in --out. The first is 0; with --runs N the last is N − 1.
@@ -73,158 +51,160 @@ def montecarlo(
         Go on with the batch in --out.
     plot
         Draw histogram and charge over time into --out.
-    set_
-        path=value, as in run.
-    robot
-        Robot in place of the mission's own.
-    json
-        Write the summary as JSON to this file, or - for standard output.
-    quiet
-        Print no tables.
     """
-    from missionsim.inputs.overrides import split_assignment
+
+    runs: int | None = None
+    seed: int = 0
+    workers: int = 1
+    scheduler: str | None = None
+    only: int | None = None
+    until: float | None = None
+    sobol: int | None = None
+    out: OutFolder | None = None
+    resume: bool = False
+    plot: bool = False
+
+    @property
+    def count(self) -> int:
+        """How many runs."""
+        return 1000 if self.runs is None else self.runs
+
+    def check(self) -> None:
+        """Refuse what cannot be, all of it at once."""
+        runs, until, only, base = self.count, self.until, self.only, self.sobol or 0
+        # without --runs, a run alone may have any number
+        last = only if self.runs is None and only is not None else runs - 1
+        numbers = "a run's number, 0 or more" if self.runs is None else f"a run's number, 0 to {last} (--runs {runs})"
+        faults: list[Fault] = []
+        for name, bad, got, allowed in (
+            ("--runs", not 1 <= runs <= MOST_RUNS, runs, f"1 to {MOST_RUNS}"),
+            ("--workers", not 1 <= self.workers <= MOST_WORKERS, self.workers, f"1 to {MOST_WORKERS}"),
+            ("--until", until is not None and not 0.0 < until < 1.0, until, "a width between 0 and 1, such as 0.02"),
+            ("--only", only is not None and not 0 <= only <= last, only, numbers),
+            ("--sobol", bool(base and (base < 64 or base & (base - 1))), base, "a power of two, 64 or more, or 0"),
+            ("--resume", self.resume and self.out is None, "no --out", "--out with the folder of the batch"),
+            ("--plot", self.plot and self.out is None, "no --out", "--out with a folder for the figures"),
+        ):
+            if bad:
+                faults += InputError.single(f"{name} cannot be used so", got=got, allowed=allowed).faults
+        if faults:
+            raise InputError(faults)
+
+
+ALONE = Batch()
+
+
+def montecarlo(
+    mission: Path,
+    *,
+    batch: Batch = ALONE,
+    engine: Literal["auto", "arrays", "simpy"] = "auto",
+    changes: Changes = AS_FILED,
+    to: Output = TERMINAL,
+) -> int:
+    """Draw the uncertain values of a mission many times and run it with each draw.
+
+    Exit code 0: done; 1: a run asked with --only is infeasible; 130: interrupted, go on with --resume.
+
+    Parameters
+    ----------
+    mission
+        Mission file.
+    engine
+        arrays evaluates many runs at once, simpy runs each; auto takes arrays where the mission allows it.
+    """
     from missionsim.uncertainty.batch import Task, prepare
     from missionsim.uncertainty.single import unread_values
 
-    # without --runs, a run alone may have any number
-    last = None if runs is None and only is not None else (1000 if runs is None else runs) - 1
-    runs = 1000 if runs is None else runs
-    _check(runs, workers, until, only, last, sobol, out, resume, plot)
-    overrides = tuple(split_assignment(text) for text in set_ or ())
-    chosen = "simpy" if only is not None and engine == "auto" else engine
-    task = Task(str(mission), overrides, robot, seed, chosen)
+    batch.check()
+    chosen = "simpy" if batch.only is not None and engine == "auto" else engine
+    task = Task(str(mission), changes.pairs, changes.robot, batch.seed, chosen)
     prepared = prepare(task)
-    if not prepared.sampler.values and shows_text(json, quiet):
+    if not prepared.sampler.values and to.text:
         print(
             "warning: no number of this mission is uncertain; all runs are the same unless the mission itself is "
             "left to chance",
             file=sys.stderr,
         )
     unread = unread_values(prepared.mission, prepared.model, prepared.sampler)
-    if unread and shows_text(json, quiet):
+    if unread and to.text:
         print(
             f"warning: the nominal mission does not use {', '.join(unread)}; drawing them changes nothing",
             file=sys.stderr,
         )
-    if only is not None:
-        return _only(prepared, seed, only, out, json, quiet)
-    if out is not None:
-        return _batch(task, prepared, runs, workers, scheduler, until, sobol, out, resume, plot, json, quiet)
+    if batch.only is not None:
+        return _only(prepared, batch.seed, batch.only, batch.out, to)
+    if batch.out is not None:
+        return _batch(task, prepared, batch, batch.out, to)
     with tempfile.TemporaryDirectory(prefix="missionsim-", ignore_cleanup_errors=True) as folder:
-        target = Path(folder) / "batch"
-        return _batch(task, prepared, runs, workers, scheduler, until, sobol, target, False, False, json, quiet, True)
+        return _batch(task, prepared, batch, Path(folder) / "batch", to)
 
 
-def _check(
-    runs: int,
-    workers: int,
-    until: float | None,
-    only: int | None,
-    last: int | None,
-    sobol: int | None,
-    out: Path | None,
-    resume: bool,
-    plot: bool,
-) -> None:
-    faults: list[Fault] = []
-    base = sobol or 0
-    numbers = "a run's number, 0 or more" if last is None else f"a run's number, 0 to {last} (--runs {runs})"
-    for name, bad, got, allowed in (
-        ("--runs", not 1 <= runs <= MOST_RUNS, runs, f"1 to {MOST_RUNS}"),
-        ("--workers", not 1 <= workers <= MOST_WORKERS, workers, f"1 to {MOST_WORKERS}"),
-        ("--until", until is not None and not 0.0 < until < 1.0, until, "a width between 0 and 1, such as 0.02"),
-        ("--only", only is not None and not 0 <= only <= (only if last is None else last), only, numbers),
-        ("--sobol", bool(base and (base < 64 or base & (base - 1))), sobol, "a power of two, 64 or more, or 0"),
-        ("--resume", resume and out is None, "no --out", "--out with the folder of the batch"),
-        ("--plot", plot and out is None, "no --out", "--out with a folder for the figures"),
-    ):
-        if bad:
-            faults += InputError.single(f"{name} cannot be used so", got=got, allowed=allowed).faults
-    if faults:
-        raise InputError(faults)
-
-
-def _only(prepared: Prepared, seed: int, run: int, out: Path | None, json: str | None, quiet: bool) -> int:
+def _only(prepared: Prepared, seed: int, run: int, out: Path | None, to: Output) -> int:
     from missionsim.uncertainty.single import simulate_run
 
     drawn, result, limited = simulate_run(prepared.mission, prepared.model, prepared.sampler, seed, run)
     if out is not None:
-        from missionsim.cli.common import to_json
         from missionsim.files import write_text
         from missionsim.results.write import write_results
 
         folder = out / f"run_{run:09d}"
         write_results(result, folder)
         write_text(folder / "drawn.json", to_json(drawn))
-    emit_json({**result.summary(), "run": run, "seed": seed, "drawn": drawn, "speed_limited": limited}, json)
-    if shows_text(json, quiet):
+    to.emit({**result.summary(), "run": run, "seed": seed, "drawn": drawn, "speed_limited": limited})
+    if to.text:
         terminal = console()
         units = {value.name: value.unit for value in prepared.sampler.values}
         rows = [(name, f"{value:.6g}", units.get(name, "times")) for name, value in drawn.items()]
         terminal.print(simple_table(f"Run {run} of seed {seed}: drawn values", ["value", ">drawn", "unit"], rows))
         if limited:
             terminal.print("A drawn speed is above the greatest of the robot or its control scheme and is cut to that.")
-        from missionsim.cli.run_mission import show
+        from missionsim.cli.run import show
 
         show(result)
     return 0 if result.feasible else 1
 
 
-def _batch(
-    task: Task,
-    prepared: Prepared,
-    runs: int,
-    workers: int,
-    scheduler: str | None,
-    until: float | None,
-    sobol: int | None,
-    out: Path,
-    resume: bool,
-    plot: bool,
-    json: str | None,
-    quiet: bool,
-    passing: bool = False,
-) -> int:
-    from missionsim.cli.common import to_json
+def _batch(task: Task, prepared: Prepared, batch: Batch, out: Path, to: Output) -> int:
     from missionsim.files import write_text
     from missionsim.uncertainty.batch import batch_answer, block_runs, block_span, identity, run_batch
     from missionsim.uncertainty.importance import refuse_correlated
     from missionsim.uncertainty.store import BlockStore
 
-    if sobol:
+    if batch.sobol:
         refuse_correlated(prepared)
     engine = "simpy" if prepared.arrays is None else "arrays"
     store = BlockStore(out)
     try:
-        with progress(quiet) as bar, _executor(scheduler) as executor, store.locked():
-            store.begin(identity(task, runs, engine), resume=resume)
-            if resume:
-                _tell_damaged(store.drop_damaged(lambda first: block_span(block_runs(prepared), runs, first)[1]))
-            row = bar.add_task(f"runs ({engine})", total=runs)
+        with to.progress() as bar, _executor(batch.scheduler) as executor, store.locked():
+            store.begin(identity(task, batch.count, engine), resume=batch.resume)
+            if batch.resume:
+                _tell_damaged(store.drop_damaged(lambda first: block_span(block_runs(prepared), batch.count, first)[1]))
+            row = bar.add_task(f"runs ({engine})", total=batch.count)
             firsts = run_batch(
                 task,
-                runs,
+                batch.count,
                 store,
                 engine=engine,
-                workers=workers,
+                workers=batch.workers,
                 executor=executor,
-                until=until,
+                until=batch.until,
                 advance=lambda count: bar.advance(row, count),
             )
-            answer = batch_answer(task, prepared, engine, store, firsts, sobol)
+            answer = batch_answer(task, prepared, engine, store, firsts, batch.sobol)
             write_text(out / "summary.json", to_json(answer))
-        if plot:
+        if batch.plot:
             from missionsim.report.figures_montecarlo import write_figures
 
             write_figures(store, firsts, tuple(prepared.mission.robot.batteries), out)
     except KeyboardInterrupt:
         kept = "nothing is kept without --out"
-        if not passing:
+        if batch.out is not None:
             kept = f"finished blocks are in {out}; go on with the same command and --resume"
         print(f"interrupted; {kept}", file=sys.stderr)
         return RESUMABLE
-    emit_json(answer, json)
-    if shows_text(json, quiet):
+    to.emit(answer)
+    if to.text:
         _print(answer, prepared)
     return 0
 

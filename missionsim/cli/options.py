@@ -1,14 +1,220 @@
-"""Options that commands share; apart from `common`, since only the command-line parser needs their declarations."""
+"""What commands share: options declared once, how a result is told, and which options name a file to be written."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import json as encoder
+import math
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import Parameter
+from missionsim.errors import InputError
+from missionsim.files import write_text
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from missionsim.diagnose.split import Split
+    from missionsim.errors import Fault
+    from missionsim.identify.settings import Settings
+    from missionsim.inputs.robot import RobotSpec
+    from missionsim.logs import LogTable
 
 FALSE_ALARM_RATE = 0.002
 """`missionsim.identify.settings.ALPHA`, which would load NumPy here."""
-JsonOption = Annotated[str | None, Parameter(name="--json", allow_leading_hyphen=True)]
-"""Where to write the result as JSON: a file, or - for standard output."""
-QuietOption = Annotated[bool, Parameter(name="--quiet", negative="")]
-"""Print nothing but what was asked for."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """An option's value is a path to write: a file, a robot file, a folder, or either."""
+
+    kind: Literal["file", "robot file", "folder", "path"]
+
+
+OutFile = Annotated[Path, Target("file")]
+RobotFile = Annotated[Path, Target("robot file")]
+OutFolder = Annotated[Path, Target("folder")]
+OutPath = Annotated[Path, Target("path")]
+
+
+@dataclass(frozen=True)
+class Output:
+    """How a result is told.
+
+    Parameters
+    ----------
+    json
+        Write the result as JSON to this file, or - for standard output.
+    quiet
+        Print nothing but what was asked for.
+    """
+
+    json: Annotated[str | None, Target("file")] = None
+    quiet: bool = False
+
+    @property
+    def text(self) -> bool:
+        """Whether tables are printed: not with ``--quiet``, nor where JSON goes to standard output."""
+        return not self.quiet and self.json != "-"
+
+    def emit(self, data: object) -> None:
+        """Write a result as JSON to a file (whole or not at all) or to standard output for ``-``; nothing for None."""
+        if self.json == "-":
+            sys.stdout.write(to_json(data))
+        elif self.json is not None:
+            write_text(self.json, to_json(data))
+
+    def warn(self, faults: Iterable[Fault]) -> None:
+        """Say on standard error what the checks of the files found strange but possible, each once."""
+        for fault in [] if self.quiet else dict.fromkeys(faults):
+            print(fault, file=sys.stderr)
+
+    @contextmanager
+    def progress(self) -> Iterator[Progress]:
+        """A progress bar with rate and time left on standard error; hidden where it is no terminal."""
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            ProgressColumn,
+            Task,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+        from rich.text import Text
+
+        from missionsim.report.terminal import console
+
+        class Rate(ProgressColumn):
+            """How many a second."""
+
+            def render(self, task: Task) -> Text:
+                speed = task.finished_speed or task.speed
+                return Text("" if speed is None else f"{speed:,.3g}/s" if speed < 100 else f"{speed:,.0f}/s")
+
+        terminal = console(stderr=True)
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate())
+        more = (TimeElapsedColumn(), TimeRemainingColumn())
+        hidden = self.quiet or not terminal.is_terminal
+        with Progress(*columns, *more, console=terminal, transient=True, disable=hidden) as bar:
+            yield bar
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What differs from the files.
+
+    Parameters
+    ----------
+    set_
+        path=value, such as defaults.speed=0.5 or robot.batteries.robot.capacity="100 Wh"; may be given several times.
+    robot
+        Shipped robot or robot file in place of the one that the file names.
+    """
+
+    set_: list[str] | None = None
+    robot: str | None = None
+
+    @property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """Paths and values of ``--set``."""
+        from missionsim.inputs.overrides import split_assignment
+
+        return tuple(split_assignment(text) for text in self.set_ or ())
+
+
+@dataclass(frozen=True)
+class Search:
+    """What a search for effects is told.
+
+    Parameters
+    ----------
+    robot
+        Shipped robot's name or a robot file.
+    battery
+        Only this battery; add-effect takes the one of the motors unless told otherwise.
+    holdout
+        Runs that are not fitted but tested on: a fraction, run names with commas between, a condition such as
+        "surface == 'carpet'", or files and folders of other logs; none for no hold-out. By default the last quarter of
+        four or more runs.
+    alpha
+        Family-wise rate of false alarms; 0.01 names more small effects, and more wrong ones.
+    no_align
+        Take the clocks of meter and motion as they are, for logs that were aligned already.
+    """
+
+    robot: str
+    battery: str | None = None
+    holdout: list[str] | None = None
+    alpha: float = FALSE_ALARM_RATE
+    no_align: bool = False
+
+    def check(self, logs: Sequence[Path]) -> None:
+        """Refuse a search for effects without logs, or at a rate of false alarms that is none.
+
+        Raises
+        ------
+        missionsim.errors.InputError
+        """
+        if not logs:
+            raise InputError.single("give at least one log", allowed="files or folders")
+        if not 0.0 < self.alpha < 0.5:
+            raise InputError.single("--alpha is a probability", got=self.alpha, allowed="such as 0.01 or 0.05")
+
+    @property
+    def settings(self) -> Settings:
+        """Settings of the identification."""
+        from missionsim.identify.settings import Settings
+
+        return Settings(alpha=self.alpha, align=not self.no_align)
+
+    def read(self, logs: Sequence[Path], to: Output) -> tuple[RobotSpec, Split, list[LogTable], list[str]]:
+        """Robot, runs to fit and to test on, all of them, and those left out; says what the checks found."""
+        from missionsim.diagnose.split import choose_split
+        from missionsim.inputs.loading import load_robot
+        from missionsim.inputs.power import build_power_model
+        from missionsim.logs import describe, read_logs
+        from missionsim.runs.admit import admit
+
+        spec = load_robot(self.robot)
+        tables, left_out = admit(read_logs(list(logs), robot=spec), build_power_model(spec))
+        tell_left_out(left_out)
+        for line in [] if to.quiet else describe(tables):
+            print(line, file=sys.stderr)
+        return spec, choose_split(tables, self.holdout), tables, left_out
+
+
+SHARED = (Output, Changes, Search)
+"""Groups of options; their fields are options of the commands that take one."""
+TERMINAL = Output()
+AS_FILED = Changes()
+
+
+def plain(value: object) -> object:
+    """A value as JSON knows it: NumPy scalars and arrays become numbers and lists, nan and inf become null."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def to_json(data: object) -> str:
+    """JSON text of a result, ending with a line feed."""
+    return encoder.dumps(plain(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def tell_left_out(told: Sequence[str]) -> None:
+    """Say before anything else which runs were left out; the command ends with exit code 1."""
+    for line in told:
+        print(f"LEFT OUT {line}", file=sys.stderr)

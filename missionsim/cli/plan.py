@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from cyclopts import Parameter
-
-from missionsim.cli.common import emit_json, progress, shows_text, tell_warnings
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutPath, Output
 from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
@@ -20,14 +17,12 @@ if TYPE_CHECKING:
 def plan(
     task: Path,
     *,
-    out: Path | None = None,
-    set_: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None,
-    robot: str | None = None,
-    pareto: Annotated[bool, Parameter(name="--pareto", negative="")] = False,
-    alternatives: Annotated[bool, Parameter(name="--alternatives", negative="")] = False,
+    out: OutPath | None = None,
+    changes: Changes = AS_FILED,
+    pareto: bool = False,
+    alternatives: bool = False,
     seconds: float | None = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
+    to: Output = TERMINAL,
 ) -> int:
     """Plan a task: which order, which way, which speed, which control scheme, where to charge.
 
@@ -39,51 +34,41 @@ def plan(
         Task file.
     out
         Mission file to write, for `missionsim run`.
-    set_
-        path=value, such as within.deadline="20 min" or robot.batteries.robot.capacity="100 Wh"; may be given several
-        times.
-    robot
-        Shipped robot or robot file in place of the task's own.
     pareto
         Also the front of energy against time.
     alternatives
         Also the next best plans that differ in kind, and how much worse they are.
     seconds
         Stop the search after so long, with the best plan so far and how far it may be from the best; so does Ctrl-C.
-    json
-        Write the plan as JSON to this file, or - for standard output.
-    quiet
-        Print no tables.
     """
     from missionsim.files import write_text
     from missionsim.inputs.loading import load_task
-    from missionsim.inputs.overrides import split_assignment
     from missionsim.planner.tour import make_site
     from missionsim.planner.write import mission_text
 
-    spec = load_task(task, [split_assignment(text) for text in set_ or ()], robot)
-    tell_warnings(spec.warnings, quiet)
+    spec = load_task(task, changes.pairs, changes.robot)
+    to.warn(spec.warnings)
     site = make_site(spec)
-    answer = _solved(site, seconds, quiet)
+    answer = _solved(site, seconds, to)
     _extend(answer, pareto, alternatives)
     if out is not None and answer.feasible:
         write_text(out, mission_text(answer, out))
-    emit_json(answer.summary(), json)
-    if shows_text(json, quiet):
+    to.emit(answer.summary())
+    if to.text:
         show(answer)
         if out is not None and answer.feasible:
             console().print(f"Written: {out}", soft_wrap=True)
     return 0 if answer.feasible else 1
 
 
-def _solved(site: Site, seconds: float | None, quiet: bool) -> Answer:
+def _solved(site: Site, seconds: float | None, to: Output) -> Answer:
     """Search with progress on standard error, and an end to it."""
     from missionsim.planner.chance import with_probability
     from missionsim.planner.rounds import plan_rounds
     from missionsim.planner.solve import solve_site
 
     began = time.monotonic()
-    with progress(quiet) as bar:
+    with to.progress() as bar:
         task = bar.add_task("planning", total=None)
 
         def watch(what: str, objective: float, bound: float) -> bool:
@@ -117,7 +102,7 @@ def _extend(answer: Answer, with_pareto: bool, with_alternatives: bool) -> None:
 
 def show(answer: Answer) -> None:
     """Print a plan, at most 100 columns wide."""
-    from missionsim.cli.run_mission import clock
+    from missionsim.cli.run import clock
 
     terminal = console()
     task = answer.site.task

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from missionsim.cli.common import emit_json, progress, shows_text
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import TERMINAL, OutFolder, Output
 from missionsim.report.terminal import console
 
 if TYPE_CHECKING:
@@ -17,9 +15,7 @@ if TYPE_CHECKING:
 MOST_COLUMNS, MOST_ROWS = 7, 16
 
 
-def reproduce(
-    *robots: str, out: Path | None = None, pictures: bool = True, json: JsonOption = None, quiet: QuietOption = False
-) -> int:
+def reproduce(*robots: str, out: OutFolder | None = None, no_pictures: bool = False, to: Output = TERMINAL) -> int:
     """Print every published figure of the four robots beside ours, with what agrees and what does not.
 
     Parameters
@@ -28,32 +24,28 @@ def reproduce(
         Shipped robots (pioneer3dx, khepera3, mecanum4, rover_tx2); all of them if none is named.
     out
         Write the tables as CSV, one Markdown page and the pictures into this folder.
-    pictures
-        Draw the pictures too.
-    json
-        Write the items as JSON to this file, or - for standard output.
-    quiet
-        Print no tables.
+    no_pictures
+        Draw no pictures.
     """
     from missionsim.published.reproduce import papers_of, reproduce_paper, side_tables, to_json, write
 
     papers = papers_of(robots)
     items: dict[str, list[Item]] = {}
-    with progress(quiet) as bar:
+    with to.progress() as bar:
         task = bar.add_task("papers", total=len(papers))
         for paper in papers:
             items[paper] = reproduce_paper(paper)
             bar.advance(task)
         tables = {paper: side_tables(paper) for paper in papers}
-    emit_json(to_json([item for found in items.values() for item in found], tables), json)
-    if shows_text(json, quiet):
+    to.emit(to_json([item for found in items.values() for item in found], tables))
+    if to.text:
         for paper, found in items.items():
             _print(paper, found)
             for name, rows in tables[paper].items():
                 _print_side(name, rows)
     if out is not None:
-        written = write(out, items, tables, pictures)
-        if shows_text(json, quiet):
+        written = write(out, items, tables, not no_pictures)
+        if to.text:
             console().print(f"{len(written)} files in {out}")
     return 0
 

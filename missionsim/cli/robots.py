@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from missionsim.cli.common import emit_json, shows_text
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import TERMINAL, Output
 from missionsim.report.terminal import console, simple_table
 
 
-def robots(*, json: JsonOption = None, quiet: QuietOption = False) -> int:
+def robots(*, to: Output = TERMINAL) -> int:
     """List the shipped robots with their batteries, components and control schemes.
 
     Parameters
     ----------
-    json
-        Write the list as JSON to this file, or - for standard output.
-    quiet
-        Print no table.
     """
     from missionsim.inputs import load_robot, shipped_robots
 
@@ -41,8 +36,8 @@ def robots(*, json: JsonOption = None, quiet: QuietOption = False) -> int:
                 "sources": robot.sources,
             }
         )
-    emit_json({"schema": "missionsim.robots/1", "robots": described}, json)
-    if shows_text(json, quiet):
+    to.emit({"schema": "missionsim.robots/1", "robots": described})
+    if to.text:
         rows = []
         for item in described:
             batteries = "\n".join(f"{key} {value['capacity_wh']:.4g} Wh" for key, value in item["batteries"].items())

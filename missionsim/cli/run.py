@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
-from cyclopts import Parameter
+from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, OutFolder, Output
+from missionsim.report.terminal import console, simple_table
 
-from missionsim.cli.options import JsonOption, QuietOption
-from missionsim.cli.run_mission import run_mission
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from missionsim.engine.outcome import BatteryResult, RunResult
 
 
 def run(
     mission: Path,
     *,
-    set_: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None,
-    robot: str | None = None,
-    out: Path | None = None,
+    changes: Changes = AS_FILED,
+    out: OutFolder | None = None,
     format: Literal["csv", "parquet"] = "csv",
-    plot: Annotated[list[Literal["png", "svg"]] | None, Parameter(consume_multiple=True, negative="")] = None,
-    mcap: Path | None = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
+    plot: list[Literal["png", "svg"]] | None = None,
+    mcap: OutFile | None = None,
+    to: Output = TERMINAL,
 ) -> int:
     """Simulate one mission with SimPy and tell what each battery gave to what.
 
@@ -32,10 +34,6 @@ def run(
     ----------
     mission
         Mission file.
-    set_
-        path=value, such as defaults.speed=0.5 or robot.batteries.robot.capacity="100 Wh"; may be given several times.
-    robot
-        Shipped robot or robot file in place of the mission's own.
     out
         Folder for the tables (per interval, per segment, segment x component x term, summary), run.json and
         provenance.json.
@@ -47,9 +45,176 @@ def run(
     mcap
         Also write power, watts by term, charge, scheme, components and pose over time into this MCAP file, with a
         layout for Foxglove and a map for import beside it.
-    json
-        Write the summary as JSON to this file, or - for standard output.
-    quiet
-        Print no tables.
     """
-    return run_mission(mission, set_, robot, out, format, plot, json, quiet, mcap)
+    from missionsim.engine.simulate import simulate, with_provenance
+    from missionsim.inputs.loading import load_mission
+    from missionsim.results.write import provenance, write_results
+
+    spec = load_mission(mission, changes.pairs, changes.robot)
+    to.warn(spec.warnings)
+    result = with_provenance(simulate(spec), provenance(spec, ["missionsim", *sys.argv[1:]]))
+    to.warn(result.warnings)
+    written: list[Path] = []
+    if out is not None:
+        written += write_results(result, out, format)
+    if plot is not None:
+        from missionsim.report.figures_run import write_figures
+
+        for suffix in plot:
+            written += write_figures(result, out or Path(), suffix)
+    if mcap is not None:
+        from missionsim.exchange.mcap import write_run
+
+        written += write_run(result, spec, mcap)
+    to.emit(result.summary())
+    if to.text:
+        show(result)
+        if written:
+            console().print(f"Written: {', '.join(str(path) for path in written)}", soft_wrap=True)
+    return 0 if result.feasible else 1
+
+
+def show(result: RunResult) -> None:
+    """Print the summary of a run, at most 100 columns wide."""
+    from missionsim.results.tables import largest_consumers
+
+    terminal = console()
+    verdict = "feasible" if result.feasible else f"NOT feasible: {result.reason}"
+    terminal.print(
+        f"[bold]{result.mission}[/bold] with {result.robot}: {verdict}\n"
+        f"{clock(result.duration_s)}, {result.distance_m:.1f} m, {_driven(result)}"
+    )
+    rows = [
+        (
+            name,
+            f"{b.energy_wh:.3f}",
+            f"{b.mean_power_w:.2f}",
+            f"{b.capacity_wh:.1f}",
+            f"{b.charge_left_wh:.2f}",
+            f"{100 * b.charge_left_fraction:.1f} %",
+            f"{b.reserve_required_wh:.2f}",
+            "unknown" if b.home_wh is None else f"{b.home_wh:.2f}",
+            f"{b.reserve_wh:.2f}",
+        )
+        for name, b in result.batteries.items()
+    ]
+    terminal.print(
+        simple_table(
+            "Batteries",
+            [
+                "battery",
+                ">Wh used",
+                ">mean W",
+                ">full Wh",
+                ">Wh left",
+                ">left",
+                ">to keep Wh",
+                ">home Wh",
+                ">reserve Wh",
+            ],
+            rows,
+        )
+    )
+    for name, battery in result.batteries.items():
+        if text := trouble(battery):
+            terminal.print(f"  {name}: {text}")
+    if unknown := [name for name, battery in result.batteries.items() if battery.home_wh is None]:
+        terminal.print(f"  home Wh unknown ({', '.join(unknown)}): {_no_way_home(result)}")
+    for fault in result.warnings:
+        terminal.print(f"  warning: {fault.message}", markup=False)
+    if result.never_on:
+        terminal.print(f"  never on in this mission, so costing nothing: {', '.join(result.never_on)}")
+    terminal.print(
+        simple_table(
+            "Three largest consumers",
+            ["component", "battery", ">Wh", ">share"],
+            [
+                (component, battery, f"{energy:.3f}", f"{100 * share:.1f} %")
+                for battery, component, energy, share in largest_consumers(result)
+            ],
+        )
+    )
+    schemes = {name: result.by_scheme_wh(name) for name in result.batteries}
+    names = dict.fromkeys(scheme for energies in schemes.values() for scheme in energies)
+    if len(names) > 1:
+        told = {"none": "no scheme"}
+        terminal.print(
+            simple_table(
+                "Energy by control scheme [Wh]",
+                ["scheme", *(f">{b}" for b in schemes)],
+                [
+                    (told.get(name, name), *(f"{energies.get(name, 0.0):.4f}" for energies in schemes.values()))
+                    for name in names
+                ],
+            )
+        )
+    terminal.print(segment_rows(result))
+
+
+def _driven(result: RunResult) -> str:
+    """How many segments were driven; of a mission that was cut short also when and where."""
+    planned = len(result.segments) - result.returned
+    cut = result.interrupted
+    if cut is None:
+        return f"{planned} segments"
+    ended = "turned back" if result.returned else "stopped"
+    return (
+        f"{result.segments_driven} of {planned} segments\n"
+        f"{ended} after {clock(cut.time_s)} in segment {cut.segment + 1}, '{result.segments[cut.segment].name}'"
+    )
+
+
+def _no_way_home(result: RunResult) -> str:
+    if "environment" not in result.provenance.get("files", {}):
+        return "the mission has no environment, so that no way to a dock is known"
+    return "the environment has no way from the mission's end to a dock, or that end is no place of it"
+
+
+def segment_rows(result: RunResult, most: int = 14) -> Table:
+    """Energy by segment; repetitions of a segment are added up, and of many segments the largest are shown."""
+    index: dict[str, list[int]] = {}
+    for i, segment in enumerate(result.segments):
+        index.setdefault(segment.label or segment.name, []).append(i)
+    energies = {name: result.by_segment_wh(name) for name in result.batteries}
+    passed = result.places_passed()
+    rows = []
+    for label, members in index.items():
+        parts = [float(energies[name][members].sum()) for name in result.batteries]
+        driven = sum(i < result.segments_driven or result.segments[i].kind == "return" for i in members)
+        if driven:
+            ways = {tuple(passed.get(i, ())[1:-1]) for i in members}
+            if len(ways) == 1 and (between := ways.pop()):
+                shown_by = ", ".join(between)
+                label += f" (by {shown_by if len(shown_by) < 40 else f'{len(between)} places'})"
+            rows.append((sum(parts), label, result.segments[members[0]].kind, driven, parts))
+    shown = rows
+    title = "Energy by segment [Wh]"
+    if len(rows) > most:
+        keep = {row[1] for row in sorted(rows, reverse=True)[:most]}
+        shown = [row for row in rows if row[1] in keep]
+        title += f", the {most} largest of {len(rows)}"
+    columns = ["segment", "kind", ">times"]
+    columns += [f">{name}" for name in result.batteries]
+    return simple_table(
+        title,
+        columns,
+        [(label, kind, times, *(f"{part:.4f}" for part in parts)) for _, label, kind, times, parts in shown],
+    )
+
+
+def trouble(battery: BatteryResult) -> str:
+    """What goes wrong with a battery, in few words."""
+    if battery.empty_at_s is not None:
+        return f"empty at {clock(battery.empty_at_s)} in {battery.empty_in_segment}, {battery.deficit_wh:.2f} Wh short"
+    if battery.deficit_wh > 0.0:
+        return f"{battery.deficit_wh:.2f} Wh short of the whole mission"
+    if battery.charge_left_wh < battery.reserve_required_wh * (1 - 1e-9):
+        return "below its reserve"
+    return ""
+
+
+def clock(seconds: float) -> str:
+    """Seconds as h:mm:ss or m:ss."""
+    whole = round(seconds)
+    hours, minutes = whole // 3600, whole % 3600 // 60
+    return f"{hours}:{minutes:02d}:{whole % 60:02d} h" if hours else f"{minutes}:{whole % 60:02d} min"

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from missionsim.cli.common import emit_json, shows_text
-from missionsim.cli.options import JsonOption, QuietOption
+from missionsim.cli.options import TERMINAL, OutFolder, Output
 from missionsim.report.terminal import console
 
 
-def schema(
-    *kind: str, robot: str | None = None, out: Path | None = None, json: JsonOption = None, quiet: QuietOption = False
-) -> int:
+def schema(*kind: str, robot: str | None = None, out: OutFolder | None = None, to: Output = TERMINAL) -> int:
     """Write the JSON Schema of each kind of YAML file.
 
     An editor checks and completes a file whose first line is
@@ -25,10 +20,6 @@ def schema(
         Shipped robot or robot file: the schemas then know its batteries, components and schemes and no others.
     out
         Folder for the files, made if need be. Without it, the schema of one kind goes to standard output.
-    json
-        Write all schemas as one JSON object to this file, or - for standard output.
-    quiet
-        Do not list the files written.
     """
     from missionsim.errors import InputError
     from missionsim.files import write_text
@@ -39,17 +30,17 @@ def schema(
     spec = None if robot is None else load_robot(robot)
     kinds = kind or schema_kinds()
     made = {name: make(name, spec) for name in kinds}
-    emit_json({"schema": "missionsim.schemas/1", "kinds": made}, json)
+    to.emit({"schema": "missionsim.schemas/1", "kinds": made})
     if out is not None:
         if out.exists() and not out.is_dir():
             raise InputError.single("--out must be a folder", got=str(out), allowed="a folder")
         for name in kinds:
             write_text(out / f"{name}.schema.json", schema_text(name, spec))
-            if shows_text(json, quiet):
+            if to.text:
                 console().print(str(out / f"{name}.schema.json"), soft_wrap=True)
-    elif json is None and len(kinds) == 1:
+    elif to.json is None and len(kinds) == 1:
         print(schema_text(kinds[0], spec), end="")
-    elif shows_text(json, quiet):
+    elif to.text:
         console().print("Kinds of YAML files: " + ", ".join(kinds))
         console().print("missionsim schema --out DIR writes a JSON Schema for each, missionsim schema KIND prints one.")
     return 0

@@ -2,27 +2,83 @@
 
 from __future__ import annotations
 
+import dataclasses
+import sys
 from pathlib import Path
 
-from missionsim.cli.options import JsonOption, QuietOption
-from missionsim.cli.validate_files import validate_files
+from missionsim.cli.options import TERMINAL, Output
+
+_YAML = (".yaml", ".yml")
 
 
-def validate(*files: Path, json: JsonOption = None, quiet: QuietOption = False) -> int:
+def validate(*files: Path, to: Output = TERMINAL) -> int:
     """Check robots, environments, missions, studies, maps and logs; print all faults of all files at once.
 
     Parameters
     ----------
     files
         YAML files, logs (.csv, .parquet), or folders that hold them.
-    json
-        Write the faults as JSON to this file, or - for standard output.
-    quiet
-        Print nothing where everything is right.
 
     Returns
     -------
     int
         0 when there are no errors (warnings are allowed), 2 otherwise.
     """
-    return validate_files(files, json, quiet)
+    from missionsim.errors import Fault, InputError
+    from missionsim.inputs.loading import check_files
+
+    if not files:
+        raise InputError.single("nothing to check", allowed="files or folders: missionsim validate FILE...")
+    faults: list[Fault] = []
+    yaml_files: list[Path] = []
+    logs: list[Path] = []
+    for given in files:
+        found = _inside(given) if given.is_dir() else [given]
+        if not found:
+            from missionsim.logs.readers import log_suffixes
+
+            allowed = ", ".join((*_YAML, *log_suffixes()))
+            faults.append(Fault(str(given), 0, 0, "no YAML file or log in this folder", allowed=allowed))
+        for path in found:
+            (logs if _is_log(path) else yaml_files).append(path)
+    faults += check_files(yaml_files)
+    if logs:
+        from missionsim.logs import check_log
+
+        for path in logs:
+            faults += check_log(path)
+    faults = sorted(set(faults))
+    errors = [fault for fault in faults if fault.severity == "error"]
+    count = len(yaml_files) + len(logs)
+    to.emit(
+        {
+            "schema": "missionsim.validation/1",
+            "files": count,
+            "valid": not errors,
+            "faults": [dataclasses.asdict(fault) for fault in faults],
+        }
+    )
+    if to.json != "-":
+        for fault in faults:
+            print(fault, file=sys.stderr)
+    if to.text:
+        warnings = len(faults) - len(errors)
+        words = [_counted(len(errors), "error"), *([_counted(warnings, "warning")] if warnings else [])]
+        print(f"{_counted(count, 'file')}: " + (", ".join(words) if faults else "valid"))
+    return 2 if errors else 0
+
+
+def _is_log(path: Path) -> bool:
+    if path.suffix.lower() in _YAML:
+        return False
+    from missionsim.logs.readers import log_suffixes
+
+    return path.suffix.lower() in log_suffixes()
+
+
+def _inside(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.rglob("*") if (p.suffix.lower() in _YAML or _is_log(p)) and p.is_file())
+
+
+def _counted(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"

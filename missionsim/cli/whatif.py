@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import Parameter
-
-from missionsim.cli.common import emit_json, progress, shows_text, tell_warnings
-from missionsim.cli.options import JsonOption, QuietOption
-from missionsim.cli.run_mission import clock
+from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, Output
+from missionsim.cli.run import clock
 from missionsim.errors import Fault, InputError
 from missionsim.report.terminal import console, simple_table
 
@@ -22,16 +19,14 @@ if TYPE_CHECKING:
 def whatif(
     mission: Path | None = None,
     *,
-    vary: Annotated[list[str] | None, Parameter(name="--vary", negative="")] = None,
+    vary: list[str] | None = None,
     study: Path | None = None,
-    set_: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None,
-    robot: str | None = None,
-    montecarlo: Annotated[int, Parameter(name="--montecarlo")] = 0,
-    seed: Annotated[int, Parameter(name="--seed")] = 0,
-    workers: Annotated[int, Parameter(name="--workers")] = 1,
-    out: Path | None = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
+    changes: Changes = AS_FILED,
+    montecarlo: int = 0,
+    seed: int = 0,
+    workers: int = 1,
+    out: OutFile | None = None,
+    to: Output = TERMINAL,
 ) -> int:
     """Run the alternatives of a mission and print one table: what each changes by battery, duration and term.
 
@@ -47,10 +42,6 @@ def whatif(
         of its own goes into brackets or braces: sensors={laser: 1, kinect: 1}.
     study
         Study file with named alternatives as differences to a baseline.
-    set_
-        path=value for the baseline and all alternatives.
-    robot
-        Shipped robot or robot file in place of the mission's own.
     montecarlo
         Also draw the uncertain values of each alternative so many times, the same draws for all, and say which
         differences are real.
@@ -60,10 +51,6 @@ def whatif(
         Processes on this machine that run the alternatives.
     out
         Table as CSV (or Parquet, by its suffix): a row an alternative, battery and term.
-    json
-        Write the alternatives as JSON to this file, or - for standard output.
-    quiet
-        Print no table.
     """
     from missionsim.inputs.overrides import split_assignment
     from missionsim.results.whatif import BASELINE, Alternative, from_study, run_alternatives, varied
@@ -79,7 +66,7 @@ def whatif(
                 allowed="--vary defaults.speed=0.3,0.5, or --study STUDY.yaml",
             )
         )
-    base = [split_assignment(text) for text in set_ or ()]
+    base, robot = changes.pairs, changes.robot
     if study is not None:
         path, alternatives = from_study(study)
         path = mission or path
@@ -92,7 +79,7 @@ def whatif(
         path = mission
         pairs = [(name, split_values(text)) for name, text in map(split_assignment, vary or ())]
         alternatives = [
-            Alternative(BASELINE, tuple(base), robot),
+            Alternative(BASELINE, base, robot),
             *(Alternative(a.name, a.set, robot) for a in varied(pairs, base)),
         ]
     if montecarlo and montecarlo < 2:
@@ -101,19 +88,19 @@ def whatif(
         )
     if not 1 <= workers <= 1024:
         raise InputError(Fault("", 0, 0, "--workers cannot be used so", got=str(workers), allowed="1 to 1024"))
-    with progress(quiet or json == "-") as bar:
+    with to.progress() as bar:
         task = bar.add_task("alternatives", total=len(alternatives))
         found = run_alternatives(path, alternatives, lambda: bar.advance(task), workers)
-    tell_warnings(found.warnings, quiet)
+    to.warn(found.warnings)
     if out is not None:
         from missionsim.results.write import write_table
 
         write_table(found.table(), out)
     answer = found.to_json()
     if montecarlo:
-        answer["montecarlo"] = _draw(path, alternatives, montecarlo, seed, quiet or json == "-")
-    emit_json(answer, json)
-    if shows_text(json, quiet):
+        answer["montecarlo"] = _draw(path, alternatives, montecarlo, seed, to)
+    to.emit(answer)
+    if to.text:
         show(found)
         if montecarlo:
             show_differences(answer["montecarlo"])
@@ -122,12 +109,12 @@ def whatif(
     return 0 if found.results[0].feasible else 1
 
 
-def _draw(path: Path, alternatives: Sequence[Alternative], runs: int, seed: int, quiet: bool) -> dict[str, Any]:
+def _draw(path: Path, alternatives: Sequence[Alternative], runs: int, seed: int, to: Output) -> dict[str, Any]:
     from missionsim.uncertainty.batch import Task
     from missionsim.uncertainty.paired import compare_alternatives
 
     tasks = [Task(str(path), tuple(a.set), a.robot, seed, "auto") for a in alternatives]
-    with progress(quiet) as bar:
+    with to.progress() as bar:
         task = bar.add_task("runs", total=runs * len(tasks))
         rows = compare_alternatives(tasks, runs, lambda count: bar.advance(task, count))
     named = [{"name": a.name, **row} for a, row in zip(alternatives, rows, strict=True)]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from missionsim.cli.common import to_json
+from missionsim.cli.options import to_json
 from missionsim.diagnose import words
 from missionsim.identify.findings import (
     BatteryDiagnosis,

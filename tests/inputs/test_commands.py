@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from missionsim.cli.app import EXIT_PIPE, _parsed, run_command
-from missionsim.cli.quick import quick, with_plot_last
+from missionsim.cli.app import COMMANDS, EXIT_PIPE, read_call, run_command
+from missionsim.cli.parse import plain_call, spelled_out
 
 
 def test_validate_everything_shipped(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -107,9 +107,10 @@ def test_plain_calls_are_read_as_the_parser_reads_them(
 ) -> None:
     monkeypatch.chdir(root)
     told = []
-    for number, way in enumerate((quick, _parsed)):
-        code = way([word.format(out=tmp_path / str(number)) for word in words])
-        assert code is not None
+    for number in range(2):
+        call = read_call([word.format(out=tmp_path / str(number)) for word in words], plain=number == 0)
+        assert call is not None
+        code = call.function(*call.arguments, **call.options)
         told.append((code, *capsys.readouterr(), sorted(path.name for path in (tmp_path / str(number)).glob("*"))))
     assert told[0] == told[1]
 
@@ -135,21 +136,24 @@ def test_plain_calls_are_read_as_the_parser_reads_them(
     ],
 )
 def test_what_is_not_plain_is_left_to_the_parser(words: list[str]) -> None:
-    assert quick(words) is None
+    command = next(iter(words), "")
+    assert plain_call(command, words[1:], COMMANDS.get(command, ("",))[0]) is None
 
 
 @pytest.mark.parametrize(
-    ("words", "ordered"),
+    ("words", "spelled"),
     [
-        (["run", "--plot", "m.yaml"], ["run", "m.yaml", "--plot"]),
-        (["run", "--plot", "svg", "png", "m.yaml", "--quiet"], ["run", "m.yaml", "--quiet", "--plot", "svg", "png"]),
-        (["run", "m.yaml", "--plot", "--out", "x"], ["run", "m.yaml", "--out", "x", "--plot"]),
-        (["run", "m.yaml", "--plot=svg"], ["run", "m.yaml", "--plot=svg"]),
-        (["montecarlo", "--plot", "m.yaml"], ["montecarlo", "--plot", "m.yaml"]),
+        ("run --plot m.yaml", "run --plot=png m.yaml"),
+        ("run --plot svg png m.yaml --quiet", "run --plot=svg --plot=png m.yaml --quiet"),
+        ("run m.yaml --plot --out x", "run m.yaml --plot=png --out x"),
+        ("run m.yaml --plot", "run m.yaml --plot=png"),
+        ("run m.yaml --plot=svg", "run m.yaml --plot=svg"),
+        ("montecarlo --plot m.yaml", "montecarlo --plot m.yaml"),
+        ("robots --json - --quiet", "robots --json=- --quiet"),
     ],
 )
-def test_plot_may_stand_before_the_mission(words: list[str], ordered: list[str]) -> None:
-    assert with_plot_last(words) == ordered
+def test_plot_may_stand_before_the_mission(words: str, spelled: str) -> None:
+    assert spelled_out(words.split()) == spelled.split()
 
 
 @pytest.mark.parametrize("words", [["run", PATROL], ["run", PATROL, "--json", "-"], ["robots"], ["--help"]])
