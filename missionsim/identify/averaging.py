@@ -31,42 +31,41 @@ def integral_curves(columns: Sequence[Array]) -> Array:
 
     Returns
     -------
-    ndarray, shape (4, rows of all runs, k)
-        Coefficients of the powers 0 to 3 of the place in each row.
+    ndarray, shape (2, edges of the rows of all runs, k)
+        The integral and its slope at each edge; a run has one edge more than rows.
     """
-    out = np.empty((4, sum(values.shape[1] for values in columns), columns[0].shape[0]))
+    out = np.empty((2, sum(values.shape[1] + 1 for values in columns), columns[0].shape[0]))
     begin = 0
     for values in columns:
-        end = begin + values.shape[1]
-        _one_curve(np.ascontiguousarray(values.T), out[:, begin:end])
+        end = begin + values.shape[1] + 1
+        _one_curve(np.ascontiguousarray(values.T), *out[:, begin:end])
         begin = end
     return out
 
 
-def _one_curve(rows: Array, out: Array) -> None:
-    """Fill in the coefficients (4, n, k) of one run's rows (n, k)."""
-    before, slope, square, cube = out
-    before[0] = 0.0
-    np.cumsum(rows[:-1], axis=0, out=before[1:])
+def _one_curve(rows: Array, integral: Array, slope: Array) -> None:
+    """Fill in integral and slope (n + 1, k) at the edges of one run's rows (n, k)."""
+    integral[0] = 0.0
+    np.cumsum(rows, axis=0, out=integral[1:])
     left, right = rows[:-1], rows[1:]
-    slope[0] = rows[0]
-    inner = slope[1:]
-    np.add(left, right, out=inner)
+    slope[0], slope[-1] = rows[0], rows[-1]
+    inner = np.add(left, right, out=slope[1:-1])
     inner *= 0.5
-    limit = np.minimum(np.abs(left), np.abs(right))
+    size = np.abs(rows)
+    limit = np.minimum(size[:-1], size[1:])
     limit *= 3.0
     np.minimum(inner, limit, out=inner)
     np.negative(limit, out=limit)
     np.maximum(inner, limit, out=inner)
     np.multiply(left, right, out=limit)
     inner *= limit > 0.0
-    # Hermite: slopes at both edges, and the rise by one row's value
-    np.multiply(rows, -2.0, out=cube)
-    cube += slope
-    cube[:-1] += slope[1:]
-    cube[-1] += rows[-1]
-    np.subtract(rows, slope, out=square)
-    square -= cube
+
+
+def _hermite(s: Array) -> tuple[Array, Array, Array, Array]:
+    """Weights of the integral at both edges of a row, and of its slope there, for the place s in the row (0 to 1)."""
+    rise = s * s * (3.0 - 2.0 * s)
+    back = s * (1.0 - s)
+    return 1.0 - rise, rise, back * (1.0 - s), -back * s
 
 
 @dataclass(frozen=True)
@@ -74,15 +73,15 @@ class Weights:
     """Weights of one clock: of the stacked curves at every edge, and how much of each interval the rows cover."""
 
     at_edges: Any
-    """Sparse, shape (edges, 4 * rows)."""
+    """Sparse, shape (edges, 2 * edges of the rows)."""
     covered: Array
     """Rows, shape (intervals,)."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Even raw grid of a run: its beginning and step [s], its rows, and the number of its first row when the rows of
-    all runs are stacked; arrays with one value for each edge of an interval."""
+    """Even raw grid of a run: its beginning and step [s], its rows, and the number of its first edge when the edges of
+    all runs' rows are stacked; arrays with one value for each edge of an interval."""
 
     start_s: Array
     step_s: Array
@@ -103,7 +102,7 @@ class Intervals:
     at_edges : Grid
         Raw grid of the run of each edge.
     rows : int
-        Rows of all runs.
+        Edges of the rows of all runs.
     least : shape (intervals,)
         Least number of rows that a mean is divided by.
     """
@@ -137,7 +136,7 @@ class Intervals:
             least.append(0.1 * (high - low) / step)
             total += len(own)
         run = np.repeat(np.arange(len(edges)), [len(e) for e in edges])
-        first = np.concatenate([[0], np.cumsum(rows)[:-1]])
+        first = np.concatenate([[0], np.cumsum(np.asarray(rows) + 1)[:-1]])
         grid = Grid(
             np.asarray(start_s, dtype=float)[run],
             np.asarray(step_s, dtype=float)[run],
@@ -149,7 +148,7 @@ class Intervals:
             run,
             np.concatenate(low_at).astype(np.intp),
             grid,
-            int(np.sum(rows)),
+            int(np.sum(rows)) + len(rows),
             np.concatenate(least),
         )
 
@@ -160,18 +159,14 @@ class Intervals:
         left, s, weight = self._places(delay_s, lag_s)
         covered = self._covered(left, s, weight)
         data = np.empty((s.shape[1], len(weight), 4))
-        data[:, :, 0] = weight
-        power = weight[:, None] * s
-        for i in range(1, 4):
-            data[:, :, i] = power.T
-            power *= s
-        count, total = len(self.edges_s), self.rows
         at = np.empty(data.shape, dtype=np.int32)
-        for i in range(4):
+        for i, part in enumerate(_hermite(s)):
+            data[:, :, i] = (weight[:, None] * part).T
             at[:, :, i] = left.T
-            left += total
+            at[:, :, i] += (0, 1, self.rows, self.rows + 1)[i]
+        count = len(self.edges_s)
         ends = np.arange(count + 1, dtype=np.int32) * np.int32(4 * len(weight))
-        matrix = csr_array((data.ravel(), at.ravel(), ends), shape=(count, 4 * total))
+        matrix = csr_array((data.ravel(), at.ravel(), ends), shape=(count, 2 * self.rows))
         return Weights(matrix, covered)
 
     def means(self, curves: Array, weights: Weights) -> Array:
@@ -179,17 +174,15 @@ class Intervals:
         return self._means(weights.at_edges @ curves.reshape(-1, curves.shape[2]), weights.covered)
 
     def means_of_one(self, curve: Array, delay_s: Array, lag_s: float) -> Array:
-        """The same for a single column without a matrix, shape (intervals,), from its curve (4, rows, 1)."""
+        """The same for a single column without a matrix, shape (intervals,), from its curve (2, edges, 1)."""
         left, s, weight = self._places(delay_s, lag_s)
-        curve = curve[:, :, 0]
-        whole = curve[3].take(left)
-        for i in (2, 1, 0):
-            whole *= s
-            whole += curve[i].take(left)
+        integral, slope = curve[:, :, 0]
+        parts = (integral.take(left), integral.take(left + 1), slope.take(left), slope.take(left + 1))
+        whole = sum(part * value for part, value in zip(_hermite(s), parts, strict=True))
         return self._means((weight @ whole)[:, None], self._covered(left, s, weight))[:, 0]
 
     def _places(self, delay_s: Array, lag_s: float) -> tuple[NDArray[np.int32], Array, Array]:
-        """Stacked row and place in it at every node of the lag and edge, shapes (nodes, edges); weights (nodes,)."""
+        """Stacked edge at the start of a row and place in the row at every node of the lag and edge, shapes (nodes, edges); weights (nodes,)."""
         if not np.isfinite(np.sum(delay_s) + lag_s):  # rows are taken without a check of their numbers
             raise ValueError("the clock of the meter comes out as no number")
         nodes = np.array(LAG_NODES if lag_s > 0 else ((0.0, 1.0),))

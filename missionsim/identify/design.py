@@ -234,7 +234,7 @@ class Source:
         return self._grid
 
     def _base_curve(self) -> Array:
-        """Integral curve of the base model, shape (4, rows, 1)."""
+        """Integral curve of the base model, shape (2, edges, 1)."""
         if self._kept_base is None:
             self._kept_base = integral_curves([run.values[:1] for run in self.columns])
         return self._kept_base

@@ -7,9 +7,10 @@ evaluated at the raw rate and averaged like every other column.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,9 @@ Rows32 = NDArray[np.float32]
 CHUNK = 256
 MOST_ROWS = 6000
 """Longer data are averaged to about so many rows for the first pass."""
+MOST_KEPT = 5_000_000
+"""Numbers of averaged forms that are kept for the next look at them."""
+AT_ONCE = 16
 SHORTLIST = 1500
 SEEDS = 3
 BENDS = 2
@@ -107,6 +111,15 @@ class Searched:
     tried: int
 
 
+class Sums(NamedTuple):
+    """Mean size, score, information and the part that a free base absorbs, of each of many rows, shape (k,)."""
+
+    level: Array
+    score: Array
+    information: Array
+    absorbed: Array
+
+
 class Sieve:
     """Gains of many rows at once under one noise: everything but the rows themselves is whitened a single time."""
 
@@ -123,7 +136,14 @@ class Sieve:
         # means of several rows scatter less, as far as the noise is white or fast
         self.unscale = (arma_of(*self.shape)[2] / (level * noise.total_sd_w)).astype(np.float32)
         rows = np.vstack([design.residual[None, :], design.gradient, design.phi[chosen], design.random])
-        self.known = self.white(self.coarse(rows)).astype(float)
+        ar, ma, ratio = (np.asarray(x, dtype=np.float32) for x in arma_of(*self.shape))
+        self.filter = (ar, ma, ratio)
+        inverse, diagonal, _ = (np.asarray(x, dtype=np.float32) for x in start_factor(*self.shape))
+        self.start = (inverse, diagonal)
+        known = self.coarse(rows)
+        self.known = np.empty(known.shape)
+        for part in self.stretches:
+            self.known[:, part] = self.white(known[:, part], part)
         sd = np.maximum(noise.random_sd(), 1e-12)
         self.fixed = 1 + q + len(chosen)
         total = np.zeros((self.fixed, self.fixed))
@@ -150,44 +170,65 @@ class Sieve:
             return rows.astype(np.float32)
         return np.asarray(np.add.reduceat(rows, self.starts, axis=1) / self._counts(rows.shape[1]), dtype=np.float32)
 
-    def white(self, rows: Rows32) -> Rows32:
-        """Whitened rows (k, n) of unit variance, stretch by stretch."""
+    def white(self, rows: Rows32, part: slice) -> Rows32:
+        """Whitened rows (k, n of the stretch) of unit variance; `rows` are overwritten."""
         from scipy.signal import lfilter
 
-        ar, ma, ratio = (np.asarray(x, dtype=np.float32) for x in arma_of(*self.shape))
-        inverse, diagonal, _ = (np.asarray(x, dtype=np.float32) for x in start_factor(*self.shape))
-        scaled = rows * self.unscale
-        scaled += NO_DENORMALS
-        out = np.empty_like(scaled)
-        for part in self.stretches:
-            x = scaled[:, part]
-            count = min(START_ROWS, x.shape[1])
-            head = x[:, :count] @ inverse[:count, :count].T
-            if x.shape[1] > count:
-                e1, e2 = head[:, -1] * diagonal[-1], head[:, -2] * diagonal[-2]
-                x1, x2 = x[:, count - 1], x[:, count - 2]
-                past = np.stack([ar[1] * x1 + ar[2] * x2 - ma[1] * e1 - ma[2] * e2, ar[2] * x1 - ma[2] * e1], axis=1)
-                out[:, part.start + count : part.stop] = lfilter(ar, ma, x[:, count:], axis=1, zi=past)[0]
-            out[:, part.start : part.start + count] = head / ratio
-        out *= self.root
-        return out
+        ar, ma, ratio = self.filter
+        inverse, diagonal = self.start
+        rows *= self.unscale[part]
+        rows += NO_DENORMALS
+        count = min(START_ROWS, rows.shape[1])
+        head = rows[:, :count] @ inverse[:count, :count].T
+        if rows.shape[1] > count:
+            e1, e2 = head[:, -1] * diagonal[-1], head[:, -2] * diagonal[-2]
+            x1, x2 = rows[:, count - 1], rows[:, count - 2]
+            past = np.stack([ar[1] * x1 + ar[2] * x2 - ma[1] * e1 - ma[2] * e2, ar[2] * x1 - ma[2] * e1], axis=1)
+            rows[:, count:] = lfilter(ar, ma, rows[:, count:], axis=1, zi=past)[0]
+        np.divide(head, ratio, out=rows[:, :count])
+        rows *= self.root[part]
+        return rows
 
-    def __call__(self, rows: Rows32) -> tuple[Array, Array, Array]:
-        """Score, information and the part that a free base absorbs, of rows (k, n) in W; each of shape (k,)."""
-        white = self.white(rows)
-        known = self.known.astype(np.float32)
-        size, cross = np.zeros(len(rows)), np.zeros((len(rows), self.fixed))
-        for part, (middle, fixed) in zip(self.runs, self.without, strict=True):
-            mine = white[:, part]
-            both = (mine @ known[:, part].T).astype(float)
+    def __call__(self, count: int, rows_of: Callable[[slice, slice], Rows32]) -> Sums:
+        """Score of `count` rows in W, of which `rows_of` gives some over a stretch, as a new array.
+
+        One stretch after the other, and some of the rows at a time, so that they stay in the processor's cache.
+        """
+        level, size, cross = np.zeros(count), np.zeros(count), np.zeros((count, self.fixed))
+        for run, (middle, fixed) in zip(self.runs, self.without, strict=True):
+            both = np.zeros((count, len(self.known)))
+            for part in self.stretches:
+                if not run.start <= part.start < run.stop:
+                    continue
+                known = np.ascontiguousarray(self.known[:, part].T, dtype=np.float32)
+                for begin in range(0, count, CHUNK):
+                    some = slice(begin, min(begin + CHUNK, count))
+                    rows = rows_of(some, part)
+                    level[some] += np.abs(rows).sum(axis=1)
+                    white = self.white(rows, part)
+                    size[some] += np.einsum("ij,ij->i", white, white)
+                    both[some] += white @ known
             random = both[:, self.fixed :]
-            size += np.einsum("ij,ij->i", mine, mine) - np.sum((random @ middle) * random, axis=1)
+            size -= np.sum((random @ middle) * random, axis=1)
             cross += both[:, : self.fixed] - random @ fixed
         others = cross[:, 1:]
         score = cross[:, 0] - others @ self.solved
         information = size - np.sum((others @ self.inverse) * others, axis=1)
         absorbed = np.sum((others @ self.free) * others, axis=1) / np.maximum(size, 1e-300)
-        return score, information, absorbed
+        return Sums(level / max(self.known.shape[1], 1), score, information, absorbed)
+
+
+def _products(factors: Rows32, forms: NDArray[np.intp]) -> Callable[[slice, slice], Rows32]:
+    """Products of factors (factors, n) for some forms over a stretch."""
+
+    def rows_of(some: slice, part: slice) -> Rows32:
+        own = factors[:, part]
+        x = own[forms[some, 0]]
+        for column in range(1, forms.shape[1]):
+            x *= own[forms[some, column]]
+        return x
+
+    return rows_of
 
 
 def _coarse_parts(parts: Sequence[slice], starts: NDArray[np.intp]) -> list[slice]:
@@ -209,6 +250,7 @@ class Search:
         rows = len(ground.design.y)
         self.every = max(1, math.ceil(rows / MOST_ROWS))
         self.groups = _groups(ground, self.every)
+        self._averaged: dict[tuple[int, ...], Array] = {}
 
     @property
     def tried(self) -> int:
@@ -236,22 +278,16 @@ class Search:
         mean_power = self.ground.mean_power_w
         found: list[Scored] = []
         for forms, penalty in zip(among or self.by_size, self.penalties, strict=True):
-            for begin in range(0, len(forms), CHUNK):
-                some = forms[begin : begin + CHUNK]
-                x = factors[some[:, 0]]
-                for column in range(1, some.shape[1]):
-                    x = x * factors[some[:, column]]
-                level = np.mean(np.abs(x), axis=1)
-                score, information, absorbed = sieve(x)
-                usable = (information > 0.0) & (absorbed < ABSORBED) & (level > 0.0)
-                usable &= (score > 0.0) | back[some].any(axis=1)
-                information = np.where(information > 0.0, information, 1.0)
-                gain = 0.5 * score**2 / information
-                share = score / information * level / mean_power
-                worth = usable & (gain > penalty) & (np.abs(share) > NEARLY * LEAST_SHARE)
-                for i in np.flatnonzero(worth):
-                    form = tuple(int(f) for f in some[i])
-                    found.append(Scored(form, float(gain[i]), float(share[i]), float(gain[i]) - penalty))
+            level, score, information, absorbed = sieve(len(forms), _products(factors, forms))
+            usable = (information > 0.0) & (absorbed < ABSORBED) & (level > 0.0)
+            usable &= (score > 0.0) | back[forms].any(axis=1)
+            information = np.where(information > 0.0, information, 1.0)
+            gain = 0.5 * score**2 / information
+            share = score / information * level / mean_power
+            worth = usable & (gain > penalty) & (np.abs(share) > NEARLY * LEAST_SHARE)
+            for i in np.flatnonzero(worth):
+                form = tuple(int(f) for f in forms[i])
+                found.append(Scored(form, float(gain[i]), float(share[i]), float(gain[i]) - penalty))
         return sorted(found, key=lambda one: -one.score)
 
     def watts(self, form: Sequence[int]) -> Array:
@@ -266,8 +302,15 @@ class Search:
 
     def columns(self, forms: Sequence[Sequence[int]]) -> Array:
         """The same of several forms, shape (forms, n)."""
-        raw = [np.vstack([np.prod(values[list(form)], axis=0) for form in forms]) for values in self.grammar.values]
-        return self.ground.averaged(raw)
+        missing = [form for form in dict.fromkeys(tuple(form) for form in forms) if form not in self._averaged]
+        if (len(self._averaged) + len(missing)) * len(self.ground.design.y) > MOST_KEPT:
+            self._averaged.clear()
+            missing = list(dict.fromkeys(tuple(form) for form in forms))
+        for begin in range(0, len(missing), AT_ONCE):
+            some = missing[begin : begin + AT_ONCE]
+            raw = [np.vstack([np.prod(values[list(form)], axis=0) for form in some]) for values in self.grammar.values]
+            self._averaged.update(zip(some, self.ground.averaged(raw), strict=True))
+        return np.array([self._averaged[tuple(form)] for form in forms])
 
     def fit(self, form: tuple[int, ...], start: Noise | None = None) -> Fitted:
         """A form in the model, with noise of its own."""
@@ -346,7 +389,8 @@ class Search:
         level = np.mean(np.abs(x), axis=1)
         rows = np.arange(len(self.ground.design.y))
         exact = Sieve(self.ground, top.model.noise, rows, 1)
-        score, information, _ = exact((x / level[:, None]).astype(np.float32))
+        unit = (x / level[:, None]).astype(np.float32)
+        _, score, information, _ = exact(len(forms), lambda some, part: unit[some, part].copy())
         gain = 0.5 * score**2 / np.maximum(information, 1e-300)
         share = score / np.maximum(information, 1e-300) / self.ground.mean_power_w
         found = [
