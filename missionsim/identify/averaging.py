@@ -182,7 +182,8 @@ class Intervals:
         return self._means((weight @ whole)[:, None], self._covered(left, s, weight))[:, 0]
 
     def _places(self, delay_s: Array, lag_s: float) -> tuple[NDArray[np.int32], Array, Array]:
-        """Stacked edge at the start of a row and place in the row at every node of the lag and edge, shapes (nodes, edges); weights (nodes,)."""
+        """Stacked edge at the start of a row, and place in the row, at every node of the lag and edge, shapes
+        (nodes, edges); weights (nodes,)."""
         if not np.isfinite(np.sum(delay_s) + lag_s):  # rows are taken without a check of their numbers
             raise ValueError("the clock of the meter comes out as no number")
         nodes = np.array(LAG_NODES if lag_s > 0 else ((0.0, 1.0),))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,8 @@ from missionsim.identify.data import Array
 from missionsim.identify.design import Design
 from missionsim.identify.gram import Blocks, innovations, total_without_random
 from missionsim.identify.noise import Noise, edge_variance, log_level, start_noise
-from missionsim.identify.settings import HUBER, LARGEST_GAIN, NOISE_SPLIT_S
-from missionsim.identify.whitening import start_factor
+from missionsim.identify.settings import HUBER, JITTER_SD_S, LAG_JITTER_SD_S2, LARGEST_GAIN, NOISE_SPLIT_S, SHARE_PRIOR
+from missionsim.identify.whitening import Shape, start_factor
 
 
 def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None, thorough: bool = True) -> Noise:
@@ -30,75 +30,88 @@ def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None,
     noise = guess or start_noise(design)
     # refits start beside their end: half the evaluations find it
     effort = (90, 50) if thorough else (45,)
+    likelihood, moves = _Likelihood(design, len(chosen)), bool(np.any(design.random[2]))
     for round_, evaluations in enumerate(effort):
         rows = Blocks.of(design, noise, design.residual[None, :], chosen)
-        noise = _fit_filter(design, noise, rows, len(chosen), evaluations)
-        noise = _fit_levels(design, noise, rows.at(noise.shape), len(chosen), evaluations + 20)
+        noise = _fit_filter(likelihood, noise, rows, evaluations)
+        noise = _fit_levels(likelihood, noise, rows.at(noise.shape), moves, evaluations + 20)
         if round_ == 0:
             noise = _fit_scale(design, noise, chosen)
     return noise
 
 
-def _objective(design: Design, noise: Noise, blocks: Array, count: int, chosen: int) -> float:
-    """Minus two times the restricted log-likelihood plus priors, from blocks whitened with sigma 1."""
-    q = len(design.layout.prior_sd)
-    total, log_det = total_without_random(blocks, noise.random_sd(), noise.sigma_w)
-    size = 1 + q + chosen
-    inner = total[1:size, 1:size].copy()
-    precision = np.concatenate([design.layout.prior_sd**-2.0, np.full(chosen, 4.0)])
-    inner[np.diag_indices(q + chosen)] += precision
-    try:
-        factor = np.linalg.cholesky(inner) if q + chosen else np.empty((0, 0))
-    except np.linalg.LinAlgError:
-        return np.inf  # noise so small that the numbers run out, as a constant meter makes it: not a better fit
-    rss = total[0, 0]
-    if q + chosen:
-        half = np.linalg.solve(factor, total[1:size, 0])
-        rss -= half @ half
-    det = 2 * float(np.sum(np.log(np.diag(factor)))) - float(np.sum(np.log(precision)))
-    start = len(design.stretches) * start_factor(*noise.shape)[2]
-    return float(count * np.log(noise.sigma_w**2) + log_det + rss + det + start + _prior(design, noise))
+class _Likelihood:
+    """Minus two times the restricted log-likelihood plus priors, for any noise, from blocks of unit variance."""
+
+    def __init__(self, design: Design, chosen: int) -> None:
+        sd = design.layout.prior_sd
+        self.fixed = 1 + len(sd) + chosen
+        self.precision = np.concatenate([sd**-2.0, np.full(chosen, SHARE_PRIOR)])
+        self.log_precision = float(np.sum(np.log(self.precision)))
+        self.count, self.stretches = len(design.y), len(design.stretches)
+        self.power, self.step_s = design.layout.mean_power_w, design.layout.step_s
+
+    def __call__(self, noise: Levels, shape: Shape, blocks: Array) -> float:
+        """For the levels of a noise and its shape."""
+        sd = np.array([noise.offset_w, noise.gain, noise.motion_gain, JITTER_SD_S, LAG_JITTER_SD_S2])
+        total, log_det = total_without_random(blocks, sd, noise.sigma_w)
+        inner = total[1 : self.fixed, 1 : self.fixed]
+        inner.flat[:: self.fixed] += self.precision
+        try:
+            factor = np.linalg.cholesky(inner)
+        except np.linalg.LinAlgError:
+            return np.inf  # noise so small that the numbers run out, as a constant meter makes it: not a better fit
+        half = np.linalg.solve(factor, total[1 : self.fixed, 0])
+        rss = float(total[0, 0] - half @ half)
+        det = 2.0 * float(np.log(factor.diagonal()).sum()) - self.log_precision
+        start = self.stretches * start_factor(*shape)[2]
+        return self.count * math.log(noise.sigma_w**2) + log_det + rss + det + start + self._prior(noise, shape)
+
+    def _prior(self, noise: Levels, shape: Shape) -> float:
+        h, fast_s, slow_s, fast_share, slow_share = shape
+        white = max(1e-6, 1 - fast_share - slow_share)
+        terms = (
+            (math.log(noise.offset_w / (0.005 * self.power)), 1.0),
+            (math.log(noise.gain / 0.005), 0.7),
+            (math.log(noise.motion_gain / 0.005), 0.7),
+            (math.log(fast_s / max(4.0, 1.5 * h)), 0.9),
+            (math.log(slow_s / max(50.0, 20 * h)), 0.6),
+            (math.log(slow_share / white) + 1.5, 1.5),
+            (math.log(fast_share / white) - 0.5, 2.0),
+        )
+        return sum((value / sd) ** 2 for value, sd in terms)
 
 
-def _prior(design: Design, noise: Noise) -> float:
-    power = design.layout.mean_power_w
-    h = noise.step_s
-    white = max(1e-6, 1 - noise.fast_share - noise.slow_share)
-    terms = [
-        (math.log(noise.offset_w / (0.005 * power)), 1.0),
-        (math.log(noise.gain / 0.005), 0.7),
-        (math.log(noise.motion_gain / 0.005), 0.7),
-        (math.log(noise.fast_s / max(4.0, 1.5 * h)), 0.9),
-        (math.log(noise.slow_s / max(50.0, 20 * h)), 0.6),
-        (math.log(noise.slow_share / white) + 1.5, 1.5),
-        (math.log(noise.fast_share / white) - 0.5, 2.0),
-    ]
-    return float(sum((value / sd) ** 2 for value, sd in terms))
+class Levels(NamedTuple):
+    """Innovation of the noise and what differs between runs; see `Noise`."""
+
+    sigma_w: float
+    offset_w: float
+    gain: float
+    motion_gain: float
 
 
-def _fit_filter(design: Design, noise: Noise, rows: Blocks, chosen: int, evaluations: int) -> Noise:
+def _levels(noise: Noise) -> Levels:
+    return Levels(noise.sigma_w, noise.offset_w, noise.gain, noise.motion_gain)
+
+
+def _fit_filter(likelihood: _Likelihood, noise: Noise, rows: Blocks, evaluations: int) -> Noise:
     from scipy.optimize import minimize
 
-    count = len(design.y)
-    border = max(NOISE_SPLIT_S, 10 * noise.step_s)
+    step_s = noise.step_s
+    border = max(NOISE_SPLIT_S, 10 * step_s)
+    levels = _levels(noise)
 
-    def at(x: Array) -> Noise:
-        odds = np.exp(np.clip(x[2:4], -12, 12))
-        shares = odds / (1 + odds.sum())
-        return replace(
-            noise,
-            fast_s=float(np.exp(x[0])),
-            slow_s=float(np.exp(x[1])),
-            fast_share=float(shares[0]),
-            slow_share=float(shares[1]),
-            sigma_w=float(np.exp(x[4])),
-        )
+    def at(x: Array) -> tuple[float, Shape]:
+        fast, slow = (math.exp(min(max(float(v), -12.0), 12.0)) for v in x[2:4])
+        every = 1.0 + fast + slow
+        return math.exp(x[4]), (step_s, math.exp(x[0]), math.exp(x[1]), fast / every, slow / every)
 
     def cost(x: Array) -> float:
-        if not (0.05 * noise.step_s < np.exp(x[0]) < border < np.exp(x[1]) < 40 * border):
+        sigma_w, shape = at(x)
+        if not (0.05 * step_s < shape[1] < border < shape[2] < 40 * border):
             return 1e12
-        trial = at(x)
-        return _objective(design, trial, rows.at(trial.shape), count, chosen)
+        return likelihood(levels._replace(sigma_w=sigma_w), shape, rows.at(shape))
 
     white = max(1e-6, 1 - noise.fast_share - noise.slow_share)
     x0 = np.array(
@@ -118,34 +131,34 @@ def _fit_filter(design: Design, noise: Noise, rows: Blocks, chosen: int, evaluat
         method="Nelder-Mead",
         options={"maxfev": evaluations, "initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05},
     )
-    return at(found.x)
+    sigma_w, (_, fast_s, slow_s, fast_share, slow_share) = at(found.x)
+    return replace(noise, fast_s=fast_s, slow_s=slow_s, fast_share=fast_share, slow_share=slow_share, sigma_w=sigma_w)
 
 
-def _fit_levels(design: Design, noise: Noise, blocks: Array, chosen: int, evaluations: int) -> Noise:
+def _fit_levels(likelihood: _Likelihood, noise: Noise, blocks: Array, moves: bool, evaluations: int) -> Noise:
     from scipy.optimize import minimize
 
-    count = len(design.y)
-    names = ["sigma_w", "offset_w", "gain"] + (["motion_gain"] if np.any(design.random[2]) else [])
+    shape = noise.shape
+    # without motion there is no motion gain to fit
+    x0 = np.log(_levels(noise) if moves else _levels(noise)[:-1])
 
-    def at(x: Array) -> Noise:
-        levels: dict[str, Any] = {n: float(v) for n, v in zip(names, np.exp(np.clip(x, -25, 15)), strict=True)}
-        for name in ("gain", "motion_gain"):
-            levels[name] = min(levels.get(name, 0.0), LARGEST_GAIN) if name in levels else getattr(noise, name)
-        return replace(noise, **levels)
+    def at(x: Array) -> Levels:
+        sigma_w, offset_w, *gains = (math.exp(min(max(float(v), -25.0), 15.0)) for v in x)
+        gain, motion_gain = (*(min(g, LARGEST_GAIN) for g in gains), noise.motion_gain)[:2]
+        return Levels(sigma_w, offset_w, gain, motion_gain)
 
-    x0 = np.log([getattr(noise, n) for n in names])
     found = minimize(
-        lambda x: _objective(design, at(x), blocks, count, chosen),
+        lambda x: likelihood(at(x), shape, blocks),
         x0,
         method="Nelder-Mead",
         options={
             "maxfev": evaluations,
             "xatol": 0.03,
             "fatol": 0.05,
-            "initial_simplex": np.vstack([x0] + [x0 + s for s in np.diag([0.1, *([0.5] * (len(names) - 1))])]),
+            "initial_simplex": np.vstack([x0] + [x0 + s for s in np.diag([0.1, *([0.5] * (len(x0) - 1))])]),
         },
     )
-    return at(found.x)
+    return replace(noise, **at(found.x)._asdict())
 
 
 def _fit_scale(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from missionsim.identify.data import Array
 from missionsim.identify.model import Model
 from missionsim.identify.noise import Noise
-from missionsim.identify.whitening import START_ROWS, arma_of, start_factor
+from missionsim.identify.whitening import START_ROWS, Shape, arma_of, start_factor
 from missionsim.laws.adapter import Ground, evidence
 from missionsim.laws.gates import LEAST_SHARE, LeftOut, left_out
 from missionsim.laws.grammar import Grammar
@@ -44,8 +44,8 @@ NEARLY = 0.7
 SAME = 0.98
 CLOSE_ERROR = 1.005
 """Of two forms whose left-out errors come this close, likelihood decides."""
-NO_DENORMALS = np.float32(1e-12)
-"""A filter's tail of zeros fades into numbers that processors are slow with."""
+BLOCK = 60
+"""Rows that are whitened by one product of matrices."""
 
 
 @dataclass(frozen=True)
@@ -136,10 +136,7 @@ class Sieve:
         # means of several rows scatter less, as far as the noise is white or fast
         self.unscale = (arma_of(*self.shape)[2] / (level * noise.total_sd_w)).astype(np.float32)
         rows = np.vstack([design.residual[None, :], design.gradient, design.phi[chosen], design.random])
-        ar, ma, ratio = (np.asarray(x, dtype=np.float32) for x in arma_of(*self.shape))
-        self.filter = (ar, ma, ratio)
-        inverse, diagonal, _ = (np.asarray(x, dtype=np.float32) for x in start_factor(*self.shape))
-        self.start = (inverse, diagonal)
+        self.filter = _filter(self.shape)
         known = self.coarse(rows)
         self.known = np.empty(known.shape)
         for part in self.stretches:
@@ -171,23 +168,27 @@ class Sieve:
         return np.asarray(np.add.reduceat(rows, self.starts, axis=1) / self._counts(rows.shape[1]), dtype=np.float32)
 
     def white(self, rows: Rows32, part: slice) -> Rows32:
-        """Whitened rows (k, n of the stretch) of unit variance; `rows` are overwritten."""
-        from scipy.signal import lfilter
+        """Whitened rows (k, n of the stretch) of unit variance; `rows` are overwritten.
 
-        ar, ma, ratio = self.filter
-        inverse, diagonal = self.start
+        The recursive filter (`missionsim.identify.whitening`) as products of matrices, `BLOCK` rows at a time.
+        """
+        inverse, diagonal, ratio, answer, echo = self.filter
         rows *= self.unscale[part]
-        rows += NO_DENORMALS
-        count = min(START_ROWS, rows.shape[1])
-        head = rows[:, :count] @ inverse[:count, :count].T
-        if rows.shape[1] > count:
-            e1, e2 = head[:, -1] * diagonal[-1], head[:, -2] * diagonal[-2]
-            x1, x2 = rows[:, count - 1], rows[:, count - 2]
-            past = np.stack([ar[1] * x1 + ar[2] * x2 - ma[1] * e1 - ma[2] * e2, ar[2] * x1 - ma[2] * e1], axis=1)
-            rows[:, count:] = lfilter(ar, ma, rows[:, count:], axis=1, zi=past)[0]
-        np.divide(head, ratio, out=rows[:, :count])
-        rows *= self.root[part]
-        return rows
+        out = np.empty_like(rows)
+        length = rows.shape[1]
+        end = min(START_ROWS, length)
+        head = rows[:, :end] @ inverse[:end, :end].T
+        np.divide(head, ratio, out=out[:, :end])
+        last = head[:, -2:] * diagonal[-2:]
+        while end < length:
+            past = np.hstack([rows[:, end - 2 : end], last])
+            begin, end = end, length if length - end <= BLOCK + 1 else end + BLOCK
+            some = rows[:, begin:end] @ answer[: end - begin, : end - begin]
+            some += past @ echo[:, : end - begin]
+            out[:, begin:end] = some
+            last = some[:, -2:]
+        out *= self.root[part]
+        return out
 
     def __call__(self, count: int, rows_of: Callable[[slice, slice], Rows32]) -> Sums:
         """Score of `count` rows in W, of which `rows_of` gives some over a stretch, as a new array.
@@ -216,6 +217,19 @@ class Sieve:
         information = size - np.sum((others @ self.inverse) * others, axis=1)
         absorbed = np.sum((others @ self.free) * others, axis=1) / np.maximum(size, 1e-300)
         return Sums(level / max(self.known.shape[1], 1), score, information, absorbed)
+
+
+def _filter(shape: Shape) -> tuple[Rows32, ...]:
+    """Factor of the start and its diagonal (see `start_factor`), ratio of `arma_of`, answer of the filter to a unit in
+    each of `BLOCK` + 1 rows, and to a unit in the two rows and the two innovations before them, the older first."""
+    from scipy.signal import lfilter
+
+    ar, ma, ratio = arma_of(*shape)
+    inverse, diagonal, _ = start_factor(*shape)
+    answer = lfilter(ar, ma, np.eye(BLOCK + 1), axis=1)
+    past = np.array([(ar[2], 0.0), (ar[1], ar[2]), (-ma[2], 0.0), (-ma[1], -ma[2])])
+    echo, _ = lfilter(ar, ma, np.zeros((4, BLOCK + 1)), axis=1, zi=past)
+    return tuple(np.asarray(x, dtype=np.float32) for x in (inverse, diagonal, ratio, answer, echo))
 
 
 def _products(factors: Rows32, forms: NDArray[np.intp]) -> Callable[[slice, slice], Rows32]:
