@@ -6,6 +6,17 @@ import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+_CONTROL = {
+    code: f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
+    for code in (*range(0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A), 0x2028, 0x2029)
+    if chr(code) not in "\t\n"
+}
+
+
+def visible(text: str) -> str:
+    """A text without what a terminal obeys: control characters and turns of direction stand as ``\\x1b``."""
+    return text.translate(_CONTROL)
+
 
 @dataclass(frozen=True, order=True)
 class Fault:
@@ -54,7 +65,7 @@ class Fault:
             text += f"\n    allowed: {self.allowed}"
         if self.hint:
             text += f"\n    did you mean: {self.hint}"
-        return text
+        return visible(text)
 
 
 class MissionsimError(Exception):

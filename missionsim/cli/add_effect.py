@@ -111,16 +111,15 @@ def add_effect(
         )
         terminal.print(
             f"{effect} on battery {chosen}: {100 * made.effect.energy_share:.1f} % of the energy; {found}; "
-            f"p = {made.effect.p_value:.1g}",
-            markup=False,
+            f"p = {made.effect.p_value:.1g}"
         )
         if not made.significant:
-            terminal.print(f"forced: {made.reason}", markup=False)
+            terminal.print(f"forced: {made.reason}")
         if made.base:
-            terminal.print("base: " + ", ".join(f"{n} = {v:.4g}" for n, (v, _) in made.base.items()), markup=False)
+            terminal.print("base: " + ", ".join(f"{n} = {v:.4g}" for n, (v, _) in made.base.items()))
         if made.heldout is not None:
-            terminal.print("held out: " + heldout_line(made.heldout), markup=False)
-        terminal.print(f"written: {out}", markup=False)
+            terminal.print("held out: " + heldout_line(made.heldout))
+        terminal.print(f"written: {out}")
     return 1 if made.worse or left_out else 0
 
 

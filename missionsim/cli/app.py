@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import codecs
+import io
 import itertools
 import os
 import sys
@@ -9,7 +11,7 @@ from collections.abc import Sequence
 
 from missionsim.cli.parse import Call, build_app, plain_call, whole_call
 from missionsim.cli.targets import check_targets
-from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.errors import Fault, InputError, did_you_mean, visible
 
 EXIT_FINE, EXIT_NO, EXIT_INPUT, EXIT_OURS = 0, 1, 2, 3
 EXIT_INTERRUPTED, EXIT_PIPE = 130, 141
@@ -43,6 +45,23 @@ HELP = """Energy that mobile robots spend on missions: simulate, vary, compare w
 Exit codes: 0 fine, 1 the answer is no (infeasible, outside the tolerance), 2 a fault in the input, 3 our own fault."""
 
 
+_PLAIN = {
+    "−": "-", "–": "-", "→": "->", "←": "<-", "≤": "<=", "≥": ">=", "…": "...", "×": "x", "·": "*", "²": "^2",
+    "³": "^3", "√": "sqrt", "±": "+-", "≈": "~", "°": " deg", "Ω": "Ohm", "ω": "w", "θ": "theta", "σ": "sigma",
+    "α": "alpha", "τ": "tau", "η": "eta", "λ": "lambda", "Σ": "sum", "₀": "0", "₁": "1", "₂": "2", "₃": "3",
+}  # fmt: skip
+
+
+def _plainly(error: UnicodeError) -> tuple[str, int]:
+    """For streams that cannot show a character (ASCII, Windows-1252): a plain spelling, or its code."""
+    assert isinstance(error, UnicodeEncodeError)
+    bad = error.object[error.start : error.end]
+    return "".join(_PLAIN.get(one) or f"\\u{ord(one):04x}" for one in bad), error.end
+
+
+codecs.register_error("missionsim", _plainly)
+
+
 def run_command(arguments: Sequence[str]) -> int:
     """Run one command line.
 
@@ -57,6 +76,9 @@ def run_command(arguments: Sequence[str]) -> int:
         Exit code: 0 fine, 1 the answer is "no", 2 a fault in the user's input, 3 our own fault, 130 interrupted,
         141 the reader of the output has gone.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="missionsim")
     word = next(iter(arguments), "")
     if word and not word.startswith("-") and word not in COMMANDS:
         print(
@@ -89,7 +111,7 @@ def run_command(arguments: Sequence[str]) -> int:
             return _reader_gone()
         raise
     except OSError as error:
-        print(f"{error.filename or 'file'}: error: {error.strerror or error}", file=sys.stderr)
+        print(visible(f"{error.filename or 'file'}: error: {error.strerror or error}"), file=sys.stderr)
         return EXIT_INPUT
     except Exception as error:
         if os.environ.get("MISSIONSIM_DEBUG"):
@@ -123,7 +145,7 @@ def read_call(arguments: Sequence[str], plain: bool = True) -> Call | None:
     try:
         return whole_call(build_app(COMMANDS, HELP), arguments)
     except CycloptsError as error:
-        print(f"command line: error: {' '.join(str(error).split())}", file=sys.stderr)
+        print(visible(f"command line: error: {' '.join(str(error).split())}"), file=sys.stderr)
         print("    see: missionsim --help", file=sys.stderr)
         return None
 

@@ -140,9 +140,8 @@ def _print(fits: list[ModelFit], remarks: list[str], out: Path) -> None:
         terminal.print(
             f"{count}, {fit.seconds / 60:.0f} min; explains {100 * fit.explained:.1f} % of the variance "
             f"of the power; error {fit.after.power_rmse_w:.3g} W (RMS), {fit.after.run_energy_error_pct:.2f} % of the "
-            f"energy of a run; {clock}",
-            markup=False,
+            f"energy of a run; {clock}"
         )
     for remark in remarks:
-        terminal.print(f"note: {remark}", markup=False)
-    terminal.print(f"written: {out}", markup=False)
+        terminal.print(f"note: {remark}")
+    terminal.print(f"written: {out}")

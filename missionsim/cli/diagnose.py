@@ -51,38 +51,37 @@ def diagnose(
     if to.text:
         show(result, search.robot, logs)
         if report is not None:
-            console().print(f"report written: {report}", markup=False)
+            console().print(f"report written: {report}")
     return 1 if left_out else 0
 
 
 def show(result: Diagnosis, robot: str, logs: Sequence[Path]) -> None:
     """Print a diagnosis: what is missing, how sure, the error, what to type; then the report lines."""
     from rich.table import Table
-    from rich.text import Text
 
     from missionsim.diagnose import sentences, words
 
     terminal = console()
     for battery in result.batteries.values():
-        terminal.print(Text(words.headline(battery), style="bold"))
+        terminal.print(words.headline(battery), style="bold")
         for line in (sentences.sure(battery), sentences.errors(battery)):
             if line:
-                terminal.print(Text(line))
+                terminal.print(line)
         command = sentences.next_step(battery, robot, logs, len(result.batteries) > 1)
         if command:
-            terminal.print(Text("Next, type:"))
-            terminal.print(Text(f"    {command}", style="cyan"), soft_wrap=True)
+            terminal.print("Next, type:")
+            terminal.print(f"    {command}", style="cyan", soft_wrap=True)
         grid = Table.grid(padding=(0, 2))
         grid.add_column(no_wrap=True)
         grid.add_column()
         last = ""
         for heading, line in words.report(battery):
-            grid.add_row("" if heading == last else heading, Text(line))
+            grid.add_row("" if heading == last else heading, line)
             last = heading
         terminal.print(grid)
         terminal.print()
     for name, why in result.skipped.items():
-        terminal.print(Text(f"Battery {name} was not diagnosed: {why}"))
+        terminal.print(f"Battery {name} was not diagnosed: {why}")
 
 
 def _footer() -> str:

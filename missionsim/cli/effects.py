@@ -8,7 +8,7 @@ from typing import Any
 from cyclopts import App
 
 from missionsim.cli.options import TERMINAL, Output
-from missionsim.report.terminal import console, simple_table
+from missionsim.report.terminal import console, simple_table, titled
 
 app = App(name="effects", help="The library of effects: equation, parameters, units, source.", help_format="plaintext")
 
@@ -89,11 +89,11 @@ def show(id: str, *, to: Output = TERMINAL) -> int:
     to.emit({"schema": "missionsim.effect/1", **described})
     if to.text:
         terminal = console()
-        terminal.print(f"[bold]{id}[/bold]  {described['meaning']}")
-        terminal.print(f"power   {described['equation']}", markup=False)
+        terminal.print(titled(id, f"  {described['meaning']}"))
+        terminal.print(f"power   {described['equation']}")
         from_them = f"; derived from them: {', '.join(described['derived'])}" if described["derived"] else ""
-        terminal.print(f"needs   {_needed(described) or 'nothing beside the power'}{from_them}", markup=False)
-        terminal.print(f"source  {described['source']}", markup=False)
+        terminal.print(f"needs   {_needed(described) or 'nothing beside the power'}{from_them}")
+        terminal.print(f"source  {described['source']}")
         rows = [(p["name"], p["unit"], f"{p['low']:g} … {p['high']:g}", p["meaning"]) for p in described["parameters"]]
         terminal.print(simple_table("parameters", ["name", "unit", "range", "meaning"], rows))
     return 0

@@ -24,9 +24,9 @@ def examples(*, out: OutFolder | None = None, to: Output = TERMINAL) -> int:
     if to.text:
         if out is None:
             for name in names:
-                console().print(str(name), soft_wrap=True, markup=False)
+                console().print(str(name), soft_wrap=True)
         else:
             terminal = console()
-            terminal.print(f"{len(names)} files in {out}; try this there:", markup=False, soft_wrap=True)
-            terminal.print("  missionsim run missions/pioneer3dx/valve_patrol.yaml", markup=False)
+            terminal.print(f"{len(names)} files in {out}; try this there:", soft_wrap=True)
+            terminal.print("  missionsim run missions/pioneer3dx/valve_patrol.yaml")
     return 0

@@ -209,4 +209,4 @@ def _tell(title: str, remarks: Sequence[str], out: Path) -> None:
     terminal = console()
     for line in (title, *(f"  {remark}" for remark in remarks), f"written: {out}"):
         if line:
-            terminal.print(line, markup=False, soft_wrap=True)
+            terminal.print(line, soft_wrap=True)

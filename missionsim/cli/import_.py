@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from missionsim.cli.options import TERMINAL, OutPath, Output
+from missionsim.errors import visible
 
 if TYPE_CHECKING:
     from missionsim.errors import Fault
@@ -175,9 +176,9 @@ def _print(logs: list[LogTable], targets: list[Path]) -> None:
     if len(logs) > len(rows):
         terminal.print(f"… and {len(logs) - len(rows)} more runs")
     for line in describe(logs, notes=True):
-        terminal.print(line, markup=False)
+        terminal.print(line)
     where = targets[0] if len(targets) == 1 else targets[0].parent
-    terminal.print(f"written: {where}" + (f" ({len(targets)} files)" if len(targets) > 1 else ""), markup=False)
+    terminal.print(f"written: {where}" + (f" ({len(targets)} files)" if len(targets) > 1 else ""))
 
 
 def _list(sources: Sequence[Path], to: Output) -> int:
@@ -217,9 +218,9 @@ def _list(sources: Sequence[Path], to: Output) -> int:
             names = ", ".join(f"{f.name} = {f.range()}" if why == "constant" else f.name for f in hidden[:12])
             if hidden:
                 more = f", … ({len(hidden)} in all)" if len(hidden) > 12 else ""
-                terminal.print(f"{why}: {names}{more}", markup=False)
+                terminal.print(f"{why}: {names}{more}")
     if len(sources) == 1 and len(paths) > 1:
-        terminal.print(f"the first of {len(paths)} files; all: {', '.join(p.name for p in paths[:20])}", markup=False)
+        terminal.print(f"the first of {len(paths)} files; all: {', '.join(p.name for p in paths[:20])}")
     return 0
 
 
@@ -243,11 +244,11 @@ def _suggest(sources: Sequence[Path], out: Path | None, to: Output) -> int:
         }
     )
     if to.text and out is None:
-        sys.stdout.write(found.text)
+        sys.stdout.write(visible(found.text))
     elif to.text:
         for name, guess in found.columns.items():
-            print(f"{name:22} {guess.sure:8} {guess.why}")
-        print(f"written: {out}")
+            print(visible(f"{name:22} {guess.sure:8} {guess.why}"))
+        print(visible(f"written: {out}"))
     for line in found.missing:
-        print(line, file=sys.stderr)
+        print(visible(line), file=sys.stderr)
     return 1 if found.missing else 0

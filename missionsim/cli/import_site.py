@@ -84,11 +84,11 @@ def _print(site: Site, out: Path | None, mission: Path | None) -> None:
         )
     if site.segments:
         parts.append(f"a mission of {len(site.segments)} segments")
-    terminal.print(f"{site.file}: {site.format}, {', '.join(parts)}", markup=False, soft_wrap=True)
+    terminal.print(f"{site.file}: {site.format}, {', '.join(parts)}", soft_wrap=True)
     for remark in site.remarks.values():
-        terminal.print(f"  {remark}", markup=False, soft_wrap=True)
+        terminal.print(f"  {remark}", soft_wrap=True)
     for path in filter(None, (out, mission)):
-        terminal.print(f"written: {path}", markup=False, soft_wrap=True)
+        terminal.print(f"written: {path}", soft_wrap=True)
 
 
 def import_robot(config: Path, /, *, out: Path | None = None, battery: str = "main", to: Output = TERMINAL) -> int:
@@ -134,11 +134,10 @@ def import_robot(config: Path, /, *, out: Path | None = None, battery: str = "ma
         terminal.print(
             f"{config}: Open-RMF fleet {fleet.name}, {n['mass']:g} kg, {n['capacity'] * n['voltage']:g} Wh, friction "
             f"{n['friction']:g}, ambient {n['ambient']:g} W, tool {n['tool']:g} W",
-            markup=False,
             soft_wrap=True,
         )
         for remark in fleet.remarks.values():
-            terminal.print(f"  {remark}", markup=False, soft_wrap=True)
+            terminal.print(f"  {remark}", soft_wrap=True)
         if out is not None:
-            terminal.print(f"written: {out}", markup=False, soft_wrap=True)
+            terminal.print(f"written: {out}", soft_wrap=True)
     return 0

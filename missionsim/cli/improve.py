@@ -85,11 +85,10 @@ def _ask(finding: Finding, diagnosis: BatteryDiagnosis) -> bool:
     from missionsim.diagnose import words
 
     terminal = console(stderr=True)
-    terminal.print(words.found_line(finding), markup=False)
+    terminal.print(words.found_line(finding))
     if finding.heldout_rmse_before_w is not None and finding.heldout_rmse_after_w is not None:
         terminal.print(
-            f"power error on held-out runs {finding.heldout_rmse_before_w:.3g} -> {finding.heldout_rmse_after_w:.3g} W",
-            markup=False,
+            f"power error on held-out runs {finding.heldout_rmse_before_w:.3g} -> {finding.heldout_rmse_after_w:.3g} W"
         )
     return Confirm.ask(f"add {finding.effect} to battery {diagnosis.battery}?", default=True, console=terminal)
 
@@ -136,18 +135,18 @@ def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Pat
             for step in one.steps
         ]
         if one.worse:
-            terminal.print(one.worse, style="bold red", markup=False)
+            terminal.print(one.worse, style="bold red")
         terminal.print(
             simple_table(
                 f"Battery {one.battery}: error on {which}", ["model", ">energy error, %", ">power RMSE, W", ""], rows
             )
         )
-        terminal.print(f"added: {', '.join(one.added) or 'nothing'}; {one.stopped}", markup=False)
+        terminal.print(f"added: {', '.join(one.added) or 'nothing'}; {one.stopped}")
         for note in (energy_note(one) if not one.worse else "", measured_note(one)):
             if note:
-                terminal.print(note, markup=False)
+                terminal.print(note)
     for name, error in skipped.items():
-        terminal.print(f"battery {name} was left as it is: {' '.join(str(error).split())}", markup=False)
-    terminal.print(f"written: {out}", markup=False)
+        terminal.print(f"battery {name} was left as it is: {' '.join(str(error).split())}")
+    terminal.print(f"written: {out}")
     if report is not None:
-        terminal.print(f"report written: {report}", markup=False)
+        terminal.print(f"report written: {report}")

@@ -263,8 +263,7 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
     why = f" (not arrays: {answer['why_not_arrays']})" if answer["why_not_arrays"] else ""
     terminal.print(
         f"{answer['mission']} with {answer['robot']}: {answer['runs']} runs, seed {answer['seed']}, "
-        f"engine {answer['engine']}{why}",
-        markup=False,
+        f"engine {answer['engine']}{why}"
     )
     terminal.print(
         f"succeeds with its reserve in {100 * p['value']:.2f} % of the runs "
@@ -275,8 +274,7 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
         kept = battery["p_reserve"]
         terminal.print(
             f"  battery '{name}' ends with its reserve in {100 * kept['value']:.2f} % "
-            f"({100 * kept['low']:.2f} to {100 * kept['high']:.2f} %)",
-            markup=False,
+            f"({100 * kept['low']:.2f} to {100 * kept['high']:.2f} %)"
         )
         energy, capacity = battery["energy_wh"], battery["capacity_needed_wh"]
         if energy["mean"] is None:
@@ -300,18 +298,16 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
     if answer["speed_limited_share"]:
         terminal.print(
             f"  in {100 * answer['speed_limited_share']:.3g} % of the runs a drawn speed is above the greatest of the "
-            "robot or its control scheme and is cut to that",
-            markup=False,
+            "robot or its control scheme and is cut to that"
         )
     failures = answer["failures"]
     for item in failures["empty"][:5]:
         terminal.print(
             f"  battery '{item['battery']}' is empty in {item['segment']}: {100 * item['share']:.1f} % of the "
-            f"runs, typically after {item['median_time_s']:.0f} s",
-            markup=False,
+            f"runs, typically after {item['median_time_s']:.0f} s"
         )
     for item in failures["reasons"][:5]:
-        terminal.print(f"  {100 * item['share']:.1f} %: {item['reason']}", markup=False)
+        terminal.print(f"  {100 * item['share']:.1f} %: {item['reason']}")
     important = [
         (
             row["battery"],
@@ -337,7 +333,7 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
         else:
             text = "total indices: add --sobol 64 (or more, a power of two); each costs a run for every value"
             text += ", what is left to chance counting as one value, 'chance'" if answer["chance"] else ""
-        terminal.print(f"  {text}", markup=False)
+        terminal.print(f"  {text}")
 
 
 def _number(value: float | None, form: str, interval: list[float] | None = None) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from missionsim.errors import InputError
+from missionsim.errors import InputError, visible
 from missionsim.files import write_text
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Output:
     def emit(self, data: object) -> None:
         """Write a result as JSON to a file (whole or not at all) or to standard output for ``-``; nothing for None."""
         if self.json == "-":
-            sys.stdout.write(to_json(data))
+            sys.stdout.write(to_json(data, not (sys.stdout.encoding or "").lower().startswith("utf")))
         elif self.json is not None:
             write_text(self.json, to_json(data))
 
@@ -97,7 +97,7 @@ class Output:
                 return Text("" if speed is None else f"{speed:,.3g}/s" if speed < 100 else f"{speed:,.0f}/s")
 
         terminal = console(stderr=True)
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate())
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), Rate())
         more = (TimeElapsedColumn(), TimeRemainingColumn())
         hidden = self.quiet or not terminal.is_terminal
         with Progress(*columns, *more, console=terminal, transient=True, disable=hidden) as bar:
@@ -184,7 +184,7 @@ class Search:
         tables, left_out = admit(read_logs(list(logs), robot=spec), build_power_model(spec))
         tell_left_out(left_out)
         for line in [] if to.quiet else describe(tables):
-            print(line, file=sys.stderr)
+            print(visible(line), file=sys.stderr)
         return spec, choose_split(tables, self.holdout), tables, left_out
 
 
@@ -209,12 +209,12 @@ def plain(value: object) -> object:
     return value
 
 
-def to_json(data: object) -> str:
+def to_json(data: object, ascii: bool = False) -> str:
     """JSON text of a result, ending with a line feed."""
-    return encoder.dumps(plain(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return encoder.dumps(plain(data), indent=2, ensure_ascii=ascii, allow_nan=False) + "\n"
 
 
 def tell_left_out(told: Sequence[str]) -> None:
     """Say before anything else which runs were left out; the command ends with exit code 1."""
     for line in told:
-        print(f"LEFT OUT {line}", file=sys.stderr)
+        print(visible(f"LEFT OUT {line}"), file=sys.stderr)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutPath, Output
-from missionsim.report.terminal import console, simple_table
+from missionsim.report.terminal import console, simple_table, titled
 
 if TYPE_CHECKING:
     from missionsim.planner.answer import Answer
@@ -107,12 +107,12 @@ def show(answer: Answer) -> None:
     terminal = console()
     task = answer.site.task
     if not answer.feasible:
-        terminal.print(f"[bold]{task.name}[/bold] with {task.robot.name}: no plan")
+        terminal.print(titled(task.name, f" with {task.robot.name}: no plan"))
         for line in answer.extra["why"]["text"]:
-            terminal.print(f"  {line}", markup=False)
+            terminal.print(f"  {line}")
         return
     proved = "proved best" if answer.gap == 0.0 else f"at most {100 * answer.gap:.2g} % from the best"
-    terminal.print(f"[bold]{task.name}[/bold] with {task.robot.name}: {' → '.join(answer.order())}, {proved}")
+    terminal.print(titled(task.name, f" with {task.robot.name}: {' → '.join(answer.order())}, {proved}"))
     if sure := answer.extra.get("probability"):
         terminal.print(
             f"holds in {100 * sure['value']:.2f} % of {sure['runs']} fresh draws "

@@ -52,8 +52,8 @@ def reproduce(*robots: str, out: OutFolder | None = None, no_pictures: bool = Fa
 
 def _print(paper: str, items: list[Item]) -> None:
     """One table of a paper, notes numbered under it."""
-    from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
 
     from missionsim.published.figures import TITLES
     from missionsim.published.reproduce import counts, footnotes, number
@@ -78,19 +78,19 @@ def _print(paper: str, items: list[Item]) -> None:
         figure = item.figure
         colour = colours.get(item.status, "dim")
         table.add_row(
-            escape(figure.item),
-            escape(figure.where),
+            figure.item,
+            figure.where,
             figure.printed,
             number(item.ours),
-            escape(figure.unit),
+            figure.unit,
             "" if item.difference is None else f"{item.difference:+.2g}",
-            f"[{colour}]{item.status}[/]",
+            Text(item.status, colour),
             reference,
         )
     terminal = console()
     terminal.print(table)
     for index, note in enumerate(notes, start=1):
-        terminal.print(f"  {index:3d} {escape(note)}", style="dim")
+        terminal.print(f"  {index:3d} {note}", style="dim")
     terminal.print(f"{counts(items)}.\n", style="bold")
 
 

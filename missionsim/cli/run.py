@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, OutFolder, Output
-from missionsim.report.terminal import console, simple_table
+from missionsim.report.terminal import console, simple_table, titled
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -80,10 +80,8 @@ def show(result: RunResult) -> None:
 
     terminal = console()
     verdict = "feasible" if result.feasible else f"NOT feasible: {result.reason}"
-    terminal.print(
-        f"[bold]{result.mission}[/bold] with {result.robot}: {verdict}\n"
-        f"{clock(result.duration_s)}, {result.distance_m:.1f} m, {_driven(result)}"
-    )
+    terminal.print(titled(result.mission, f" with {result.robot}: {verdict}"))
+    terminal.print(f"{clock(result.duration_s)}, {result.distance_m:.1f} m, {_driven(result)}")
     rows = [
         (
             name,
@@ -121,7 +119,7 @@ def show(result: RunResult) -> None:
     if unknown := [name for name, battery in result.batteries.items() if battery.home_wh is None]:
         terminal.print(f"  home Wh unknown ({', '.join(unknown)}): {_no_way_home(result)}")
     for fault in result.warnings:
-        terminal.print(f"  warning: {fault.message}", markup=False)
+        terminal.print(f"  warning: {fault.message}")
     if result.never_on:
         terminal.print(f"  never on in this mission, so costing nothing: {', '.join(result.never_on)}")
     terminal.print(

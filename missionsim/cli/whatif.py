@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, Output
 from missionsim.cli.run import clock
 from missionsim.errors import Fault, InputError
-from missionsim.report.terminal import console, simple_table
+from missionsim.report.terminal import console, simple_table, titled
 
 if TYPE_CHECKING:
     from missionsim.results.whatif import Alternative, WhatIf
@@ -196,7 +196,7 @@ def show(found: WhatIf) -> None:
     """Print the alternatives beside the baseline, at most 100 columns wide."""
     terminal = console()
     rows = found.rows()
-    terminal.print(f"[bold]{found.mission}[/bold], {len(rows) - 1} alternatives; differences are to the baseline")
+    terminal.print(titled(found.mission, f", {len(rows) - 1} alternatives; differences are to the baseline"))
     columns = ["alternative", ">duration", ">± s"]
     for name in found.batteries:
         columns += [f">{name} Wh", ">± Wh", ">± %"]

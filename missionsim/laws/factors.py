@@ -142,8 +142,8 @@ def make_grammar(covariates: Sequence[Mapping[str, Any]], components: Sequence[s
     known = {"speed_m_s", "yaw_rate_rad_s", "accel_m_s2", *SYMBOLS}
     further = 0
     for name in names:
-        if name in known or name.startswith("on_") or _SKIPPED.search(name):
-            continue
+        if name in known or name.startswith("on_") or _SKIPPED.search(name) or not name.isidentifier():
+            continue  # the last of these: a formula cannot name it
         value = covariates[0][name]
         if is_text(value):
             _levels(b, name)

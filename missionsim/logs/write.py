@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from missionsim.errors import InputError
-from missionsim.files import atomic_write
+from missionsim.files import atomic_write, csv_cell
 from missionsim.labels import Labels
 
 if TYPE_CHECKING:
@@ -62,8 +62,11 @@ def _parquet(log: LogTable, path: Path, metadata: Mapping[str, str]) -> None:
 
 
 def _csv(log: LogTable, path: Path) -> None:
-    columns = [data.texts() if isinstance(data, Labels) else data.tolist() for data in log.columns.values()]
+    columns = [
+        Labels(data.codes, tuple(map(csv_cell, data.names))).texts() if isinstance(data, Labels) else data.tolist()
+        for data in log.columns.values()
+    ]
     with open(path, "w", encoding="utf-8", newline="") as handle:
         writer = csv.writer(handle, lineterminator="\n")
-        writer.writerow(log.columns)
+        writer.writerow(map(csv_cell, log.columns))
         writer.writerows(zip(*columns, strict=True))

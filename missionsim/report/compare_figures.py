@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from missionsim.compare import BatteryComparison, Comparison, Dependence, RunComparison
 from missionsim.compare.place import PlaceCell
 from missionsim.files import atomic_write
-from missionsim.report.downsample import shared_indices
+from missionsim.report.downsample import literal, shared_indices
 from missionsim.report.traces import MEASURED, MODEL, RESIDUAL
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def power_figure(run: RunComparison) -> Figure:
     top.plot(time_s, model[kept], color=MODEL, linewidth=1.0, label="model")
     top.set_ylabel("power, W")
     top.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
-    top.set_title(f"{run.run}, battery {run.battery}", loc="right", fontsize=10)
+    top.set_title(literal(f"{run.run}, battery {run.battery}"), loc="right", fontsize=10)
     bottom.axhline(0.0, color="black", linewidth=0.8)
     bottom.plot(time_s, (model - measured)[kept], color=RESIDUAL, linewidth=0.8)
     bottom.set_ylabel("model − measured, W")
@@ -104,8 +104,8 @@ def _draw_covariate(axes: Axes, found: Dependence) -> None:
     )
     if not numeric:
         step = max(1, -(-len(bins) // 12))
-        axes.set_xticks(x[::step], [b.value for b in bins][::step], rotation=35, ha="right", fontsize=8)
-    axes.set_xlabel(f"{found.title}, {found.unit}" if found.unit else found.title)
+        axes.set_xticks(x[::step], [literal(b.value) for b in bins][::step], rotation=35, ha="right", fontsize=8)
+    axes.set_xlabel(literal(f"{found.title}, {found.unit}" if found.unit else found.title))
     axes.set_ylabel("error, W")
     axes.set_title(f"goes with {100.0 * found.explained:.0f} % of the variance", fontsize=9, loc="right")
 

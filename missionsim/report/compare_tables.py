@@ -9,7 +9,7 @@ from pathlib import Path
 
 from missionsim.compare import Comparison
 from missionsim.compare.behaviour import PARTS
-from missionsim.files import atomic_write
+from missionsim.files import atomic_write, csv_cell
 
 RUNS = (
     *("run", "seconds", "energy_measured_wh", "energy_model_wh", "energy_error_pct", "power_rmse_w", "power_bias_w"),
@@ -65,5 +65,5 @@ def _write(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]])
     with atomic_write(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as handle:
         writer = csv.writer(handle, lineterminator="\n")
         writer.writerow(["battery", *(column.rpartition(".")[2] for column in columns)])
-        writer.writerows(["" if cell is None or cell != cell else cell for cell in row] for row in rows)
+        writer.writerows(["" if cell is None or cell != cell else csv_cell(cell) for cell in row] for row in rows)
     return path

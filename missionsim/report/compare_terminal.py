@@ -22,14 +22,14 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
     for one in comparison.batteries.values():
         console.print()
         for sentence in one.words:
-            console.print(sentence, markup=False)
+            console.print(sentence)
         _where(one, console)
         _behaviour(one, console)
         _runs(one, console)
     if comparison.notes:
-        console.print("\n[bold]Assumed and remarked[/bold]")
+        console.print("\nAssumed and remarked", style="bold")
         for note in comparison.notes:
-            console.print(f"- {note}", markup=False)
+            console.print(f"- {note}")
 
 
 def _summary(comparison: Comparison, console: Console) -> None:
@@ -82,8 +82,7 @@ def _behaviour(one: BatteryComparison, console: Console) -> None:
     gap = one.gap_wh
     console.print(
         f"measured − simulated {_signed(gap['total'])} Wh = power model {_signed(gap['power_model'])} Wh "
-        f"+ behaviour {_signed(gap['behaviour'])} Wh",
-        markup=False,
+        f"+ behaviour {_signed(gap['behaviour'])} Wh"
     )
     rows = [
         (

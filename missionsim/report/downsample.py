@@ -44,3 +44,8 @@ def shared_indices(series: list[NDArray[np.float64]], points: int) -> NDArray[np
         return np.zeros(0, dtype=np.int64)
     each = max(4, points // len(series))
     return np.unique(np.concatenate([min_max_indices(values, each) for values in series]))
+
+
+def literal(text: str) -> str:
+    """A name for Matplotlib, which takes what stands between dollar signs for mathematics."""
+    return text.replace("$", r"\$")

@@ -9,6 +9,7 @@ import numpy as np
 
 from missionsim.engine.outcome import J_PER_WH, RunResult
 from missionsim.files import atomic_write
+from missionsim.report.downsample import literal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -156,7 +157,7 @@ def energy_figure(result: RunResult) -> Figure:
             axis.barh(range(len(labels)), energy, left=base, color=colours[component], label=component, height=0.78)
             base = base + energy
         axis.set_xlabel(f"{name} battery [Wh]")
-        axis.set_yticks(range(len(labels)), labels, fontsize=8)
+        axis.set_yticks(range(len(labels)), [literal(label) for label in labels], fontsize=8)
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.9 / height), ncols=3, frameon=False, fontsize=7)
         axis.spines[["top", "right"]].set_visible(False)
     axes[0].invert_yaxis()
@@ -199,7 +200,7 @@ def _figure(result: RunResult, rows: int, height: float) -> tuple[Figure, list[A
 
 def _title(result: RunResult) -> str:
     verdict = "feasible" if result.feasible else f"not feasible: {result.reason}"
-    return f"{result.mission}, {result.robot}: {verdict}"
+    return literal(f"{result.mission}, {result.robot}: {verdict}")
 
 
 def _time_unit(duration_s: float) -> tuple[float, str]:
@@ -226,7 +227,7 @@ def _mark_segments(axes: list[Axes], result: RunResult, scale: float) -> None:
         middle = 0.5 * (line.start_s[i] + end) / scale
         name = result.segments[int(line.segment[i])].name
         axes[0].annotate(
-            name if len(name) < 22 else name[:20] + "…",
+            literal(name if len(name) < 22 else name[:20] + "…"),
             (middle, 1.0),
             xycoords=("data", "axes fraction"),
             xytext=(0, 3),

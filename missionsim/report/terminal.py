@@ -3,32 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from missionsim.errors import visible
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
 
 def console(stderr: bool = False) -> Console:
-    """A terminal for tables and text; at most 100 columns, and 100 where the output is not a terminal."""
+    """A terminal for tables and text; at most 100 columns, and 100 where the output is not a terminal.
+
+    Text is shown as it is: brackets of a name are no markup, colons no emoji, escape sequences no commands.
+    """
     from rich.console import Console
 
-    terminal = Console(stderr=stderr, highlight=False)
-    if not terminal.is_terminal or terminal.width > 100:
-        terminal = Console(stderr=stderr, highlight=False, width=100)
-    return terminal
+    class Plain(Console):
+        def render_str(self, text: str, **options: Any) -> Text:
+            return super().render_str(visible(text), **options)
+
+    plain = {"stderr": stderr, "highlight": False, "markup": False, "emoji": False}
+    terminal = Plain(**plain)
+    return Plain(**plain, width=100) if not terminal.is_terminal or terminal.width > 100 else terminal
+
+
+def titled(name: str, rest: str) -> Text:
+    """A line that begins with a bold name."""
+    from rich.text import Text
+
+    return Text.assemble((visible(name), "bold"), visible(rest))
 
 
 def simple_table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> Table:
     """A rich table; the headings of columns of numbers begin with ``>``, and these stand to the right."""
-    from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=escape(title), title_justify="left", title_style="bold", pad_edge=False)
+    table = Table(title=title, title_justify="left", title_style="bold", pad_edge=False)
     for column in columns:
         # a name that is cut off could be any of several
         table.add_column(column.removeprefix(">"), justify="right" if column[:1] == ">" else "left", overflow="fold")
     for row in rows:
-        table.add_row(*(escape(str(cell)) for cell in row))
+        table.add_row(*(str(cell) for cell in row))
     return table

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from missionsim.engine.outcome import RunResult
-from missionsim.files import atomic_write, write_text
+from missionsim.files import atomic_write, csv_cell, write_text
 from missionsim.results.tables import Table, tables
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def write_table(table: Table, path: str | Path) -> Path:
         else:
             with temporary.open("w", newline="", encoding="utf-8") as handle:
                 writer = csv.writer(handle, lineterminator="\n")
-                writer.writerow(table)
+                writer.writerow(map(csv_cell, table))
                 writer.writerows(zip(*(_cells(values) for values in table.values()), strict=True))
     return path
 
@@ -98,7 +98,7 @@ def _tidy(path: Path) -> str:
 
 
 def _cells(values: Sequence[Any]) -> list[Any]:
-    return ["" if value is None or value != value else value for value in values]
+    return ["" if value is None or value != value else csv_cell(value) for value in values]
 
 
 def _plain(value: Any) -> Any:
