@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from missionsim.engine.batteries import Battery, ConstantEnergy, EquivalentCircuit
-from missionsim.inputs.robot import BatterySpec
-from missionsim.inputs.robot import EquivalentCircuit as CircuitSpec
+from missionsim.inputs.battery import BatterySpec
+from missionsim.inputs.battery import EquivalentCircuit as CircuitSpec
 from missionsim.inputs.values import Parameter
 
 

@@ -23,9 +23,9 @@ from missionsim.engine.reserve import home_energies
 from missionsim.engine.world import World
 from missionsim.errors import Fault, InputError
 from missionsim.inputs.activities import reserve_of
+from missionsim.inputs.battery import BatterySpec
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
-from missionsim.inputs.robot import BatterySpec
 from missionsim.inputs.values import Parameter
 from missionsim.plan.build import make_plan
 from missionsim.plan.homing import Homing, last_driven

@@ -4,8 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, WrapValidator, model_validator
 
-from missionsim.inputs.base import Identifier, Model, Name
-from missionsim.inputs.names import Count, wrong
+from missionsim.inputs.base import Count, Identifier, Model, Name, wrong
 from missionsim.inputs.values import Duration, Fraction, Parameter, Period
 
 

@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, PrivateAttr, StringConstraints
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, StringConstraints
+from pydantic_core import PydanticCustomError
 
 from missionsim.errors import Fault
 
@@ -21,6 +22,21 @@ Name = Annotated[
 Identifier = Annotated[str, StringConstraints(strict=True, pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 """Name that becomes part of a log column (``power_<battery>_w``): lower case, digits, underscore."""
 Text = Annotated[str, StringConstraints(strict=True, max_length=20_000)]
+
+Count = Annotated[int, Field(strict=True, ge=0, le=1000)]
+ParameterName = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=60)]
+Expression = Annotated[
+    str,
+    BeforeValidator(lambda raw: str(raw) if type(raw) in (int, float) else raw, json_schema_input_type=str | float),
+    StringConstraints(strict=True, min_length=1, max_length=2000),
+]
+Sensors = dict[Identifier, Count]
+
+
+def wrong(message: str, got: object, allowed: str, *at: str) -> PydanticCustomError:
+    """The fault of a whole object, at a key of it."""
+    entry = {"message": message, "got": str(got), "allowed": allowed, "hint": "", "at": at}
+    return PydanticCustomError("quantity", "{text}", {"text": message, "entries": [entry]})
 
 
 class Model(BaseModel):

@@ -6,8 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from missionsim.inputs import units
-from missionsim.inputs.base import Model
-from missionsim.inputs.names import wrong
+from missionsim.inputs.base import Model, wrong
 from missionsim.inputs.values import (
     Efficiency,
     Fraction,

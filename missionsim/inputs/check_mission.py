@@ -9,10 +9,10 @@ from missionsim.errors import Fault
 from missionsim.inputs.check_route import RouteCheck
 from missionsim.inputs.checker import Checker, Where
 from missionsim.inputs.mission import CorrelationSpec, MissionSpec
+from missionsim.inputs.parameter import uncertain_values
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.segments import flat_segments
 from missionsim.inputs.tree import Document
-from missionsim.inputs.uncertain_values import uncertain_values
 
 _DECIDED = (
     "time_s",

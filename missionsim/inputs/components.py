@@ -4,8 +4,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from missionsim.inputs.base import Identifier, Model, Text
-from missionsim.inputs.names import Expression, ParameterName, wrong
+from missionsim.inputs.base import Expression, Identifier, Model, ParameterName, Text, wrong
 from missionsim.inputs.values import AnyNumber, Duration, Efficiency, Frequency, Parameter, Power
 
 

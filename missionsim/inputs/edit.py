@@ -118,15 +118,6 @@ def set_values(text: str, updates: Mapping[str, float | Mapping[str, Any]]) -> s
     return _close(yaml, data)
 
 
-def rename(text: str, *, name: str | None = None, title: str | None = None) -> str:
-    """The robot's text under another name or title."""
-    yaml, data = _open(text)
-    for key, value in (("name", name), ("title", title)):
-        if value is not None:
-            data[key] = value
-    return _close(yaml, data)
-
-
 def for_folder(text: str, folder: str | os.PathLike[str], kind: str = "robot") -> str:
     """The text with its editor line leading from `folder` to the installed schema."""
     target = SCHEMA_FOLDER / f"{kind}.schema.json"
@@ -140,7 +131,7 @@ def for_folder(text: str, folder: str | os.PathLike[str], kind: str = "robot") -
 
 def numbers(robot: RobotSpec) -> dict[str, Parameter]:
     """Every number of a robot file by its path."""
-    from missionsim.inputs.uncertain_values import parameters
+    from missionsim.inputs.parameter import parameters
 
     return dict(parameters(robot))
 

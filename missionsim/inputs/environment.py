@@ -6,8 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from missionsim.inputs.base import FileModel, Identifier, Model, Name, Text
-from missionsim.inputs.names import wrong
+from missionsim.inputs.base import FileModel, Identifier, Model, Name, Text, wrong
 from missionsim.inputs.values import (
     Angle,
     Condition,

@@ -1,53 +1,17 @@
-"""The mission file: robot, environment, segments, activities that overlap with them."""
+"""The mission file, and the study file: alternatives of a mission as differences to a baseline."""
 
 from collections.abc import Callable
 from typing import Annotated, Any, Literal, TypeVar, cast
 
-from pydantic import Field, PrivateAttr
+from pydantic import Field, JsonValue, PrivateAttr, model_validator
 
-from missionsim.inputs.activities import ActivitySpec, AnchorSpec, PolicySpec
-from missionsim.inputs.base import FileModel, Identifier, Model, Name, Text
+from missionsim.inputs.activities import ActivitySpec, PolicySpec
+from missionsim.inputs.base import FileModel, Identifier, Model, Name, Text, wrong
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.schemes import BehaviourSpec
-from missionsim.inputs.segments import (
-    ArcSegment,
-    DefaultSpec,
-    DockSegment,
-    DriveSegment,
-    InspectSegment,
-    MoveSegment,
-    RechargeSpec,
-    RepeatSegment,
-    Segment,
-    SegmentSpec,
-    Settings,
-    TurnSegment,
-    WaitSegment,
-)
-from missionsim.inputs.study import StudySpec
+from missionsim.inputs.segments import DefaultSpec, Segment
 from missionsim.inputs.values import Angle, Fraction
-
-__all__ = [
-    "ActivitySpec",
-    "AnchorSpec",
-    "ArcSegment",
-    "DefaultSpec",
-    "DockSegment",
-    "DriveSegment",
-    "InspectSegment",
-    "MissionSpec",
-    "MoveSegment",
-    "PolicySpec",
-    "RechargeSpec",
-    "RepeatSegment",
-    "SegmentSpec",
-    "Settings",
-    "StudySpec",
-    "TurnSegment",
-    "WaitSegment",
-]
-
 
 T = TypeVar("T")
 
@@ -179,3 +143,35 @@ class MissionSpec(FileModel):
         for name, count in required.items():
             chosen[name] = max(count, chosen.get(name, 0))
         return {name: count for name, count in chosen.items() if count}
+
+
+class AlternativeSpec(Model):
+    """One alternative of a study: what it sets differently from the baseline."""
+
+    title: Text = ""
+    robot: Text | None = None
+    set: dict[Text, JsonValue] = Field(default_factory=dict)
+
+
+class StudySpec(FileModel):
+    """A what-if study: a mission, a baseline, named alternatives as differences to it."""
+
+    kind: Literal["study"]
+    name: Name
+    title: Text = ""
+    notes: Text = ""
+    mission: Text
+    robot: Text | None = None
+    baseline: dict[Text, JsonValue] = Field(default_factory=dict)
+    alternatives: dict[Name, AlternativeSpec] = Field(default_factory=dict)
+    vary: dict[Text, Annotated[tuple[JsonValue, ...], Field(min_length=1)]] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _some(self) -> "StudySpec":
+        if not self.alternatives and not self.vary:
+            raise wrong(
+                "a study needs alternatives or vary",
+                "neither",
+                "alternatives: {slow: {set: {defaults.speed: 0.3 m/s}}}",
+            )
+        return self

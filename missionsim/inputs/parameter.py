@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from missionsim.inputs.base import Model
 from missionsim.inputs.distributions import Distribution
 
 STATUSES = ("published", "fitted", "assumed", "measured")
@@ -53,10 +55,6 @@ class Parameter:
         """Whether a Monte Carlo varies it."""
         return self.distribution is not None
 
-    def with_value(self, value: float) -> Parameter:
-        """The same parameter at another nominal value."""
-        return replace(self, value=float(value))
-
     def scaled(self, factor: float, unit: str) -> Parameter:
         """`factor` times the parameter, in another unit."""
 
@@ -81,3 +79,26 @@ class Issue(ValueError):
     def __init__(self, message: str, got: str = "", allowed: str = "", hint: str = "", at: tuple[str | int, ...] = ()):
         super().__init__(message)
         self.entry = {"message": message, "got": got, "allowed": allowed, "hint": hint, "at": at}
+
+
+def parameters(model: object) -> list[tuple[str, Parameter]]:
+    """Paths and parameters of all numbers that a model's file gives, in the file's order."""
+    result: list[tuple[str, Parameter]] = []
+    stack: list[object] = [model]
+    while stack:
+        item = stack.pop()
+        if isinstance(item, Parameter):
+            if item.path:
+                result.append((item.path, item))
+        elif isinstance(item, Model):
+            stack.extend(getattr(item, name) for name in reversed(type(item).model_fields))
+        elif isinstance(item, Mapping):
+            stack.extend(reversed(list(item.values())))
+        elif isinstance(item, tuple):
+            stack.extend(reversed(item))
+    return result
+
+
+def uncertain_values(model: object) -> list[tuple[str, Parameter]]:
+    """Those of `parameters` that have a distribution."""
+    return [(path, parameter) for path, parameter in parameters(model) if parameter.distribution is not None]

@@ -16,7 +16,8 @@ from missionsim.errors import InputError
 from missionsim.expressions import Expression, Place, compile_expression
 
 if TYPE_CHECKING:
-    from missionsim.inputs.robot import ComponentSpec, EffectSpec, LoadSpec, RobotSpec
+    from missionsim.inputs.components import ComponentSpec, LoadSpec
+    from missionsim.inputs.robot import EffectSpec, RobotSpec
     from missionsim.inputs.values import Parameter
 
 

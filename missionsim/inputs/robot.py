@@ -1,16 +1,13 @@
 """The robot file: body, batteries, components, motion, control schemes and effects."""
 
-from collections.abc import Mapping
-from dataclasses import replace
 from typing import Annotated, Literal
 
 from pydantic import Field, JsonValue, model_validator
 
-from missionsim.inputs.base import FileModel, Identifier, Model, Name, Text
-from missionsim.inputs.battery import BatterySpec, ConstantEnergy, EquivalentCircuit
-from missionsim.inputs.components import ComponentSpec, LawSpec, LinkSpec, LoadSpec, StartupSpec, SwitchboardSpec
-from missionsim.inputs.names import Expression, ParameterName, wrong
-from missionsim.inputs.schemes import BehaviourSpec, ProcessorRow, ProcessorSpec, SchemeSpec, SensorRules
+from missionsim.inputs.base import Expression, FileModel, Identifier, Model, Name, ParameterName, Text, wrong
+from missionsim.inputs.battery import BatterySpec
+from missionsim.inputs.components import ComponentSpec, LinkSpec, SwitchboardSpec
+from missionsim.inputs.schemes import ProcessorSpec, SchemeSpec
 from missionsim.inputs.values import (
     Acceleration,
     AnyNumber,
@@ -23,27 +20,6 @@ from missionsim.inputs.values import (
     YawAcceleration,
     YawRate,
 )
-
-__all__ = [
-    "BatterySpec",
-    "BehaviourSpec",
-    "BodySpec",
-    "ComponentSpec",
-    "ConstantEnergy",
-    "EffectSpec",
-    "EquivalentCircuit",
-    "LawSpec",
-    "LinkSpec",
-    "LoadSpec",
-    "MotionSpec",
-    "ProcessorRow",
-    "ProcessorSpec",
-    "RobotSpec",
-    "SchemeSpec",
-    "SensorRules",
-    "StartupSpec",
-    "SwitchboardSpec",
-]
 
 Drive = Literal["differential", "skid_steer", "mecanum", "omni", "ackermann"]
 
@@ -148,51 +124,3 @@ class RobotSpec(FileModel):
             for row in scheme.processor:
                 found |= dict.fromkeys(row.sensors)
         return tuple(name for name in self.components if name in found)
-
-    def processor_power(self, scheme: str | None, navigation: str | None, sensors: Mapping[str, int]) -> Parameter:
-        """Processor power of a hardware configuration, W.
-
-        Parameters
-        ----------
-        scheme, navigation : str or None
-            None is idle: `processor.idle` (or 0 W).
-        sensors : mapping
-            Units that are on; components that no scheme names are ignored.
-
-        Returns
-        -------
-        Parameter
-            The row's power; with status ``assumed`` and a note where the nearest row had to be taken.
-
-        Raises
-        ------
-        KeyError
-            Unknown scheme, or no row and `processor.fallback` is ``refuse``.
-        """
-        zero = Parameter(0.0, unit="W")
-        if self.processor is None:
-            return zero
-        if scheme is None and self.idle_scheme is not None:
-            scheme = self.idle_scheme
-        if scheme is None:
-            return self.processor.idle or zero
-        spec = self.schemes[scheme]
-        if not spec.processor:
-            return self.processor.idle or zero
-        known = self.sensor_names
-        wanted = {name: int(count) for name, count in sensors.items() if count and name in known}
-        nav = navigation if navigation in spec.navigation else spec.default_navigation
-        rows = [row for row in spec.processor if row.navigation in (None, nav)] or list(spec.processor)
-
-        def differing(row: ProcessorRow) -> int:
-            names = {*wanted, *row.sensors}
-            return sum(abs(wanted.get(name, 0) - row.sensors.get(name, 0)) for name in names)
-
-        best = min(rows, key=lambda row: (differing(row), row.navigation is None, -row.power.value))
-        if differing(best) == 0:
-            return best.power
-        if self.processor.fallback == "refuse":
-            raise KeyError(f"no processor power for {scheme}, {nav or 'no navigation'}, {wanted or 'no sensors'}")
-        return replace(
-            best.power, status="assumed", note=f"nearest row: {best.navigation or scheme} with {dict(best.sensors)}"
-        )

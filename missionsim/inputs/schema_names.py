@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from missionsim.inputs import units
-from missionsim.inputs.schema_words import OWN, WORDS
+from missionsim.inputs.tree import read_document
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
@@ -49,11 +51,19 @@ def add_descriptions(name: str, definition: Schema, definitions: dict[str, Schem
         if not isinstance(node, dict):
             continue
         if "description" not in node or "$ref" in node:
-            told = OWN.get(f"{name}.{key}") or WORDS.get(key) or WORDS.get(key.rstrip("s")) or key.replace("_", " ")
+            words = key_words()
+            told = words.get(f"{name}.{key}") or words.get(key) or words.get(key.rstrip("s")) or key.replace("_", " ")
             unit = _unit_of(node, definitions)
             node["description"] = told + (f" [{unit}]" if unit else "")
         if key not in definition.get("required", ()) and "default" not in node and "const" not in node:
             node["default"] = [] if node.get("type") == "array" else {} if node.get("type") == "object" else None
+
+
+@functools.cache
+def key_words() -> dict[str, str]:
+    """What each key means, and ``Model.key`` where it means another thing in one place."""
+    words: dict[str, str] = read_document(Path(__file__).with_name("schema_words.yaml")).data
+    return words
 
 
 def _unit_of(node: Schema, definitions: dict[str, Schema]) -> str:

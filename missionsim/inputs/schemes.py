@@ -5,8 +5,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from missionsim.inputs.base import Identifier, Model, Text
-from missionsim.inputs.names import Sensors
+from missionsim.inputs.base import Identifier, Model, Sensors, Text
 from missionsim.inputs.values import Chance, Distance, Duration, Power, Ratio, Speed
 
 

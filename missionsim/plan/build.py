@@ -11,7 +11,8 @@ import numpy as np
 
 from missionsim.errors import Fault, InputError
 from missionsim.expressions import Place
-from missionsim.inputs.mission import AnchorSpec, MissionSpec
+from missionsim.inputs.activities import AnchorSpec
+from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
 from missionsim.inputs.values import Parameter
 from missionsim.plan.chance import failures, stopped_by_obstacles, told_at

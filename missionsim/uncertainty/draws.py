@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from missionsim.errors import InputError, did_you_mean
 from missionsim.inputs.distributions import Distribution
 from missionsim.inputs.mission import MissionSpec
-from missionsim.inputs.uncertain_values import uncertain_values
+from missionsim.inputs.parameter import uncertain_values
 from missionsim.uncertainty.streams import LARGEST_NORMAL, Streams
 
 Draws = dict[str, NDArray[np.float64]]

@@ -9,7 +9,7 @@ import pytest
 
 from missionsim.errors import InputError
 from missionsim.inputs import load_robot, shipped_robots
-from missionsim.inputs.edit import add_effect, for_folder, numbers, remove_effect, rename, robot_text, set_values
+from missionsim.inputs.edit import add_effect, for_folder, numbers, remove_effect, robot_text, set_values
 from missionsim.inputs.loading import robot_from_text
 
 EFFECT = {
@@ -108,9 +108,8 @@ def test_lists_without_indent_stay_so() -> None:
     assert changed == text.replace("power: 1 W}  #", "power: {value: 1.25 W, status: fitted}} #")
 
 
-def test_name_and_editor_line(tmp_path: Path) -> None:
-    text = rename(robot_text("pioneer3dx"), name="my_robot", title="Mine")
-    assert robot_from_text(text).name == "my_robot"
+def test_editor_line(tmp_path: Path) -> None:
+    text = robot_text("pioneer3dx")
     first = for_folder(text, tmp_path).splitlines()[0]
     reference = first.partition("$schema=")[2]
     assert (tmp_path / reference).resolve().name == "robot.schema.json"

