@@ -165,3 +165,9 @@ def _problem(path: Path, is_file: bool, is_folder: bool) -> str:
     if not parent.is_dir():
         return f"leads through {os.path.relpath(parent)}, which is no folder"
     return "" if os.access(parent, os.W_OK) else "lies in a folder that may not be written to"
+
+
+def check_picture(path: Path | None) -> None:
+    """Refuse a picture that is neither PNG nor SVG."""
+    if path is not None and path.suffix.lower() not in (".png", ".svg"):
+        raise InputError(Fault("", 0, 0, "--plot is a picture", "", f"'{path}'", "a name that ends in .png or .svg"))

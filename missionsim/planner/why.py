@@ -46,7 +46,7 @@ def explain(site: Site) -> dict[str, Any]:
                 }
             )
     for b, name in enumerate(site.physics.names):
-        answer = _with_ample(site, b)
+        answer = with_ample(site, b)
         if answer is None:
             continue
         initial, reserve = float(site.physics.initial_wh[b]), float(site.physics.reserve_wh[b])
@@ -89,16 +89,20 @@ def explain(site: Site) -> dict[str, Any]:
     return {"short": short, "would_do": changes, "text": lines}
 
 
-def _with_ample(site: Site, battery: int) -> Answer | None:
-    """The plan that takes least of a battery that holds as much as one likes; None where there is none."""
+def with_ample(site: Site, battery: int, *, every: bool = False) -> Answer | None:
+    """The plan that takes least of a battery that holds as much as one likes; None where there is none.
+
+    With `every` all batteries hold as much as one likes.
+    """
     physics = site.physics
     kept = physics.capacity_wh, physics.initial_wh, physics.reserve_wh
     weights = np.zeros_like(site.weights)
     weights[1 + battery] = 1.0
     try:
         ample = [values.copy() for values in kept]
-        ample[0][battery] = ample[1][battery] = AMPLE_WH
-        ample[2][battery] = 0.0
+        which = slice(None) if every else battery
+        ample[0][which] = ample[1][which] = AMPLE_WH
+        ample[2][which] = 0.0
         physics.capacity_wh, physics.initial_wh, physics.reserve_wh = ample
         task = site.task.model_copy(update={"choose": site.task.choose.model_copy(update={"docks": "none"})})
         stops = [stop for stop in site.stops if stop.charger is None]

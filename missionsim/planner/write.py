@@ -37,13 +37,13 @@ def mission_text(answer: Answer, target: str | os.PathLike[str] | None) -> str:
         lines.append(f"start_heading: {task.start_heading.value!r}")
     if task.initial_charge:
         charges = {name: charge.value for name, charge in task.initial_charge.items()}
-        lines.append(f"initial_charge: {_flow(charges)}")
+        lines.append(f"initial_charge: {flow(charges)}")
     data = task.document.data if task.document is not None else {}
     if data.get("defaults"):
-        lines.append(f"defaults: {_flow(data['defaults'])}")
+        lines.append(f"defaults: {flow(data['defaults'])}")
     reserve = {name: task.reserve_of(name) for name in task.robot.batteries}
     policy: dict[str, Any] = {"dock": task.goal, "reserve": reserve}
-    lines.append(f"policy: {_flow(policy)}")
+    lines.append(f"policy: {flow(policy)}")
     lines.append("segments:")
     for leg in answer.legs:
         lines += _segment(answer, leg)
@@ -82,15 +82,15 @@ def _segment(answer: Answer, leg: Leg) -> list[str]:
             if getattr(visit, key) is not None:
                 body[key] = getattr(visit, key)
         body["payload"] = leg.payload_kg
-        return [f"  - {kind}: {_flow(body)}  # {_charges(leg)}"]
+        return [f"  - {kind}: {flow(body)}  # {_charges(leg)}"]
     elif leg.kind == "wait":
-        return [f"  - wait: {_flow({'duration': leg.duration_s})}  # until the window opens: {_charges(leg)}"]
+        return [f"  - wait: {flow({'duration': leg.duration_s})}  # until the window opens: {_charges(leg)}"]
     else:
         recharge = {"until": leg.level} if leg.level is not None else {"duration": leg.duration_s}
-        return [f"  - dock: {_flow({'recharge': recharge})}  # at {leg.place}: {_charges(leg)}"]
+        return [f"  - dock: {flow({'recharge': recharge})}  # at {leg.place}: {_charges(leg)}"]
     if leg.payload_kg != (0.0 if task.defaults.payload is None else task.defaults.payload.value):
         body["payload"] = leg.payload_kg
-    return [f"  - drive: {_flow(body)}  # {why}: {_charges(leg)}"]
+    return [f"  - drive: {flow(body)}  # {why}: {_charges(leg)}"]
 
 
 def _charges(leg: Leg) -> str:
@@ -105,6 +105,6 @@ def _text(value: str) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def _flow(value: Any) -> str:
+def flow(value: Any) -> str:
     """Plain data as one line of YAML; JSON is a part of YAML 1.2, and its numbers keep all digits."""
     return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,272 @@
+"""How far a robot gets: the places it can go to and come back from, and where on a way it must turn back."""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.files import write_text
+from missionsim.inputs.loading import load_robot, load_task, shipped_robots
+from missionsim.inputs.task import TaskSpec, VisitSpec
+from missionsim.plan.legs import Leg as PlanLeg
+from missionsim.plan.legs import OnEdge
+from missionsim.plan.steps import group
+from missionsim.planner.answer import Answer
+from missionsim.planner.chance import draws_of, told
+from missionsim.planner.physics import Physics
+from missionsim.planner.solve import solve_site
+from missionsim.planner.tour import Site, make_site
+from missionsim.planner.why import with_ample
+from missionsim.planner.write import flow
+
+Array = NDArray[np.float64]
+SCHEMA = "missionsim.reach/1"
+SEED = 20_270_101
+
+
+@dataclass
+class Reached:
+    """What is known of one place.
+
+    Attributes
+    ----------
+    place : str
+    reachable : bool
+        There and back with the reserve, by the files' values.
+    sure : bool
+        And so in the share of draws that is asked.
+    plan : Answer or None
+        There and back; where the charge does not suffice, the one that takes least of it.
+    holds : dict
+        Share of the draws in which it does (``value``, ``low``, ``high``, ``runs``).
+    turn : dict or None
+        Of a place out of reach, the last point of the way there from which the robot comes back: ``edge``, ``from``,
+        ``to``, ``metres`` on it, ``battery`` that decides; ``sure_metres`` and ``sure_edge`` with the share asked.
+    """
+
+    place: str
+    reachable: bool
+    sure: bool
+    plan: Answer | None = None
+    holds: dict[str, float] = field(default_factory=dict)
+    turn: dict[str, Any] | None = None
+
+
+def reach_task(
+    environment: Path, robot: str, begin: str, overrides: Sequence[tuple[str, Any]] = (), end: str | None = None
+) -> TaskSpec:
+    """The task of going out from a place and coming back to it (or to another).
+
+    Parameters
+    ----------
+    environment : Path
+    robot : str
+        Shipped robot or robot file.
+    begin : str
+    overrides : sequence of (path, value)
+        On the task: ``within.reserve``, ``choose.speeds``, ``robot.…``.
+    end : str, optional
+    """
+    spec = load_robot(robot)
+    moving = [name for name, scheme in spec.schemes.items() if scheme.motion]
+    data = {
+        "kind": "task",
+        "name": "reach",
+        "robot": robot if robot in shipped_robots() else os.path.abspath(robot),
+        "environment": os.path.abspath(environment),
+        "start": begin,
+        "end": end or begin,
+        "visits": [{"place": begin}],
+        "choose": {"schemes": moving} if moving else {},
+    }
+    with tempfile.TemporaryDirectory(prefix="missionsim-", ignore_cleanup_errors=True) as folder:
+        path = Path(folder) / "reach.yaml"
+        write_text(path, "".join(f"{key}: {flow(value)}\n" for key, value in data.items()))
+        return load_task(path, list(overrides), None)
+
+
+def reach(task: TaskSpec, probability: float = 0.95, done: Callable[[], object] = lambda: None) -> list[Reached]:
+    """Every place of a task's environment: whether it can be gone to and come back from.
+
+    Parameters
+    ----------
+    task : TaskSpec
+        From `reach_task`.
+    probability : float
+        Share of draws of the uncertain values in which the charge is to suffice.
+    done : callable
+        Called after each place.
+
+    Returns
+    -------
+    list of Reached
+        In the order of the environment; without the places that no open way leads to and back from.
+    """
+    found = []
+    for place in task.environment.places:
+        if place != task.start:
+            one = task.model_copy(update={"visits": (VisitSpec.model_construct(place=place),)})
+            made = _place(make_site(one), place, probability)
+            if made is not None:
+                found.append(made)
+        done()
+    return found
+
+
+def _place(site: Site, place: str, probability: float) -> Reached | None:
+    plan = solve_site(site)
+    if plan.feasible:
+        holds = told(site, draws_of(plan, SEED))
+        return Reached(place, True, holds["value"] >= probability, plan, holds)
+    plans = [found for b in range(len(site.physics.names)) if (found := with_ample(site, b, every=True)) is not None]
+    if not plans:
+        return None
+    # the way of which least is lacking in the battery that lacks most
+    left = site.physics.initial_wh - site.physics.reserve_wh
+    plan = min(plans, key=lambda made: float((np.array(list(made.energy_wh.values())) - left).max()))
+    more = _more(plan, probability)
+    turn = _turn(site, plan, np.zeros(len(left)))
+    if turn is not None:
+        sure = _turn(site, plan, more)
+        turn["sure_metres"], turn["sure_edge"] = (0.0, None) if sure is None else (sure["metres"], sure["edge"])
+    return Reached(place, False, False, plan, {}, turn)
+
+
+def _more(plan: Answer, probability: float) -> Array:
+    """By how much more than planned each battery gives in all but the rarest draws, relative, shape (batteries,)."""
+    site = plan.site
+    names = site.physics.names
+    # as if batteries were bottomless: what is drawn, not when it ends
+    ample = tuple((f"robot.batteries.{name}.capacity", "100000 Wh") for name in names)
+    task = site.task.model_copy()
+    task._elsewhere = (*site.task.elsewhere, *ample)
+    columns = draws_of(replace(plan, site=replace(site, task=task)), SEED)
+    each = 1.0 - (1.0 - probability) / len(names)
+    used = [float(np.nanquantile(columns[f"energy_{name}_wh"], each)) for name in names]
+    return np.maximum(np.array(used) / np.maximum([plan.energy_wh[name] for name in names], 1e-9) - 1.0, 0.0)
+
+
+def _turn(site: Site, plan: Answer, more: Array) -> dict[str, Any] | None:
+    """Where on the way out the robot must turn back so as to keep its reserve."""
+    physics = site.physics
+    left = physics.initial_wh - physics.reserve_wh
+    out: list[PlanLeg] = []
+    back: list[PlanLeg] = []
+    best: dict[str, Any] | None = None
+    for leg in plan.legs:
+        if leg.piece is None:
+            break
+        home = _backwards(site, leg.piece.legs)
+        if home is None:
+            break
+
+        def short(share: float, there: Sequence[PlanLeg] = leg.piece.legs, home: Sequence[PlanLeg] = home) -> Array:
+            way = [*out, *_part(there, share, True), *_part(home, share, False), *back]
+            return drive_wh(physics, way) * (1.0 + more) - left
+
+        if (short(1.0) <= 0.0).all():
+            out, back = [*out, *leg.piece.legs], [*home, *back]
+            continue
+        low, high = 0.0, 1.0
+        if (short(1e-9) > 0.0).any():
+            high = 0.0
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if (short(middle) <= 0.0).all() else (low, middle)
+        lacking = short(max(high, 1e-9))
+        best = {
+            "edge": leg.piece.name,
+            "edge_index": leg.piece.way.edge,
+            "from": leg.piece.way.begin,
+            "to": leg.piece.way.end,
+            "metres": low * leg.piece.way.length_m,
+            "battery": physics.names[int(np.argmax(lacking))],
+        }
+        break
+    return best
+
+
+def _backwards(site: Site, legs: Sequence[PlanLeg]) -> list[PlanLeg] | None:
+    """The same edge driven back, in the same way; None where it leads one way only."""
+    edge = legs[0].edge
+    assert edge is not None
+    ways = site.road(site.order.load_kg).road.driven
+    found = next((p for p in ways if p.way.edge == edge.edge and p.way.begin == edge.end), None)
+    if found is None:
+        return None
+    slope = found.legs[0].settings.slope_rad
+    made = []
+    for leg in reversed(legs):
+        assert leg.edge is not None
+        turned = OnEdge(edge.end, edge.begin, edge.edge, leg.edge.from_m, leg.edge.to_m)
+        speed = min(leg.speed_m_s, found.way.max_speed_m_s)
+        made.append(leg._replace(settings=leg.settings._replace(slope_rad=slope), edge=turned, speed_m_s=speed))
+    return made
+
+
+def _part(legs: Sequence[PlanLeg], share: float, first: bool) -> list[PlanLeg]:
+    """The first (or last) share of an edge."""
+    total = math.fsum(leg.distance_m for leg in legs)
+    wanted = share * total
+    made: list[PlanLeg] = []
+    for leg in legs if first else reversed(legs):
+        metres = min(leg.distance_m, wanted)
+        if metres <= 0.0:
+            break
+        made.append(leg._replace(distance_m=metres))
+        wanted -= metres
+    return made if first else made[::-1]
+
+
+def drive_wh(physics: Physics, legs: Sequence[PlanLeg]) -> Array:
+    """Energy of driving legs, with every acceleration between them, shape (batteries,), Wh."""
+    phases = [
+        (physics.settings_index(legs[phase.leg].settings), phase, i == 0)
+        for step in group(legs, physics.limits)
+        for i, phase in enumerate(step.phases)
+        if phase.duration_s > 0.0
+    ]
+    if not phases:
+        return np.zeros(len(physics.names))
+    columns = np.array([(n, p.duration_s, p.speed_m_s, p.accel_m_s2, start) for n, p, start in phases], dtype=float)
+    return np.asarray(physics.energy_wh(*columns.T).sum(axis=0))
+
+
+def summary(task: TaskSpec, found: Sequence[Reached], probability: float) -> dict[str, Any]:
+    """The answer as JSON (schema ``missionsim.reach/1``)."""
+    places = {}
+    for item in found:
+        plan = item.plan
+        assert plan is not None
+        reserve = dict(zip(plan.site.physics.names, plan.site.physics.reserve_wh.tolist(), strict=True))
+        initial = dict(zip(plan.site.physics.names, plan.site.physics.initial_wh.tolist(), strict=True))
+        left = {name: initial[name] - plan.energy_wh[name] for name in reserve}
+        places[item.place] = {
+            "reachable": item.reachable,
+            "sure": item.sure,
+            "holds": item.holds or None,
+            "way": [task.start, *(leg.place for leg in plan.legs if leg.piece is not None)],
+            "duration_s": plan.duration_s,
+            "energy_wh": plan.energy_wh,
+            "charge_left_wh": left,
+            "margin_wh": {name: left[name] - reserve[name] for name in reserve},
+            "point_of_no_return": item.turn,
+        }
+    return {
+        "schema": SCHEMA,
+        "environment": task.environment.name,
+        "robot": task.robot.name,
+        "from": task.start,
+        "to": task.goal,
+        "probability": probability,
+        "places": places,
+        "unreachable": sorted(set(task.environment.places) - set(places) - {task.start}),
+    }

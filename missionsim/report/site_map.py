@@ -1,0 +1,316 @@
+"""The map of a site: places, edges by surface and slope, docks; a route by energy per metre and the charge at places."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.engine.outcome import RunResult
+from missionsim.files import atomic_write
+from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.planner.answer import Answer
+from missionsim.planner.reach import Reached
+from missionsim.report.blocks import Chart
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Points = NDArray[np.float64]
+SURFACES = ("#7a8793", "#c9a66b", "#8fb58a", "#b59ac9", "#d9928f", "#88b5d0")
+DOCK, SURE, ONLY, OUT = "#0072b2", "#009e73", "#e69f00", "#c0392b"
+SCALE = "plasma"
+
+
+@dataclass(frozen=True)
+class SiteMap:
+    """What a map shows.
+
+    Attributes
+    ----------
+    environment : EnvironmentSpec
+    title : str
+    driven : sequence of (edge, begin, Wh/m)
+        Edges in the order in which they were driven; `begin` tells the direction.
+    charges : mapping of str to str
+        Charge when the robot last left or passed a place, as text.
+    colours : mapping of str to (colour, word)
+        Of places.
+    turns : sequence of (edge, begin, share, text)
+        Points on edges.
+    """
+
+    environment: EnvironmentSpec
+    title: str
+    driven: Sequence[tuple[int, str, float]] = ()
+    charges: Mapping[str, str] = field(default_factory=dict)
+    colours: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    turns: Sequence[tuple[int, str, float, str]] = ()
+
+
+def map_of_run(result: RunResult, environment: EnvironmentSpec) -> SiteMap:
+    """The map of a run."""
+    edges = result.edges_driven()
+    driven = [(e.edge, e.begin, sum(e.energy_wh.values()) / max(e.length_m, 1e-9)) for e in edges]
+    capacity = {name: battery.capacity_wh for name, battery in result.batteries.items()}
+    verdict = "feasible" if result.feasible else f"not feasible: {result.reason}"
+    charges = {edge.end: _percent(edge.charge_wh, capacity) for edge in edges}
+    return SiteMap(environment, f"{result.mission}, {result.robot}: {verdict}", driven, charges)
+
+
+def map_of_plan(answer: Answer) -> SiteMap:
+    """The map of a plan."""
+    task = answer.site.task
+    capacity = dict(zip(answer.site.physics.names, answer.site.physics.capacity_wh.tolist(), strict=True))
+    driven = []
+    charges: dict[str, str] = {}
+    for leg in answer.legs:
+        charges[leg.place] = _percent(leg.charge_wh, capacity)
+        if leg.piece is not None:
+            wh = sum(leg.energy_wh.values()) / max(leg.piece.way.length_m, 1e-9)
+            driven.append((leg.piece.way.edge, leg.piece.way.begin, wh))
+    environment = task.environment
+    shut = {name for name, choice in task.edges.items() if choice.closed}
+    if shut:
+        edges = tuple(edge.model_copy(update={"closed": edge.closed or edge.name in shut}) for edge in environment.edges)
+        environment = environment.model_copy(update={"edges": edges})
+    visits = {visit.place: ("#222222", "visit") for visit in task.visits}
+    return SiteMap(environment, f"{task.name}, {task.robot.name}", driven, charges, visits)
+
+
+def map_of_reach(environment: EnvironmentSpec, start: str, found: Sequence[Reached], probability: float) -> SiteMap:
+    """The map of what can be reached."""
+    percent = f"{100 * probability:g} %"
+    words = {
+        (True, True): (SURE, f"there and back, {percent} of draws"),
+        (True, False): (ONLY, f"there and back, in fewer than {percent}"),
+        (False, False): (OUT, "out of reach"),
+    }
+    colours = {item.place: words[item.reachable, item.sure] for item in found}
+    colours |= {name: (OUT, "out of reach") for name in environment.places if name not in colours and name != start}
+    charges, turns = {}, []
+    for item in found:
+        assert item.plan is not None
+        physics = item.plan.site.physics
+        left = {n: i - item.plan.energy_wh[n] for n, i in zip(physics.names, physics.initial_wh.tolist(), strict=True)}
+        if item.reachable:
+            charges[item.place] = "home with " + _percent(left, dict(zip(physics.names, physics.capacity_wh, strict=True)))
+        if item.turn is not None:
+            length = environment.length_m(environment.edges[item.turn["edge_index"]]) or 1.0
+            share = item.turn["metres"] / length
+            turns.append((item.turn["edge_index"], item.turn["from"], share, f"turn back: {item.turn['metres']:.0f} m"))
+    return SiteMap(environment, f"reach from {start}", (), charges, colours, sorted(set(turns)))
+
+
+def write_map(site: SiteMap, path: Path) -> Path:
+    """Draw a map into a PNG or SVG file, by its suffix."""
+    form = path.suffix.lower().lstrip(".")
+    with atomic_write(path) as temporary:
+        metadata = {"Date": None} if form == "svg" else {"Software": "missionsim"}
+        site_figure(site).savefig(temporary, format=form, dpi=130, metadata=metadata)
+    return path
+
+
+def site_figure(site: SiteMap) -> Figure:
+    """The map as a Matplotlib figure."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+    where, curves = layout(site.environment)
+    points = np.array(list(where.values()))
+    span = np.maximum(np.ptp(points, axis=0), 1e-9)
+    width, height = 10.0, float(np.clip(10.0 * span[1] / max(span[0], 1e-9), 4.0, 10.0)) + 1.2
+    figure = Figure(figsize=(width, height), layout="constrained")
+    axes = figure.subplots()
+    axes.set_aspect("equal")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.margins(0.09)
+    axes.set_title(site.title, fontsize=10, loc="left")
+    size = float(max(span))
+    _draw_edges(axes, site, curves)
+    if site.driven:
+        values = np.array([wh for *_, wh in site.driven])
+        low, high = float(values.min()), float(values.max())
+        norm = Normalize(low, high if high > low else low + 1e-9)
+        for edge, begin, wh in site.driven:
+            line = shifted(curves[edge], begin == site.environment.edges[edge].from_, 0.009 * size)
+            colour = colormaps[SCALE](norm(wh))
+            axes.plot(*line.T, color=colour, linewidth=3.2, solid_capstyle="butt", zorder=3)
+            middle, ahead = line[int(0.62 * len(line)) - 1], line[int(0.62 * len(line))]
+            axes.annotate("", ahead, middle, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2}, zorder=4)
+        bar = figure.colorbar(ScalarMappable(norm, SCALE), ax=axes, shrink=0.7, pad=0.01)
+        bar.set_label("energy of all batteries on the edge [Wh/m]", fontsize=8)
+    for edge, begin, share, text in site.turns:
+        line = curves[edge] if begin == site.environment.edges[edge].from_ else curves[edge][::-1]
+        at = line[min(int(share * (len(line) - 1) + 0.5), len(line) - 1)]
+        axes.plot(*at, marker="X", color=OUT, markersize=8, zorder=6, linestyle="none")
+        axes.annotate(text, at, (6, -11), textcoords="offset points", fontsize=7, color=OUT, zorder=6)
+    _draw_places(axes, site, where)
+    handles, labels = axes.get_legend_handles_labels()
+    known = dict(zip(labels, handles, strict=True))
+    axes.legend(known.values(), known.keys(), fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=5, frameon=False)
+    return figure
+
+
+def _draw_edges(axes: Axes, site: SiteMap, curves: Mapping[int, Points]) -> None:
+    surfaces = _surfaces(site.environment)
+    shut = _shut(site.environment)
+    for index, edge in enumerate(site.environment.edges):
+        line, surface = curves[index], _surface(site.environment, edge)
+        slope = math.tan(edge.slope.value)
+        if index in shut:
+            axes.plot(*line.T, color="#b0b0b0", linestyle=":", linewidth=1.6, label="closed", zorder=1)
+            axes.plot(*line[len(line) // 2], marker="x", color="#555555", markersize=8, zorder=2)
+            continue
+        axes.plot(*line.T, color=surfaces[surface], linewidth=1.4 + 40.0 * min(abs(slope), 0.15), alpha=0.75, zorder=1,
+                  label=surface or "edge")  # fmt: skip
+        text = edge.name or ""
+        if abs(slope) > 5e-4:
+            text += f" {100 * slope:+.1f} %".replace("-", "−") + (" →" if line[-1][0] >= line[0][0] else " ←")
+        if not edge.both_ways:
+            text += " one way"
+        middle = line[len(line) // 2]
+        angle = math.degrees(math.atan2(*(line[-1] - line[0])[::-1]))
+        angle -= 180.0 if angle > 90.0 else -180.0 if angle < -90.0 else 0.0
+        axes.annotate(text, middle, (0, 3), textcoords="offset points", fontsize=6, color="#555555", ha="center",
+                      rotation=angle, rotation_mode="anchor", zorder=2)  # fmt: skip
+
+
+def _draw_places(axes: Axes, site: SiteMap, where: Mapping[str, tuple[float, float]]) -> None:
+    for name, at in where.items():
+        spec = site.environment.places[name]
+        colour, word = site.colours.get(name, ("#444444", "place"))
+        dock = spec.charger is not None
+        axes.plot(*at, marker="o", markersize=7, color=colour, label=word, zorder=5, linestyle="none")
+        if dock:
+            axes.plot(*at, marker="s", markersize=13, markerfacecolor="none", markeredgecolor=DOCK, label="dock",
+                      markeredgewidth=1.8, zorder=5, linestyle="none")  # fmt: skip
+        if spec.closed:
+            axes.plot(*at, marker="x", markersize=13, color="#222222", zorder=6, linestyle="none")
+        text = name + (f"\n{site.charges[name]}" if name in site.charges else "")
+        box = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6}
+        axes.annotate(text, at, (8, 6), textcoords="offset points", fontsize=7.5, zorder=7, bbox=box)
+
+
+def site_chart(site: SiteMap, height: int = 560) -> Chart:
+    """The map as an interactive chart."""
+    where, curves = layout(site.environment)
+    size = float(np.ptp(np.array(list(where.values())), axis=0).max())
+    surfaces, shut = _surfaces(site.environment), _shut(site.environment)
+    traces: list[dict[str, Any]] = []
+    for index, edge in enumerate(site.environment.edges):
+        line, surface = curves[index], _surface(site.environment, edge)
+        style = {"color": "#b0b0b0", "dash": "dot"} if index in shut else {"color": surfaces[surface], "width": 2}
+        name = "closed" if index in shut else surface or "edge"
+        text = f"{edge.name or ''} {edge.from_}–{edge.to}, {site.environment.length_m(edge) or 0:.4g} m, {surface}, "
+        text += f"slope {100 * math.tan(edge.slope.value):.3g} %"
+        traces.append(_line(line, style, name, text, any(t["name"] == name for t in traces)))
+    if site.driven:
+        from plotly.colors import sample_colorscale
+
+        values = np.array([wh for *_, wh in site.driven])
+        low, high = float(values.min()), float(values.max())
+        for (edge, begin, wh), colour in zip(
+            site.driven, sample_colorscale("Plasma", (values - low) / max(high - low, 1e-12)), strict=True
+        ):
+            spec = site.environment.edges[edge]
+            line = shifted(curves[edge], begin == spec.from_, 0.009 * size)
+            end = spec.to if begin == spec.from_ else spec.from_
+            traces.append(_line(line, {"color": colour, "width": 5}, "route", f"{begin} → {end}: {wh:.4g} Wh/m", True))
+        marker = {"color": [low, high], "colorscale": "Plasma", "showscale": True, "opacity": 0,
+                  "colorbar": {"title": {"text": "Wh/m"}, "len": 0.7}}  # fmt: skip
+        traces.append({"type": "scatter", "mode": "markers", "x": [None, None], "y": [None, None], "marker": marker,
+                       "showlegend": False, "name": "scale"})  # fmt: skip
+    names = list(where)
+    colours = [site.colours.get(name, ("#444444", ""))[0] for name in names]
+    docks = [site.environment.places[name].charger is not None for name in names]
+    traces.append({
+        "type": "scatter", "mode": "markers+text", "name": "places (square: dock)", "text": names,
+        "textposition": "top right", "x": [where[n][0] for n in names], "y": [where[n][1] for n in names],
+        "marker": {"size": [13 if dock else 9 for dock in docks], "color": colours,
+                   "symbol": ["square" if dock else "circle" for dock in docks]},
+        "customdata": [site.charges.get(name, "") for name in names],
+        "hovertemplate": "%{text} %{customdata}<extra></extra>",
+    })  # fmt: skip
+    layout_ = {
+        "hovermode": "closest",
+        "xaxis": {"title": {"text": "x [m]"}, "showgrid": False},
+        "yaxis": {"title": {"text": "y [m]"}, "scaleanchor": "x", "showgrid": False},
+    }
+    caption = "The site: edges by surface, the route by energy per metre; the charge stands at each place under the pointer."
+    return Chart(traces, layout_, caption, height)
+
+
+def _line(line: Points, style: Mapping[str, Any], name: str, text: str, known: bool) -> dict[str, Any]:
+    return {
+        "type": "scatter", "mode": "lines", "x": line[:, 0], "y": line[:, 1], "line": dict(style), "name": name,
+        "showlegend": not known, "legendgroup": name, "hovertemplate": f"{text}<extra></extra>",
+    }  # fmt: skip
+
+
+def layout(environment: EnvironmentSpec) -> tuple[dict[str, tuple[float, float]], dict[int, Points]]:
+    """Where places are drawn [m], and the line of each edge from its begin, shape (points, 2).
+
+    Places without coordinates are laid out by the lengths of their edges (Kamada and Kawai 1989); parallel edges bow.
+    """
+    where = {name: spec.position for name, spec in environment.places.items()}
+    if any(at is None for at in where.values()):
+        import networkx
+
+        graph = networkx.Graph()
+        graph.add_nodes_from(where)
+        for edge in environment.edges:
+            graph.add_edge(edge.from_, edge.to, weight=environment.length_m(edge) or 1.0)
+        scale = sum(environment.length_m(edge) or 1.0 for edge in environment.edges) / max(len(environment.edges), 1)
+        spread = networkx.kamada_kawai_layout(graph, scale=scale * math.sqrt(max(len(where), 1)))
+        where = {name: (float(x), float(y)) for name, (x, y) in spread.items()}
+    places = {name: at for name, at in where.items() if at is not None}
+    seen: dict[tuple[str, ...], int] = {}
+    curves = {}
+    for index, edge in enumerate(environment.edges):
+        pair = tuple(sorted((edge.from_, edge.to)))
+        number = seen[pair] = seen.get(pair, -1) + 1
+        begin, end = np.array(places[edge.from_]), np.array(places[edge.to])
+        along = np.linspace(0.0, 1.0, 41)[:, None]
+        line = begin + along * (end - begin)
+        if number:
+            aside = np.array([-(end - begin)[1], (end - begin)[0]]) * (1.0 if edge.from_ == pair[0] else -1.0)
+            line = line + 0.14 * ((number + 1) // 2) * (1 if number % 2 else -1) * 4 * along * (1 - along) * aside
+        curves[index] = line
+    return places, curves
+
+
+def shifted(line: Points, forward: bool, by: float) -> Points:
+    """A line in the direction of travel, to the right of where it lies."""
+    made = line if forward else line[::-1]
+    ahead = made[-1] - made[0]
+    length = float(np.hypot(*ahead))
+    return made + by * np.array([ahead[1], -ahead[0]]) / length if length else made
+
+
+def _surface(environment: EnvironmentSpec, edge: Any) -> str:
+    return str(edge.surface or environment.ambient.surface or "")
+
+
+def _surfaces(environment: EnvironmentSpec) -> dict[str, str]:
+    names = dict.fromkeys(_surface(environment, edge) for edge in environment.edges)
+    return {name: SURFACES[i % len(SURFACES)] for i, name in enumerate(names)}
+
+
+def _shut(environment: EnvironmentSpec) -> set[int]:
+    return set(range(len(environment.edges))) - {index for index, *_ in environment.open_ways()}
+
+
+def _percent(charge_wh: Mapping[str, float], capacity_wh: Mapping[str, float]) -> str:
+    parts: Iterable[str] = (f"{100 * charge / capacity_wh[name]:.0f} %" for name, charge in charge_wh.items())
+    return " / ".join(parts)
