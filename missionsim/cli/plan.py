@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutPath, Output
+from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, Output
 from missionsim.report.terminal import console, simple_table, titled
 
 if TYPE_CHECKING:
@@ -17,11 +17,13 @@ if TYPE_CHECKING:
 def plan(
     task: Path,
     *,
-    out: OutPath | None = None,
+    out: OutFile | None = None,
     changes: Changes = AS_FILED,
     pareto: bool = False,
     alternatives: bool = False,
     seconds: float | None = None,
+    plot: OutFile | None = None,
+    report: OutFile | None = None,
     to: Output = TERMINAL,
 ) -> int:
     """Plan a task: which order, which way, which speed, which control scheme, where to charge.
@@ -40,24 +42,41 @@ def plan(
         Also the next best plans that differ in kind, and how much worse they are.
     seconds
         Stop the search after so long, with the best plan so far and how far it may be from the best; so does Ctrl-C.
+    plot
+        Draw the map with the route into this PNG or SVG file.
+    report
+        Write an interactive page, which opens from disk, to this HTML file.
     """
+    from missionsim.cli.targets import check_picture
     from missionsim.files import write_text
     from missionsim.inputs.loading import load_task
     from missionsim.planner.tour import make_site
     from missionsim.planner.write import mission_text
 
+    check_picture(plot)
     spec = load_task(task, changes.pairs, changes.robot)
     to.warn(spec.warnings)
     site = make_site(spec)
     answer = _solved(site, seconds, to)
     _extend(answer, pareto, alternatives)
+    written = []
     if out is not None and answer.feasible:
         write_text(out, mission_text(answer, out))
+        written.append(out)
+    if plot is not None:
+        from missionsim.report.site_map import map_of_plan, write_map
+
+        written.append(write_map(map_of_plan(answer), plot))
+    if report is not None:
+        from missionsim.report.plan_page import plan_page
+
+        write_text(report, plan_page(answer, footer=f"missionsim plan {task.name}"))
+        written.append(report)
     to.emit(answer.summary())
     if to.text:
         show(answer)
-        if out is not None and answer.feasible:
-            console().print(f"Written: {out}", soft_wrap=True)
+        if written:
+            console().print(f"Written: {', '.join(map(str, written))}", soft_wrap=True)
     return 0 if answer.feasible else 1
 
 
@@ -111,8 +130,7 @@ def show(answer: Answer) -> None:
         for line in answer.extra["why"]["text"]:
             terminal.print(f"  {line}")
         return
-    proved = "proved best" if answer.gap == 0.0 else f"at most {100 * answer.gap:.2g} % from the best"
-    terminal.print(titled(task.name, f" with {task.robot.name}: {' → '.join(answer.order())}, {proved}"))
+    terminal.print(titled(task.name, f" with {task.robot.name}: {' → '.join(answer.order())}, {answer.claim}"))
     if sure := answer.extra.get("probability"):
         terminal.print(
             f"holds in {100 * sure['value']:.2f} % of {sure['runs']} fresh draws "

@@ -3,64 +3,52 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import Parameter
-
-from missionsim.cli.common import emit_json, progress, shows_text, tell_warnings
-from missionsim.cli.options import JsonOption, QuietOption
-from missionsim.report.terminal import console, simple_table
+from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, Output
+from missionsim.report.terminal import console, simple_table, titled
 
 
 def reach(
     environment: Path,
     *,
-    robot: str,
-    from_: Annotated[str, Parameter(name="--from")],
-    to: str | None = None,
+    from_: str,
+    back_to: str | None = None,
     probability: float = 0.95,
-    set_: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None,
-    plot: Path | None = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
+    changes: Changes = AS_FILED,
+    plot: OutFile | None = None,
+    to: Output = TERMINAL,
 ) -> int:
     """Which places a robot can go to and come back from with its reserve, and where it must turn back.
 
-    Exit code 1 where some place is out of reach.
+    Exit code 1 where some place is out of reach. ``--set`` changes what a task has (within.reserve="30 %",
+    choose.schemes=[mapped], choose.speeds=["0.5 m/s"], initial_charge.drive="80 %") or the robot.
 
     Parameters
     ----------
     environment
         Environment file.
-    robot
-        Shipped robot or robot file.
     from_
         Place where the robot starts.
-    to
+    back_to
         Place to which it comes back; by default where it starts.
     probability
         Share of draws of the uncertain values in which the charge must suffice.
-    set_
-        path=value as for a task, such as within.reserve="30 %", choose.schemes=[mapped], choose.speeds=["0.5 m/s"],
-        initial_charge.drive="80 %" or robot.batteries.drive.capacity="40 Wh"; may be given several times.
     plot
         Draw the map into this PNG or SVG file.
-    json
-        Write the answer as JSON to this file, or - for standard output.
-    quiet
-        Print no tables.
     """
     from missionsim.cli.targets import check_picture
     from missionsim.errors import InputError, did_you_mean
     from missionsim.inputs.loading import load_environment
-    from missionsim.inputs.overrides import split_assignment
     from missionsim.planner import reach as planner
 
     check_picture(plot)
+    if changes.robot is None:
+        raise InputError.single("reach needs a robot", allowed="--robot ROBOT.yaml, or a shipped robot's name")
     if not 0.0 < probability < 1.0:
         raise InputError.single("--probability lies between 0 and 1", got=f"{probability:g}", allowed="such as 0.95")
     spec = load_environment(environment)
-    for option, name in (("--from", from_), ("--to", to)):
+    for option, name in (("--from", from_), ("--back-to", back_to)):
         if name is not None and name not in spec.places:
             raise InputError.single(
                 f"{option}: no place '{name}' in {environment}",
@@ -68,9 +56,9 @@ def reach(
                 allowed=", ".join(list(spec.places)[:24]),
                 hint=did_you_mean(name, spec.places),
             )
-    task = planner.reach_task(environment, robot, from_, [split_assignment(text) for text in set_ or ()], to)
-    tell_warnings(task.warnings, quiet)
-    with progress(quiet or json == "-") as bar:
+    task = planner.reach_task(environment, changes.robot, from_, changes.pairs, back_to)
+    to.warn(task.warnings)
+    with to.progress() as bar:
         told = bar.add_task("places", total=len(task.environment.places))
         found = planner.reach(task, probability, lambda: bar.advance(told))
     answer = planner.summary(task, found, probability)
@@ -78,8 +66,8 @@ def reach(
         from missionsim.report.site_map import map_of_reach, write_map
 
         write_map(map_of_reach(task.environment, task.start, found, probability), plot)
-    emit_json(answer, json)
-    if shows_text(json, quiet):
+    to.emit(answer)
+    if to.text:
         show(answer)
         if plot is not None:
             console().print(f"Written: {plot}", soft_wrap=True)
@@ -88,11 +76,12 @@ def reach(
 
 def show(answer: dict[str, Any]) -> None:
     """Print what can be reached, at most 100 columns wide."""
-    from missionsim.cli.run_mission import clock
+    from missionsim.cli.run import clock
 
     terminal = console()
     percent = f"{100 * answer['probability']:g} %"
-    terminal.print(f"[bold]{answer['environment']}[/bold] with {answer['robot']} from {answer['from']}, back to {answer['to']}")
+    how = f" with {answer['robot']} from {answer['from']}, back to {answer['to']}"
+    terminal.print(titled(answer["environment"], how))
     names = list(next(iter(answer["places"].values()))["energy_wh"]) if answer["places"] else []
     columns = ["place", "there and back", ">holds", ">time"]
     columns += [f">{name} Wh" for name in names] + [f">{name} margin" for name in names]
@@ -112,8 +101,7 @@ def show(answer: dict[str, Any]) -> None:
                 sure = "at the start"
             terminal.print(
                 f"  towards {place}: turn back after {turn['metres']:.1f} m on '{turn['edge']}' ({turn['from']} to "
-                f"{turn['to']}), in {percent} of draws {sure}: {turn['battery']} decides",
-                markup=False,
+                f"{turn['to']}), in {percent} of draws {sure}: {turn['battery']} decides"
             )
     if answer["unreachable"]:
-        terminal.print(f"  no open way there and back: {', '.join(answer['unreachable'])}", markup=False)
+        terminal.print(f"  no open way there and back: {', '.join(answer['unreachable'])}")

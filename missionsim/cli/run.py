@@ -61,7 +61,7 @@ def run(
         from missionsim.report.figures_run import write_figures
 
         for suffix in plot:
-            written += write_figures(result, out or Path(), suffix)
+            written += write_figures(result, out or Path(), suffix, spec.environment)
     if mcap is not None:
         from missionsim.exchange.mcap import write_run
 

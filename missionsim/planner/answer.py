@@ -87,6 +87,21 @@ class Answer:
             return 0.0
         return (self.objective - self.bound) / abs(self.objective) if self.objective else 0.0
 
+    @property
+    def claim(self) -> str:
+        """What is proved of the plan, in words, with what the proof leaves out."""
+        text = "proved best" if self.gap == 0.0 else f"at most {100 * self.gap:.2g} % from the best"
+        left_out = list(self.extra.get("assumed", ()))
+        if self.site.physics.fades:
+            left_out.append("what fades after a start is taken as faded")
+        if self.site.physics.circuits:
+            left_out.append(f"{', '.join(self.site.physics.circuits)}: taken as a store of energy")
+        if "margins" in self.extra and any(
+            [*self.extra["margins"]["reserve_wh"].values(), self.extra["margins"]["deadline_s"]]
+        ):
+            left_out.append("within its margins for chance")
+        return f"{text} ({'; '.join(left_out)})" if left_out else text
+
     def summary(self) -> dict[str, Any]:
         """The plan as the JSON of the command line (schema ``missionsim.plan/1``)."""
         task = self.site.task
@@ -100,6 +115,7 @@ class Answer:
             "objective": self.objective,
             "bound": self.bound,
             "gap": self.gap,
+            "claim": self.claim if self.feasible else None,
             "duration_s": self.duration_s,
             "batteries": {
                 name: {

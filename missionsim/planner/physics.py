@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.integrate import integrate
+from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.recorder import Row, timeline
 from missionsim.engine.simulate import RunSetup
 from missionsim.errors import InputError
@@ -90,6 +91,7 @@ class Physics:
         self._needs = frozenset(name for term in self.model.terms for name in term.effect.needs)
         self.impulsive = any(term.effect.impulse is not None for term in self.model.terms)
         self.fades = bool(self.model.memory)
+        self.circuits = [name for name, battery in batteries.items() if not isinstance(battery, ConstantEnergy)]
         self.slow = {name for name, info in self._infos.items() if info.startup_s > 0.0}
 
     def settings_index(self, settings: Settings) -> int:

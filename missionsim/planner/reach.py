@@ -168,9 +168,11 @@ def _turn(site: Site, plan: Answer, more: Array) -> dict[str, Any] | None:
         if home is None:
             break
 
-        def short(share: float, there: Sequence[PlanLeg] = leg.piece.legs, home: Sequence[PlanLeg] = home) -> Array:
-            way = [*out, *_part(there, share, True), *_part(home, share, False), *back]
-            return drive_wh(physics, way) * (1.0 + more) - left
+        there, end = leg.piece.legs, back
+
+        def short(share: float, there: Any = there, home: Any = home, out: Any = out, end: Any = end) -> Array:
+            way = [*out, *_part(there, share, True), *_part(home, share, False), *end]
+            return np.asarray(drive_wh(physics, way) * (1.0 + more) - left)
 
         if (short(1.0) <= 0.0).all():
             out, back = [*out, *leg.piece.legs], [*home, *back]

@@ -54,8 +54,7 @@ def mission_text(answer: Answer, target: str | os.PathLike[str] | None) -> str:
 
 def _summary(answer: Answer) -> str:
     energy = ", ".join(f"{value:.4g} Wh {name}" for name, value in answer.energy_wh.items())
-    proved = "no plan is better" if answer.gap == 0.0 else f"no plan is more than {100 * answer.gap:.2g} % better"
-    return f"{answer.duration_s:.1f} s, {energy}; {proved}."
+    return f"{answer.duration_s:.1f} s, {energy}; {answer.claim}."
 
 
 def _segment(answer: Answer, leg: Leg) -> list[str]:

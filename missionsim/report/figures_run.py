@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from missionsim.inputs.environment import EnvironmentSpec
+
 COLOURS = (
     "#4477aa",
     "#ee6677",
@@ -36,7 +38,12 @@ MOST_LABELS = 26
 MOST_BARS = 40
 
 
-def write_figures(result: RunResult, folder: str | Path, format: Literal["png", "svg"] = "png") -> list[Path]:
+def write_figures(
+    result: RunResult,
+    folder: str | Path,
+    format: Literal["png", "svg"] = "png",
+    environment: EnvironmentSpec | None = None,
+) -> list[Path]:
     """Draw all figures of a run into a folder.
 
     Parameters
@@ -46,13 +53,19 @@ def write_figures(result: RunResult, folder: str | Path, format: Literal["png", 
     folder : path-like
     format : str
         ``png`` or ``svg``.
+    environment : EnvironmentSpec, optional
+        The mission's, for the map.
 
     Returns
     -------
     list of Path
-        ``power``, ``charge`` and ``energy`` with the suffix of the format.
+        ``power``, ``charge`` and ``energy`` with the suffix of the format, and ``site`` where a map was driven.
     """
     figures = {"power": power_figure(result), "charge": charge_figure(result), "energy": energy_figure(result)}
+    if environment is not None and result.edges_driven():
+        from missionsim.report.site_map import map_of_run, site_figure
+
+        figures["site"] = site_figure(map_of_run(result, environment))
     written = []
     for name, figure in figures.items():
         path = Path(folder) / f"{name}.{format}"

@@ -1,4 +1,4 @@
-"""The map of a site: places, edges by surface and slope, docks; a route by energy per metre and the charge at places."""
+"""The map of a site: places, docks, edges by surface and slope; a route by energy per metre, the charge at places."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
 Points = NDArray[np.float64]
 SURFACES = ("#7a8793", "#c9a66b", "#8fb58a", "#b59ac9", "#d9928f", "#88b5d0")
-DOCK, SURE, ONLY, OUT = "#0072b2", "#009e73", "#e69f00", "#c0392b"
-SCALE = "plasma"
+DOCK, SURE, ONLY, OUT, VISIT = "#0072b2", "#009e73", "#e69f00", "#c0392b", "#cc3377"
+SCALE = "viridis"
+BOX = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6}
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,8 @@ def map_of_run(result: RunResult, environment: EnvironmentSpec) -> SiteMap:
     capacity = {name: battery.capacity_wh for name, battery in result.batteries.items()}
     verdict = "feasible" if result.feasible else f"not feasible: {result.reason}"
     charges = {edge.end: _percent(edge.charge_wh, capacity) for edge in edges}
-    return SiteMap(environment, f"{result.mission}, {result.robot}: {verdict}", driven, charges)
+    title = f"{result.mission}, {result.robot}: {verdict}; charge of {' / '.join(capacity)}"
+    return SiteMap(environment, title, driven, charges)
 
 
 def map_of_plan(answer: Answer) -> SiteMap:
@@ -78,10 +80,13 @@ def map_of_plan(answer: Answer) -> SiteMap:
     environment = task.environment
     shut = {name for name, choice in task.edges.items() if choice.closed}
     if shut:
-        edges = tuple(edge.model_copy(update={"closed": edge.closed or edge.name in shut}) for edge in environment.edges)
+        edges = tuple(
+            edge.model_copy(update={"closed": edge.closed or edge.name in shut}) for edge in environment.edges
+        )
         environment = environment.model_copy(update={"edges": edges})
-    visits = {visit.place: ("#222222", "visit") for visit in task.visits}
-    return SiteMap(environment, f"{task.name}, {task.robot.name}", driven, charges, visits)
+    title = f"{task.name}, {task.robot.name}; charge of {' / '.join(capacity)}"
+    visits = {visit.place: (VISIT, "visit") for visit in task.visits}
+    return SiteMap(environment, title, driven, charges, visits)
 
 
 def map_of_reach(environment: EnvironmentSpec, start: str, found: Sequence[Reached], probability: float) -> SiteMap:
@@ -100,7 +105,9 @@ def map_of_reach(environment: EnvironmentSpec, start: str, found: Sequence[Reach
         physics = item.plan.site.physics
         left = {n: i - item.plan.energy_wh[n] for n, i in zip(physics.names, physics.initial_wh.tolist(), strict=True)}
         if item.reachable:
-            charges[item.place] = "home with " + _percent(left, dict(zip(physics.names, physics.capacity_wh, strict=True)))
+            charges[item.place] = "home with " + _percent(
+                left, dict(zip(physics.names, physics.capacity_wh, strict=True))
+            )
         if item.turn is not None:
             length = environment.length_m(environment.edges[item.turn["edge_index"]]) or 1.0
             share = item.turn["metres"] / length
@@ -132,7 +139,7 @@ def site_figure(site: SiteMap) -> Figure:
     axes = figure.subplots()
     axes.set_aspect("equal")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.set_xlabel("x [m]")
+    axes.set_xlabel("x [m] (wider edge: steeper; slope in the direction of its arrow)")
     axes.set_ylabel("y [m]")
     axes.margins(0.09)
     axes.set_title(site.title, fontsize=10, loc="left")
@@ -158,7 +165,15 @@ def site_figure(site: SiteMap) -> Figure:
     _draw_places(axes, site, where)
     handles, labels = axes.get_legend_handles_labels()
     known = dict(zip(labels, handles, strict=True))
-    axes.legend(known.values(), known.keys(), fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=5, frameon=False)
+    axes.legend(
+        known.values(),
+        known.keys(),
+        fontsize=7,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.09),
+        ncols=5,
+        frameon=False,
+    )
     return figure
 
 
@@ -183,7 +198,7 @@ def _draw_edges(axes: Axes, site: SiteMap, curves: Mapping[int, Points]) -> None
         angle = math.degrees(math.atan2(*(line[-1] - line[0])[::-1]))
         angle -= 180.0 if angle > 90.0 else -180.0 if angle < -90.0 else 0.0
         axes.annotate(text, middle, (0, 3), textcoords="offset points", fontsize=6, color="#555555", ha="center",
-                      rotation=angle, rotation_mode="anchor", zorder=2)  # fmt: skip
+                      rotation=angle, rotation_mode="anchor", zorder=5, bbox={**BOX, "alpha": 0.55})  # fmt: skip
 
 
 def _draw_places(axes: Axes, site: SiteMap, where: Mapping[str, tuple[float, float]]) -> None:
@@ -198,8 +213,7 @@ def _draw_places(axes: Axes, site: SiteMap, where: Mapping[str, tuple[float, flo
         if spec.closed:
             axes.plot(*at, marker="x", markersize=13, color="#222222", zorder=6, linestyle="none")
         text = name + (f"\n{site.charges[name]}" if name in site.charges else "")
-        box = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6}
-        axes.annotate(text, at, (8, 6), textcoords="offset points", fontsize=7.5, zorder=7, bbox=box)
+        axes.annotate(text, at, (8, 6), textcoords="offset points", fontsize=7.5, zorder=7, bbox=BOX)
 
 
 def site_chart(site: SiteMap, height: int = 560) -> Chart:
@@ -220,14 +234,14 @@ def site_chart(site: SiteMap, height: int = 560) -> Chart:
 
         values = np.array([wh for *_, wh in site.driven])
         low, high = float(values.min()), float(values.max())
-        for (edge, begin, wh), colour in zip(
-            site.driven, sample_colorscale("Plasma", (values - low) / max(high - low, 1e-12)), strict=True
+        for (number, begin, wh), colour in zip(
+            site.driven, sample_colorscale("Viridis", (values - low) / max(high - low, 1e-12)), strict=True
         ):
-            spec = site.environment.edges[edge]
-            line = shifted(curves[edge], begin == spec.from_, 0.009 * size)
+            spec = site.environment.edges[number]
+            line = shifted(curves[number], begin == spec.from_, 0.009 * size)
             end = spec.to if begin == spec.from_ else spec.from_
             traces.append(_line(line, {"color": colour, "width": 5}, "route", f"{begin} → {end}: {wh:.4g} Wh/m", True))
-        marker = {"color": [low, high], "colorscale": "Plasma", "showscale": True, "opacity": 0,
+        marker = {"color": [low, high], "colorscale": "Viridis", "showscale": True, "opacity": 0,
                   "colorbar": {"title": {"text": "Wh/m"}, "len": 0.7}}  # fmt: skip
         traces.append({"type": "scatter", "mode": "markers", "x": [None, None], "y": [None, None], "marker": marker,
                        "showlegend": False, "name": "scale"})  # fmt: skip
@@ -247,7 +261,9 @@ def site_chart(site: SiteMap, height: int = 560) -> Chart:
         "xaxis": {"title": {"text": "x [m]"}, "showgrid": False},
         "yaxis": {"title": {"text": "y [m]"}, "scaleanchor": "x", "showgrid": False},
     }
-    caption = "The site: edges by surface, the route by energy per metre; the charge stands at each place under the pointer."
+    caption = (
+        "The site: edges by surface, the route by energy per metre; the charge stands at each place under the pointer."
+    )
     return Chart(traces, layout_, caption, height)
 
 

@@ -28,7 +28,7 @@ def tables(result: RunResult) -> dict[str, Table]:
         component × term, cells that add up to the drain), ``summary`` (one row a battery), ``edges`` (one row an edge
         of the map driven).
     """
-    made = {
+    made: dict[str, Table] = {
         "intervals": intervals_table(result),
         "segments": segments_table(result),
         "energy": energy_table(result),

@@ -1,0 +1,99 @@
+"""The interactive page of a plan: map, legs, charge over time, what else there was, or why there is none."""
+
+from __future__ import annotations
+
+from missionsim.planner.answer import Answer
+from missionsim.report.blocks import Block, Bullets, Chart, Section, Table, Tiles, Verdict
+from missionsim.report.page import COLOURS, page
+from missionsim.report.site_map import map_of_plan, site_chart
+from missionsim.report.traces import axis
+
+
+def plan_page(answer: Answer, *, footer: str = "") -> str:
+    """The page as HTML, which opens from disk.
+
+    Parameters
+    ----------
+    answer : Answer
+        With ``why`` in `extra` where it is not feasible.
+    footer : str
+        How it was made.
+    """
+    task = answer.site.task
+    title = f"{task.name} with {task.robot.name}"
+    if not answer.feasible:
+        first, *rest = answer.extra["why"]["text"]
+        blocks: list[Block] = [Verdict(f"No plan: {first}", "bad"), Bullets(rest), site_chart(map_of_plan(answer))]
+        return page(title, [Section("Why there is no plan", blocks)], footer=footer)
+    names = list(answer.energy_wh)
+    tiles = [("Duration", f"{answer.duration_s / 60.0:.1f} min", "")]
+    tiles += [
+        (f"Battery {name}", f"{answer.energy_wh[name]:.3f} Wh", f"{answer.charge_left_wh[name]:.2f} Wh left")
+        for name in names
+    ]
+    if sure := answer.extra.get("probability"):
+        interval = f"{100 * sure['low']:.2f} to {100 * sure['high']:.2f} %"
+        tiles.append(("Holds", f"{100 * sure['value']:.2f} %", f"of {sure['runs']} fresh draws ({interval})"))
+    sections = [
+        Section("Plan", [Verdict(f"{' → '.join(answer.order())}: {answer.claim}.", "good"), Tiles(tiles)]),
+        Section("Map", [site_chart(map_of_plan(answer))]),
+        Section("Charge", [_charge(answer, names)]),
+        Section("Legs", [_legs(answer, names)]),
+    ]
+    if others := answer.extra.get("alternatives"):
+        rows = [
+            [item["kind"], 100 * item["worse"] if item.get("worse") is not None else None, item.get("duration_s")]
+            for item in others
+        ]
+        sections.append(Section("What else there was", [Table(["plan", "worse, %", "s"], rows)]))
+    if front := answer.extra.get("pareto"):
+        rows = [[point["duration_s"], *point["energy_wh"].values()] for point in front]
+        sections.append(Section("Energy against time", [Table(["s", *(f"{name}, Wh" for name in names)], rows)]))
+    return page(title, sections, footer=footer)
+
+
+def _legs(answer: Answer, names: list[str]) -> Table:
+    rows = []
+    for leg in answer.legs:
+        piece = leg.piece
+        settings = piece.legs[0].settings if piece is not None else None
+        rows.append(
+            [
+                leg.kind,
+                leg.place,
+                piece.name if piece is not None else "",
+                settings.scheme if settings is not None else "",
+                piece.limit_m_s if piece is not None else None,
+                leg.duration_s,
+                *(leg.energy_wh[name] for name in names),
+                *(leg.charge_wh[name] for name in names),
+            ]
+        )
+    columns = ["leg", "to", "along", "scheme", "m/s", "s", *(f"{name}, Wh" for name in names)]
+    return Table([*columns, *(f"{name} left, Wh" for name in names)], rows)
+
+
+def _charge(answer: Answer, names: list[str]) -> Chart:
+    physics = answer.site.physics
+    times = [0.0]
+    for leg in answer.legs:
+        times.append(times[-1] + leg.duration_s / 60.0)
+    traces = []
+    for b, name in enumerate(names):
+        values = [float(physics.initial_wh[b]), *(leg.charge_wh[name] for leg in answer.legs)]
+        share = [100.0 * value / float(physics.capacity_wh[b]) for value in values]
+        style: dict[str, object] = {"color": COLOURS[b % len(COLOURS)]}
+        traces.append({"type": "scatter", "mode": "lines", "x": times, "y": share, "name": name, "line": style})
+        reserve = 100.0 * float(physics.reserve_wh[b] / physics.capacity_wh[b])
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "x": [0.0, times[-1]],
+                "y": [reserve, reserve],
+                "name": f"reserve of {name}",
+                "line": {**style, "dash": "dot", "width": 1},
+            }
+        )
+    layout = {"xaxis": {"title": {"text": "min"}}, "yaxis": axis("charge, %", rangemode="tozero")}
+    return Chart(traces, layout, "Charge of each battery at the ends of the legs.", 300)

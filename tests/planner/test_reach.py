@@ -1,0 +1,95 @@
+"""How far a robot gets: there and back agrees with planning each place, and the point of no return with driving it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from missionsim.cli.app import run_command
+
+SMALL = "robot.batteries.drive.capacity=8 Wh"
+
+
+def reach(root: Path, tmp_path: Path, *words: str, code: int) -> dict:
+    """JSON of `reach` on the trial site."""
+    site, robot = root / "environments/trial_site.yaml", root / "missions/planning/inspector.yaml"
+    target = tmp_path / "reach.json"
+    asked = ["reach", str(site), "--robot", str(robot), "--from", "hall", *words]
+    assert run_command([*asked, "--json", str(target), "--quiet"]) == code
+    return json.loads(target.read_text())
+
+
+def test_all_places_within_reach_of_the_whole_battery(root: Path, tmp_path: Path) -> None:
+    found = reach(root, tmp_path, "--plot", str(tmp_path / "map.svg"), code=0)
+    assert len(found["places"]) == 11
+    assert all(item["sure"] and min(item["margin_wh"].values()) > 0.0 for item in found["places"].values())
+    assert "<svg" in (tmp_path / "map.svg").read_text()
+
+
+def test_the_point_of_no_return_is_where_the_reserve_is_left(root: Path, tmp_path: Path) -> None:
+    found = reach(root, tmp_path, "--set", SMALL, code=1)
+    out = {name: item for name, item in found["places"].items() if not item["reachable"]}
+    assert out
+    assert all(item["margin_wh"][item["point_of_no_return"]["battery"]] < 0.0 for item in out.values())
+    turn = out["weir"]["point_of_no_return"]
+    assert turn["edge"] == "weir_path"
+    assert turn["sure_metres"] < turn["metres"]
+    # the same way with a place put where the robot is to turn back, simulated
+    site = yaml.safe_load((root / "environments/trial_site.yaml").read_text())
+    a, b = site["places"]["tank"], site["places"]["weir"]
+    xy = [[float(str(place[key]).split()[0]) for key in ("x", "y")] for place in (a, b)]
+    length = sum((p - q) ** 2 for p, q in zip(*xy, strict=True)) ** 0.5
+    site["places"]["turn"] = {}
+    edge = next(item for item in site["edges"] if item["name"] == "weir_path")
+    site["edges"].append({**edge, "name": "part", "to": "turn", "length": turn["metres"]})
+    assert turn["metres"] < length
+    (tmp_path / "site.yaml").write_text(json.dumps(site))
+    plan, run = tmp_path / "plan.yaml", tmp_path / "run.json"
+    way = out["weir"]["way"]
+    there = way[: way.index("weir")]
+    drives = [*there[1:], "part", *there[::-1]]
+    mission = {
+        "kind": "mission",
+        "name": "turn",
+        "robot": str(root / "missions/planning/inspector.yaml"),
+        "environment": str(tmp_path / "site.yaml"),
+        "start": "hall",
+        "defaults": {"scheme": "mapped"},
+        "segments": [{"drive": {"along": drives}}],
+    }
+    plan.write_text(json.dumps(mission))
+    energies = []
+    for scheme in ("mapped", "seen"):
+        run_command(["run", str(plan), "--set", f"defaults.scheme={scheme}", "--json", str(run), "--quiet"])
+        energies.append(json.loads(run.read_text())["batteries"]["drive"]["energy_wh"])
+    assert 8.0 * 0.8 == pytest.approx(min(energies, key=lambda wh: abs(wh - 6.4)), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--from", "hull"], "did you mean: hall"),
+        (["--back-to", "nowhere"], "--back-to: no place 'nowhere'"),
+        (["--probability", "95"], "between 0 and 1"),
+        (["--plot", "map.gif"], "--plot is a picture"),
+        (["--set", "choose.schemes=[look]"], "stands still"),
+    ],
+)
+def test_bad_questions(root: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: str) -> None:
+    site, robot = root / "environments/trial_site.yaml", root / "missions/planning/inspector.yaml"
+    begin = [] if "--from" in words else ["--from", "hall"]
+    assert run_command(["reach", str(site), "--robot", str(robot), *begin, *words, "--quiet"]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_pictures_and_page_of_a_plan(root: Path, tmp_path: Path) -> None:
+    task = root / "missions/planning/inspection.yaml"
+    words = ["plan", str(task), "--set", "visits=[{place: pump}]", "--plot", str(tmp_path / "map.png")]
+    assert run_command([*words, "--report", str(tmp_path / "plan.html"), "--quiet"]) == 0
+    assert (tmp_path / "map.png").read_bytes()[:4] == b"\x89PNG"
+    page = (tmp_path / "plan.html").read_text()
+    assert "pump_road" in page
+    assert "proved best" in page
