@@ -92,7 +92,7 @@ def _charge(answer: Answer, names: list[str]) -> Chart:
                 "x": [0.0, times[-1]],
                 "y": [reserve, reserve],
                 "name": f"reserve of {name}",
-                "line": {**style, "dash": "dot", "width": 1},
+                "line": style | {"dash": "dot", "width": 1},
             }
         )
     layout = {"xaxis": {"title": {"text": "min"}}, "yaxis": axis("charge, %", rangemode="tozero")}
