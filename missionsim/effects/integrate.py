@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -97,7 +97,7 @@ def averaged(powers: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
 def integrate(
     model: PowerModel, timeline: Timeline, values: Mapping[str, Any] | None = None
 ) -> dict[str, dict[TermKey, NDArray[np.float64]]]:
-    """Energy of each term in each interval of one run.
+    """Energy of each term in each interval.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def integrate(
     timeline : Timeline
         With arrays of shape (n,).
     values : mapping, optional
-        Parameters that differ from the model's (scalars).
+        Parameters that differ from the model's, scalars or of shape (n,).
 
     Returns
     -------
@@ -113,20 +113,16 @@ def integrate(
         Battery → term key → energy [J], shape (n,). Impulses (starts from rest) are in the interval they begin.
     """
     count = len(timeline)
-    energies: dict[str, dict[TermKey, NDArray[np.float64]]] = {name: {} for name in model.batteries}
+    energies: dict[str, dict[TermKey, NDArray[np.float64]]] = {}
     cov = timeline.covariates()
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the engine refuses what is not finite
-        constant = model.evaluate(cov, values)
-    changing = timeline.changing(model.memory) & (timeline.duration_s > 0.0)
-    for battery, terms in constant.items():
-        for key, power in terms.items():
-            with np.errstate(over="ignore", invalid="ignore"):
-                energy = np.broadcast_to(np.asarray(power, dtype=float), (count,)) * timeline.duration_s
-            energies[battery][key] = np.where(changing, 0.0, energy)
-    index = np.flatnonzero(changing)
+        for battery, terms in model.evaluate(cov, values).items():
+            energies[battery] = {key: power * timeline.duration_s for key, power in terms.items()}
+    memory = model.memory
+    index = np.flatnonzero(timeline.changing(memory) & (timeline.duration_s > 0.0))
     if index.size:
-        index, offset, length = _pieces(index, timeline.duration_s, bool(model.memory))
-        _quadrature(model, timeline, values, index, offset, length, energies, 0)
+        index, offset, length = _pieces(index, timeline.duration_s, bool(memory))
+        _quadrature(model, timeline, values or {}, index, offset, length, energies, 0)
     for key, joules in model.impulses(cov, values).items():
         energies[key.battery][key] = energies[key.battery][key] + np.broadcast_to(joules, (count,))
     return energies
@@ -152,31 +148,40 @@ def _pieces(
 def _quadrature(
     model: PowerModel,
     timeline: Timeline,
-    values: Mapping[str, Any] | None,
+    values: Mapping[str, Any],
     index: NDArray[np.intp],
     offset: NDArray[np.float64],
     length: NDArray[np.float64],
     energies: dict[str, dict[TermKey, NDArray[np.float64]]],
     depth: int,
+    varying: Collection[TermKey] = (),
 ) -> None:
-    """Add the integral over pieces of intervals; pieces whose error is too large are halved and tried again.
+    """Put the integrals over pieces of intervals in place of the constant powers' energies, for terms that change.
+
+    Pieces whose error is too large are halved and tried again.
 
     Parameters
     ----------
     index, offset, length : ndarray, shape (m,)
         Interval, start within it and length of each piece.
+    varying : collection of TermKey
+        The terms that change within some of the pieces, at depths above 0.
     """
     half = 0.5 * length
     times = offset[:, None] + half[:, None] * (SAMPLES + 1.0)
-    powers = model.evaluate(timeline.at(index, times), values)
+    own = {name: value[index][:, None] if np.ndim(value) else value for name, value in values.items()}
+    powers = model.evaluate(timeline.at(index, times, model.memory), own)
     bad = np.zeros(index.size, dtype=bool)
     parts: dict[TermKey, NDArray[np.float64]] = {}
     for terms in powers.values():
         scale = np.zeros(index.size)
         spread, bent = np.zeros(index.size), np.zeros(index.size)
         for key, power in terms.items():
-            whole = np.broadcast_to(np.asarray(power, dtype=float), times.shape)
+            if key not in varying and (depth or np.ndim(power) < 2 or power.shape[1] == 1):
+                scale += np.abs(power[:, 0] if np.ndim(power) == 2 else np.mean(power))
+                continue
             with np.errstate(over="ignore", invalid="ignore"):
+                whole = np.broadcast_to(power, times.shape)
                 mean, apart, beyond = averaged(whole)
                 parts[key] = length * mean
                 scale += np.abs(whole[:, : len(NODES)]) @ (0.5 * WEIGHTS)
@@ -187,9 +192,11 @@ def _quadrature(
     if depth >= _MAX_DEPTH or (depth >= _NOISE_DEPTH and index.size > max(_MOST_PIECES, 8 * len(timeline))):
         bad[:] = False
     good = ~bad
-    for battery, terms in powers.items():
-        for key in terms:
-            np.add.at(energies[battery][key], index[good], parts[key][good])
+    for key, joules in parts.items():
+        target = energies[key.battery][key]
+        if depth == 0:
+            target[index] = 0.0
+        np.add.at(target, index[good], joules[good])
     if bad.any():
         again, start, piece = index[bad], offset[bad], half[bad]
         _quadrature(
@@ -201,4 +208,5 @@ def _quadrature(
             np.concatenate([piece, piece]),
             energies,
             depth + 1,
+            parts.keys(),
         )

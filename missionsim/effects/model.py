@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -133,7 +134,12 @@ class PowerModel:
 
     def of(self, battery: str) -> tuple[Term, ...]:
         """The terms of one battery, in order of evaluation."""
-        return tuple(term for term in self.terms if term.key.battery == battery)
+        return self._of.get(battery, ())
+
+    @cached_property
+    def _of(self) -> dict[str, tuple[Term, ...]]:
+        names = dict.fromkeys(term.key.battery for term in self.terms)
+        return {name: tuple(term for term in self.terms if term.key.battery == name) for name in names}
 
     @property
     def parameters(self) -> dict[str, ModelParameter]:
@@ -152,10 +158,15 @@ class PowerModel:
             found["regeneration"] = self.regeneration
         return found
 
-    @property
+    @cached_property
     def memory(self) -> frozenset[str]:
         """Clocks that some term reads."""
         return frozenset(name for term in self.terms for name in term.effect.memory)
+
+    @cached_property
+    def needs(self) -> frozenset[str]:
+        """Covariates without which some term cannot be evaluated."""
+        return frozenset(name for term in self.terms for name in term.effect.needs)
 
     def missing(self, cov: Covariates, battery: str | None = None) -> dict[str, tuple[str, ...]]:
         """Covariates that terms need and `cov` lacks, by term name."""

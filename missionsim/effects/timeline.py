@@ -47,7 +47,9 @@ class Timeline:
         picked = {name: v[index] if is_text(v) else np.asarray(v)[..., index] for name, v in self.columns.items()}
         return {**self.constants, **picked}
 
-    def at(self, index: NDArray[np.intp], offset_s: NDArray[np.float64]) -> dict[str, Any]:
+    def at(
+        self, index: NDArray[np.intp], offset_s: NDArray[np.float64], memory: frozenset[str] | None = None
+    ) -> dict[str, Any]:
         """Covariates of the intervals `index` at times after their start.
 
         Parameters
@@ -55,11 +57,13 @@ class Timeline:
         index : ndarray of int, shape (m,)
         offset_s : ndarray, shape (m, q)
             Times after the start of each of them.
+        memory : frozenset of str, optional
+            The clocks that are read (see `changing`); the others stay as at the start. All by default.
 
         Returns
         -------
         dict
-            Arrays of shape (m, q); texts as `Labels` with codes of shape (m, 1).
+            Arrays of shape (m, q), or (m, 1) of what does not change; texts as `Labels` with codes of shape (m, 1).
         """
         cov: dict[str, Any] = dict(self.constants)
         for name, value in self.columns.items():
@@ -68,9 +72,12 @@ class Timeline:
             elif is_text(value):
                 cov[name] = np.asarray(value)[index][:, None]
             else:
-                column = np.asarray(value, dtype=float)[index][:, None]
-                rate = self.rates.get(name)
-                cov[name] = column if rate is None else column + rate[index][:, None] * offset_s
+                cov[name] = np.asarray(value, dtype=float)[index][:, None]
+        for name, rate in self.rates.items():
+            if name in cov and (memory is None or name in memory or not _is_clock(name)):
+                change = rate[index]
+                if change.any():
+                    cov[name] = cov[name] + change[:, None] * offset_s
         return cov
 
     def changing(self, memory: frozenset[str]) -> NDArray[np.bool_]:
@@ -83,7 +90,22 @@ class Timeline:
         """
         result = np.zeros(len(self), dtype=bool)
         for name, rate in self.rates.items():
-            clock = name == "moving_time_s" or name.startswith("on_time_")
-            if not clock or name in memory:
+            if name in memory or not _is_clock(name):
                 result |= np.asarray(rate) != 0.0
         return result
+
+    def part(self, first: int, stop: int) -> Timeline:
+        """Some intervals that follow each other."""
+        cut = slice(first, stop)
+        return Timeline(
+            self.start_s[cut],
+            self.duration_s[cut],
+            {name: value[cut] for name, value in self.columns.items()},
+            {name: rate[cut] for name, rate in self.rates.items()},
+            self.segment[cut],
+            self.constants,
+        )
+
+
+def _is_clock(name: str) -> bool:
+    return name == "moving_time_s" or name.startswith("on_time_")

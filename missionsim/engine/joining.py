@@ -10,13 +10,11 @@ import numpy as np
 from missionsim.effects.covariates import Labels
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery
-from missionsim.engine.meter import Batch
+from missionsim.engine.meter import Batch, Energies
 from missionsim.engine.outcome import J_PER_WH
 
 
-def joined(
-    batches: list[Batch], batteries: Mapping[str, Battery]
-) -> tuple[Timeline, dict[str, dict[Any, Any]], dict[str, Any]]:
+def joined(batches: list[Batch], batteries: Mapping[str, Battery]) -> tuple[Timeline, Energies, dict[str, Any]]:
     """One table of all batches."""
     if not batches:
         empty = np.zeros(0)

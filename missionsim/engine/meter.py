@@ -1,14 +1,15 @@
 """The meter: energy of every term in every interval and the state of every battery, evaluated in whole batches.
 
 Rows of the recorder are evaluated at once when somebody must know (a charger, the end of the mission), never row by
-row while the simulation runs; thresholds are found afterwards in closed form or by a bracketed root.
+row while the simulation runs, and those of many runs together: a run asks with `Asked` and is sent what they take.
+Thresholds are found afterwards in closed form or by a bracketed root.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,86 @@ from missionsim.errors import InputError
 from missionsim.plan.legs import Leg, SegmentInfo
 
 Array = NDArray[np.float64]
-Energies = dict[str, dict[TermKey, Array]]
+Energies = Mapping[str, Mapping[TermKey, Array]]
+T = TypeVar("T")
+
+
+class Asked(NamedTuple):
+    """Rows whose energies somebody must know: with their legs, states of components and drawn values."""
+
+    rows: Sequence[Row]
+    legs: Sequence[Leg]
+    states: Sequence[Sequence[float]]
+    values: Mapping[str, Any]
+
+
+class Evaluated(NamedTuple):
+    """Intervals and the energy [J] of every battery's terms in them."""
+
+    line: Timeline
+    energies: Energies
+
+    def part(self, first: int, stop: int) -> Evaluated:
+        """Some intervals that follow each other."""
+        cut = {
+            name: {key: joules[first:stop] for key, joules in terms.items()} for name, terms in self.energies.items()
+        }
+        return Evaluated(self.line.part(first, stop), cut)
+
+
+Evaluating = Generator[Asked, Evaluated, T]
+"""A run, or a part of it, that asks for energies as it goes and returns its result."""
+
+
+def together(model: PowerModel, components: Sequence[str], runs: Sequence[Evaluating[T]]) -> list[T | Exception]:
+    """Results of runs whose questions are answered together; where a run fails, its exception.
+
+    Parameters
+    ----------
+    model : PowerModel
+    components : sequence of str
+        Names, as in the recorders' states.
+    runs : sequence of generator
+    """
+    found: list[T | Exception] = [RuntimeError("unfinished")] * len(runs)
+    answers: dict[int, Evaluated | Exception | None] = dict.fromkeys(range(len(runs)))
+    while answers:
+        asked: dict[int, Asked] = {}
+        for i, answer in answers.items():
+            try:
+                asked[i] = runs[i].throw(answer) if isinstance(answer, Exception) else runs[i].send(answer)  # type: ignore[arg-type]
+            except StopIteration as end:
+                found[i] = end.value
+            except Exception as error:
+                found[i] = error
+        answers = dict(zip(asked, _answers(model, components, list(asked.values())), strict=True))
+    return found
+
+
+def alone(model: PowerModel, components: Sequence[str], run: Evaluating[T]) -> T:
+    """Result of one run."""
+    (found,) = together(model, components, [run])
+    if isinstance(found, Exception):
+        raise found
+    return found
+
+
+def _answers(model: PowerModel, components: Sequence[str], asked: Sequence[Asked]) -> Sequence[Evaluated | Exception]:
+    if not asked:
+        return []
+    try:
+        line = timeline([item[:3] for item in asked], components, model.needs)
+        counts = [len(item.rows) for item in asked]
+        values = asked[0].values
+        if len(asked) > 1 and values:
+            values = {name: np.repeat([item.values[name] for item in asked], counts) for name in values}
+        whole = Evaluated(line, integrate(model, line, values))
+    except Exception as error:
+        return [error] if len(asked) == 1 else [_answers(model, components, [item])[0] for item in asked]
+    if len(asked) == 1:
+        return [whole]
+    ends = np.cumsum(counts).tolist()
+    return [whole.part(end - count, end) for end, count in zip(ends, counts, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -68,47 +148,42 @@ class Meter:
         self.recorder = recorder
         self.legs = legs
         self.batteries = batteries
-        self.values = values
-        self.needs = frozenset(name for term in model.terms for name in term.effect.needs)
+        self.values = values or {}
         self.batches: list[Batch] = []
         self.state = {name: battery.initial for name, battery in batteries.items()}
         self._done = 0
+        self._ahead: tuple[Row, Evaluated] | None = None
 
-    def settle(self) -> None:
-        """Evaluate the rows that have been closed since the last time."""
-        rows = self.recorder.rows[self._done :]
-        if not rows:
+    def settle(self, ahead_s: float = 0.0) -> Evaluating[None]:
+        """Evaluate the rows that have been closed since the last time, and the next `ahead_s` if nothing changes."""
+        recorder = self.recorder
+        rows = recorder.rows[self._done :] if self._done else recorder.rows
+        count = len(rows)
+        ahead = recorder.current_row(ahead_s) if ahead_s > 0.0 else None
+        if ahead is None and not rows:
             return
-        self._done = len(self.recorder.rows)
-        batch = self.evaluate(rows)
-        self.batches.append(batch)
-        self.state = {name: float(states[-1]) for name, states in batch.states.items()}
+        self._done = len(recorder.rows)
+        asked = rows if ahead is None else [*rows, ahead]
+        answer = yield Asked(asked, self.legs, recorder.states(), self.values)
+        self._refuse_nan(answer)
+        if ahead is not None:
+            self._ahead = ahead, answer.part(count, count + 1)
+            answer = answer.part(0, count)
+        if count:
+            loads = self._loads(rows, answer)
+            states = {name: battery.after(self.state[name], loads[name]) for name, battery in self.batteries.items()}
+            self.batches.append(Batch(*answer, loads, self.state, states))
+            self.state = {name: float(ends[-1]) for name, ends in states.items()}
 
-    def evaluate(self, rows: Sequence[Row]) -> Batch:
-        """Energies and states of some rows that follow the present state."""
-        line = timeline(rows, self.legs, self.recorder.components, self.recorder.states(), needs=self.needs)
-        energies = integrate(self.model, line, self.values)
-        self._refuse_nan(line, energies)
-        modes = np.array([row.charging for row in rows], dtype=np.int64).reshape(len(rows), len(self.batteries))
-        loads = {
-            name: self._loads(
-                name,
-                line,
-                energies[name],
-                modes[:, i],
-                np.array([_charger_power(self.legs[row.leg], name) for row in rows]),
-            )
-            for i, name in enumerate(self.batteries)
-        }
-        states = {name: self.batteries[name].after(self.state[name], loads[name]) for name in self.batteries}
-        return Batch(line, energies, loads, dict(self.state), states)
-
-    def _refuse_nan(self, line: Timeline, energies: Energies) -> None:
+    def _refuse_nan(self, answer: Evaluated) -> None:
         """A term that is not a number somewhere lacks a covariate there, or divides by nought.
 
         Refused before the batteries see it: their equations have no solution that could be stepped along.
         """
-        for battery, terms in energies.items():
+        line = answer.line
+        for battery, terms in answer.energies.items():
+            if np.isfinite(np.sum(list(terms.values()))):
+                continue
             for key, joules in terms.items():
                 bad = np.flatnonzero(~np.isfinite(joules))
                 if bad.size:
@@ -129,15 +204,12 @@ class Meter:
                         )
                     )
 
-    def time_to(self, battery: str, level: float, horizon_s: float) -> float | None:
-        """Time from now until a battery's state comes to `level`, if nothing else changes; None if not so soon."""
-        span = min(horizon_s, 3600.0)
-        while True:
-            batch = self.evaluate([self.recorder.current_row(span)])
-            found = self.batteries[battery].reach(self.state[battery], batch.loads[battery], 0, level, span)
-            if found is not None or span >= horizon_s:
-                return found
-            span = min(horizon_s, span * 16.0)
+    def time_to(self, battery: str, level: float) -> float | None:
+        """Time from now until a battery's state comes to `level`, within what `settle` has looked ahead."""
+        assert self._ahead is not None
+        row, answer = self._ahead
+        loads = self._loads([row._replace(charging=self.recorder.charging)], answer)[battery]
+        return self.batteries[battery].reach(self.state[battery], loads, 0, level, row.duration_s)
 
     def first_alarm(self, reserves: Mapping[str, float]) -> Alarm | None:
         """The first battery to become empty, or to fall to its reserve where `reserves` names a level for it."""
@@ -153,25 +225,37 @@ class Meter:
                     break
         return min(found, default=None)
 
-    def _loads(
-        self, battery: str, line: Timeline, energies: dict[TermKey, Array], modes: NDArray[np.int64], charger_w: Array
-    ) -> Loads:
-        total = np.sum(list(energies.values()), axis=0) if energies else np.zeros(len(line))
+    def _loads(self, rows: Sequence[Row], answer: Evaluated) -> dict[str, Loads]:
+        line = answer.line
         changing = line.changing(self.model.memory) | (np.asarray(line.columns["starts"]) > 0.0)
+        nothing, modes = np.zeros(len(rows)), np.zeros((len(rows), len(self.batteries)), dtype=np.int64)
+        charges = any(any(row.charging) for row in rows)
+        if charges:
+            modes = np.array([row.charging for row in rows], dtype=np.int64)
+        found = {}
+        for i, name in enumerate(self.batteries):
+            power = np.array([_charger_power(self.legs[row.leg], name) for row in rows]) if charges else nothing
+            terms = list(answer.energies[name].values())
+            total = np.sum(terms, axis=0) if terms else nothing
+            found[name] = self._load(name, line, total, modes[:, i], changing, power)
+        return found
 
+    def _load(
+        self,
+        battery: str,
+        line: Timeline,
+        total: Array,
+        modes: NDArray[np.int64],
+        changing: NDArray[np.bool_],
+        charger_w: Array,
+    ) -> Loads:
         def energy_until(interval: int, seconds: float) -> float:
-            part = _cut(line, interval, seconds)
+            cut = line.part(interval, interval + 1)
+            part = Timeline(cut.start_s, np.array([seconds]), cut.columns, cut.rates, cut.segment, cut.constants)
             return float(sum(joules[0] for joules in integrate(self.model, part, self.values)[battery].values()))
 
         curves = Curves(self.model, line, battery, self.values, changing, total)
         return Loads(line.duration_s, total, modes, changing, charger_w, energy_until, curves)
-
-
-def _cut(line: Timeline, interval: int, seconds: float) -> Timeline:
-    index = np.array([interval])
-    columns = {name: value[index] for name, value in line.columns.items()}
-    rates = {name: np.asarray(value)[index] for name, value in line.rates.items()}
-    return Timeline(line.start_s[index], np.array([seconds]), columns, rates, line.segment[index], line.constants)
 
 
 def _charger_power(leg: Leg, battery: str) -> float:

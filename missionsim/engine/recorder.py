@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Sequence, Set
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ import simpy
 
 from missionsim.effects.covariates import Labels
 from missionsim.effects.timeline import Timeline
-from missionsim.plan.legs import Leg, Phase
+from missionsim.plan.legs import Leg, Phase, Settings
 
 REST = Phase(0.0, 0)
 
@@ -50,10 +51,9 @@ class Recorder:
         self._phase = REST
         self._phase_began_s = 0.0
         self._since_s = 0.0
-        count = len(self.components)
-        self._state = [0.0] * (3 * count)
-        self._states: dict[tuple[float, ...], int] = {tuple(self._state): 0}
-        self._state_index = 0
+        self._state = [0.0] * (3 * len(self.components))
+        self._states: dict[tuple[float, ...], int] = {}
+        self._state_index = -1
         self._moving_time_s = 0.0
         self._was_moving = False
         self.charging: tuple[int, ...] = (0,) * len(batteries)
@@ -65,21 +65,8 @@ class Recorder:
         duration = now - self._since_s
         if duration <= 0.0:
             return
-        phase = self._phase
-        moving = phase.moving
-        self.rows.append(
-            Row(
-                self._since_s,
-                duration,
-                self.leg,
-                phase,
-                self._since_s - self._phase_began_s,
-                self._state_index,
-                self._moving_time_s,
-                moving and not self._was_moving,
-                self.charging,
-            )
-        )
+        self.rows.append(self._row(self._since_s, duration))
+        moving = self._phase.moving
         self._was_moving = moving
         if moving:
             self._moving_time_s += duration
@@ -105,17 +92,14 @@ class Recorder:
             state[2 * count + index] = self.env.now
         state[index] = units
         state[count + index] = starting
-        self._state_index = self._states.setdefault(tuple(state), len(self._states))
-        self._announce()
+        self._state_index = -1
+        if self.changed is not None and not self.changed.triggered:
+            self.changed.succeed()
 
     def charge(self, modes: tuple[int, ...]) -> None:
         """A charger takes up or ends its work on some battery."""
         self.close()
         self.charging = modes
-
-    def _announce(self) -> None:
-        if self.changed is not None and not self.changed.triggered:
-            self.changed.succeed()
 
     @property
     def phase(self) -> Phase:
@@ -129,44 +113,42 @@ class Recorder:
 
     def current_row(self, duration_s: float) -> Row:
         """What the interval under way would be, were it to last `duration_s` from now without a change."""
+        return self._row(self.env.now, duration_s)
+
+    def _row(self, start_s: float, duration_s: float) -> Row:
+        if self._state_index < 0:  # of those that take time: many a change is followed by others at its instant
+            self._state_index = self._states.setdefault(tuple(self._state), len(self._states))
         phase = self._phase
         return Row(
-            self.env.now,
+            start_s,
             duration_s,
             self.leg,
             phase,
-            self.env.now - self._phase_began_s,
+            start_s - self._phase_began_s,
             self._state_index,
             self._moving_time_s,
             phase.moving and not self._was_moving,
             self.charging,
         )
 
-    def states(self) -> np.ndarray:
-        """Component states, shape (states, 3 · components): units on, units starting, time of switching on."""
-        return np.array(list(self._states), dtype=float).reshape(len(self._states), 3 * len(self.components))
+    def states(self) -> list[tuple[float, ...]]:
+        """Component states that rows refer to: units on, units starting, time of switching on, 3 · components each."""
+        return list(self._states)
 
 
 def timeline(
-    rows: Sequence[Row],
-    legs: Sequence[Leg],
+    parts: Sequence[tuple[Sequence[Row], Sequence[Leg], Sequence[Sequence[float]]]],
     components: Sequence[str],
-    states: np.ndarray,
-    constants: Mapping[str, Any] | None = None,
     needs: Set[str] = frozenset(),
 ) -> Timeline:
-    """The interval table of some rows.
+    """The interval table of the rows of one or many runs, one after the other.
 
     Parameters
     ----------
-    rows : sequence of Row
-    legs : sequence of Leg
-        Of the plan; rows refer to them by index.
+    parts : sequence of (rows, legs, states)
+        Of each run: its rows, and the legs of its plan and the states of its components (`Recorder.states`), to which
+        rows refer by index.
     components : sequence of str
-    states : ndarray, shape (states, 3 · components)
-        From `Recorder.states`.
-    constants : mapping, optional
-        Covariates that hold for the whole run.
     needs : set of str
         Covariates that the model reads; ``time_s`` is only given where it is one of them.
 
@@ -175,40 +157,48 @@ def timeline(
     Timeline
         Glossary columns and rates, ready for `missionsim.effects.integrate`.
     """
-    count = len(rows)
-    numbers = np.array([(r[0], r[1], r[2], r[4], r[5], r[6], r[7], *r[3][2:]) for r in rows], dtype=float).reshape(
-        count, 14
+    flat = chain.from_iterable((r[0], r[1], r[4], r[6], r[7], *r[3][2:]) for rows, _, _ in parts for r in rows)
+    start, duration, elapsed, moving_time, starts, speed, accel, lateral, lateral_rate, yaw, yaw_rate, moving = (
+        np.fromiter(flat, dtype=np.float64).reshape(-1, 12).T.copy()
     )
-    start, duration, elapsed = numbers[:, 0], numbers[:, 1], numbers[:, 3]
-    # only the settings of these rows: a mission is evaluated in as many parts as it comes to chargers
-    used, leg_of = np.unique(numbers[:, 2].astype(np.intp), return_inverse=True)
-    accel, lateral_rate, yaw_rate = numbers[:, 8], numbers[:, 10], numbers[:, 12]
-    moving = numbers[:, 13]
-    settings = [legs[i].settings for i in used.tolist()]
+    # the settings of many rows, and of many runs, are the same object
+    known: dict[int, int] = {}
+    settings: list[Settings] = []
+    leg_of: list[int] = []
+    state_of: list[int] = []
+    states: list[Sequence[float]] = []
+    for rows, legs, own in parts:
+        for r in rows:
+            one = legs[r[2]].settings
+            index = known.get(id(one))
+            if index is None:
+                index = known[id(one)] = len(settings)
+                settings.append(one)
+            leg_of.append(index)
+            state_of.append(len(states) + r[5])
+        states += own
+    which = np.array(leg_of, dtype=np.intp)
     columns: dict[str, Any] = {
-        "speed_m_s": numbers[:, 7] + accel * elapsed,
+        "speed_m_s": speed + accel * elapsed,
         "accel_m_s2": accel,
-        "lateral_speed_m_s": numbers[:, 9] + lateral_rate * elapsed,
+        "lateral_speed_m_s": lateral + lateral_rate * elapsed,
         "lateral_accel_m_s2": lateral_rate,
-        "yaw_rate_rad_s": numbers[:, 11] + yaw_rate * elapsed,
+        "yaw_rate_rad_s": yaw + yaw_rate * elapsed,
         "moving": moving,
-        "moving_time_s": numbers[:, 5],
-        "starts": numbers[:, 6],
-        "slope_rad": np.array([s.slope_rad for s in settings])[leg_of],
-        "payload_kg": np.array([s.payload_kg for s in settings])[leg_of],
+        "moving_time_s": moving_time,
+        "starts": starts,
+        "slope_rad": np.array([s.slope_rad for s in settings])[which],
+        "payload_kg": np.array([s.payload_kg for s in settings])[which],
     }
     for name in ("scheme", "navigation", "surface"):
-        labels = Labels.of([getattr(s, name) for s in settings])
-        columns[name] = labels[leg_of]
-    extra_names = {name for s in settings for name, _ in s.extra}
-    for name in sorted(extra_names):
-        given = [dict(s.extra).get(name, np.nan) for s in settings]
+        columns[name] = Labels.of([getattr(s, name) for s in settings])[which]
+    extras = [dict(s.extra) for s in settings]
+    for name in sorted({name for extra in extras for name in extra}):
+        given = [extra.get(name, np.nan) for extra in extras]
         if any(isinstance(value, str) for value in given):
-            columns[name] = Labels.of(given)[leg_of]
+            columns[name] = Labels.of(given)[which]
         else:
-            columns[name] = np.array(given, dtype=float)[leg_of]
-    state = states[numbers[:, 4].astype(np.intp)]
-    width = len(components)
+            columns[name] = np.array(given, dtype=float)[which]
     rates: dict[str, Any] = {
         "speed_m_s": accel,
         "lateral_speed_m_s": lateral_rate,
@@ -216,13 +206,13 @@ def timeline(
         "moving_time_s": moving,
     }
     if "time_s" in needs:
-        columns["time_s"], rates["time_s"] = start, np.ones(count)
+        columns["time_s"], rates["time_s"] = start, np.ones(len(start))
+    width = len(components)
+    state = np.fromiter(chain.from_iterable(states), dtype=np.float64).reshape(len(states), 3 * width).T[:, state_of]
+    on = state[:width] > 0.0
+    on_time, ticking = np.where(on, start - state[2 * width :], 0.0), on.astype(float)
     for i, name in enumerate(components):
-        units = state[:, i]
-        on = units > 0.0
-        columns[f"on_{name}"] = units
-        columns[f"starting_{name}"] = state[:, width + i]
-        columns[f"on_time_{name}_s"] = np.where(on, start - state[:, 2 * width + i], 0.0)
-        rates[f"on_time_{name}_s"] = on.astype(float)
-    segment = np.array([s.segment for s in settings], dtype=np.int64)[leg_of]
-    return Timeline(start, duration, columns, rates, segment, dict(constants or {}))
+        columns[f"on_{name}"], columns[f"starting_{name}"] = state[i], state[width + i]
+        columns[f"on_time_{name}_s"], rates[f"on_time_{name}_s"] = on_time[i], ticking[i]
+    segment = np.array([s.segment for s in settings], dtype=np.int64)[which]
+    return Timeline(start, duration, columns, rates, segment)

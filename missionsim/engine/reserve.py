@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel
-from missionsim.engine.recorder import Row, timeline
+from missionsim.engine.meter import Asked, Evaluating
+from missionsim.engine.recorder import Row
 from missionsim.plan.homing import Homing, last_driven
 from missionsim.plan.legs import Leg
 from missionsim.plan.steps import group
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 def home_energies(
-    world: World, homing: Homing, model: PowerModel, values: Mapping[str, Any] | None = None, only_last: bool = False
-) -> list[dict[str, float | None]]:
+    world: World, homing: Homing, model: PowerModel, values: Mapping[str, Any], only_last: bool = False
+) -> Evaluating[list[dict[str, float | None]]]:
     """Energy in Wh to come home from the end of each segment, by battery.
 
     Parameters
@@ -29,7 +29,7 @@ def home_energies(
         After its execution.
     homing : Homing
     model : PowerModel
-    values : mapping, optional
+    values : mapping
         Parameters that differ from the model's.
     only_last : bool
         Only from where the robot is at the end; the list then has one entry.
@@ -83,9 +83,8 @@ def home_energies(
     batteries = model.batteries
     totals = {name: np.zeros(max(1, len(wanted))) for name in batteries}
     if rows:
-        table = np.array(list(states), dtype=float)
-        line = timeline(rows, legs, world.recorder.components, table, needs=world.meter.needs)
-        for name, terms in integrate(model, line, values).items():
+        answer = yield Asked(rows, legs, list(states), values)
+        for name, terms in answer.energies.items():
             for joules in terms.values():
                 totals[name] += np.bincount(np.array(owner), weights=joules, minlength=len(wanted))
     result: list[dict[str, float | None]] = [

@@ -16,7 +16,7 @@ from missionsim.engine.battery_build import build_battery
 from missionsim.engine.components import ComponentInfo
 from missionsim.engine.driven import DrivenEdge, edges_driven
 from missionsim.engine.joining import distance_of, joined
-from missionsim.engine.meter import Batch
+from missionsim.engine.meter import Batch, Evaluating, alone
 from missionsim.engine.outcome import J_PER_WH, Alarm, BatteryResult, RunResult
 from missionsim.engine.remarks import doubts, never_on
 from missionsim.engine.reserve import home_energies
@@ -96,17 +96,8 @@ def simulate(
     numbers, drawn = split_values(values or {}, model)
     plan = make_plan(mission, numbers, rng) if plan is None else plan
     setup = RunSetup(mission, plan, model, numbers, drawn)
-    whole = world = setup.execute(())
-    alarms: list[Alarm] = []
-    while len(alarms) < MOST_ALARMS:
-        alarm = world.meter.first_alarm(setup.reserves(alarms))
-        if alarm is None:
-            break
-        alarms.append(alarm)
-        world = setup.execute(alarms)
-        if alarm.kind == "empty":
-            break
-    return setup.result(world, whole, alarms, trace)
+    result = alone(model, setup.names, setup.run(trace=trace))
+    return result if trace else replace(result.totals(), home=result.home)
 
 
 class RunSetup:
@@ -145,6 +136,7 @@ class RunSetup:
             )
             for name, spec in robot.components.items()
         ]
+        self.names = tuple(robot.components)
         self._homing: Homing | None = None
 
     def number(self, parameter: Parameter, prefix: str = "") -> float:
@@ -167,7 +159,21 @@ class RunSetup:
             self._homing = Homing(self.mission, self.plan.limits, routes)
         return self._homing
 
-    def execute(self, alarms: tuple[Alarm, ...] | list[Alarm]) -> World:
+    def run(self, *, trace: bool = True) -> Evaluating[RunResult]:
+        """All executions that the mission needs, and its result; with `trace`, what is strange about it too."""
+        whole = world = yield from self.execute(())
+        alarms: list[Alarm] = []
+        while len(alarms) < MOST_ALARMS:
+            alarm = world.meter.first_alarm(self.reserves(alarms))
+            if alarm is None:
+                break
+            alarms.append(alarm)
+            world = yield from self.execute(alarms)
+            if alarm.kind == "empty":
+                break
+        return (yield from self.result(world, whole, alarms, trace))
+
+    def execute(self, alarms: Sequence[Alarm]) -> Evaluating[World]:
         """One execution with interrupts at known instants."""
         check_covariates(self.plan, self.model)
         world = World(
@@ -179,7 +185,7 @@ class RunSetup:
             detour=self._detour if alarms else None,
             values=self.drawn,
         )
-        world.run()
+        yield from world.run()
         return world
 
     def _detour(self, leg: Leg, done_m: float, brake_m: float) -> Any:
@@ -193,12 +199,14 @@ class RunSetup:
             return {}
         return {name: battery.state_of(self.required[name]) for name, battery in self.batteries.items()}
 
-    def result(self, world: World, whole: World, alarms: list[Alarm], trace: bool) -> RunResult:
+    def result(self, world: World, whole: World, alarms: list[Alarm], trace: bool) -> Evaluating[RunResult]:
         """The result of the last execution."""
         batches = world.meter.batches
         line, energies, charge = joined(batches, self.batteries)
         duration = float(world.env.now)
-        home = self._home_at_end(world)
+        home: dict[str, float | None] = dict.fromkeys(self.batteries)
+        if self.mission.environment is not None:
+            home = (yield from home_energies(world, self.homing, self.model, self.drawn, only_last=True))[-1]
         results = {}
         reasons = [world.reason] if world.reason else []
         for name, battery in self.batteries.items():
@@ -217,7 +225,7 @@ class RunSetup:
             warnings = doubts(self.model, line, energies, charge, self.batteries, segments, places)
             off = never_on(line)
         mission = self.mission
-        result = RunResult(
+        return RunResult(
             mission.name,
             mission.robot.name,
             world.completed and not reasons,
@@ -231,14 +239,13 @@ class RunSetup:
             segments,
             world.ends_s,
             results,
-            home=lambda: home_energies(world, self.homing, self.model, self.drawn),
+            home=lambda: alone(self.model, self.names, home_energies(world, self.homing, self.model, self.drawn)),
             warnings=warnings,
             never_on=off,
             segments_driven=world.begun,
             interrupted=world.interrupted,
             driven=self._driven(world, line, energies, charge),
         )
-        return result if trace else replace(result.totals(), home=result.home)
 
     def _driven(
         self, world: World, line: Timeline, energies: Any, charge: Any
@@ -247,11 +254,6 @@ class RunSetup:
         if environment is None:
             return None
         return lambda: edges_driven(environment, world.recorder.rows, world.legs, line, energies, charge)
-
-    def _home_at_end(self, world: World) -> dict[str, float | None]:
-        if self.mission.environment is None:
-            return dict.fromkeys(self.batteries)
-        return home_energies(world, self.homing, self.model, self.drawn, only_last=True)[-1]
 
     def _battery_result(
         self,

@@ -11,7 +11,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.engine.batteries import CHARGING, HELD, Battery
 from missionsim.engine.bursts import refuse_bursts, too_many_bursts
 from missionsim.engine.components import ComponentInfo, Switchboard
-from missionsim.engine.meter import Meter
+from missionsim.engine.meter import Evaluating, Meter
 from missionsim.engine.outcome import Alarm
 from missionsim.engine.recorder import Recorder
 from missionsim.plan.legs import Activity, Leg, Phase, Plan, Recharge, SegmentInfo, Step, Trigger
@@ -20,6 +20,8 @@ Detour = Callable[[Leg, float, float], tuple[list[Leg], tuple[Step, ...]] | None
 """``(leg, metres done on it, metres to brake) -> legs and steps home``, or None where there is no way."""
 
 FOREVER_S = 1e9
+SPAN_S, LONGEST_LOOK_S = 3600.0, 1e7
+"""How far a charger looks ahead at first, and at most."""
 LONGEST_CHARGE_S = 30 * 86400.0
 """A charge level that is not reached in this time is not reached at all."""
 MOST_BURSTS = 500_000
@@ -90,6 +92,9 @@ class World:
         self.interrupted: Alarm | None = None
         self.reason = ""
         self._bursts_done = 0
+        self._halt = env.event()
+        self._ahead_s: float | None = None
+        self._answered = env.event()
         self.ends_s: dict[int, float] = {}
         self._detour = detour
         self._batteries = batteries
@@ -102,11 +107,28 @@ class World:
         if alarms:
             env.process(self._alarms(alarms))
 
-    def run(self) -> None:
+    def run(self) -> Evaluating[None]:
         """Execute until the driver has finished, and evaluate everything."""
-        self.env.run(until=self.driver)
+        while True:
+            self.env.run(until=self._halt)
+            if self._ahead_s is None:
+                break
+            yield from self.meter.settle(self._ahead_s)
+            self._ahead_s, self._halt = None, self.env.event()
+            self._at_once(self._answered)
         self.recorder.close()
-        self.meter.settle()
+        yield from self.meter.settle()
+
+    def _know(self, ahead_s: float) -> simpy.Event:
+        """Have the meter evaluate all until now, and what the next seconds would take were nothing to change."""
+        self._ahead_s, self._answered = ahead_s, self.env.event()
+        self._at_once(self._halt)
+        return self._answered
+
+    def _at_once(self, event: simpy.Event) -> None:
+        """Let an event happen before all others of this instant."""
+        event._ok, event._value = True, None
+        self.env.schedule(event, priority=simpy.events.URGENT)
 
     def _drive(self) -> Generator[simpy.Event, Any, None]:
         if self.plan.start:
@@ -117,12 +139,11 @@ class World:
             try:
                 yield from self._execute(steps)
                 self.completed = not home and not self.reason
-                return
+                break
             except ChargerTooWeak as problem:
                 self.reason = str(problem)
-                recorder = self.recorder
-                recorder.rest(recorder.leg)
-                return
+                self.recorder.rest(self.recorder.leg)
+                break
             except simpy.Interrupt as interrupt:
                 alarm = cast(Alarm, interrupt.cause)
                 self.interrupted = self.interrupted or alarm
@@ -130,8 +151,9 @@ class World:
                 way = self._way_home() if alarm.kind == "reserve" and not home else None
                 if way is None:
                     self.recorder.close()
-                    return
+                    break
                 steps, home = way, True
+        self._at_once(self._halt)
 
     def _execute(self, steps: Iterable[Step]) -> Generator[simpy.Event, Any, None]:
         env, recorder, legs, board = self.env, self.recorder, self.legs, self.board
@@ -280,12 +302,17 @@ class World:
         deadline = FOREVER_S if recharge.duration_s is None else env.now + recharge.duration_s
         with dock.request() as slot:
             yield slot
-            recorder.close()
-            meter.settle()
             began = env.now
-            full = {name for name in recharge.batteries if meter.state[name] >= self._batteries[name].state_of(level)}
+            full: set[str] | None = None
             try:
                 while env.now < deadline:
+                    left = deadline - env.now
+                    recorder.close()
+                    span = min(left, SPAN_S)
+                    yield self._know(span)
+                    if full is None:
+                        at = meter.state
+                        full = {n for n in recharge.batteries if at[n] >= self._batteries[n].state_of(level)}
                     active = [name for name in recharge.batteries if name not in full]
                     if not active and recharge.until is not None:
                         return
@@ -295,14 +322,17 @@ class World:
                             for name in order
                         )
                     )
-                    meter.settle()
-                    left = deadline - env.now
-                    times = {
-                        name: found
-                        for name in active
-                        if (found := meter.time_to(name, self._batteries[name].state_of(level), min(left, 1e7)))
-                        is not None
-                    }
+                    times: dict[str, float] = {}
+                    while True:
+                        for name in active:
+                            if name not in times and (
+                                (found := meter.time_to(name, self._batteries[name].state_of(level))) is not None
+                            ):
+                                times[name] = found
+                        if len(times) == len(active) or span >= min(left, LONGEST_LOOK_S):
+                            break
+                        span = min(left, LONGEST_LOOK_S, 16.0 * span)
+                        yield self._know(span)
                     stuck = not times and env.peek() == float("inf")
                     if recharge.duration_s is None and (stuck or env.now - began > LONGEST_CHARGE_S):
                         raise ChargerTooWeak(f"the charger at '{recharge.place}' gives less than the robot draws there")

@@ -88,7 +88,6 @@ class Physics:
         self._infos = {info.name: info for info in self.setup.components}
         self._always = {info.name: info.units for info in self.setup.components if info.always_on}
         self._settings: dict[Settings, int] = {}
-        self._needs = frozenset(name for term in self.model.terms for name in term.effect.needs)
         self.impulsive = any(term.effect.impulse is not None for term in self.model.terms)
         self.fades = bool(self.model.memory)
         self.circuits = [name for name, battery in batteries.items() if not isinstance(battery, ConstantEnergy)]
@@ -148,7 +147,7 @@ class Physics:
         total = np.zeros((len(rows), len(self.names)))
         if not rows:
             return total
-        line = timeline(rows, legs, names, np.array(list(index), dtype=float), needs=self._needs)
+        line = timeline([(rows, legs, list(index))], names, self.model.needs)
         for b, terms in enumerate(integrate(self.model, line).values()):
             for joules in terms.values():
                 total[:, b] += joules

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.model import PowerModel
+from missionsim.engine.meter import Evaluating, alone, together
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import RunSetup, simulate, split_values
 from missionsim.errors import MissionsimError
@@ -20,6 +21,8 @@ from missionsim.uncertainty.streams import run_generator
 
 PROGRESS_POINTS = 21
 """Charge of each battery is kept at so many instants, evenly over a run's duration."""
+MOST_TOGETHER, ROWS_TOGETHER = 256, 30_000
+"""Runs, and their intervals, whose energies are evaluated together."""
 
 
 def simulate_run(
@@ -85,22 +88,32 @@ def simulate_block(
     """
     own = range(first, first + count) if numbers is None else numbers
     draws = dict(draws or sampler.draw(seed, first, count))
-    rows: list[dict[str, Any]] = []
-    counted: list[dict[str, float]] = []
     chance = left_to_chance(mission)
     plans: list[Plan | None] = [None] * count if chance else _plans(mission, model, draws, count)
-    for i in range(count):
-        counted.append({})
+    made: list[Plan | None] = [None] * count
+
+    def run(i: int) -> Evaluating[dict[str, Any]]:
         values = {name: float(column[i]) for name, column in draws.items()}
-        try:
-            plan = plans[i] or _plan(mission, model, values, seed, int(own[i]))
-            counted[-1] = _chance(plan)
-            row = _row(simulate(mission, values=values, plan=plan, model=model))
-            rows.append({**row, "speed_limited": plan.limited})
-        except MissionsimError as error:
-            rows.append({"message": f"failed: {error}"})
-        except (ArithmeticError, ValueError, RuntimeError) as error:
-            rows.append({"message": f"failed: {type(error).__name__}: {error}"})
+        made[i] = plan = plans[i] or _plan(mission, model, values, seed, int(own[i]))
+        setup = RunSetup(mission, plan, model, *split_values(values, model))
+        result = yield from setup.run(trace=False)
+        return {**_row(result), "speed_limited": plan.limited}
+
+    rows: list[dict[str, Any]] = []
+    some = next((sum(len(step.phases) for step in plan.steps) for plan in plans if plan is not None), 1)
+    size = max(1, min(MOST_TOGETHER, ROWS_TOGETHER // max(1, some)))
+    for low in range(0, count, size):
+        runs = [run(i) for i in range(low, min(low + size, count))]
+        for found in together(model, tuple(mission.robot.components), runs):
+            if isinstance(found, MissionsimError):
+                rows.append({"message": f"failed: {found}"})
+            elif isinstance(found, (ArithmeticError, ValueError, RuntimeError)):
+                rows.append({"message": f"failed: {type(found).__name__}: {found}"})
+            elif isinstance(found, Exception):
+                raise found
+            else:
+                rows.append(found)
+    counted = [{} if plan is None else _chance(plan) for plan in made]
     for name in chance:
         draws[name] = np.array([found.get(name, np.nan) for found in counted])
     return _columns(rows, draws, own, batteries=tuple(mission.robot.batteries), components=components_of(model))
@@ -125,7 +138,8 @@ def unread_values(mission: MissionSpec, model: PowerModel, sampler: Sampler) -> 
     read = _Read(numbers)
     try:
         plan = make_plan(mission, read, run_generator(0, "chance", 0))
-        RunSetup(mission, plan, model, read, split_values(numbers, model)[1]).execute(())
+        setup = RunSetup(mission, plan, model, read, split_values(numbers, model)[1])
+        alone(model, setup.names, setup.execute(()))
     except MissionsimError:
         return ()  # its runs tell what is wrong
     used = read.seen | {f"robot.{parameter.path}" for parameter in model.parameters.values()}
