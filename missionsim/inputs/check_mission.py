@@ -167,16 +167,7 @@ class _MissionCheck(RouteCheck):
                 )
         for sensor, count in (settings.sensors or {}).items():
             at = (*where, "sensors", sensor)
-            if not check.known(at, sensor, _raw(robot, "components"), "component", key=True):
-                continue
-            component = robot.components.get(sensor)
-            if component is not None and count > component.units:
-                check.add(
-                    at,
-                    f"more units of '{sensor}' than the robot has",
-                    got=str(count),
-                    allowed=f"0 to {component.units}",
-                )
+            if not check.units(at, sensor, count, robot):
                 continue
             if scheme is None or segment is None or not count:
                 continue
@@ -198,53 +189,26 @@ class _MissionCheck(RouteCheck):
         if not self.robot.whole:
             return
         body = self.robot.body
-        sideways = getattr(settings, "kind", "") == "move" and body.max_lateral_speed is not None
-        top = (
-            max(body.max_speed.value, body.max_lateral_speed.value)
-            if sideways and body.max_lateral_speed
-            else body.max_speed.value
-        )
-        if settings.speed is not None and settings.speed.value > top * (1 + 1e-12):
-            self.check.add(
-                (*where, "speed"),
-                "faster than the robot",
-                got=f"{settings.speed.value:g} m/s",
-                allowed=f"at most {top:g} m/s (body.max_speed of {self.robot.name})",
-            )
-        elif (
-            settings.speed is not None
-            and scheme is not None
-            and scheme.max_speed is not None
-            and settings.speed.value > scheme.max_speed.value * (1 + 1e-12)
+        top = body.max_speed.value
+        if getattr(settings, "kind", "") == "move" and body.max_lateral_speed is not None:
+            top = max(top, body.max_lateral_speed.value)
+        of = f" of {self.robot.name})"
+        slow = scheme.max_speed.value if scheme is not None and scheme.max_speed is not None else None
+        turn = body.max_yaw_rate.value if "max_yaw_rate" in body.model_fields_set else None
+        load = body.max_payload.value if body.max_payload is not None else None
+        told: set[str] = set()
+        for key, most, message, unit, whose in (
+            ("speed", top, "faster than the robot", "m/s", f" (body.max_speed{of}"),
+            ("speed", slow, f"faster than control scheme '{name}'", "m/s", ""),
+            ("yaw_rate", turn, "turns faster than the robot", "rad/s", f" (body.max_yaw_rate{of}"),
+            ("payload", load, "more than the robot carries", "kg", ""),
         ):
-            self.check.add(
-                (*where, "speed"),
-                f"faster than control scheme '{name}'",
-                got=f"{settings.speed.value:g} m/s",
-                allowed=f"at most {scheme.max_speed.value:g} m/s",
-            )
-        if (
-            settings.yaw_rate is not None
-            and "max_yaw_rate" in body.model_fields_set
-            and settings.yaw_rate.value > body.max_yaw_rate.value * (1 + 1e-12)
-        ):
-            self.check.add(
-                (*where, "yaw_rate"),
-                "turns faster than the robot",
-                got=f"{settings.yaw_rate.value:g} rad/s",
-                allowed=f"at most {body.max_yaw_rate.value:g} rad/s (body.max_yaw_rate of {self.robot.name})",
-            )
-        if (
-            settings.payload is not None
-            and body.max_payload is not None
-            and settings.payload.value > body.max_payload.value
-        ):
-            self.check.add(
-                (*where, "payload"),
-                "more than the robot carries",
-                got=f"{settings.payload.value:g} kg",
-                allowed=f"at most {body.max_payload.value:g} kg",
-            )
+            given = getattr(settings, key)
+            if given is None or most is None or key in told or given.value <= most * (1 + 1e-12):
+                continue
+            told.add(key)
+            allowed = f"at most {most:g} {unit}{whose}"
+            self.check.add((*where, key), message, got=f"{given.value:g} {unit}", allowed=allowed)
 
     def policy(self) -> None:
         policy = self.mission.policy
@@ -267,19 +231,12 @@ class _MissionCheck(RouteCheck):
     def activities(self) -> None:
         for index, activity in enumerate(self.mission.activities):
             where: tuple[str | int, ...] = ("activities", index)
-            if self.robot is not None and self.check.known(
-                (*where, "component"), activity.component, _raw(self.robot, "components"), "component"
-            ):
-                component = self.robot.components.get(activity.component)
-                if component is not None and activity.units > component.units:
-                    self.check.add(
-                        (*where, "units"),
-                        f"more units of '{activity.component}' than the robot has",
-                        got=str(activity.units),
-                        allowed=f"1 to {component.units}",
-                    )
+            if self.robot is not None:
+                name = activity.component
+                self.check.units((*where, "component"), name, activity.units, self.robot, 1)
+                component = self.robot.components.get(name)
                 if component is not None and component.always_on:
-                    self.check.add((*where, "component"), f"'{activity.component}' is always on", warning=True)
+                    self.check.add((*where, "component"), f"'{name}' is always on", warning=True)
             begin, end = (m.time if m is not None else None for m in (activity.from_, activity.until))
             if begin is not None and end is not None and end.value <= begin.value:
                 self.check.add(

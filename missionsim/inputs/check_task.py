@@ -155,12 +155,7 @@ class _TaskCheck:
         if navigation is not None and spec is not None:
             check.known((*where, "navigation"), navigation, spec.navigation, f"navigation of {scheme}")
         for name, count in (sensors or {}).items():
-            here = (*where, "sensors", name)
-            if not check.known(here, name, robot.components, "component", key=True):
-                continue
-            most = robot.components[name].units
-            if count > most:
-                check.add(here, f"more units of '{name}' than the robot has", got=str(count), allowed=f"0 to {most}")
+            check.units((*where, "sensors", name), name, count, robot)
 
     def payload(self) -> None:
         task = self.task

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.inputs.salvage import related, under
 from missionsim.inputs.tree import Document, as_written
 
+if TYPE_CHECKING:
+    from missionsim.inputs.robot import RobotSpec
+
 Where = Sequence[str | int]
 _SHOWN = 24
 
-ALIASES = ("v", "a", "w", "u", "theta", "m")
-"""Short names in formulas: speed, acceleration, yaw rate, sideways speed, slope, mass."""
 DERIVED = ("moving_time_s", "moving", "starts", "mass_kg", "drive_w", "load_w")
 """Covariates that a run or a log adds to the glossary's columns."""
 
@@ -71,6 +73,20 @@ class Checker:
         )
         return False
 
+    def units(self, where: Where, name: str, count: int, robot: RobotSpec, least: int = 0) -> bool:
+        """Whether a robot has a component, and as many units of it."""
+        known = Checker(robot.document).raw_keys("components") if robot.document is not None else list(robot.components)
+        key = where[-1] == name
+        if not self.known(where, name, known, "component", key=key):
+            return False
+        spec = robot.components.get(name)
+        if spec is not None and count > spec.units:
+            at = where if key else (*where[:-1], "units")
+            allowed = f"{least} to {spec.units}"
+            self.add(at, f"more units of '{name}' than the robot has", got=str(count), allowed=allowed)
+            return False
+        return spec is not None
+
     def raw_keys(self, *where: str | int) -> list[str]:
         """Keys of a mapping as the file has them, also those whose values are at fault."""
         data = self.document.data
@@ -104,6 +120,7 @@ class Checker:
 
         Names of further log columns are allowed; one that is nearly a known name gets a warning.
         """
+        from missionsim.effects.base_terms import ALIASES
         from missionsim.expressions import compile_expression
         from missionsim.glossary import COLUMNS, column_of
 

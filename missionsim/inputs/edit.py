@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import InputError
 from missionsim.inputs import units
-from missionsim.inputs.loading import find_robot, robot_from_text
+from missionsim.inputs.examples import find_robot, unknown_robot
+from missionsim.inputs.loading import robot_from_text
 from missionsim.inputs.overrides import resolve
 from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.schemas import SCHEMA_FOLDER
@@ -35,9 +36,7 @@ def robot_text(name_or_path: str | os.PathLike[str]) -> str:
     """
     path = find_robot(str(name_or_path), None)
     if path is None:
-        raise InputError.single(
-            f"no robot '{name_or_path}'", got=str(name_or_path), allowed="a shipped robot or a file"
-        )
+        raise InputError(unknown_robot(str(name_or_path)))
     return path.read_text(encoding="utf-8")
 
 

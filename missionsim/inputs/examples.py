@@ -5,13 +5,15 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from missionsim.errors import Fault, InputError
+from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.files import atomic_write
+from missionsim.inputs.tree import Document, as_written
 
 PARTS = ("missions", "environments", "docs", "robots")
 """Folders that `write_examples` writes; README's commands run beside them."""
 
 _PACKAGE = Path(__file__).resolve().parents[1]
+_ROBOTS = _PACKAGE / "robots"
 
 
 def examples_folder() -> Path:
@@ -71,3 +73,30 @@ def write_examples(out: Path) -> list[Path]:
 
 def _same(one: Path, other: Path) -> bool:
     return one.is_file() and one.read_bytes() == other.read_bytes()
+
+
+def shipped_robots() -> dict[str, Path]:
+    """Names of the robots that come with missionsim, and their files."""
+    return {path.stem: path for path in sorted(_ROBOTS.glob("*.yaml"))}
+
+
+def find_robot(reference: str, folder: Path | None) -> Path | None:
+    """File of a robot named by a shipped name or a path (relative to `folder`), or None."""
+    shipped = _ROBOTS / f"{reference}.yaml"
+    if reference.replace("_", "").isalnum() and shipped.is_file():
+        return shipped
+    candidate = Path(reference) if folder is None else folder / reference
+    try:
+        return candidate if candidate.is_file() else None
+    except (OSError, ValueError):
+        return None
+
+
+def unknown_robot(reference: str, document: Document | None = None, path: tuple[str | int, ...] = ()) -> Fault:
+    """The fault of a robot that is not there, at the place in a file that names it."""
+    names = list(shipped_robots())
+    hint = did_you_mean(reference, names)
+    allowed = ", ".join(names) + ", or the path of a robot file"
+    if document is None:
+        return Fault("", 0, 0, f"no robot '{reference}'", got=reference, allowed=allowed, hint=hint)
+    return document.fault(path, f"no robot '{reference}'", got=as_written(reference), allowed=allowed, hint=hint)

@@ -17,6 +17,7 @@ from missionsim.inputs.check_environment import check_environment
 from missionsim.inputs.check_mission import check_mission
 from missionsim.inputs.check_robot import check_robot
 from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.inputs.examples import find_robot, unknown_robot
 from missionsim.inputs.mission import MissionSpec, StudySpec
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.tree import Document, as_written, parse_document, read_document
@@ -30,8 +31,8 @@ if TYPE_CHECKING:
 KINDS = ("robot", "environment", "mission", "study", "map", "task")
 Override = tuple[str, Any]
 Loaded = TypeVar("Loaded", bound=FileModel)
+Joined = TypeVar("Joined", MissionSpec, "TaskSpec")
 _REMEMBERED: ContextVar[dict[Any, Any] | None] = ContextVar("remembered", default=None)
-ROBOT_FOLDER = Path(__file__).resolve().parent.parent / "robots"
 
 
 @contextlib.contextmanager
@@ -42,11 +43,6 @@ def remembered() -> Iterator[None]:
         yield
     finally:
         _REMEMBERED.reset(token)
-
-
-def shipped_robots() -> dict[str, Path]:
-    """Names of the robots that come with missionsim, and their files."""
-    return {path.stem: path for path in sorted(ROBOT_FOLDER.glob("*.yaml"))}
 
 
 def load_robot(name_or_path: str | os.PathLike[str], overrides: Sequence[Override] = ()) -> RobotSpec:
@@ -64,24 +60,20 @@ def load_robot(name_or_path: str | os.PathLike[str], overrides: Sequence[Overrid
     InputError
         All faults of the file.
     """
-    faults: list[Fault] = []
     path = find_robot(str(name_or_path), None)
     if path is None:
-        raise InputError(_unknown_robot(str(name_or_path), None, ()))
-    robot = _load(path, RobotSpec, faults, overrides)
-    return _finish(robot, faults)
+        raise InputError(unknown_robot(str(name_or_path), None, ()))
+    return _finished(path, RobotSpec, overrides)
 
 
 def robot_from_text(text: str, name: str = "robot") -> RobotSpec:
     """A robot from the text of its file; `name` is what messages call it."""
-    faults: list[Fault] = []
-    return _finish(_load(Path(name), RobotSpec, faults, document=parse_document(text, name=name)), faults)
+    return _finished(Path(name), RobotSpec, (), parse_document(text, name=name))
 
 
 def load_environment(path: str | os.PathLike[str], overrides: Sequence[Override] = ()) -> EnvironmentSpec:
     """Load an environment file; see `load_robot`."""
-    faults: list[Fault] = []
-    return _finish(_load(Path(path), EnvironmentSpec, faults, overrides), faults)
+    return _finished(Path(path), EnvironmentSpec, overrides)
 
 
 def load_mission(
@@ -111,16 +103,14 @@ def load_mission(
 
 def load_study(path: str | os.PathLike[str]) -> StudySpec:
     """Load a study file; its `mission` stays a path relative to it (`mission_path`)."""
-    faults: list[Fault] = []
-    return _finish(_load(Path(path), StudySpec, faults), faults)
+    return _finished(Path(path), StudySpec)
 
 
 def load_map(path: str | os.PathLike[str]) -> MapSpec:
     """Load a map for ``missionsim import``; faults in its formulas are told too."""
     from missionsim.inputs.log_map import MapSpec
 
-    faults: list[Fault] = []
-    return _finish(_load(Path(path), MapSpec, faults), faults)
+    return _finished(Path(path), MapSpec)
 
 
 def load_task(
@@ -178,16 +168,11 @@ def check_files(paths: Iterable[str | os.PathLike[str]]) -> list[Fault]:
     return sorted(set(faults))
 
 
-def find_robot(reference: str, folder: Path | None) -> Path | None:
-    """File of a robot named by a shipped name or a path (relative to `folder`), or None."""
-    shipped = ROBOT_FOLDER / f"{reference}.yaml"
-    if reference.replace("_", "").isalnum() and shipped.is_file():
-        return shipped
-    candidate = Path(reference) if folder is None else folder / reference
-    try:
-        return candidate if candidate.is_file() else None
-    except (OSError, ValueError):
-        return None
+def _finished(
+    path: Path, model: type[Loaded], overrides: Sequence[Override] = (), document: Document | None = None
+) -> Loaded:
+    faults: list[Fault] = []
+    return _finish(_load(path, model, faults, overrides, document), faults)
 
 
 def _finish(model: Loaded | None, faults: list[Fault]) -> Loaded:
@@ -280,15 +265,6 @@ def _load_anew(
     return result
 
 
-def _unknown_robot(reference: str, document: Document | None, path: tuple[str | int, ...]) -> Fault:
-    names = list(shipped_robots())
-    hint = did_you_mean(reference, names)
-    allowed = ", ".join(names) + ", or the path of a robot file"
-    if document is None:
-        return Fault("", 0, 0, f"no robot '{reference}'", got=reference, allowed=allowed, hint=hint)
-    return document.fault(path, f"no robot '{reference}'", got=as_written(reference), allowed=allowed, hint=hint)
-
-
 def _companions(
     path: Path,
     document: Document,
@@ -308,7 +284,7 @@ def _companions(
         if isinstance(reference, str) and (reference or robot is not None):
             found = find_robot(reference, None if robot is not None else path.parent) if reference else None
             if found is None:
-                faults.append(_unknown_robot(reference, None if robot is not None else document, ("robot",)))
+                faults.append(unknown_robot(reference, None if robot is not None else document, ("robot",)))
             else:
                 robot_spec = _load(found, RobotSpec, faults, by_file["robot"], prefix="robot.")
     environment = None
@@ -339,21 +315,12 @@ def _load_task(
     from missionsim.inputs.check_task import check_task
     from missionsim.inputs.task import TaskSpec
 
-    document = document or _read(path, faults)
-    if document is None:
-        return None
-    by_file = override_rules.route(overrides, document.data)
-    task = _load(path, TaskSpec, faults, by_file[""], document=document)
-    robot_spec, environment = _companions(path, document, faults, by_file, robot)
-    if task is None:
-        return None
-    task._robot, task._environment = robot_spec, environment
-    task._elsewhere = tuple(
-        (f"{part}.{key}", value if isinstance(value, str) else repr(value))
-        for part in ("robot", "environment")
-        for key, value in by_file[part]
-    )
-    faults.extend(check_task(task, task.document))
+    task, by_file = _load_joined(path, TaskSpec, faults, overrides, robot, document)
+    if task is not None:
+        task._elsewhere = _shown(
+            [(f"{part}.{key}", v) for part in ("robot", "environment") for key, v in by_file[part]]
+        )
+        faults.extend(check_task(task, task.document))
     return task
 
 
@@ -364,20 +331,35 @@ def _load_mission(
     robot: str | os.PathLike[str] | RobotSpec | None = None,
     document: Document | None = None,
 ) -> MissionSpec | None:
+    mission, _ = _load_joined(path, MissionSpec, faults, overrides, robot, document)
+    if mission is not None:
+        mission._overrides = _shown(overrides)
+        faults.extend([*check_mission(mission, mission.document), *unread(mission)])
+    return mission
+
+
+def _load_joined(
+    path: Path,
+    model: type[Joined],
+    faults: list[Fault],
+    overrides: Sequence[Override],
+    robot: str | os.PathLike[str] | RobotSpec | None,
+    document: Document | None,
+) -> tuple[Joined | None, dict[str, list[Override]]]:
+    """A mission or a task with the robot and the environment that it names, and the overrides by file."""
     document = document or _read(path, faults)
     if document is None:
-        return None
+        return None, {}
     by_file = override_rules.route(overrides, document.data)
-    mission = _load(path, MissionSpec, faults, by_file[""], document=document)
-    robot_spec, environment = _companions(path, document, faults, by_file, robot)
-    if mission is None:
-        return None
-    mission._robot = robot_spec
-    mission._environment = environment
-    mission._overrides = tuple((key, value if isinstance(value, str) else repr(value)) for key, value in overrides)
-    faults.extend(check_mission(mission, mission.document))
-    faults.extend(unread(mission))
-    return mission
+    made = _load(path, model, faults, by_file[""], document=document)
+    companions = _companions(path, document, faults, by_file, robot)
+    if made is not None:
+        made._robot, made._environment = companions
+    return made, by_file
+
+
+def _shown(overrides: Sequence[Override]) -> tuple[tuple[str, str], ...]:
+    return tuple((key, value if isinstance(value, str) else repr(value)) for key, value in overrides)
 
 
 def _check_study(study: StudySpec, target: Path, faults: list[Fault]) -> None:

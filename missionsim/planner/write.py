@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from missionsim.inputs.loading import shipped_robots
+from missionsim.inputs.examples import shipped_robots
 from missionsim.planner.answer import Answer, Leg
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from missionsim.inputs.examples import examples_folder
@@ -15,17 +14,12 @@ if TYPE_CHECKING:
 Overrides = tuple[tuple[str, str], ...]
 
 
-def missions_folder() -> Path:
-    """Folder ``missions`` of the clone, or of the installed package."""
-    return examples_folder() / "missions"
-
-
 @functools.lru_cache(maxsize=256)
 def mission(name: str, overrides: Overrides = ()) -> MissionSpec:
     """A shipped mission by ``robot/name``, with values set as on the command line."""
     from missionsim.inputs import load_mission
 
-    return load_mission(missions_folder() / f"{name}.yaml", overrides=overrides)
+    return load_mission(examples_folder() / "missions" / f"{name}.yaml", overrides=overrides)
 
 
 @functools.lru_cache(maxsize=256)

@@ -16,7 +16,7 @@ from missionsim.diagnose.split import choose_split
 from missionsim.diagnose.waterfall import energy_note, heldout_note, mean_variance, noise_floor, noted, worse_of
 from missionsim.identify.findings import Diagnosis, HeldOut, Unexplained
 from missionsim.identify.settings import Settings
-from missionsim.inputs.loading import shipped_robots
+from missionsim.inputs.examples import shipped_robots
 from missionsim.logs import read_logs
 from missionsim.report.diagnosis_page import diagnosis_page
 from missionsim.report.improve_page import improve_page
