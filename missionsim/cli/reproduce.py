@@ -27,6 +27,7 @@ def reproduce(*robots: str, out: OutFolder | None = None, no_pictures: bool = Fa
     no_pictures
         Draw no pictures.
     """
+    from missionsim.published.figures import ABOUT
     from missionsim.published.reproduce import papers_of, reproduce_paper, side_tables, to_json, write
 
     papers = papers_of(robots)
@@ -42,7 +43,7 @@ def reproduce(*robots: str, out: OutFolder | None = None, no_pictures: bool = Fa
         for paper, found in items.items():
             _print(paper, found)
             for name, rows in tables[paper].items():
-                _print_side(name, rows)
+                _print_side(ABOUT[paper].tables[name], rows)
     if out is not None:
         written = write(out, items, tables, not no_pictures)
         if to.text:
@@ -55,12 +56,11 @@ def _print(paper: str, items: list[Item]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from missionsim.published.figures import TITLES
+    from missionsim.published.figures import ABOUT
     from missionsim.published.reproduce import counts, footnotes, number
 
-    table = Table(
-        title=TITLES[paper], title_justify="left", title_style="bold", pad_edge=False, box=None, padding=(0, 1, 0, 0)
-    )
+    table = Table(title=ABOUT[paper].title, title_justify="left", title_style="bold", pad_edge=False)
+    table.box, table.padding = None, (0, 1, 0, 0)
     for heading, justify, width in (
         ("item", "left", 27),
         ("where", "left", 9),
@@ -94,11 +94,9 @@ def _print(paper: str, items: list[Item]) -> None:
     terminal.print(f"{counts(items)}.\n", style="bold")
 
 
-def _print_side(name: str, rows: list[dict[str, Any]]) -> None:
+def _print_side(words: str, rows: list[dict[str, Any]]) -> None:
     """A table beside the figures; wide ones stand on their side, long ones are in the CSV file only."""
     from rich.table import Table
-
-    from missionsim.published.page import WORDS
 
     wide = len(rows[0]) > MOST_COLUMNS
     if len(rows) > (MOST_COLUMNS - 1 if wide else MOST_ROWS):
@@ -114,7 +112,7 @@ def _print_side(name: str, rows: list[dict[str, Any]]) -> None:
     for line in body:
         table.add_row(*line)
     terminal = console()
-    terminal.print(WORDS[name], style="bold")
+    terminal.print(words, style="bold")
     terminal.print(table)
     terminal.print()
 

@@ -10,28 +10,34 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
+from missionsim.inputs.tree import read_document
+
 DATA = Path(__file__).parent / "data"
-PAPERS: dict[str, str] = {
-    "pioneer3dx": "jaiem2021",
-    "khepera3": "parasuraman2012",
-    "mecanum4": "hou2019",
-    "rover_tx2": "rover2025",
-}
+
+
+@dataclass(frozen=True)
+class Paper:
+    """What is said of a paper: its robot, title, how its reproduction reads, and its tables and pictures by name."""
+
+    robot: str
+    title: str
+    reading: str
+    tables: Mapping[str, str]
+    pictures: Mapping[str, str]
+
+
+_TEXTS: dict[str, Any] = read_document(DATA / "papers.yaml").data
+HEAD: str = _TEXTS["head"]
+ABOUT = {name: Paper(**about) for name, about in _TEXTS["papers"].items()}
+"""Every paper by its name."""
+PAPERS = {about.robot: name for name, about in ABOUT.items()}
 """Robot → its paper."""
-TITLES: dict[str, str] = {
-    "jaiem2021": "Jaiem, Crestani, Lapierre, Druon 2021: Energy Consumption of Control Schemes for the Pioneer 3DX "
-    "Mobile Robot: Models and Evaluation",
-    "parasuraman2012": "Parasuraman, Kershaw, Pagala, Ferre 2012: Model Based On-line Energy Prediction System for "
-    "Semi-Autonomous Mobile Robots",
-    "hou2019": "Hou, Zhang, Kim 2019: Energy Modeling and Experimental Validation of Four-Wheel Mecanum Mobile Robots",
-    "rover2025": "Simulation of Mechanical and Computational Power Consumption in Mobile Robots",
-}
 AGREES, CONTRADICTS, UNCHECKABLE = "agrees", "paper contradicts itself", "cannot be checked"
 CALIBRATED, DIFFERS = "calibrated", "differs"
 STATUSES = (AGREES, CONTRADICTS, UNCHECKABLE, CALIBRATED, DIFFERS)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Figure:
     """One figure as printed.
 
@@ -141,10 +147,7 @@ class Item:
 
 def load_figures(paper: str) -> dict[str, Figure]:
     """Every figure of a paper, by key, in the order of print."""
-    with open(DATA / f"{paper}.csv", newline="", encoding="utf-8") as handle:
-        rows = list(csv.DictReader(handle))
-    names = ("key", "item", "where", "value", "unit", "rule", "basis", "why")
-    return {row["key"]: Figure(paper, *(row[name] for name in names)) for row in rows}
+    return {row["key"]: Figure(paper=paper, printed=row.pop("value"), **row) for row in load_table(paper)}
 
 
 def load_table(name: str) -> list[dict[str, str]]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.physics import khepera, mecanum, motion
+from missionsim.physics import khepera, mecanum
 from missionsim.published.figures import Figure
 
 Array = NDArray[np.float64]
@@ -68,33 +68,21 @@ class MecanumFit:
 
     Attributes
     ----------
-    profile : str
-        Speed profile of the start, ``linear`` or ``minimum_jerk`` (assumed).
-    duration_s : float
-        Its duration (chosen).
     friction_n, mass_kg, copper_w_n2, electronics_w, pulse_w : float
         The five fitted parameters.
-    motion_w, robot_w : ndarray
-        Model at the printed times.
-    rmse_w, mape_pct, max_pct : dict
-        By table, over the moving samples.
-    singular_values : ndarray
-        Of the Jacobian scaled by the parameters: a small one is a direction that the data do not see.
+    errors : dict
+        By table: RMSE (W), mean and greatest absolute error (%) over the moving samples.
+    condition : float
+        Of the Jacobian scaled by the parameters: large where the data do not see some direction.
     """
 
-    profile: str
-    duration_s: float
     friction_n: float
     mass_kg: float
     copper_w_n2: float
     electronics_w: float
     pulse_w: float
-    motion_w: Array
-    robot_w: Array
-    rmse_w: dict[str, float]
-    mape_pct: dict[str, float]
-    max_pct: dict[str, float]
-    singular_values: Array
+    errors: dict[str, tuple[float, float, float]]
+    condition: float
 
 
 Profile = Callable[..., tuple[Array, Array]]
@@ -160,36 +148,12 @@ def mecanum_fit(
     fit = least_squares(residuals, first, bounds=(0.0, np.inf), x_scale=first, xtol=1e-14, ftol=1e-14, gtol=1e-14)
     friction, mass, copper, electronics, pulse = (float(v) for v in unpack(fit.x))
     motion_w, robot_w = model(fit.x)
-    scores = {"3": errors(motion_w, motion_measured), "4": errors(robot_w, robot_measured)}
     return MecanumFit(
-        profile,
-        duration_s,
-        friction,
-        mass,
-        copper,
-        electronics,
-        pulse,
-        motion_w,
-        robot_w,
-        {t: s[0] for t, s in scores.items()},
-        {t: s[1] for t, s in scores.items()},
-        {t: s[2] for t, s in scores.items()},
-        np.linalg.svd(fit.jac * fit.x, compute_uv=False),
+        friction_n=friction,
+        mass_kg=mass,
+        copper_w_n2=copper,
+        electronics_w=electronics,
+        pulse_w=pulse,
+        errors={"3": errors(motion_w, motion_measured), "4": errors(robot_w, robot_measured)},
+        condition=float(np.linalg.cond(fit.jac * fit.x)),
     )
-
-
-def mass_profile(figures: Mapping[str, Figure], masses_kg: Array, *, profile: str, duration_s: float) -> Array:
-    """RMSE over both tables (W) with the mass held at each value: flat where the data do not identify it."""
-    result = []
-    for mass in masses_kg:
-        fit = mecanum_fit(figures, profile=profile, duration_s=duration_s, mass_kg=float(mass))
-        result.append(np.sqrt((fit.rmse_w["3"] ** 2 + fit.rmse_w["4"] ** 2) / 2.0))
-    return np.array(result)
-
-
-def stretch_of_runs(
-    energies_wh: Array, speeds_m_s: Array, extra_w: Array, distance_m: float, *, c2: float, c3: float, c4: float
-) -> Array:
-    """Path stretch that each run's energy implies at the speed asked: measured over Eq. 9 with the sensors' power."""
-    plain = motion.travel_energy(distance_m, speeds_m_s, c2, c3, c4 + extra_w) / 3600.0
-    return np.asarray(energies_wh / plain, dtype=float)

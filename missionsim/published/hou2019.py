@@ -183,22 +183,16 @@ def identifiability(figures: Mapping[str, Figure]) -> list[dict[str, float | str
     top = figures["time.max"].value
     for profile, duration in (("linear", top), ("minimum_jerk", top), ("minimum_jerk", top + 0.02)):
         fit = fits.mecanum_fit(figures, profile=profile, duration_s=duration)
+        names = ("rmse_table{}_w", "mape_table{}_pct", "max_table{}_pct")
+        scores = zip(names, zip(*fit.errors.values(), strict=True), strict=True)
         rows.append(
             {
                 "profile": profile,
                 "duration_s": duration,
                 "wheel_friction_n": fit.friction_n,
-                "mass_kg": fit.mass_kg,
-                "copper_w_n2": fit.copper_w_n2,
-                "electronics_w": fit.electronics_w,
-                "pulse_w": fit.pulse_w,
-                "rmse_table3_w": fit.rmse_w["3"],
-                "rmse_table4_w": fit.rmse_w["4"],
-                "mape_table3_pct": fit.mape_pct["3"],
-                "mape_table4_pct": fit.mape_pct["4"],
-                "max_table3_pct": fit.max_pct["3"],
-                "max_table4_pct": fit.max_pct["4"],
-                "condition": float(fit.singular_values[0] / fit.singular_values[-1]),
+                **{k: getattr(fit, k) for k in ("mass_kg", "copper_w_n2", "electronics_w", "pulse_w")},
+                **{name.format(table): v for name, both in scores for table, v in zip("34", both, strict=True)},
+                "condition": fit.condition,
             }
         )
     return rows

@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from missionsim.files import atomic_write
-from missionsim.published import fits, hou2019, jaiem2021, parasuraman2012, patrol, rover2025
-from missionsim.published.figures import load_figures
+from missionsim.published import fits, hou2019, parasuraman2012, patrol, rover2025
+from missionsim.published.figures import ABOUT, load_figures
 from missionsim.published.locate import run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from missionsim.control import PowerPredictor
+    from missionsim.published.fits import Array
 
 COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377")
 """Distinguishable without colour vision (P. Tol's bright scheme)."""
@@ -28,10 +31,10 @@ def draw(paper: str, out: Path) -> list[Path]:
     from matplotlib.figure import Figure
 
     written = []
-    for name, title, paint in PICTURES[paper]:
+    for name, title in ABOUT[paper].pictures.items():
         figure = Figure(figsize=(8.0, 4.0), layout="constrained")
         FigureCanvasAgg(figure)
-        paint(figure)
+        PAINT[name](figure)
         figure.suptitle(title, fontsize=10)
         path = out / f"{paper}_{name}.png"
         with atomic_write(path) as temporary:
@@ -224,18 +227,22 @@ def _angles(figure: Figure) -> None:
     _finish(axes, "direction of travel from straight ahead (°)", "power at 1 m/s (W)")
 
 
+def _least(robot: PowerPredictor, speeds: Array, complexity: float) -> Array:
+    """Least energy per metre at each speed among the clocks that keep up; nan where none does."""
+    speed, clock = np.meshgrid(speeds, robot.clocks(), indexing="ij")
+    energy = robot.energy_per_metre(speed, clock, complexity)
+    good = np.where(robot.meets_service(speed, clock, complexity), energy, np.inf).min(axis=1)
+    return np.where(np.isfinite(good), good, np.nan)
+
+
 def _complexities(figure: Figure) -> None:
     figures = load_figures("rover2025")
     names = {"field": "low", "orchard": "moderate", "slalom": "high"}
     for axes, scale, unit in zip(_pair(figure), (1.0, rover2025.KMH), ("m/s", "km/h"), strict=True):
         robot = rover2025.predictor() if scale == 1.0 else rover2025.predictor(rover2025.kmh_values(figures))
         grid = rover2025.speeds(12.0)
-        clocks = robot.clocks()
         for colour, (track, complexity) in zip(COLOURS, rover2025.complexity_of_tracks().items(), strict=False):
-            speed, clock = np.meshgrid(grid * scale, clocks, indexing="ij")
-            energy = robot.energy_per_metre(speed, clock, complexity)
-            good = np.where(robot.meets_service(speed, clock, complexity), energy, np.nan)
-            least = np.array([np.nanmin(row) if np.isfinite(row).any() else np.nan for row in good])
+            least = _least(robot, grid * scale, complexity)
             axes.plot(grid, least, color=colour, label=f"{names[track]} complexity")
             axes.plot(grid[np.nanargmin(least)], np.nanmin(least), "o", color=colour, markersize=5)
         axes.set_ylim(0.0, 25.0 if scale == 1.0 else 30.0)
@@ -246,15 +253,11 @@ def _complexities(figure: Figure) -> None:
 def _granularity(figure: Figure) -> None:
     figures = load_figures("rover2025")
     robot = rover2025.predictor(rover2025.kmh_values(figures))
-    clocks = robot.clocks()
     tracks = rover2025.complexity_of_tracks()
     for axes, track, name in zip(_pair(figure), ("field", "slalom"), ("low", "high"), strict=True):
         for colour, step in zip(COLOURS, (3.0, 1.5, 0.5), strict=False):
             grid = rover2025.speeds(12.0, step)
-            speed, clock = np.meshgrid(grid * rover2025.KMH, clocks, indexing="ij")
-            energy = robot.energy_per_metre(speed, clock, tracks[track])
-            good = np.where(robot.meets_service(speed, clock, tracks[track]), energy, np.nan)
-            least = np.array([np.nanmin(row) if np.isfinite(row).any() else np.nan for row in good])
+            least = _least(robot, grid * rover2025.KMH, tracks[track])
             best = float(grid[np.nanargmin(least)])
             axes.plot(grid, least, ".-", color=colour, label=f"step {step:g}: least at {best:g}")
         axes.set_title(f"{name} complexity", fontsize=9)
@@ -315,30 +318,20 @@ def _fidelity(figure: Figure) -> None:
     axes.legend(lines, [str(line.get_label()) for line in lines], fontsize=8, frameon=False, loc="upper center")
 
 
-Paint = Callable[["Figure"], None]
-PICTURES: dict[str, list[tuple[str, str, Paint]]] = {
-    "jaiem2021": [
-        ("power_velocity", "Power and energy for several distances against velocity (Figs. 4, 5)", _velocity),
-        ("sonar", "Power of the sonars against their rate (Fig. 6)", _sonar),
-        ("stretch", "Table 5 predicted without and with path stretch, each run left out of the fit", _stretch),
-        ("patrol_velocity", "Velocity over the patrol (Fig. 9)", _patrol_speed),
-        ("patrol_error", "Energy and error over the patrol (Figs. 10, 11); calibrated, not predicted", _patrol_error),
-    ],
-    "parasuraman2012": [
-        ("sequence", "Sequence of operations that identifies the components (Fig. 2)", _sequence),
-        ("energy_speed", "Motion power (Fig. 3) and energy of the crossing (Fig. 6) against speed", _khepera),
-    ],
-    "hou2019": [
-        ("start", "Power during the start (Figs. 11, 13), fitted", _start),
-        ("directions", "Power against direction of travel (Fig. 14)", _angles),
-    ],
-    "rover2025": [
-        ("complexities", "Least energy per metre with quality of service, by complexity (Fig. 3)", _complexities),
-        ("granularity", "Least energy per metre at three speed granularities (Fig. 3); km/h reading", _granularity),
-        ("mechanical", "Mechanical energy per metre (Fig. 5)", _mechanical),
-        ("service", "Energy against throughput (Fig. 6), PLPT against clock (Fig. 7); km/h reading", _service),
-        ("fidelity", "Error and computing effort against speed granularity (Fig. 4)", _fidelity),
-    ],
+PAINT: dict[str, Callable[[Figure], None]] = {
+    "power_velocity": _velocity,
+    "sonar": _sonar,
+    "stretch": _stretch,
+    "patrol_velocity": _patrol_speed,
+    "patrol_error": _patrol_error,
+    "sequence": _sequence,
+    "energy_speed": _khepera,
+    "start": _start,
+    "directions": _angles,
+    "complexities": _complexities,
+    "granularity": _granularity,
+    "mechanical": _mechanical,
+    "service": _service,
+    "fidelity": _fidelity,
 }
-"""Paper → (name of the file, title, function that paints it)."""
-assert set(PICTURES) == {jaiem2021.PAPER, parasuraman2012.PAPER, hou2019.PAPER, rover2025.PAPER}
+"""Name of a picture → the function that paints it."""

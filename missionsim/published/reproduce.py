@@ -12,7 +12,7 @@ from typing import Any
 
 from missionsim.errors import InputError, did_you_mean
 from missionsim.files import write_text
-from missionsim.published.figures import PAPERS, STATUSES, TITLES, Item, judge_all
+from missionsim.published.figures import ABOUT, PAPERS, STATUSES, Item, judge_all
 
 SCHEMA = "missionsim.reproduction/1"
 Tables = dict[str, list[dict[str, Any]]]
@@ -47,7 +47,7 @@ def side_tables(paper: str) -> Tables:
     """Tables beside the figures of a paper, by name."""
     from missionsim.published.tables import TABLES
 
-    return {name: make() for name, make in TABLES[paper]}
+    return {name: TABLES[name]() for name in ABOUT[paper].tables}
 
 
 def to_json(items: Iterable[Item], tables: dict[str, Tables] | None = None) -> dict[str, Any]:
@@ -140,6 +140,3 @@ def write(out: Path, items: dict[str, list[Item]], tables: dict[str, Tables], pi
         for paper in items:
             written.extend(draw(paper, out))
     return written
-
-
-__all__ = ["TITLES", "footnotes", "papers_of", "reproduce_paper", "side_tables", "to_json", "write"]

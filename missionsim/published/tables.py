@@ -198,16 +198,18 @@ def fidelity() -> Rows:
     return rows
 
 
-TABLES: dict[str, list[tuple[str, Callable[[], Rows]]]] = {
-    "jaiem2021": [
-        ("optimal_velocities", optimal_velocities),
-        ("stretch_test", stretch_test),
-        ("stretch_summary", stretch_summary),
-        ("patrol_errors", patrol_errors),
-        ("patrol_uncertainty", patrol_uncertainty),
-    ],
-    "parasuraman2012": [("static_powers", static_powers), ("components", components)],
-    "hou2019": [("model_errors", model_errors), ("identifiability", identifiability), ("directions", directions)],
-    "rover2025": [("optima", rover2025.optima_table), ("fidelity", fidelity)],
+TABLES: dict[str, Callable[[], Rows]] = {
+    "optimal_velocities": optimal_velocities,
+    "stretch_test": stretch_test,
+    "stretch_summary": stretch_summary,
+    "patrol_errors": patrol_errors,
+    "patrol_uncertainty": patrol_uncertainty,
+    "static_powers": static_powers,
+    "components": components,
+    "model_errors": model_errors,
+    "identifiability": identifiability,
+    "directions": directions,
+    "optima": rover2025.optima_table,
+    "fidelity": fidelity,
 }
-"""Paper → (name of the file, function)."""
+"""Name of a table → the function that makes it."""

@@ -23,7 +23,9 @@ from missionsim.published.figures import (
 
 
 def figure(printed: str, rule: str = "rounded", basis: str = "") -> Figure:
-    return Figure("p", "k", "item", "Table 1", printed, "W", rule, basis, "why")
+    return Figure(
+        paper="p", key="k", item="item", where="Table 1", printed=printed, unit="W", rule=rule, basis=basis, why="why"
+    )
 
 
 @pytest.mark.parametrize(
