@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, TypeVar
 
 from missionsim.effects.covariates import Covariates, number
@@ -88,6 +88,7 @@ class Effect:
     parameters: tuple[ParameterSpec, ...]
     needs: tuple[str, ...]
     power: Callable[[Covariates, Parameters], Any] = field(compare=False)
+    _: KW_ONLY
     impulse: Callable[[Covariates, Parameters], Any] | None = field(default=None, compare=False)
     component: str = "motors"
     drive: bool = False
@@ -104,9 +105,13 @@ class Effect:
     """The parameter that says which share of its power braking or a descent gives back. It may be left out; the
     robot's own ``regeneration`` decides then."""
     covariate: str = ""
-    """The covariate that it is mostly about, for reports and shifted splits."""
+    """The covariate that it is mostly about, for reports and shifted splits; the first that it needs, if not given."""
     place: Place = field(default=Place(), repr=False, compare=False)
     """Where the user's file has its formula or names it, for messages."""
+
+    def __post_init__(self) -> None:
+        if not self.covariate:
+            object.__setattr__(self, "covariate", self.needs[0] if self.needs else "time_s")
 
     def alone(self, cov: Covariates, p: Parameters) -> Any:
         """Its power beside a drive whose power stands in ``drive_w`` [W]: what it gives back is limited by that need.
@@ -137,10 +142,6 @@ class Effect:
         if self.recovers:
             return 1
         return 0 if self.drive else 2
-
-    def renamed(self, **changes: Any) -> Effect:
-        """A copy with some attributes changed."""
-        return replace(self, **changes)
 
 
 Declared = TypeVar("Declared")

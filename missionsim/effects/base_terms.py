@@ -180,7 +180,6 @@ def switchboard_term(name: str, levels: int, components: tuple[str, ...]) -> Eff
         (),
         power,
         component=name,
-        covariate="time_s",
     )
 
 
@@ -238,7 +237,6 @@ def processor_term(
         ("scheme",),
         power,
         component="processor",
-        covariate="scheme",
     )
 
 
@@ -332,7 +330,6 @@ def expression_term(
         drive=drive,
         sign=1 if specs and specs[0].low >= 0.0 else 0,
         memory=tuple(name for name in needs if name == "moving_time_s" or name.startswith("on_time_")),
-        covariate=needs[0] if needs else "time_s",
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from missionsim.effects.base import Effect, ParameterSpec
@@ -75,7 +76,8 @@ def floors_effect(id: str, surfaces: tuple[str, ...]) -> Effect:
 def floor_effect(id: str, surface: str) -> Effect:
     """An effect of `FLOORS` on one surface: ``k`` where the floor is `surface`."""
     of, whole = _FLOORS[id], floors_effect(id, (surface,))
-    return whole.renamed(
+    return replace(
+        whole,
         id=f"{id}:{surface}",
         equation=f"k·{of.equation} on surface '{surface}'",
         meaning=f"more {of.meaning} on {surface}",

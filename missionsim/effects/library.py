@@ -28,28 +28,9 @@ from missionsim.physics import electrical, motion
 
 REFERENCE_GRID_C = (25.0,)
 _SPEED = ("speed_m_s",)
-_SOURCES = {
-    "grade": "Newton: weight along the slope; in none of the four papers",
-    "payload": "Coulomb friction of the added weight; Parasuraman 2012, Eq. 14 has it without the speed",
-    "acceleration": "rover paper, Eq. 3 (m dv/dt); Jaiem 2021, Eq. 5, term C6 a v, without recovery",
-    "turning_scrub": "Coulomb friction of tyres that slide sideways; in none of the four papers",
-    "copper_loss": "Joule: current follows the torque of the drive; Hou et al. 2019, section 2, for four wheels",
-    "rolling_friction": "Jaiem 2021, Eq. 6, term C3 v; rover paper, Eq. 4, term C_r",
-    "viscous_friction": "Jaiem 2021, Eq. 6, term C2 v^2; rover paper, Eq. 4, term C_v",
-    "aerodynamic_drag": "rover paper, Eqs. 1 and 5, k = rho C_d A / 2",
-    "cold_friction": "assumed form: grease that warms up, one time constant",
-    "temperature_friction": "assumed form: first order about the reference temperature",
-    "start_surge": "assumed form: one energy a start",
-    "conversion_loss": "Joule: resistance times current squared at nearly constant voltage",
-    "standby_load": "assumed form: a constant, as the controller boards of Jaiem 2021",
-    "cpu_load": "rover paper, Eq. 6, term P_work U at one clock",
-    "cpu_frequency": "Jaiem 2021, section 3.2; rover paper, Eq. 6, with the voltage following the clock",
-    "radio_range": "free space: sending power with the distance squared; assumed for the whole radio",
-    "path_stretch": "Jaiem 2021, sections 3.4.1 and 3.4.2, in words",
-    "speed_tracking": "Jaiem 2021, section 3.4.2, in words",
-    "dwell": "assumed: standing that no segment plans",
-}
-"""Where each form comes from, or that it is assumed."""
+
+
+_Power = Callable[[Covariates, Mapping[str, Any]], Any]
 
 
 def _k(unit: str, meaning: str, high: float = float("inf")) -> ParameterSpec:
@@ -57,21 +38,17 @@ def _k(unit: str, meaning: str, high: float = float("inf")) -> ParameterSpec:
 
 
 def _drive(
-    id: str, equation: str, unit: str, meaning: str, needs: tuple[str, ...], power: Callable[..., Any], **more: Any
+    id: str,
+    equation: str,
+    source: str,
+    unit: str,
+    meaning: str,
+    needs: tuple[str, ...],
+    power: Callable[..., Any],
+    **more: Any,
 ) -> Effect:
     parameters = (_k(unit, "coefficient"), *more.pop("shape", ()))
-    return Effect(
-        id,
-        equation,
-        _SOURCES[id.partition(":")[0]],
-        meaning,
-        parameters,
-        needs,
-        power,
-        drive=True,
-        covariate=more.pop("covariate", needs[0] if needs else "speed_m_s"),
-        **more,
-    )
+    return Effect(id, equation, source, meaning, parameters, needs, power, drive=True, **more)
 
 
 def _grade(cov: Covariates, p: Mapping[str, Any]) -> Any:
@@ -110,6 +87,7 @@ _EFFECTS: tuple[Effect, ...] = (
     _drive(
         "grade",
         "k·m·g·v·sin θ, never below what the drive can give back; downhill times regeneration where that is given",
+        "Newton: weight along the slope; in none of the four papers",
         "1",
         "lifting the robot on a slope",
         ("slope_rad", "speed_m_s"),
@@ -122,6 +100,7 @@ _EFFECTS: tuple[Effect, ...] = (
     _drive(
         "payload",
         "k·m_payload·v",
+        "Coulomb friction of the added weight; Parasuraman 2012, Eq. 14 has it without the speed",
         "m/s^2",
         "rolling resistance of the load carried",
         ("payload_kg", "speed_m_s"),
@@ -130,6 +109,7 @@ _EFFECTS: tuple[Effect, ...] = (
     _drive(
         "acceleration",
         "k·m·a·v when speeding up, times regeneration when braking",
+        "rover paper, Eq. 3 (m dv/dt); Jaiem 2021, Eq. 5, term C6 a v, without recovery",
         "1",
         "inertia of the robot when it speeds up, and what braking gives back",
         ("speed_m_s", "accel_m_s2"),
@@ -141,6 +121,7 @@ _EFFECTS: tuple[Effect, ...] = (
     _drive(
         "copper_loss",
         "k·F², F = m·(a + g·sin θ + C_r·g)",
+        "Joule: current follows the torque of the drive; Hou et al. 2019, section 2, for four wheels",
         "W/N^2",
         "heat in the motors' windings, with the force of the drive squared",
         ("speed_m_s", "accel_m_s2"),
@@ -151,6 +132,7 @@ _EFFECTS: tuple[Effect, ...] = (
     _drive(
         "turning_scrub",
         "k·|ω|",
+        "Coulomb friction of tyres that slide sideways; in none of the four papers",
         "W s/rad",
         "tyres or rollers scrubbing sideways in turns",
         ("yaw_rate_rad_s",),
@@ -159,6 +141,7 @@ _EFFECTS: tuple[Effect, ...] = (
     _drive(
         "rolling_friction",
         "k·v",
+        "Jaiem 2021, Eq. 6, term C3 v; rover paper, Eq. 4, term C_r",
         "N",
         "constant friction force",
         _SPEED,
@@ -167,6 +150,7 @@ _EFFECTS: tuple[Effect, ...] = (
     _drive(
         "viscous_friction",
         "k·v²",
+        "Jaiem 2021, Eq. 6, term C2 v^2; rover paper, Eq. 4, term C_v",
         "N s/m",
         "friction force that grows with speed",
         _SPEED,
@@ -175,6 +159,7 @@ _EFFECTS: tuple[Effect, ...] = (
     _drive(
         "aerodynamic_drag",
         "k·v³",
+        "rover paper, Eqs. 1 and 5, k = rho C_d A / 2",
         "kg/m",
         "air resistance",
         _SPEED,
@@ -183,6 +168,7 @@ _EFFECTS: tuple[Effect, ...] = (
     _drive(
         "cold_friction",
         "k·v·exp(−moving time/τ)",
+        "assumed form: grease that warms up, one time constant",
         "N",
         "cold grease that warms up as the robot moves",
         ("speed_m_s", "moving_time_s"),
@@ -194,6 +180,7 @@ _EFFECTS: tuple[Effect, ...] = (
     _drive(
         "temperature_friction",
         "k·v·(T₀ − T)",
+        "assumed form: first order about the reference temperature",
         "N/K",
         "friction that falls with the ambient temperature",
         ("temp_ambient_c", "speed_m_s"),
@@ -203,7 +190,7 @@ _EFFECTS: tuple[Effect, ...] = (
     Effect(
         "start_surge",
         "E joules at each start from rest",
-        _SOURCES["start_surge"],
+        "assumed form: one energy a start",
         "inrush when the motors start",
         (ParameterSpec("E", "J", "energy of one start"),),
         ("speed_m_s", "starts"),
@@ -215,7 +202,7 @@ _EFFECTS: tuple[Effect, ...] = (
     Effect(
         "conversion_loss",
         "k·P² of the load on that battery",
-        _SOURCES["conversion_loss"],
+        "Joule: resistance times current squared at nearly constant voltage",
         "ohmic loss of converters and wiring",
         (_k("1/W", "coefficient", 1.0),),
         (),
@@ -227,29 +214,27 @@ _EFFECTS: tuple[Effect, ...] = (
     Effect(
         "standby_load",
         "k, always",
-        _SOURCES["standby_load"],
+        "assumed form: a constant, as the controller boards of Jaiem 2021",
         "a constant load that nobody listed",
         (_k("W", "power"),),
         (),
         lambda c, p: p["k"] * np.ones_like(number(c, "speed_m_s", 0.0), dtype=float),
         component="standby",
-        covariate="time_s",
     ),
     Effect(
         "cpu_load",
         "k·load",
-        _SOURCES["cpu_load"],
+        "rover paper, Eq. 6, term P_work U at one clock",
         "processor power that follows its load",
         (_k("W", "power at full load"),),
         ("cpu_load",),
         lambda c, p: electrical.cpu_load_power(c["cpu_load"], p["k"]),
         component="cpu",
-        covariate="cpu_load",
     ),
     Effect(
         "cpu_frequency",
         "k·load·f³",
-        _SOURCES["cpu_frequency"],
+        "Jaiem 2021, section 3.2; rover paper, Eq. 6, with the voltage following the clock",
         "dynamic processor power with voltage following frequency",
         (_k("W/Hz^3", "coefficient"),),
         ("cpu_load", "cpu_freq_hz"),
@@ -260,36 +245,52 @@ _EFFECTS: tuple[Effect, ...] = (
     Effect(
         "radio_range",
         "k·d²",
-        _SOURCES["radio_range"],
+        "free space: sending power with the distance squared; assumed for the whole radio",
         "radio that sends harder far from its access point",
         (_k("W/m^2", "coefficient"),),
         ("access_point_distance_m",),
         lambda c, p: electrical.radio_power(c["access_point_distance_m"], p["k"]),
         component="radio",
-        covariate="access_point_distance_m",
     ),
 )
 
 
-def _execution(id: str, equation: str, unit: str, meaning: str) -> Effect:
+def _execution(id: str, equation: str, source: str, unit: str, meaning: str) -> Effect:
     return Effect(
         id,
         equation,
-        _SOURCES[id],
+        source,
         meaning,
         (ParameterSpec("k", unit, meaning),),
         ("speed_m_s",),
         lambda c, p: 0.0 * number(c, "speed_m_s"),
         component="motors",
         execution=True,
-        covariate="speed_m_s",
     )
 
 
 _EXECUTION: tuple[Effect, ...] = (
-    _execution("path_stretch", "distance driven / distance planned, per scheme", "1", "paths longer than planned"),
-    _execution("speed_tracking", "speed reached / speed asked, per scheme", "1", "speeds lower than asked"),
-    _execution("dwell", "unplanned standing still", "s", "time stood still that no segment plans"),
+    _execution(
+        "path_stretch",
+        "distance driven / distance planned, per scheme",
+        "Jaiem 2021, sections 3.4.1 and 3.4.2, in words",
+        "1",
+        "paths longer than planned",
+    ),
+    _execution(
+        "speed_tracking",
+        "speed reached / speed asked, per scheme",
+        "Jaiem 2021, section 3.4.2, in words",
+        "1",
+        "speeds lower than asked",
+    ),
+    _execution(
+        "dwell",
+        "unplanned standing still",
+        "assumed: standing that no segment plans",
+        "s",
+        "time stood still that no segment plans",
+    ),
 )
 
 

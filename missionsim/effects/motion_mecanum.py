@@ -89,7 +89,6 @@ EFFECTS: tuple[Effect, ...] = (
         ("speed_m_s",),
         _wheels,
         drive=True,
-        covariate="speed_m_s",
     ),
     Effect(
         "roller_friction",

@@ -87,7 +87,7 @@ def build_effect(spec: EffectSpec, robot: RobotSpec | None = None) -> Effect:
             for name, p in spec.parameters.items()
         )
         effect = base_terms.expression_term(spec.name or "", formula, specs, drive=_about_motion(formula.names))
-    return effect.renamed(component=spec.component or effect.component, place=place)
+    return replace(effect, component=spec.component or effect.component, place=place)
 
 
 def _about_motion(names: frozenset[str]) -> bool:
@@ -151,7 +151,7 @@ def _motion(robot: RobotSpec) -> Iterator[Term]:
         used = {spec.name: parameters[spec.name] for spec in effect.parameters}
         yield Term(
             TermKey(motion.battery, effect.component, effect.id),
-            effect.renamed(place=place),
+            replace(effect, place=place),
             used,
             {name: name for name in used},
         )
@@ -204,13 +204,13 @@ def _load(
         effect = base_terms.load_term(
             "law", name, model.equation, "robot file", "by its law", model.parameters, model.power, column, model.needs
         )
-        return effect.renamed(place=place), given
+        return replace(effect, place=place), given
     formula = _compiled(law.power, place)
     given = {key: model_parameter(p) for key, p in law.parameters.items()}
     if law.rate is not None:
         given["rate"] = model_parameter(law.rate)
     specs = tuple(ParameterSpec(key, p.unit, low=p.low, high=p.high) for key, p in given.items())
-    return base_terms.law_term(name, formula, specs, component.always_on).renamed(place=place), given
+    return replace(base_terms.law_term(name, formula, specs, component.always_on), place=place), given
 
 
 def _switchboards(robot: RobotSpec) -> Iterator[Term]:

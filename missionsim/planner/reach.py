@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.files import write_text
-from missionsim.inputs.loading import load_robot, load_task, shipped_robots
+from missionsim.inputs.examples import shipped_robots
+from missionsim.inputs.loading import load_robot, load_task
 from missionsim.inputs.task import TaskSpec, VisitSpec
 from missionsim.plan.legs import Leg as PlanLeg
 from missionsim.plan.legs import OnEdge

@@ -24,7 +24,7 @@ def console(stderr: bool = False) -> Console:
         def render_str(self, text: str, **options: Any) -> Text:
             return super().render_str(visible(text), **options)
 
-    plain = {"stderr": stderr, "highlight": False, "markup": False, "emoji": False}
+    plain: dict[str, Any] = {"stderr": stderr, "highlight": False, "markup": False, "emoji": False}
     terminal = Plain(**plain)
     return Plain(**plain, width=100) if not terminal.is_terminal or terminal.width > 100 else terminal
 
