@@ -7,7 +7,8 @@ names them, and every held-out error is theirs, measured as `missionsim.runs.err
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,7 @@ class Models:
     runs: tuple[Run, ...]
     clock: Clock
     settings: Settings
+    _fits: dict[tuple[Any, ...], FinalFit] = field(default_factory=dict, repr=False, compare=False)
 
     def fit(
         self,
@@ -76,6 +78,14 @@ class Models:
         keep_base : bool
             Whether only the effects are fitted.
         """
+        numbers = [(effect.effect, *((n, e.value) for n, e in effect.parameters.items())) for effect in effects]
+        names = None if runs is None else tuple(run.run for run in runs)
+        asked = (tuple(numbers), names, fixed, keep_base)
+        if asked not in self._fits:
+            self._fits[asked] = self._fitted(effects, self.runs if runs is None else runs, fixed, keep_base)
+        return self._fits[asked]
+
+    def _fitted(self, effects: Sequence[Finding], runs: Sequence[Run], fixed: bool, keep_base: bool) -> FinalFit:
         terms = [self._term(effect) for effect in effects if not self.lowers(effect)]
         priors = dict(self.features.prior_sd)
         priors |= {twin: FREE_SD for effect in effects if (twin := self.lowers(effect))}
@@ -83,8 +93,7 @@ class Models:
         kept = [name for name, parameter in self.features.parameters.items() if not parameter.path]
         if fixed:
             kept += [term.name_of(name) for term in terms for name in term.parameters]
-        own = self.runs if runs is None else runs
-        return final_fit(model, own, self.battery, priors, self.clock, self.settings, fixed=kept, keep_base=keep_base)
+        return final_fit(model, runs, self.battery, priors, self.clock, self.settings, fixed=kept, keep_base=keep_base)
 
     def lowers(self, effect: Finding) -> str:
         """The base parameter that an effect takes something off, so that there is no effect to add; else empty."""

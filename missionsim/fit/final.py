@@ -15,13 +15,16 @@ from numpy.typing import NDArray
 from missionsim.effects.model import PowerModel
 from missionsim.fit.prepare import Prepared, prepare
 from missionsim.identify.align import Clock
-from missionsim.identify.design import Design, make_source
+from missionsim.identify.data import RunData
+from missionsim.identify.design import Design, Source, make_source
 from missionsim.identify.settings import Settings
 from missionsim.runs.run import Run
 
 Array = NDArray[np.float64]
 ROUNDS = 3
 """Steps of Gauss and Newton; nearly all models are linear in what is fitted."""
+STILL = 1e-7
+"""Relative change below which a fit has come to rest, and a model is linear."""
 BLOCK_S = 20.0
 SEVERAL_RUNS = 4
 """From so many runs on errors are clustered by run, below by blocks of `BLOCK_S`."""
@@ -100,32 +103,47 @@ def final_fit(
     still = {*fixed, *shapes}
     start = {n: p.value for n, p in model.parameters_of(battery).items()}
     low, high = _bounds(model, battery)
-    values: dict[str, float] = {}
-    cov: Array = np.zeros((0, 0))
-    names: list[str] = []
-    alike: dict[str, str] = {}
-    for _ in range(ROUNDS):
-        ready = prepare(model, runs, battery)
-        system = _System.of(ready, clock, settings)
-        names = [n for n in system.names if n not in still and start[n] != 0.0 and not (keep_base and n not in added)]
-        alike = _alike(system, [n for n in names if n not in added], prior_sd)
-        names = [n for n in names if n not in alike]
-        if not names:
-            return FinalFit(model, {})
-        now = {n: p.value for n, p in ready.parameters.items()}
-        # columns per relative change from the start, so that the prior stays where it was
-        system = system.of_columns(names, [start[n] / now[n] for n in names])
-        done = np.array([now[n] / start[n] - 1.0 for n in names])
-        sd = np.array([FREE_SD if n in added else min(max(prior_sd.get(n, 0.03), 1e-6), FREE_SD) for n in names])
-        ends = np.sort([[low[n] / start[n] - 1.0, high[n] / start[n] - 1.0] for n in names], axis=1)
+    ready, linear = prepare(model, runs, battery), False
+    for round_ in range(ROUNDS):
+        if not linear:
+            whole = _System.of(ready, clock, settings)
+            names = [
+                n for n in whole.names if n not in still and start[n] != 0.0 and not (keep_base and n not in added)
+            ]
+            alike = _alike(whole, [n for n in names if n not in added], prior_sd)
+            names = [n for n in names if n not in alike]
+            if not names:
+                return FinalFit(model, {})
+            now = {n: p.value for n, p in ready.parameters.items()}
+            # columns per relative change from the start, so that the prior stays where it was
+            system = whole.of_columns(names, [start[n] / now[n] for n in names])
+            done = np.array([now[n] / start[n] - 1.0 for n in names])
+            sd = np.array([FREE_SD if n in added else min(max(prior_sd.get(n, 0.03), 1e-6), FREE_SD) for n in names])
+            ends = np.sort([[low[n] / start[n] - 1.0, high[n] / start[n] - 1.0] for n in names], axis=1)
         shift, cov = _solve(system, done, sd, ends, energy=not keep_base)
         values = {n: start[n] * (1.0 + float(s)) for n, s in zip(names, shift, strict=True)}
         model = model.with_values({f"{battery}/{n}": v for n, v in values.items()})
-        if np.all(np.abs(shift - done) < 1e-7):
+        if np.all(np.abs(shift - done) < STILL) or round_ == ROUNDS - 1:
             break
+        powers = ready.powers(model)
+        linear = _is_linear(ready, powers, values)
+        if linear:
+            system, done = system.moved(powers), shift
+        else:
+            ready = prepare(model, runs, battery)
     sds = np.sqrt(np.maximum(np.diag(cov), 0.0))
     told = {n: Value(values[n], abs(start[n]) * float(s)) for n, s in zip(names, sds, strict=True)}
     return FinalFit(model, told, alike)
+
+
+def _is_linear(ready: Prepared, powers: Sequence[Array], values: Mapping[str, float]) -> bool:
+    """Whether gradients alone give the power of the model with other values."""
+    steps = {n: value / ready.parameters[n].value - 1.0 for n, value in values.items()}
+    for base_w, slopes, power in zip(ready.base_w, ready.gradients, powers, strict=True):
+        foretold = base_w + sum((slopes[n] * step for n, step in steps.items()), start=np.zeros(len(base_w)))
+        if not np.allclose(power, foretold, rtol=STILL, atol=0.0, equal_nan=True):
+            return False
+    return True
 
 
 def _alike(system: _System, names: Sequence[str], prior_sd: Mapping[str, float]) -> dict[str, str]:
@@ -173,26 +191,44 @@ class _System:
     cluster: NDArray[np.intp]
     energy_x: Array
     energy_y: float
+    measured_w: Array
+    runs: Sequence[RunData]
+    source: Source
+    clock: Clock
 
     @classmethod
     def of(cls, ready: Prepared, clock: Clock, settings: Settings) -> _System:
         data = ready.data()
         source = make_source(data, [], {}, replace(settings, align=False))
-        design = source.design(replace(clock, run_delay_s=tuple(0.0 for _ in source.runs)))
+        clock = replace(clock, run_delay_s=tuple(0.0 for _ in source.runs))
+        design = source.design(clock)
         names = list(design.layout.parameters)
         raw_x, raw_y = np.zeros(len(names)), 0.0
         for run in data:
-            seen = np.isfinite(run.measured_w)
-            dt = np.where(seen, run.dt_s, 0.0)
+            dt = np.where(np.isfinite(run.measured_w), run.dt_s, 0.0)
             raw_x += np.array([float(dt @ run.gradient[n]) for n in names])
-            raw_y += float(dt @ np.where(seen, run.measured_w - run.base_w, 0.0))
+            raw_y += _energy(run, run.base_w)
         x = np.asarray(design.gradient[: len(names)]).T
-        return cls(names, x, design.y - design.base, design.duration_s, _clusters(design), raw_x, raw_y)
+        left, seconds = design.y - design.base, design.duration_s
+        return cls(names, x, left, seconds, _clusters(design), raw_x, raw_y, design.y, data, source, clock)
 
     def of_columns(self, names: list[str], scale: Sequence[float]) -> _System:
         """The columns of some parameters, each times a number."""
         at = [self.names.index(name) for name in names]
         return replace(self, names=names, x=self.x[:, at] * scale, energy_x=self.energy_x[at] * scale)
+
+    def moved(self, powers: Sequence[Array]) -> _System:
+        """The rows at other values of the parameters in a linear model, from its power in each run."""
+        raw = [np.where(np.isfinite(power), power, 0.0)[None, :] for power in powers]
+        base_w = self.source.averaged([raw[i] for i in self.source.kept], self.clock)[0]
+        energy = [_energy(run, power[0]) for run, power in zip(self.runs, raw, strict=True)]
+        return replace(self, y=self.measured_w - base_w, energy_y=float(sum(energy)))
+
+
+def _energy(run: RunData, power: Array) -> float:
+    """What a power leaves of the measured energy, over all rows that were measured [J]."""
+    seen = np.isfinite(run.measured_w)
+    return float(run.dt_s[seen] @ (run.measured_w - power)[seen])
 
 
 def _clusters(design: Design) -> NDArray[np.intp]:

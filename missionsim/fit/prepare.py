@@ -65,6 +65,10 @@ class Prepared:
         """Time that each row of all runs stands for [s]."""
         return np.concatenate([run.dt_s for run in self.runs])
 
+    def powers(self, model: PowerModel) -> list[Array]:
+        """Power of a model with the same terms and other values in each run [W]."""
+        return [run.at(model).row_w(self.battery) for run in self.runs]
+
     def data(self, columns: Sequence[Mapping[str, Array]] | None = None) -> tuple[RunData, ...]:
         """The runs as the identification reads them, with candidate columns where given."""
         own: Sequence[Mapping[str, Array]] = columns if columns is not None else [{} for _ in self.runs]

@@ -96,6 +96,14 @@ class Driven:
         own = (power for key, power in self.terms[battery].items() if key in drive)
         return {"drive_w": sum(own, start=rows), "load_w": self.row_w(battery)}
 
+    def at(self, model: PowerModel) -> Driven:
+        """The same rows driven by a model with the same terms and other values."""
+        own = {term.key for term in self.model.terms}
+        kept = replace(model, terms=tuple(term for term in model.terms if term.key in own))
+        logged = self.run.columns
+        cov = {**self.covariates, **{n: value for n, value in model.constants.items() if n not in logged}}
+        return _evaluated(kept, tuple(self.terms), self.run, cov, self.assumed)
+
     def gradient(self, battery: str) -> dict[str, Array]:
         """``∂P/∂ln θ`` of each parameter of the terms that were evaluated; see `gradient`."""
         return gradient(self.model, self.covariates, battery)
@@ -189,10 +197,16 @@ def drive_blocks(plan: Assumed, blocks: Iterable[Run]) -> Iterator[Driven]:
 
 
 def _driven(plan: Assumed, block: Run, cov: dict[str, Any]) -> Driven:
+    filled = frozenset(plan.assumed) - set(block.columns)
+    return _evaluated(plan.model, plan.batteries, block, plan.model.complete(cov), filled)
+
+
+def _evaluated(
+    model: PowerModel, batteries: Sequence[str], block: Run, cov: Mapping[str, Any], filled: frozenset[str]
+) -> Driven:
     measured, modelled, terms = {}, {}, {}
-    cov = plan.model.complete(cov)
-    for battery in plan.batteries:
-        parts = plan.model.evaluate(cov, battery=battery)[battery]
+    for battery in batteries:
+        parts = model.evaluate(cov, battery=battery)[battery]
         total = np.broadcast_to(np.asarray(sum(parts.values(), start=0.0), dtype=float), block.time_s.shape)
         modelled[battery], terms[battery] = total, parts
         if battery not in block.power_w:
@@ -201,8 +215,7 @@ def _driven(plan: Assumed, block: Run, cov: dict[str, Any]) -> Driven:
         fresh = block.fresh.get(battery)
         if fresh is not None:
             measured[battery], modelled[battery] = _per_reading(block.power_w[battery], total, block.dt_s, fresh)
-    filled = frozenset(plan.assumed) - set(block.columns)
-    return Driven(block, cov["time_s"], plan.model, cov, measured, modelled, terms, filled)
+    return Driven(block, cov["time_s"], model, cov, measured, modelled, terms, filled)
 
 
 def _per_reading(
