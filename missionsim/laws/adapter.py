@@ -90,6 +90,10 @@ class Ground:
         noise = fit_noise(design, chosen, start, thorough=start is None)
         return Model(self.model.source, chosen, self.model.clock, design, noise)
 
+    def at_noise(self, design: Design, noise: Noise) -> Model:
+        """An extended design as a model at a noise that was not fitted with it."""
+        return Model(self.model.source, tuple(range(len(design.phi))), self.model.clock, design, noise)
+
     def on_time(self, raw: Sequence[Array], fitted: Model) -> Ground:
         """The ground at the clock that the law asks for; itself where that is hardly better.
 

@@ -7,7 +7,7 @@ evaluated at the raw rate and averaged like every other column.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -42,6 +42,10 @@ FREER = 4.0
 NEARLY = 0.7
 """Forms below this part of the least share are not worth a fit."""
 SAME = 0.98
+HELPS = 0.995
+HARDLY_WORSE = 1.03
+"""At a glance a law lowers the error of left-out runs to this part at least (with a noise of its own it must do far
+better, see `missionsim.laws.gates`), and misses the best by no more than this."""
 CLOSE_ERROR = 1.005
 """Of two forms whose left-out errors come this close, likelihood decides."""
 BLOCK = 60
@@ -138,7 +142,7 @@ class Sieve:
         rows = np.vstack([design.residual[None, :], design.gradient, design.phi[chosen], design.random])
         self.filter = _filter(self.shape)
         known = self.coarse(rows)
-        self.known = np.empty(known.shape)
+        self.known: Array = np.empty(known.shape)
         for part in self.stretches:
             self.known[:, part] = self.white(known[:, part], part)
         sd = np.maximum(noise.random_sd(), 1e-12)
@@ -354,7 +358,7 @@ class Search:
         listed = self._sized([one.form for one in usual[:SHORTLIST]])
         null = self.screen(self.ground.plain(self.ground.model.noise), listed)
         seeds = self._apart(usual[: 10 * SEEDS])[:SEEDS] + self._apart(null[: 10 * SEEDS])[:SEEDS]
-        fits = [self.fit(form) for form in dict.fromkeys(one.form for one in seeds)]
+        fits = [self.fit(form) for form in self._promising(dict.fromkeys(one.form for one in seeds))]
         if not fits:
             return None
         # noise that is fitted with each form is no common ground; how left-out runs are predicted is
@@ -366,6 +370,20 @@ class Search:
                 top = other
                 near = self._near(top, listed)
         return Searched(top, tuple(near), self.tried)
+
+    def _promising(self, forms: Iterable[tuple[int, ...]]) -> list[tuple[int, ...]]:
+        """Forms that are worth a noise of their own: those that predict left-out runs, at noise that is at hand, better
+        than no law and hardly worse than the best of them."""
+        forms = list(forms)
+        if self.ground.model.squares is not None or len(self.ground.design.runs) < 2:
+            return forms
+        noises = (self.ground.usual(), self.ground.plain(self.ground.model.noise))
+        designs = [self.ground.extended(watts) for watts in self.columns(forms)]
+        errors = [[left_out(self.ground.at_noise(design, noise)) for noise in noises] for design in designs]
+        ratio = [min(one.with_law / one.without for one in own) for own in errors]
+        best = [min(one.with_law for one in own) for own in errors]
+        limit = HARDLY_WORSE * min(best, default=0.0)
+        return [f for f, r, b in zip(forms, ratio, best, strict=True) if r < HELPS and b <= limit]
 
     def _sized(self, forms: Sequence[tuple[int, ...]]) -> list[NDArray[np.intp]]:
         return [
