@@ -113,6 +113,9 @@ def show(result: RunResult) -> None:
             rows,
         )
     )
+    if result.dock_s:
+        charged = ", ".join(f"{name} {b.charged_wh:.3f} Wh" for name, b in result.batteries.items() if b.charged_wh)
+        terminal.print(f"  charged at docks in {clock(result.dock_s)}: {charged or 'nothing'}")
     for name, battery in result.batteries.items():
         if text := trouble(battery):
             terminal.print(f"  {name}: {text}")
@@ -151,7 +154,7 @@ def show(result: RunResult) -> None:
 
 def _driven(result: RunResult) -> str:
     """How many segments were driven; of a mission that was cut short also when and where."""
-    planned = len(result.segments) - result.returned
+    planned = sum(segment.kind not in ("return", "recharge") for segment in result.segments)
     cut = result.interrupted
     if cut is None:
         return f"{planned} segments"
@@ -178,7 +181,7 @@ def segment_rows(result: RunResult, most: int = 14) -> Table:
     rows = []
     for label, members in index.items():
         parts = [float(energies[name][members].sum()) for name in result.batteries]
-        driven = sum(i < result.segments_driven or result.segments[i].kind == "return" for i in members)
+        driven = sum(result.was_driven(i) for i in members)
         if driven:
             ways = {tuple(passed.get(i, ())[1:-1]) for i in members}
             if len(ways) == 1 and (between := ways.pop()):

@@ -211,14 +211,18 @@ class Meter:
         loads = self._loads([row._replace(charging=self.recorder.charging)], answer)[battery]
         return self.batteries[battery].reach(self.state[battery], loads, 0, level, row.duration_s)
 
-    def first_alarm(self, reserves: Mapping[str, float]) -> Alarm | None:
-        """The first battery to become empty, or to fall to its reserve where `reserves` names a level for it."""
+    def first_alarm(self, reserves: Mapping[str, float], excursions: Sequence[Sequence[float]] = ()) -> Alarm | None:
+        """The first battery to become empty, or to fall to its reserve where `reserves` names a level for it.
+
+        While the robot goes to a dock and charges (begin and end of each excursion, s) no reserve counts, nor before.
+        """
+        after = excursions[-1][1] if excursions else 0.0
         found: list[Alarm] = []
         for name, battery in self.batteries.items():
             for batch in self.batches:
                 alarms = [_first_empty(battery, batch, name)]
                 if name in reserves:
-                    alarms.append(_first_reserve(battery, batch, name, reserves[name]))
+                    alarms.append(_first_reserve(battery, batch, name, reserves[name], after))
                 here = [alarm for alarm in alarms if alarm is not None]
                 if here:
                     found.append(min(here))
@@ -272,10 +276,11 @@ def _first_empty(battery: Battery, batch: Batch, name: str) -> Alarm | None:
     return None
 
 
-def _first_reserve(battery: Battery, batch: Batch, name: str, level: float) -> Alarm | None:
+def _first_reserve(battery: Battery, batch: Batch, name: str, level: float, after_s: float) -> Alarm | None:
     loads, states = batch.loads[name], batch.states[name]
     before = np.concatenate([[batch.before[name]], states[:-1]])
-    for i in np.flatnonzero((states < level) & (loads.charging == 0)):
+    late = batch.timeline.start_s >= after_s * (1.0 - 1e-12)
+    for i in np.flatnonzero((states < level) & (loads.charging == 0) & late):
         time = (
             0.0
             if before[i] < level

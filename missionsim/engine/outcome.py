@@ -124,6 +124,8 @@ class RunResult:
         How many of the mission's segments were begun.
     interrupted : Alarm or None
         When, in which segment and by which battery the mission was cut short.
+    dock_s : float
+        Time at chargers.
     """
 
     mission: str
@@ -145,6 +147,7 @@ class RunResult:
     never_on: tuple[str, ...] = ()
     segments_driven: int = 0
     interrupted: Alarm | None = None
+    dock_s: float = 0.0
     driven: Callable[[], list[DrivenEdge]] | None = field(default=None, repr=False, compare=False)
 
     def edges_driven(self) -> list[DrivenEdge]:
@@ -162,6 +165,10 @@ class RunResult:
     def returned(self) -> bool:
         """Whether the mission was cut short and the robot went back to its dock."""
         return bool(self.segments) and self.segments[-1].kind == "return"
+
+    def was_driven(self, segment: int) -> bool:
+        """Whether a segment was begun; a way home or to a dock and back always was."""
+        return segment < self.segments_driven or self.segments[segment].kind in ("return", "recharge")
 
     def home_energy(self) -> list[dict[str, float | None]]:
         """Energy in Wh to come home from the end of each segment, by battery; None where no way is known.
@@ -265,6 +272,7 @@ class RunResult:
             "reason": self.reason or None,
             "duration_s": self.duration_s,
             "distance_m": self.distance_m,
+            "dock_s": self.dock_s,
             "segments": [segment.name for segment in self.segments],
             "segments_driven": self.segments_driven,
             "ways": [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -26,16 +27,19 @@ from missionsim.inputs.activities import reserve_of
 from missionsim.inputs.battery import BatterySpec
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
+from missionsim.inputs.segments import DockSegment, RechargeSpec
 from missionsim.inputs.values import Parameter
-from missionsim.plan.build import make_plan
+from missionsim.plan.build import legs_of, make_plan
 from missionsim.plan.homing import Homing, last_driven
-from missionsim.plan.legs import Leg, Plan
+from missionsim.plan.legs import Leg, Plan, Step
 from missionsim.plan.routes import Routes
+from missionsim.plan.steps import group
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
 MOST_ALARMS = 4
+MOST_RECHARGES = 500
 MOST_AUDIT_ERROR = 1e-9
 """Relative; rounding of a mission of 100,000 segments stays a thousand times below."""
 RESERVE_TOLERANCE = 1e-9
@@ -94,8 +98,10 @@ def simulate(
     if model is None:
         model = mission.remembered("power model", lambda: build_power_model(mission.robot))
     numbers, drawn = split_values(values or {}, model)
+    again = copy.deepcopy(rng)
     plan = make_plan(mission, numbers, rng) if plan is None else plan
     setup = RunSetup(mission, plan, model, numbers, drawn)
+    setup.again = again
     result = alone(model, setup.names, setup.run(trace=trace))
     return result if trace else replace(result.totals(), home=result.home)
 
@@ -116,6 +122,7 @@ class RunSetup:
         self.model = model
         self.drawn = drawn
         self.numbers = numbers
+        self.again: Generator | None = None
         robot = mission.robot
         self.batteries = {
             name: build_battery(name, spec, self._robot_number, self._initial(name, spec))
@@ -161,17 +168,37 @@ class RunSetup:
 
     def run(self, *, trace: bool = True) -> Evaluating[RunResult]:
         """All executions that the mission needs, and its result; with `trace`, what is strange about it too."""
+        whole, world, alarms = yield from self._executions()
+        if self.plan.gated:  # what was not driven is no part of the result
+            self.plan = make_plan(self.mission, self.numbers, self.again, world.rounds)
+            whole, world, alarms = yield from self._executions()
+        return (yield from self.result(world, whole, alarms, trace))
+
+    def _executions(self) -> Evaluating[tuple[World, World, list[Alarm]]]:
+        """The execution on bottomless batteries, the one with all interrupts, and these."""
         whole = world = yield from self.execute(())
         alarms: list[Alarm] = []
-        while len(alarms) < MOST_ALARMS:
-            alarm = world.meter.first_alarm(self.reserves(alarms))
+        most = MOST_RECHARGES if self.goes_on else MOST_ALARMS
+        while len(alarms) < most:
+            alarm = world.meter.first_alarm(self.reserves(alarms), world.excursions)
             if alarm is None:
-                break
+                return whole, world, alarms
             alarms.append(alarm)
             world = yield from self.execute(alarms)
-            if alarm.kind == "empty":
-                break
-        return (yield from self.result(world, whole, alarms, trace))
+            if alarm.kind == "empty" or (self.goes_on and world.reason):
+                return whole, world, alarms
+        if self.goes_on:
+            raise InputError.single(
+                f"the mission goes to recharge more than {most} times",
+                file=str(self.mission.path),
+                allowed="a larger battery, a shorter mission",
+            )
+        return whole, world, alarms
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the robot recharges at its reserve and goes on."""
+        return self.mission.policy.on_empty == "recharge_and_continue"
 
     def execute(self, alarms: Sequence[Alarm]) -> Evaluating[World]:
         """One execution with interrupts at known instants."""
@@ -183,6 +210,7 @@ class RunSetup:
             self.components,
             alarms=alarms,
             detour=self._detour if alarms else None,
+            excursion=self._excursion if self.goes_on else None,
             values=self.drawn,
         )
         yield from world.run()
@@ -193,9 +221,42 @@ class RunSetup:
         driven = last_driven(self.plan.legs[: index + 1])[-1]
         return self.homing.detour(leg, done_m, brake_m, len(self.plan.segments), driven)
 
+    def _excursion(
+        self, leg: Leg, done_m: float, brake_m: float, place: str, battery: str, segment: int
+    ) -> tuple[list[Leg], tuple[Step, ...], bool] | None:
+        environment = self.mission.environment
+        if environment is None:
+            return None
+        policy = self.mission.policy
+        chargers = {name: spec.charger for name, spec in environment.places.items() if spec.charger is not None}
+        docks = [
+            name
+            for name, charger in chargers.items()
+            if policy.dock in (None, name) and (not charger.batteries or battery in charger.batteries)
+        ]
+        index = next((i for i, item in enumerate(self.plan.legs) if item is leg), len(self.plan.legs) - 1)
+        driven = leg if leg.kind == "roll" else last_driven(self.plan.legs[: index + 1])[-1]
+        if driven is None:
+            return None
+        like = leg if leg.kind == "roll" else driven._replace(edge=None)
+        found = self.homing.excursion(like, done_m, brake_m, place, docks)
+        if found is None:
+            return None
+        out, dock, back, went_on = found
+        until = Parameter(1.0) if policy.recharge_until is None else policy.recharge_until
+        charge = DockSegment.model_construct(
+            kind="dock", recharge=RechargeSpec.model_construct(until=until, batteries=())
+        )
+        legs = [*out, *next(legs_of(self.mission, [(dock, charge)], self.numbers)), *back]
+        legs = [
+            item._replace(settings=item.settings._replace(segment=segment), first=False, last=False) for item in legs
+        ]
+        legs[0], legs[-1] = legs[0]._replace(first=True), legs[-1]._replace(last=True)
+        return legs, group(legs, self.plan.limits), went_on
+
     def reserves(self, alarms: list[Alarm]) -> dict[str, float]:
         """States at which a battery sends the robot home; none where the policy is to go on until empty."""
-        if self.mission.policy.on_empty != "return_to_dock" or alarms:
+        if self.mission.policy.on_empty == "stop" or (alarms and not self.goes_on):
             return {}
         return {name: battery.state_of(self.required[name]) for name, battery in self.batteries.items()}
 
@@ -244,6 +305,7 @@ class RunSetup:
             never_on=off,
             segments_driven=world.begun,
             interrupted=world.interrupted,
+            dock_s=math.fsum(row.duration_s for row in world.recorder.rows if any(row.charging)),
             driven=self._driven(world, line, energies, charge),
         )
 
@@ -282,6 +344,8 @@ class RunSetup:
             audit = max(audit, abs(loss) / max(scale, abs(initial)))
             loss = 0.0
         empty = next((alarm for alarm in alarms if alarm.kind == "empty" and alarm.battery == name), None)
+        if self.goes_on:  # what it would take on bottomless batteries is not what it takes
+            whole = world
         lowest = min((float(np.min(battery.charge_j(b.states[name]))) for b in whole.meter.batches), default=initial)
         if audit > MOST_AUDIT_ERROR:
             raise AuditError(name, audit, _wrong_terms(meter.batches, name, energies[name]))

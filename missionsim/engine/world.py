@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from typing import Any, cast
 
@@ -14,10 +15,15 @@ from missionsim.engine.components import ComponentInfo, Switchboard
 from missionsim.engine.meter import Evaluating, Meter
 from missionsim.engine.outcome import Alarm
 from missionsim.engine.recorder import Recorder
-from missionsim.plan.legs import Activity, Leg, Phase, Plan, Recharge, SegmentInfo, Step, Trigger
+from missionsim.plan.legs import Activity, Gate, Leg, Phase, Plan, Recharge, SegmentInfo, Step, Trigger
+from missionsim.plan.steps import group
 
 Detour = Callable[[Leg, float, float], tuple[list[Leg], tuple[Step, ...]] | None]
 """``(leg, metres done on it, metres to brake) -> legs and steps home``, or None where there is no way."""
+
+Excursion = Callable[[Leg, float, float, str, str, int], tuple[list[Leg], tuple[Step, ...], bool] | None]
+"""``(leg, metres done, metres to brake, place, battery, segment)`` to legs and steps to a dock and back, and whether
+the robot comes back to the end of its edge (or to its beginning)."""
 
 FOREVER_S = 1e9
 SPAN_S, LONGEST_LOOK_S = 3600.0, 1e7
@@ -63,6 +69,8 @@ class World:
         Instants, found by an earlier execution, at which a battery interrupts this one.
     detour : callable, optional
         Way home for alarms of kind ``reserve``.
+    excursion : callable, optional
+        In its place a way to a dock, which goes on afterwards where the robot stopped.
     values : mapping, optional
         Parameters that differ from the model's.
     """
@@ -76,6 +84,7 @@ class World:
         *,
         alarms: Sequence[Alarm] = (),
         detour: Detour | None = None,
+        excursion: Excursion | None = None,
         values: Mapping[str, Any] | None = None,
     ) -> None:
         self.env = env = simpy.Environment()
@@ -97,6 +106,13 @@ class World:
         self._answered = env.event()
         self.ends_s: dict[int, float] = {}
         self._detour = detour
+        self._excursion = excursion
+        self._going_on: list[Step] = []
+        self._at = 0
+        self._left: tuple[int, float] | None = None
+        self.excursions: list[list[float]] = []
+        self.rounds: dict[int, int] = {leg.gate.block: 0 for leg in plan.legs if leg.gate is not None}
+        self._ended: set[int] = set()
         self._batteries = batteries
         self._phases: tuple[Phase, ...] = ()
         if any(activity.every_s is not None for activity in plan.activities):
@@ -148,6 +164,13 @@ class World:
                 alarm = cast(Alarm, interrupt.cause)
                 self.interrupted = self.interrupted or alarm
                 self.reason = f"battery '{alarm.battery}' {'empty' if alarm.kind == 'empty' else 'at its reserve'}"
+                if alarm.kind == "reserve" and self._excursion is not None:
+                    found = self._to_dock_and_on(alarm.battery)
+                    if found is None:
+                        break
+                    steps = found
+                    self.reason, self.interrupted = "", None
+                    continue
                 way = self._way_home() if alarm.kind == "reserve" and not home else None
                 if way is None:
                     self.recorder.close()
@@ -158,9 +181,13 @@ class World:
     def _execute(self, steps: Iterable[Step]) -> Generator[simpy.Event, Any, None]:
         env, recorder, legs, board = self.env, self.recorder, self.legs, self.board
         signals = self.signals
-        for step in steps:
+        self._going_on = list(steps)
+        for at, step in enumerate(self._going_on):
+            self._at = at
             self._phases = phases = step.phases
             current = -1
+            if (gate := legs[phases[0].leg].gate) is not None and self._shut(gate):
+                continue
             for i, phase in enumerate(phases):
                 leg = legs[phase.leg]
                 if phase.leg != current:
@@ -177,6 +204,8 @@ class World:
                 recorder.move(current, phase)
                 if leg.recharge is not None:
                     yield from self._recharge(leg.recharge)
+                    if self.segments[leg.settings.segment].kind == "recharge":
+                        self.excursions[-1][1] = env.now
                 elif phase.duration_s > 0.0:
                     yield env.timeout(phase.duration_s)
                 if i + 1 == len(phases) or phases[i + 1].leg != current:
@@ -187,19 +216,91 @@ class World:
                         self.ends_s[leg.settings.segment] = env.now
             recorder.rest(current)
 
-    def _way_home(self) -> tuple[Step, ...] | None:
+    def _shut(self, gate: Gate) -> bool:
+        """Whether a block that is repeated until a time has ended; counts its rounds."""
+        if gate.first and gate.block not in self._ended:
+            if self.env.now + gate.duration_s > gate.until_s * (1.0 + 1e-12):
+                self._ended.add(gate.block)
+            else:
+                self.rounds[gate.block] += 1
+        return gate.block in self._ended
+
+    def _to_dock_and_on(self, battery: str) -> list[Step] | None:
+        """Steps to a dock, charging there, back, and what is left; None where that cannot be, with the reason."""
+        recorder, legs = self.recorder, self.legs
+        phase, at = recorder.phase, recorder.leg
+        leg, elapsed = legs[at], recorder.phase_elapsed_s
+        step = self._going_on[self._at]
+        order = list(dict.fromkeys(p.leg for p in step.phases))
+        index = order.index(at) if at in order else 0
+        done, braking_s, speed = self._stopping(phase, leg)
+        recorder.close()
+        place = next((legs[i].place for i in range(at if leg.kind == "roll" else at + 1, -1, -1) if legs[i].place), "")
+        assert self._excursion is not None
+        found = self._excursion(
+            leg, done, 0.5 * speed * braking_s, place or self.plan.start, battery, len(self.segments)
+        )
+        if found is None:
+            self.reason = f"battery '{battery}' at its reserve, and no way leads to a dock that charges it and back"
+            recorder.rest(at)
+            return None
+        way, steps, went_on = found
+        first = index
+        if leg.edge is not None and leg.kind == "roll":
+            same = [i for i in range(len(order)) if _same_edge(legs[order[i]], leg)]
+            first = max(i for i in same if i >= index) + 1 if went_on else min(i for i in same if i <= index)
+        rest = [_again(legs[i]) for i in order[first:]]
+        if leg.kind == "stand" and rest:
+            rest[0] = rest[0]._replace(duration_s=max(0.0, leg.duration_s - elapsed))
+        later = self._going_on[self._at + 1 :]
+        left = (len(rest) + len(later), rest[0].duration_s if rest else 0.0)
+        if self.segments[leg.settings.segment].kind == "recharge" or (self._left is not None and left >= self._left):
+            self.reason = f"battery '{battery}' at its reserve again: charged, it does not get further"
+            recorder.rest(at)
+            return None
+        self._left = left
+        brake = self._brake(leg, at, speed, braking_s)
+        self.segments.append(SegmentInfo("recharge", "recharge", label="recharge"))
+        base = len(legs)
+        legs.extend(way)
+        made = [*brake, *_moved(steps, base)]
+        base = len(legs)
+        legs.extend(rest)
+        made += [*_moved(group(rest, self.plan.limits), base), *later]
+        self.excursions.append([self.env.now, math.inf])
+        return made
+
+    def _stopping(self, phase: Phase, leg: Leg) -> tuple[float, float, float]:
+        """Metres done on a leg under way, seconds that braking takes, and the speed now."""
         recorder = self.recorder
-        phase, leg = recorder.phase, self.legs[recorder.leg]
         done = _length(phase, recorder.phase_elapsed_s) if phase.moving else 0.0
         for earlier in self._phases:
             if earlier is phase:
                 break
             if earlier.leg == phase.leg:
                 done += _length(earlier, earlier.duration_s)
-        recorder.close()
         speed = abs(phase.speed_m_s + phase.accel_m_s2 * recorder.phase_elapsed_s)
         decel = None if leg.instant else self.plan.limits.decel_m_s2
-        braking_s = speed / decel if phase.moving and leg.kind == "roll" and decel else 0.0
+        return done, speed / decel if phase.moving and leg.kind == "roll" and decel else 0.0, speed
+
+    def _brake(self, leg: Leg, at: int, speed: float, braking_s: float) -> tuple[Step, ...]:
+        """Braking to a standstill on a leg under way; without it the robot stands at once."""
+        decel = self.plan.limits.decel_m_s2
+        if not braking_s or not decel:
+            self.recorder.rest(at)
+            return ()
+        self.legs.append(_plain(leg))
+        bend = leg.curvature_1_m
+        brake = Phase(
+            braking_s, len(self.legs) - 1, speed, -decel, yaw_rad_s=speed * bend, yaw_rad_s2=-decel * bend, moving=True
+        )
+        return (Step("roll", (brake,)),)
+
+    def _way_home(self) -> tuple[Step, ...] | None:
+        recorder = self.recorder
+        leg = self.legs[recorder.leg]
+        done, braking_s, speed = self._stopping(recorder.phase, leg)
+        recorder.close()
         found = self._detour(leg, done, 0.5 * speed * braking_s) if self._detour else None
         if found is None:
             recorder.rest(recorder.leg)
@@ -208,22 +309,7 @@ class World:
         base = len(self.legs)
         self.segments.append(SegmentInfo("return to dock", "return"))
         self.legs.extend(way)
-        moved = tuple(Step(step.kind, tuple(p._replace(leg=p.leg + base) for p in step.phases)) for step in steps)
-        if braking_s > 0.0 and decel:
-            at = recorder.leg
-            brake = Phase(
-                braking_s,
-                at,
-                speed,
-                -decel,
-                yaw_rad_s=speed * leg.curvature_1_m,
-                yaw_rad_s2=-decel * leg.curvature_1_m,
-                moving=True,
-            )
-            self.legs.append(_plain(leg))
-            return (Step("roll", (brake._replace(leg=len(self.legs) - 1),)), *moved)
-        recorder.rest(recorder.leg)
-        return moved
+        return (*self._brake(leg, recorder.leg, speed, braking_s), *_moved(steps, base))
 
     def _alarms(self, alarms: Sequence[Alarm]) -> Generator[simpy.Event, Any, None]:
         for alarm in alarms:
@@ -312,6 +398,9 @@ class World:
                     yield self._know(span)
                     if full is None:
                         at = meter.state
+                        low = [n for n in recharge.batteries if self._batteries[n].fraction(at[n]) < recharge.if_below]
+                        if not low:
+                            return
                         full = {n for n in recharge.batteries if at[n] >= self._batteries[n].state_of(level)}
                     active = [name for name in recharge.batteries if name not in full]
                     if not active and recharge.until is not None:
@@ -352,6 +441,21 @@ def _length(phase: Phase, seconds: float) -> float:
     ahead = phase.speed_m_s * seconds + 0.5 * phase.accel_m_s2 * seconds * seconds
     aside = phase.lateral_m_s * seconds + 0.5 * phase.lateral_m_s2 * seconds * seconds
     return float((ahead * ahead + aside * aside) ** 0.5)
+
+
+def _moved(steps: Iterable[Step], base: int) -> list[Step]:
+    """Steps whose legs stand further back in a list."""
+    return [Step(step.kind, tuple(p._replace(leg=p.leg + base) for p in step.phases)) for step in steps]
+
+
+def _same_edge(leg: Leg, other: Leg) -> bool:
+    same = leg.edge is not None and other.edge is not None and leg.edge[:3] == other.edge[:3]
+    return same and leg.settings.segment == other.settings.segment
+
+
+def _again(leg: Leg) -> Leg:
+    """A leg that is gone on with: neither its segment nor a round begins with it."""
+    return leg._replace(first=False, gate=None if leg.gate is None else leg.gate._replace(first=False))
 
 
 def _plain(leg: Leg) -> Leg:

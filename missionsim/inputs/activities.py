@@ -77,12 +77,16 @@ def reserve_of(given: Parameter | dict[str, Parameter] | None, battery: str) -> 
 class PolicySpec(Model):
     """What to do when a battery reaches its reserve."""
 
-    on_empty: Literal["stop", "return_to_dock"] = "stop"
+    on_empty: Literal["stop", "return_to_dock", "recharge_and_continue"] = "stop"
     reserve: Reserve | None = None
     dock: Name | None = None
+    recharge_until: Fraction | None = None
 
     @model_validator(mode="after")
     def _dock(self) -> "PolicySpec":
         if self.on_empty == "return_to_dock" and self.dock is None:
             raise wrong("return_to_dock needs a dock", "no dock", "dock: <place with a charger>")
+        if self.recharge_until is not None and self.on_empty != "recharge_and_continue":
+            allowed = "on_empty: recharge_and_continue"
+            raise wrong("recharge_until has no effect", f"on_empty: {self.on_empty}", allowed, "recharge_until")
         return self

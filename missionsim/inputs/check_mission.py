@@ -218,7 +218,7 @@ class _MissionCheck(RouteCheck):
         if policy.dock is None or not self.place(("policy", "dock"), policy.dock) or self.environment is None:
             return
         place = self.environment.places.get(policy.dock)
-        if place is not None and place.charger is None and policy.on_empty == "return_to_dock":
+        if place is not None and place.charger is None and policy.on_empty != "stop":
             chargers = [name for name, item in self.environment.places.items() if item.charger is not None]
             self.check.add(
                 ("policy", "dock"),
@@ -312,4 +312,4 @@ def _raw(robot: RobotSpec, key: str) -> list[str]:
 
 
 def _count(segments: Sequence[Any]) -> int:
-    return sum(item.times * _count(item.segments) if item.kind == "repeat" else 1 for item in segments)
+    return sum(item.least * _count(item.segments) if item.kind == "repeat" else 1 for item in segments)

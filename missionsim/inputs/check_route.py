@@ -60,7 +60,7 @@ class RouteCheck:
         for segment in segments:
             if segment.kind == "repeat":
                 after = self.walk(segment.segments, here, unknown)
-                if segment.times > 1 and after != (here, unknown):
+                if (segment.times is None or segment.times > 1) and after != (here, unknown):
                     after = self.walk(segment.segments, *after)
                 here, unknown = after
                 continue

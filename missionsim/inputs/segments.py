@@ -20,6 +20,8 @@ from missionsim.inputs.values import (
     Frequency,
     Length,
     Mass,
+    Parameter,
+    Period,
     Slope,
     Speed,
     Temperature,
@@ -146,19 +148,42 @@ class RechargeSpec(Model):
 
 
 class DockSegment(SegmentSpec):
-    """Recharge at the charger of the place where the robot is."""
+    """Recharge at the charger of the place where the robot is; perhaps only if a battery is below a level."""
 
     kind: Literal["dock"]
-    recharge: RechargeSpec
+    recharge: RechargeSpec = RechargeSpec.model_construct(until=Parameter(1.0), batteries=())
+    if_below: Fraction | None = None
+
+    @model_validator(mode="after")
+    def _useful(self) -> "DockSegment":
+        until = self.recharge.until
+        if self.if_below is not None and until is not None and self.if_below.value > until.value:
+            allowed = f"at most {100 * until.value:g} %"
+            got = f"{100 * self.if_below.value:g} %"
+            raise wrong("charges to less than what it asks for", got, allowed, "if_below")
+        return self
 
 
 class RepeatSegment(Model):
-    """A block of segments, several times."""
+    """A block of segments, several times; or until a time of the mission, as often as it ends by then."""
 
     kind: Literal["repeat"]
     name: Name | None = None
-    times: Annotated[int, Field(strict=True, ge=1, le=100_000)]
+    times: Annotated[int, Field(strict=True, ge=1, le=100_000)] | None = None
+    until: Period | None = None
     segments: Annotated[tuple["Segment", ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _one(self) -> "RepeatSegment":
+        if (self.times is None) == (self.until is None):
+            got = "both" if self.times else "neither"
+            raise wrong("repeat some times or until a time", got, "times: 5, or until: 8 h")
+        return self
+
+    @property
+    def least(self) -> int:
+        """How often at least, as far as the file tells."""
+        return self.times or 1
 
 
 SEGMENT_KINDS = ("drive", "arc", "turn", "move", "inspect", "wait", "dock", "repeat")

@@ -17,7 +17,7 @@ from missionsim.inputs.power import build_power_model
 from missionsim.inputs.values import Parameter
 from missionsim.plan.chance import failures, stopped_by_obstacles, told_at
 from missionsim.plan.draws import Odd, least, remainder, sign
-from missionsim.plan.legs import Activity, Leg, Limits, OnEdge, Plan, Recharge, SegmentInfo, Settings, Trigger
+from missionsim.plan.legs import Activity, Gate, Leg, Limits, OnEdge, Plan, Recharge, SegmentInfo, Settings, Trigger
 from missionsim.plan.pace import Pace
 from missionsim.plan.routes import Routes, Way, along
 from missionsim.plan.steady import steady_power_w
@@ -36,7 +36,10 @@ _EXTRAS = (
 
 
 def make_plan(
-    mission: MissionSpec, numbers: Mapping[str, float] | None = None, rng: np.random.Generator | None = None
+    mission: MissionSpec,
+    numbers: Mapping[str, float] | None = None,
+    rng: np.random.Generator | None = None,
+    rounds: Mapping[int, int] | None = None,
 ) -> Plan:
     """The plan of a mission.
 
@@ -49,6 +52,9 @@ def make_plan(
         ``robot.`` or ``environment.`` those of the other files.
     rng : numpy.random.Generator, optional
         Draws obstacles, failed relocalisations and inspections that are repeated; without it there are none.
+    rounds : mapping of int to int, optional
+        How often blocks are driven that are repeated until a time, by their number; without it as often as could be
+        if nothing took longer than planned.
 
     Returns
     -------
@@ -65,7 +71,7 @@ def make_plan(
     the end of a segment that moves. The most specific wins, value by value: the segment's own, the mission's for its
     scheme, the mission's, the defaults', the robot's for that scheme.
     """
-    return _Builder(mission, numbers or {}, rng).build()
+    return _Builder(mission, numbers or {}, rng, rounds).build()
 
 
 def plan_runs(mission: MissionSpec, numbers: Mapping[str, NDArray[np.float64]]) -> Plan:
@@ -87,7 +93,9 @@ def plan_runs(mission: MissionSpec, numbers: Mapping[str, NDArray[np.float64]]) 
         return _Builder(mission, cast("Mapping[str, float]", numbers), None).build()
 
 
-def legs_of(mission: MissionSpec, segments: Iterable[tuple[str, Any]]) -> Iterator[list[Leg]]:
+def legs_of(
+    mission: MissionSpec, segments: Iterable[tuple[str, Any]], numbers: Mapping[str, float] | None = None
+) -> Iterator[list[Leg]]:
     """The legs of single segments of a mission, each begun at a place of its own.
 
     Parameters
@@ -96,8 +104,10 @@ def legs_of(mission: MissionSpec, segments: Iterable[tuple[str, Any]]) -> Iterat
         Gives robot, environment and defaults; its own segments are not used.
     segments : iterable of (str, SegmentSpec)
         Place where the segment begins, and the segment.
+    numbers : mapping, optional
+        See `make_plan`.
     """
-    builder = _Builder(mission, {}, None)
+    builder = _Builder(mission, numbers or {}, None)
     for place, segment in segments:
         builder.place, builder.heading = place, None
         before = len(builder.legs)
@@ -106,7 +116,15 @@ def legs_of(mission: MissionSpec, segments: Iterable[tuple[str, Any]]) -> Iterat
 
 
 class _Builder:
-    def __init__(self, mission: MissionSpec, numbers: Mapping[str, float], rng: np.random.Generator | None) -> None:
+    def __init__(
+        self,
+        mission: MissionSpec,
+        numbers: Mapping[str, float],
+        rng: np.random.Generator | None,
+        rounds: Mapping[int, int] | None = None,
+    ) -> None:
+        self.rounds = rounds
+        self._blocks = 0
         self.mission = mission
         self.robot = mission.robot
         self.numbers = numbers
@@ -158,10 +176,12 @@ class _Builder:
         slow = slow_components(self.robot)
 
         def breaks(before: Leg, after: Leg) -> bool:
+            if after.gate is not None and after.gate.first:
+                return True
             known = dict(before.settings.sensors)
             return any(name in slow and name not in known for name, _ in after.settings.sensors)
 
-        steps = group(self.legs, self.limits, breaks if slow else None, self.odd)
+        steps = group(self.legs, self.limits, breaks if slow or self._blocks else None, self.odd)
         if self.routes is not None and self.routes.drawn:
             self.odd.mark(self.routes.others_shorter(self._routes))
         activities = tuple(self._activity(i, spec) for i, spec in enumerate(self.mission.activities))
@@ -183,10 +203,12 @@ class _Builder:
 
     def _segment(self, segment: Any) -> None:
         if segment.kind == "repeat":
+            if segment.until is not None:
+                return self._until(segment)
             for _ in range(segment.times):
                 for inner in segment.segments:
                     self._segment(inner)
-            return
+            return None
         if len(self.segments) >= MOST_SEGMENTS:
             raise self.fault(segment, "too many segments", f"at most {MOST_SEGMENTS}, repeats counted one by one")
         self._name(segment)
@@ -203,6 +225,38 @@ class _Builder:
                 self.legs.append(Leg("stand", self._still(base), duration_s=dwell))
         self.legs[before] = self.legs[before]._replace(first=True)
         self.legs[-1] = self.legs[-1]._replace(last=True, place=self.legs[-1].place or self.place)
+
+    def _until(self, segment: Any) -> None:
+        """Rounds as many as could end by a time if there were nothing but what is planned of them."""
+        block, self._blocks = self._blocks, self._blocks + 1
+        until = self.number(segment.until)
+        asked = None if self.rounds is None else self.rounds.get(block, 0)
+        planned, done = 0.0, 0
+        while asked is None or done < asked:
+            before, segments = len(self.legs), len(self.segments)
+            names, routes = dict(self._names), len(self._routes)
+            for inner in segment.segments:
+                if inner.kind == "repeat" and inner.until is not None:
+                    raise self.fault(segment, "a block until a time inside another one", "times: 5 for the inner one")
+                self._segment(inner)
+            took = sum(p.duration_s for step in group(self.legs[before:], self.limits) for p in step.phases)
+            if isinstance(took, np.ndarray) or isinstance(until, np.ndarray):
+                raise self.fault(segment, "how many rounds end by a time differs from run to run")
+            if not took > 0.0:
+                raise self.fault(segment, "a round that takes no time is repeated until a time", "times: 5")
+            planned += took
+            if asked is None and planned > until:
+                if not done:
+                    raise self.fault(
+                        segment, f"not even one round ends by {until:g} s", f"until: {planned:.0f} s or more"
+                    )
+                del self.legs[before:], self.segments[segments:], self._routes[routes:]
+                self._names = names
+                return
+            gate = Gate(block, until if asked is None else math.inf, took)
+            self.legs[before:] = [leg._replace(gate=gate) for leg in self.legs[before:]]
+            self.legs[before] = self.legs[before]._replace(gate=gate._replace(first=True))
+            done += 1
 
     def _by_chance(self, segment: Any, before: int) -> float:
         """Put stops at obstacles into the segment's legs; time [s] of relocalisations that fail at its end."""
@@ -545,6 +599,7 @@ class _Builder:
             None if asked.until is None else self.number(asked.until),
             None if asked.duration is None else self.number(asked.duration),
             charger.slots,
+            math.inf if segment.if_below is None else self.number(segment.if_below),
         )
         self.legs.append(Leg("dock", base, place=self.place, recharge=recharge))
 

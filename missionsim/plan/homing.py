@@ -97,6 +97,42 @@ class Homing:
         legs[-1] = legs[-1]._replace(last=True)
         return legs, group(legs, self.limits)
 
+    def excursion(
+        self, leg: Leg, done_m: float, brake_m: float, place: str, docks: Sequence[str]
+    ) -> tuple[list[Leg], str, list[Leg], bool] | None:
+        """The way to the nearest of some docks and back to where a leg begins or ends, whichever is shorter in all.
+
+        Returns
+        -------
+        tuple or None
+            Legs to the dock, the dock, legs back, and whether they lead to the end of the edge under way.
+        """
+        if self.routes is None:
+            return None
+        starts: list[tuple[str, list[Leg], bool]] = []
+        if leg.kind == "roll" and leg.edge is not None and leg.distance_m > 0.0:
+            edge = leg.edge
+            here = min(edge.from_m + (edge.to_m - edge.from_m) * (done_m + brake_m) / leg.distance_m, edge.to_m)
+            ways = [*self.routes.ways[edge.begin], *self.routes.ways[edge.end]]
+            for way in (way for way in ways if way.edge == edge.edge):
+                on = way.end == edge.end
+                metres = way.length_m - here if on else here
+                starts.append((way.end, [_leg(leg, way)._replace(distance_m=metres)] if metres > 0.0 else [], on))
+        elif place:
+            starts.append((place, [], False))
+        best: tuple[list[Leg], str, list[Leg], bool] | None = None
+        least = math.inf
+        for begin, first, on in starts:
+            for dock in docks:
+                out, back = self.routes.shortest(begin, dock), self.routes.shortest(dock, begin)
+                if out is None or back is None:
+                    continue
+                length = _length(out) + _length(back) + math.fsum(item.distance_m for item in first)
+                if length < least:
+                    least = length
+                    best = [*first, *(_leg(leg, way) for way in out)], dock, [_leg(leg, way) for way in back], on
+        return best
+
 
 def last_driven(legs: Sequence[Leg]) -> list[Leg | None]:
     """Of each leg, itself or the last one before it that drives; before the first such, that one; None without any."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import repeat
@@ -62,6 +63,8 @@ class Recharge(NamedTuple):
         Time at the charger instead; charging stops at full.
     slots : int
         Robots that the dock serves at once.
+    if_below : float
+        Nothing is charged unless a battery is below this fraction of its capacity.
     """
 
     place: str
@@ -70,6 +73,7 @@ class Recharge(NamedTuple):
     until: float | None = None
     duration_s: float | None = None
     slots: int = 1
+    if_below: float = math.inf
 
 
 class OnEdge(NamedTuple):
@@ -80,6 +84,16 @@ class OnEdge(NamedTuple):
     edge: int
     from_m: float
     to_m: float
+
+
+class Gate(NamedTuple):
+    """Of a block that is repeated until a time: which block, that time, how long the round takes without charging, and
+    whether the round begins with this leg."""
+
+    block: int
+    until_s: float
+    duration_s: float
+    first: bool = False
 
 
 class Leg(NamedTuple):
@@ -111,6 +125,8 @@ class Leg(NamedTuple):
     recharge : Recharge or None
     pace : Pace
         Where `speed_m_s` comes from.
+    gate : Gate or None
+        Of a block that is repeated until a time.
     """
 
     kind: Kind
@@ -129,6 +145,7 @@ class Leg(NamedTuple):
     last: bool = False
     recharge: Recharge | None = None
     pace: Pace = Pace()
+    gate: Gate | None = None
 
 
 class Phase(NamedTuple):
@@ -230,6 +247,11 @@ class Plan:
     chance: tuple[tuple[str, int], ...] = ()
     routes: tuple[tuple[str, str, tuple[int, ...]], ...] = ()
     odd: NDArray[np.bool_] | None = None
+
+    @property
+    def gated(self) -> bool:
+        """Whether how often a block is repeated shows only when it is driven."""
+        return any(leg.gate is not None and leg.gate.until_s < math.inf for leg in self.legs)
 
     @property
     def limited(self) -> bool:

@@ -488,8 +488,10 @@ def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) ->
 def _obstacle(mission: MissionSpec, model: PowerModel, plan: Plan) -> str:
     if plan.activities:
         return "activities overlap with the segments, so that events may change their order"
-    if any(leg.recharge is not None for leg in plan.legs):
+    if any(leg.recharge is not None for leg in plan.legs) or mission.policy.on_empty == "recharge_and_continue":
         return "it recharges"
+    if plan.gated:
+        return "a block is repeated until a time"
     chance = left_to_chance(mission)
     if chance:
         return f"chance decides in each run: {', '.join(name.removeprefix('chance.') for name in chance)}"

@@ -96,7 +96,10 @@ def simulate_block(
         values = {name: float(column[i]) for name, column in draws.items()}
         made[i] = plan = plans[i] or _plan(mission, model, values, seed, int(own[i]))
         setup = RunSetup(mission, plan, model, *split_values(values, model))
+        if chance:
+            setup.again = run_generator(seed, "chance", int(own[i]))
         result = yield from setup.run(trace=False)
+        made[i] = setup.plan
         return {**_row(result), "speed_limited": plan.limited}
 
     rows: list[dict[str, Any]] = []

@@ -1,0 +1,117 @@
+"""Recharging while a mission goes on: at the reserve, below a level, and rounds until a time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from missionsim.engine.simulate import simulate
+from missionsim.errors import InputError
+from missionsim.results.tables import edges_table
+from tests.engine.making import load, robot, run
+
+SITE: dict[str, Any] = {
+    "places": {"home": {"charger": {"power": "80 W"}}, "mid": {}, "far": {}, "dock": {"charger": {"power": "60 W"}}},
+    "edges": [
+        {"name": "one", "from": "home", "to": "mid", "length": "60 m"},
+        {"name": "two", "from": "mid", "to": "far", "length": "60 m", "slope": "3 %"},
+        {"name": "side", "from": "mid", "to": "dock", "length": "20 m"},
+    ],
+}
+ROUND = [
+    {"drive": {"to": "far", "speed": 1.0}},
+    {"inspect": {"duration": "30 s"}},
+    {"drive": {"to": "home", "speed": 1.0}},
+]
+SMALL = robot(batteries={"main": {"capacity": "6 Wh", "reserve": "20 %"}, "aux": {"capacity": "100 Wh"}})
+
+
+def continuing(segments: list[dict[str, Any]], **policy: Any) -> Any:
+    """Run of a robot that recharges at its reserve and goes on."""
+    return run(segments, SMALL, SITE, start="home", policy={"on_empty": "recharge_and_continue", **policy})
+
+
+def test_it_goes_on_where_it_stopped_and_nothing_is_lost() -> None:
+    result = continuing([{"repeat": {"times": 8, "segments": ROUND}}])
+    assert result.feasible
+    recharges = [segment for segment in result.segments if segment.kind == "recharge"]
+    assert recharges
+    battery = result.batteries["main"]
+    assert battery.initial_wh + battery.charged_wh - battery.energy_wh == pytest.approx(
+        battery.charge_left_wh, rel=1e-9
+    )
+    assert sum(result.by_segment_wh("main")) == pytest.approx(battery.energy_wh, rel=1e-9)
+    # every edge of every round is passed to its end, in order and joined to the one before
+    table = edges_table(result)
+    places = ["home", *table["end"]]
+    whole = [i for i, length in enumerate(table["length_m"]) if length > 59.9 and table["segment"][i] < 24]
+    assert len(whole) >= 8 * 4 - len(recharges)
+    assert all(begin in (place, end) for place, begin, end in zip(places, table["begin"], table["end"], strict=False))
+    # below the reserve only on the way to a dock
+    charge, line = result.charge_wh["main"], result.timeline
+    low = {int(segment) for segment in line.segment[np.asarray(charge) < battery.reserve_required_wh - 1e-9]}
+    assert low <= {i for i, segment in enumerate(result.segments) if segment.kind == "recharge"} | {
+        i for i in low if charge[np.flatnonzero(line.segment == i)].min() > battery.reserve_required_wh - 0.02
+    }
+    assert result.dock_s > 0.0
+
+
+def test_it_charges_to_the_level_asked_and_at_the_dock_named() -> None:
+    result = continuing([{"repeat": {"times": 8, "segments": ROUND}}], dock="home", recharge_until="60 %")
+    docks = np.flatnonzero(np.diff(np.asarray(result.charge_wh["main"])) > 0.1) + 1
+    assert len(docks)
+    assert np.asarray(result.charge_wh["main"])[docks] == pytest.approx(3.6, rel=1e-9)
+    assert "side" not in edges_table(result)["name"]
+
+
+def test_a_battery_that_cannot_do_it_is_told_and_no_loop() -> None:
+    tiny = robot(batteries={"main": {"capacity": "1 Wh", "reserve": "60 %"}, "aux": {"capacity": "100 Wh"}})
+    policy = {"on_empty": "recharge_and_continue"}
+    result = run(ROUND, tiny, SITE, start="home", policy=policy)
+    assert not result.feasible
+    assert "main" in result.reason
+
+
+def test_a_dock_is_used_only_below_its_level() -> None:
+    segments = [*ROUND, {"dock": {"if_below": "70 %"}}]
+    few = run(segments, robot(batteries__main__capacity="40 Wh"), SITE, start="home")
+    assert few.batteries["main"].charged_wh == 0.0
+    assert few.dock_s == 0.0
+    many = run([{"repeat": {"times": 6, "segments": segments}}], SMALL, SITE, start="home")
+    assert many.batteries["main"].charged_wh > 0.0
+    assert many.batteries["main"].charge_left_wh == pytest.approx(6.0, rel=0.4)
+
+
+def test_rounds_until_a_time_are_those_that_end_by_then() -> None:
+    one = run(ROUND, environment=SITE, start="home").duration_s
+    until = run([{"repeat": {"until": f"{3.5 * one} s", "segments": ROUND}}], environment=SITE, start="home")
+    times = run([{"repeat": {"times": 3, "segments": ROUND}}], environment=SITE, start="home")
+    assert [segment.name for segment in until.segments] == [segment.name for segment in times.segments]
+    assert until.duration_s == pytest.approx(times.duration_s, rel=1e-12)
+    assert until.batteries["main"].energy_wh == pytest.approx(times.batteries["main"].energy_wh, rel=1e-12)
+
+
+def test_charging_takes_rounds_away() -> None:
+    segments = [*ROUND, {"dock": {"if_below": "70 %"}}]
+    made = run([{"repeat": {"until": "40 min", "segments": segments}}], SMALL, SITE, start="home")
+    free = run([{"repeat": {"until": "40 min", "segments": ROUND}}], environment=SITE, start="home")
+    rounds = [sum(segment.kind == "inspect" for segment in result.segments) for result in (made, free)]
+    assert 0 < rounds[0] < rounds[1]
+    assert made.segments_driven == len(made.segments)
+
+
+@pytest.mark.parametrize(
+    ("segment", "told"),
+    [
+        ({"repeat": {"until": "10 s", "segments": ROUND}}, "not even one round"),
+        ({"repeat": {"until": "1 h", "times": 2, "segments": ROUND}}, "some times or until"),
+        ({"repeat": {"segments": ROUND}}, "some times or until"),
+        ({"repeat": {"until": "1 h", "segments": [{"wait": {"duration": "0 s"}}]}}, "takes no time"),
+        ({"dock": {"if_below": "90 %", "recharge": {"until": "50 %"}}}, "less than what it asks for"),
+    ],
+)
+def test_what_cannot_be_is_told(segment: dict[str, Any], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        simulate(load({"segments": [segment], "start": "home"}, None, SITE))
