@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -100,11 +100,27 @@ class Timeline:
         return Timeline(
             self.start_s[cut],
             self.duration_s[cut],
-            {name: value[cut] for name, value in self.columns.items()},
-            {name: rate[cut] for name, rate in self.rates.items()},
+            Lazily(self.columns, lambda value: value[cut]),
+            Lazily(self.rates, lambda rate: rate[cut]),
             self.segment[cut],
             self.constants,
         )
+
+
+class Lazily(Mapping[str, Any]):
+    """Values of another mapping, or of names, as a function of them; made when asked for: most columns never are."""
+
+    def __init__(self, of: Mapping[str, Any], make: Callable[[Any], Any]) -> None:
+        self._of, self._make = of, make
+
+    def __getitem__(self, name: str) -> Any:
+        return self._make(self._of[name])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._of)
+
+    def __len__(self) -> int:
+        return len(self._of)
 
 
 def _is_clock(name: str) -> bool:

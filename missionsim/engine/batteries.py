@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import itertools
 from bisect import bisect_right
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.effects.integrate import integrate
+from missionsim.effects.model import PowerModel
+from missionsim.effects.timeline import Timeline
 from missionsim.engine.curves import Curves
 from missionsim.engine.solve import adaptive_runge_kutta, root
 
@@ -30,33 +33,55 @@ class Loads:
 
     Attributes
     ----------
-    duration_s, energy_j : ndarray, shape (n,)
-        Length of each interval and the energy of all terms in it.
+    battery : str
+    line : Timeline
+        The intervals.
+    energy_j : ndarray, shape (n,)
+        Of all terms.
     charging : ndarray of int, shape (n,)
         0 alone, 1 charging, 2 held at its level by the charger.
-    changing : ndarray of bool, shape (n,)
-        Whether the power changes within the interval (or an impulse begins it).
     charger_w : ndarray, shape (n,)
         Power of the charger while charging.
-    energy_until : callable
-        ``(interval, seconds) -> J`` from the start of an interval.
-    curves : Curves
-        Power within each interval as a function of time, its upper bound, and impulses at the start.
+    model : PowerModel
+    values : mapping
+        Parameters that differ from the model's.
     """
 
-    duration_s: Array
+    battery: str
+    line: Timeline
     energy_j: Array
     charging: NDArray[np.int64]
-    changing: NDArray[np.bool_]
     charger_w: Array
-    energy_until: Callable[[int, float], float]
-    curves: Curves
+    model: PowerModel
+    values: Mapping[str, float]
 
     @property
+    def duration_s(self) -> Array:
+        """Length of each interval, shape (n,)."""
+        return self.line.duration_s
+
+    @cached_property
+    def changing(self) -> NDArray[np.bool_]:
+        """Whether the power changes within each interval, or an impulse begins it, shape (n,)."""
+        return self.line.changing(self.model.memory) | (np.asarray(self.line.columns["starts"]) > 0.0)
+
+    @cached_property
+    def curves(self) -> Curves:
+        """Power within each interval as a function of time, its upper bound, and impulses at the start."""
+        return Curves(self.model, self.line, self.battery, self.values, self.changing, self.energy_j)
+
+    @cached_property
     def charged_j(self) -> Array:
         """Energy that the charger gives in each interval, shape (n,)."""
+        if not self.charging.any():
+            return np.zeros(len(self.energy_j))
         full = self.charger_w * self.duration_s
         return np.where(self.charging == CHARGING, full, np.where(self.charging == HELD, self.energy_j, 0.0))
+
+    def energy_until(self, interval: int, seconds: float) -> float:
+        """Energy [J] from the start of an interval for some seconds."""
+        part = replace(self.line.part(interval, interval + 1), duration_s=np.array([seconds]))
+        return float(sum(joules[0] for joules in integrate(self.model, part, self.values)[self.battery].values()))
 
 
 class Battery(Protocol):

@@ -39,17 +39,6 @@ class ComponentInfo:
     startup_s: float = 0.0
 
 
-class Late(simpy.Event):
-    """An event that takes place after all other events of its instant."""
-
-    def trigger_late(self) -> None:
-        """Schedule it now, once."""
-        if self._value is simpy.events.PENDING:
-            self._ok = True
-            self._value = None
-            self.env.schedule(self, priority=LATE)
-
-
 class Component:
     """One component: how many units who needs, and its state.
 
@@ -67,14 +56,19 @@ class Component:
         self.index = index
         self.needs: dict[Any, int] = {}
         self.units_on = 0
-        self.wake = Late(board.env)
+        self.busy = False
         self._coming: simpy.Event | None = None
-        self.process = board.env.process(self._run())
 
     @property
     def wanted(self) -> int:
         """Units that the most demanding of those who need it asks for."""
         return max(self.needs.values(), default=0)
+
+    @property
+    def lacking(self) -> list[Component]:
+        """What it requires and is not on."""
+        components = [self.board.components[name] for name in self.info.requires]
+        return [component for component in components if not component.units_on]
 
     def when_on(self) -> simpy.Event:
         """An event that happens when it is on; only for one that is off."""
@@ -82,26 +76,34 @@ class Component:
             self._coming = self.board.env.event()
         return self._coming
 
-    def _run(self) -> Generator[simpy.Event, Any, None]:
-        board, env, recorder = self.board, self.board.env, self.board.recorder
-        while True:
-            yield self.wake
-            self.wake = Late(env)
-            wanted = self.wanted
-            if wanted and not self.units_on:
-                for name in self.info.requires:
-                    if not board.components[name].units_on:
-                        yield board.components[name].when_on()
-                if self.info.startup_s > 0.0 and self.wanted:
-                    recorder.component(self.index, 0, self.wanted)
-                    yield env.timeout(self.info.startup_s)
-                wanted = self.wanted
-            if wanted != self.units_on or self.info.startup_s > 0.0:
-                recorder.component(self.index, wanted, 0)
-            self.units_on = wanted
-            if wanted and self._coming is not None:
-                self._coming.succeed()
-                self._coming = None
+    def switch(self) -> None:
+        """Become what is wanted: at once, or after what it requires and its start-up."""
+        wanted = self.wanted
+        if self.busy or wanted == self.units_on:
+            return
+        if wanted and not self.units_on and (self.info.startup_s > 0.0 or self.lacking):
+            self.busy = True
+            self.board.env.process(self._start())
+            return
+        self._set(wanted)
+
+    def _set(self, units: int) -> None:
+        self.board.recorder.component(self.index, units, 0)
+        self.units_on = units
+        if units and self._coming is not None:
+            self._coming.succeed()
+            self._coming = None
+
+    def _start(self) -> Generator[simpy.Event, Any, None]:
+        board = self.board
+        for component in self.lacking:
+            if not component.units_on:
+                yield component.when_on()
+        if self.info.startup_s > 0.0 and self.wanted:
+            board.recorder.component(self.index, 0, self.wanted)
+            yield board.env.timeout(self.info.startup_s)
+        self.busy = False
+        self._set(self.wanted)
 
 
 class Switchboard:
@@ -118,11 +120,10 @@ class Switchboard:
         self.env = env
         self.recorder = recorder
         self._infos = {info.name: info for info in infos}
-        self.components: dict[str, Component] = {}
-        for index, info in enumerate(self._infos.values()):
-            self.components[info.name] = Component(self, info, index)
+        self.components = {info.name: Component(self, info, index) for index, info in enumerate(self._infos.values())}
         self._held: dict[Any, Mapping[str, int]] = {}
         self._closures: dict[tuple[tuple[str, int], ...], dict[str, int]] = {}
+        self._asked: dict[str, Component] = {}
         always = {info.name: info.units for info in self._infos.values() if info.always_on}
         if always:
             self.hold("always on", tuple(always.items()))
@@ -148,8 +149,26 @@ class Switchboard:
                 component.needs[holder] = units
             else:
                 component.needs.pop(holder, None)
-            if component.wanted != component.units_on:
-                component.wake.trigger_late()
+            if component.busy or component.wanted == component.units_on:
+                continue
+            if not self._asked:
+                self._switch_late()
+            self._asked[name] = component
+
+    def _switch_late(self) -> None:
+        """Switch what is asked for by then after all other events of this instant."""
+        late = simpy.Event(self.env)
+        late._ok, late._value = True, None
+        late.callbacks.append(self._switch)
+        self.env.schedule(late, priority=LATE)
+
+    def _switch(self, _: simpy.Event) -> None:
+        asked, self._asked = sorted(self._asked.values(), key=lambda component: component.index), {}
+        for component in asked:
+            if not component.lacking:
+                component.switch()
+        for component in asked:  # what they require has come on meanwhile, or takes its time
+            component.switch()
 
     def waiting_for(self, sensors: tuple[tuple[str, int], ...]) -> list[simpy.Event]:
         """Events of those components, required ones included, that take time to come on; empty where none."""

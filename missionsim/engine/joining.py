@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.effects.covariates import Labels
-from missionsim.effects.timeline import Timeline
+from missionsim.effects.timeline import Lazily, Timeline
 from missionsim.engine.batteries import Battery
 from missionsim.engine.meter import Batch, Energies
 from missionsim.engine.outcome import J_PER_WH
@@ -30,8 +30,8 @@ def joined(batches: list[Batch], batteries: Mapping[str, Battery]) -> tuple[Time
     line = Timeline(
         np.concatenate([item.start_s for item in lines]),
         np.concatenate([item.duration_s for item in lines]),
-        {name: _stacked([item.columns[name] for item in lines]) for name in first.columns},
-        {name: np.concatenate([np.asarray(item.rates[name]) for item in lines]) for name in first.rates},
+        Lazily({name: name for name in first.columns}, lambda name: _stacked([line.columns[name] for line in lines])),
+        Lazily({name: name for name in first.rates}, lambda name: np.concatenate([line.rates[name] for line in lines])),
         np.concatenate([item.segment for item in lines]),
         first.constants,
     )

@@ -18,7 +18,6 @@ from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery, Loads
-from missionsim.engine.curves import Curves
 from missionsim.engine.outcome import Alarm
 from missionsim.engine.recorder import Recorder, Row, timeline
 from missionsim.errors import InputError
@@ -46,10 +45,9 @@ class Evaluated(NamedTuple):
 
     def part(self, first: int, stop: int) -> Evaluated:
         """Some intervals that follow each other."""
-        cut = {
-            name: {key: joules[first:stop] for key, joules in terms.items()} for name, terms in self.energies.items()
-        }
-        return Evaluated(self.line.part(first, stop), cut)
+        cut = slice(first, stop)
+        energies = {name: {key: joules[cut] for key, joules in terms.items()} for name, terms in self.energies.items()}
+        return Evaluated(self.line.part(first, stop), energies)
 
 
 Evaluating = Generator[Asked, Evaluated, T]
@@ -165,7 +163,6 @@ class Meter:
         self._done = len(recorder.rows)
         asked = rows if ahead is None else [*rows, ahead]
         answer = yield Asked(asked, self.legs, recorder.states(), self.values)
-        self._refuse_nan(answer)
         if ahead is not None:
             self._ahead = ahead, answer.part(count, count + 1)
             answer = answer.part(0, count)
@@ -182,8 +179,6 @@ class Meter:
         """
         line = answer.line
         for battery, terms in answer.energies.items():
-            if np.isfinite(np.sum(list(terms.values()))):
-                continue
             for key, joules in terms.items():
                 bad = np.flatnonzero(~np.isfinite(joules))
                 if bad.size:
@@ -230,8 +225,6 @@ class Meter:
         return min(found, default=None)
 
     def _loads(self, rows: Sequence[Row], answer: Evaluated) -> dict[str, Loads]:
-        line = answer.line
-        changing = line.changing(self.model.memory) | (np.asarray(line.columns["starts"]) > 0.0)
         nothing, modes = np.zeros(len(rows)), np.zeros((len(rows), len(self.batteries)), dtype=np.int64)
         charges = any(any(row.charging) for row in rows)
         if charges:
@@ -239,27 +232,11 @@ class Meter:
         found = {}
         for i, name in enumerate(self.batteries):
             power = np.array([_charger_power(self.legs[row.leg], name) for row in rows]) if charges else nothing
-            terms = list(answer.energies[name].values())
-            total = np.sum(terms, axis=0) if terms else nothing
-            found[name] = self._load(name, line, total, modes[:, i], changing, power)
+            total = np.add.reduce(list(answer.energies[name].values())) if answer.energies[name] else nothing
+            if not np.isfinite(total).all():
+                self._refuse_nan(answer)
+            found[name] = Loads(name, answer.line, total, modes[:, i], power, self.model, self.values)
         return found
-
-    def _load(
-        self,
-        battery: str,
-        line: Timeline,
-        total: Array,
-        modes: NDArray[np.int64],
-        changing: NDArray[np.bool_],
-        charger_w: Array,
-    ) -> Loads:
-        def energy_until(interval: int, seconds: float) -> float:
-            cut = line.part(interval, interval + 1)
-            part = Timeline(cut.start_s, np.array([seconds]), cut.columns, cut.rates, cut.segment, cut.constants)
-            return float(sum(joules[0] for joules in integrate(self.model, part, self.values)[battery].values()))
-
-        curves = Curves(self.model, line, battery, self.values, changing, total)
-        return Loads(line.duration_s, total, modes, changing, charger_w, energy_until, curves)
 
 
 def _charger_power(leg: Leg, battery: str) -> float:

@@ -325,48 +325,41 @@ class World:
         while True:
             if activity.begin is not None:
                 yield self._trigger(activity.begin, "begin")
-            if activity.every_s is not None and activity.end is None:
-                yield from self._endless_bursts(activity, on)
-            stop = self._trigger(activity.end, "end") if activity.end is not None else env.event()
-            if activity.every_s is None:
-                board.hold(activity.key, on)
-                yield stop if activity.duration_s is None else stop | env.timeout(activity.duration_s)
-                board.hold(activity.key, ())
-            else:
+            stop = None if activity.end is None else self._trigger(activity.end, "end")
+            if activity.every_s is not None:
                 yield from self._bursts(activity, on, stop)
+            else:
+                board.hold(activity.key, on)
+                ends = [] if stop is None else [stop]
+                if activity.duration_s is not None:
+                    ends.append(env.timeout(activity.duration_s))
+                yield env.any_of(ends) if ends else env.event()
+                board.hold(activity.key, ())
             if not repeats:
                 return
 
     def _bursts(
-        self, activity: Activity, on: tuple[tuple[str, int], ...], stop: simpy.Event
+        self, activity: Activity, on: tuple[tuple[str, int], ...], stop: simpy.Event | None
     ) -> Generator[simpy.Event, Any, None]:
-        env, board = self.env, self.board
-        every, length = activity.every_s or FOREVER_S, activity.duration_s or 0.0
-        began, count = env.now, 0
-        while not stop.processed:
-            self._count_burst(activity)
-            board.hold(activity.key, on)
-            yield stop | env.timeout(min(length, every))
-            if length < every or stop.processed:
-                board.hold(activity.key, ())
-            count += 1
-            if not stop.processed:
-                yield stop | env.timeout(max(0.0, began + count * every - env.now))
-        board.hold(activity.key, ())
-
-    def _endless_bursts(self, activity: Activity, on: tuple[tuple[str, int], ...]) -> Generator[simpy.Event, Any, None]:
-        """Bursts until the mission ends, without anything else to wait for."""
         env, hold, key = self.env, self.board.hold, activity.key
         every, length = activity.every_s or FOREVER_S, activity.duration_s or 0.0
         began, count = env.now, 0
-        while True:
-            self._count_burst(activity)
-            hold(key, on)
-            if length < every:
-                yield env.timeout(length)
-                hold(key, ())
-            count += 1
-            yield env.timeout(max(0.0, began + count * every - env.now))
+        if stop is not None:
+            process = env.active_process
+            if stop.callbacks is None or process is None:
+                return
+            stop.callbacks.append(lambda _: process.interrupt())
+        try:
+            while True:
+                self._count_burst(activity)
+                hold(key, on)
+                if length < every:
+                    yield env.timeout(length)
+                    hold(key, ())
+                count += 1
+                yield env.timeout(max(0.0, began + count * every - env.now))
+        except simpy.Interrupt:
+            hold(key, ())
 
     def _count_burst(self, activity: Activity) -> None:
         self._bursts_done += 1
