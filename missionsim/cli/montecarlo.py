@@ -22,7 +22,7 @@ MOST_RUNS, MOST_WORKERS = 10**9, 1024
 
 
 @Parameter(name="*")
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Batch:
     """Options of a batch.
 

@@ -68,13 +68,13 @@ def reach(
         write_map(map_of_reach(task.environment, task.start, found, probability), plot)
     to.emit(answer)
     if to.text:
-        show(answer)
+        _show(answer)
         if plot is not None:
             console().print(f"Written: {plot}", soft_wrap=True)
     return 0 if all(item.sure for item in found) and not answer["unreachable"] else 1
 
 
-def show(answer: dict[str, Any]) -> None:
+def _show(answer: dict[str, Any]) -> None:
     """Print what can be reached, at most 100 columns wide."""
     from missionsim.cli.run import clock
 

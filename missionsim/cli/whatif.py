@@ -103,7 +103,7 @@ def whatif(
     if to.text:
         show(found)
         if montecarlo:
-            show_differences(answer["montecarlo"])
+            _show_differences(answer["montecarlo"])
         if out is not None:
             console().print(f"Written: {out}")
     return 0 if found.results[0].feasible else 1
@@ -121,7 +121,7 @@ def _draw(path: Path, alternatives: Sequence[Alternative], runs: int, seed: int,
     return {"runs": runs, "seed": seed, "alternatives": named}
 
 
-def show_differences(answer: dict[str, Any]) -> None:
+def _show_differences(answer: dict[str, Any]) -> None:
     """Print which differences of the alternatives hold under the uncertainty."""
     rows = [
         (
@@ -217,10 +217,10 @@ def show(found: WhatIf) -> None:
     for number, row in enumerate(rows):
         if not row["feasible"]:
             terminal.print(f"  {number} {row['name']}: {row['reason']}")
-    terminal.print(term_rows(rows))
+    terminal.print(_term_rows(rows))
 
 
-def term_rows(rows: list[dict[str, Any]], most: int = 5) -> Any:
+def _term_rows(rows: list[dict[str, Any]], most: int = 5) -> Any:
     """The terms that change most in each alternative."""
     cells = []
     for number, row in enumerate(rows[1:], start=1):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -56,6 +56,7 @@ class ModelParameter:
     status: str = ""
     source: str = ""
     path: str = ""
+    _: KW_ONLY
     distribution: Any = None
     times: float = 1.0
     """How many times the file's number it is (the units of a component that is always on)."""

@@ -8,7 +8,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +51,7 @@ class SiteOptions:
     smooth_m: float = 50.0
 
     @property
-    def charger(self) -> dict[str, Any]:
+    def charger(self) -> dict[str, object]:
         """The charger of a place that a file marks as one."""
         powers = (
             [b.max_charge_power.value for b in self.robot.batteries.values() if b.max_charge_power]
@@ -98,6 +98,7 @@ class Site:
     file: str
     format: str
     name: str
+    _: KW_ONLY
     title: str = ""
     notes: list[str] = field(default_factory=list)
     places: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -116,7 +117,9 @@ class Site:
         else:
             self.remarks[message] = Remark(message, line)
 
-    def place(self, name: str, position: tuple[float, float] | None, height: float | None = None, **more: Any) -> str:
+    def place(
+        self, name: str, position: tuple[float, float] | None, height: float | None = None, **more: object
+    ) -> str:
         """Add a place under a name of its own (a taken one gets a number); gives that name."""
         name = _unique(name, self.places)
         where = {} if position is None else {"x": position[0], "y": position[1]}
@@ -126,7 +129,7 @@ class Site:
         return name
 
     def edge(
-        self, start: str, end: str, line: int = 0, *, name: str = "", both_ways: bool = False, **more: Any
+        self, start: str, end: str, line: int = 0, *, name: str = "", both_ways: bool = False, **more: object
     ) -> None:
         """Add a way; one from a place to itself is left out and told."""
         if start == end:
@@ -171,7 +174,7 @@ class Site:
         """Length of all ways, each once, m."""
         return sum(edge.get("length") or self.straight(edge["from"], edge["to"]) or 0.0 for edge in self.edges)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, object]:
         """What was read, for ``--json``."""
         return {
             "schema": "missionsim.site/1",
@@ -265,7 +268,7 @@ def _unique(name: str, taken: Mapping[str, Any] | set[str]) -> str:
     return candidate
 
 
-def scalar(value: Any, key: str = "") -> str:
+def scalar(value: object, key: str = "") -> str:
     """A value as YAML 1.2 in one line; numbers of known keys get their unit."""
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -278,7 +281,7 @@ def scalar(value: Any, key: str = "") -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def flow(value: Any, key: str = "") -> str:
+def flow(value: object, key: str = "") -> str:
     """Mappings and lists as YAML in one line."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{scalar(k)}: {flow(v, k)}" for k, v in value.items()) + "}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 from missionsim.inputs.base import Model
 from missionsim.inputs.distributions import Distribution
@@ -43,6 +43,7 @@ class Parameter:
     status: str = ""
     source: str = ""
     unit: str = "1"
+    _: KW_ONLY
     note: str = ""
     path: str = ""
     line: int = 0

@@ -64,7 +64,7 @@ def model_parameter(parameter: Parameter, unit: str = "") -> ModelParameter:
         parameter.status,
         parameter.source,
         parameter.path,
-        parameter.distribution,
+        distribution=parameter.distribution,
     )
 
 

@@ -162,7 +162,7 @@ class UncertainReader:
             texts["status"],
             texts["source"],
             unit or default or "1",
-            texts["note"],
+            note=texts["note"],
         )
 
     def _implied(self, value: float, sd: float | None, low: float | None, high: float | None) -> Distribution | None:

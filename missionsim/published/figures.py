@@ -125,7 +125,7 @@ class Item:
         """Ours less the published one."""
         return None if self.ours is None else self.ours - self.figure.value
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """The row under the contract's names (``missionsim.reproduction/1``)."""
         figure = self.figure
         return {

@@ -117,7 +117,7 @@ def figures() -> Iterator[tuple[str, Ours]]:
                 yield f"sec342.{battery}.{name}{suffix}", Ours(value)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Causes:
     """What makes a robot's path longer and slower than planned, with spread (assumed unless said).
 

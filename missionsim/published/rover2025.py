@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,7 +171,7 @@ def _optima(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
     yield "comp_share", Ours(part / whole, f"{part:.1f} W of {whole:.1f} W")
 
 
-def optima_table() -> list[dict[str, Any]]:
+def optima_table() -> list[dict[str, object]]:
     """Joint optimum for each complexity under both readings."""
     figures = load_figures(PAPER)
     rows = []
