@@ -12,38 +12,11 @@ from numpy.typing import NDArray
 
 from missionsim.glossary import column_of
 from missionsim.importer.sources import Field
+from missionsim.importer.units import UNITS, words_of
 from missionsim.labels import Labels
 from missionsim.logs.times import is_stamp
 
 Floats = NDArray[np.float64]
-
-UNITS: dict[str, tuple[str, str, float]] = {
-    **{unit: ("power", unit, factor) for unit, factor in (("W", 1.0), ("kW", 1e3), ("mW", 1e-3), ("watts", 1.0))},
-    **{unit: ("voltage", unit, factor) for unit, factor in (("V", 1.0), ("mV", 1e-3), ("volts", 1.0))},
-    **{unit: ("current", unit, factor) for unit, factor in (("A", 1.0), ("mA", 1e-3), ("uA", 1e-6), ("amps", 1.0))},
-    **{unit: ("energy", unit, factor) for unit, factor in (("Wh", 1.0), ("kWh", 1e3), ("mWh", 1e-3), ("J", 1 / 3600))},
-    **{unit: ("speed", unit, factor) for unit, factor in (("m/s", 1.0), ("km/h", 1 / 3.6), ("mm/s", 1e-3))},
-    **{unit: ("speed", unit, 0.44704) for unit in ("mph",)},
-    **{unit: ("yaw rate", unit, factor) for unit, factor in (("rad/s", 1.0), ("deg/s", np.pi / 180))},
-    **{unit: ("acceleration", unit, 1.0) for unit in ("m/s^2",)},
-    **{unit: ("angle", unit, factor) for unit, factor in (("rad", 1.0), ("deg", np.pi / 180))},
-    **{unit: ("duration", unit, factor) for unit, factor in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))},
-    **{unit: ("length", unit, factor) for unit, factor in (("m", 1.0), ("km", 1e3), ("mm", 1e-3), ("cm", 1e-2))},
-    **{unit: ("temperature", unit, 1.0) for unit in ("degC", "K")},
-    **{unit: ("fraction", unit, factor) for unit, factor in (("%", 0.01),)},
-    **{unit: ("mass", unit, factor) for unit, factor in (("kg", 1.0), ("g", 1e-3))},
-    **{unit: ("frequency", unit, factor) for unit, factor in (("Hz", 1.0), ("kHz", 1e3), ("MHz", 1e6), ("GHz", 1e9))},
-}
-"""Unit as a map writes it → dimension, unit, factor to the glossary's unit."""
-_SPELLINGS = {
-    "kmh": "km/h", "kph": "km/h", "km_h": "km/h", "m_s": "m/s", "mps": "m/s", "ms-1": "m/s", "m/s²": "m/s^2",
-    "m/s2": "m/s^2", "m_s2": "m/s^2", "mps2": "m/s^2", "rad_s": "rad/s", "rads": "rad/s", "deg_s": "deg/s",
-    "dps": "deg/s", "°/s": "deg/s", "°": "deg", "degrees": "deg", "°C": "degC", "degc": "degC", "celsius": "degC",
-    "C": "degC", "sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "millis": "ms", "µs": "us", "pct": "%",
-    "percent": "%", "w": "W", "v": "V", "a": "A", "wh": "Wh", "kw": "kW", "mw": "mW", "ma": "mA", "mv": "mV",
-    "kwh": "kWh", "volt": "V", "watt": "W", "amp": "A", "ampere": "A", "amperes": "A", "j": "J", "nsec": "ns",
-}  # fmt: skip
-_PLAIN = {"watts": "W", "volts": "V", "amps": "A"}
 
 
 @dataclass(frozen=True)
@@ -92,14 +65,14 @@ ROLES: tuple[Role, ...] = (
         "time",
         "duration",
         r"\b(time|times?tamp|stamp|t|clock|secs?|seconds|elapsed|epoch|utc|date ?time|date"
-        r"|zeit\w*|datum|uhrzeit|temps|tiempo|heure)\b",
+        r"|ts|ms|us|zeit\w*|datum|uhrzeit|temps|tiempo|heure|horodatage|fecha|hora|tempo|data|ora|tijd\w*|czas)\b",
         r"\b(t|time|times?tamp|stamp|elapsed)\b",
         r"\b(of|since|remaining|duration|charge|left|ros|header|flight|up)\b",
     ),
     Role(
         "power",
         "power",
-        r"\b(power|watts?|pwr|p|leistung|puissance|potencia)\b",
+        r"\b(power|watts?|pwr|p|\w*leistung|puissance|potencia|potenza|vermogen|moc)\b",
         _WHOLE,
         f"{_PART}|{_COMMAND}|\\bsupply\\b",
         0.05,
@@ -108,7 +81,7 @@ ROLES: tuple[Role, ...] = (
     Role(
         "voltage",
         "voltage",
-        r"\b(voltage|volts?|vbat|ubat|u|spannung|tension|voltaje)\b",
+        r"\b(voltage|volts?|vbat|ubat|u|\w*spannung|tension|voltaje|tensao|tensione|spanning|napiecie)\b",
         _WHOLE,
         f"{_PART}|{_COMMAND}|{_SIDES}",
         1.0,
@@ -117,7 +90,7 @@ ROLES: tuple[Role, ...] = (
     Role(
         "current",
         "current",
-        r"\b(current|amps?|amperes?|ibat|i|strom|courant|corriente)\b",
+        r"\b(current|amps?|amperes?|ibat|i|\w*strom|courant|corriente|corrente|stroom|prad)\b",
         _WHOLE,
         f"{_PART}|{_COMMAND}|{_SIDES}",
         0.005,
@@ -126,7 +99,7 @@ ROLES: tuple[Role, ...] = (
     Role(
         "energy",
         "energy",
-        r"\b(energy|wh|kwh|consumed|joules?)\b",
+        r"\b(energy|wh|kwh|consumed|joules?|\w*energie|energia)\b",
         _WHOLE,
         f"{_PART}|\\b(remaining|left)\\b",
         0.01,
@@ -135,9 +108,11 @@ ROLES: tuple[Role, ...] = (
     Role(
         "speed",
         "speed",
-        r"\b(speed|velocity|vel|v|linear x|vx|ground ?speed|kmh|geschwindigkeit|vitesse|velocidad)\b",
+        r"\b(speed|velocity|vel|v|linear x|vx|ground ?speed|kmh|(?!dreh|winkel)\w*geschwindigkeit"
+        r"|vitesse|velocidade?|velocita|snelheid|predkosc"
+        r"|(?:odom\w*|twist|robot|base) linear|linear|lin vel)\b",
         r"\b(linear x|vehicle|robot|odom\w*|speed)\b",
-        f"{_COMMAND}|{_SIDES}|\\b(angular|omega|vy|vz|wind|y|z|fan|gps|rotational|imu|covariance)\\b",
+        f"{_COMMAND}|{_SIDES}|\\b(angular|omega|vy|vz|wind|y|z|fan|gps|rotational|imu|covariance|acc\\w*)\\b",
         0.01,
         60.0,
     ),
@@ -146,14 +121,21 @@ ROLES: tuple[Role, ...] = (
     Role(
         "yaw_rate",
         "yaw rate",
-        r"\b(yaw ?rate|yawrate|angular( velocity)? z|omega|gyro z|imu z|wz|turn rate|rotational)\b",
+        r"\b(yaw ?rate|yawrate|angular( velocity)? z|omega|gyro z|imu z|wz|turn rate|rotational|angular"
+        r"|drehrate|gierrate|(?:dreh|winkel)geschwindigkeit|lacet|ang vel)\b",
         r"\b(imu|gyro)\b",
         _COMMAND,
         0.001,
         20.0,
     ),
-    Role("slope", "angle", r"\b(slope|grade|incline|inclination|gradient)\b", avoid=_COMMAND, high=1.0),
-    Role("elevation", "length", r"\b(elevation|altitude|alt)\b", avoid=f"{_COMMAND}|\\b(rel\\w*|baro)\\b"),
+    Role(
+        "slope",
+        "angle",
+        r"\b(slope|grade|incline|inclination|gradient|steigung|neigung|pente|pendiente|hangneigung)\b",
+        avoid=_COMMAND,
+        high=1.0,
+    ),
+    Role("elevation", "length", r"\b(elevation|altitude|alt|hohe)\b", avoid=f"{_COMMAND}|\\b(rel\\w*|baro)\\b"),
     Role("heading", "angle", r"\b(heading|yaw|theta|bearing)\b", avoid=f"{_COMMAND}|\\b(rate|speed|vel\\w*)\\b"),
     Role("x", "length", rf"{_PLACE}.*\bx\b|^ ?x ?$", avoid=_NO_PLACE),
     Role("y", "length", rf"{_PLACE}.*\by\b|^ ?y ?$", avoid=_NO_PLACE),
@@ -164,9 +146,15 @@ ROLES: tuple[Role, ...] = (
         r"\btotal ?distance\b",
         r"\bpoint\b",
     ),
-    Role("temp_ambient", "temperature", r"\b(ambient|outside|outdoor|environment)\b", avoid=r"\bsensor\b", high=70.0),
+    Role(
+        "temp_ambient",
+        "temperature",
+        r"\b(ambient|outside|outdoor|environment|aussentemperatur|umgebung\w*|exterieure?)\b",
+        avoid=r"\bsensor\b",
+        high=70.0,
+    ),
     Role("temp_motor", "temperature", r"\bmotors?\b.*\btemp\w*\b|\btemp\w*\b.*\bmotors?\b", high=200.0),
-    Role("payload", "mass", r"\b(payload|load mass|cargo)\b", high=5000.0),
+    Role("payload", "mass", r"\b(payload|load mass|cargo|nutzlast|zuladung|charge utile)\b", high=5000.0),
     Role(
         "cpu_load",
         "fraction",
@@ -175,7 +163,7 @@ ROLES: tuple[Role, ...] = (
         high=1.01,
     ),
     Role("cpu_freq", "frequency", r"\bcpu\b.*\b(freq\w*|clock)\b"),
-    Role("surface", "text", r"\b(surface|floor|terrain|ground)\b", avoid=r"\bspeed\b"),
+    Role("surface", "text", r"\b(surface|floor|terrain|ground|untergrund|boden|sol)\b", avoid=r"\bspeed\b"),
     Role("scheme", "text", r"\b(scheme|tactic|governor)\b"),
 )
 
@@ -214,32 +202,6 @@ class Guess:
     def as_json(self) -> dict[str, Any]:
         """For ``--json``."""
         return {"role": self.role, "field": self.field, "unit": self.unit, "sure": self.sure, "why": self.why}
-
-
-def words_of(name: str) -> tuple[str, str]:
-    """A name as small words with blanks between, and the unit in it (empty where there is none)."""
-    unit = ""
-    text = name.strip()
-    if text in UNITS and text.lower() != text:
-        return "", text  # a column that is called V, A or W
-    if match := re.search(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*(?:#\d+)?\Z", text):
-        unit = known_unit(match[1])
-        if unit or not re.fullmatch(r"\w+", match[1]):
-            text = text[: match.start()]
-    if not unit and not re.search(r"quat|orient|rotation|axis", text, re.IGNORECASE):
-        for tail in (r"[_ .]((?:k|m|mm|c)?m_s2?|km_h|rad_s|deg_s)\Z", r"(?<=[A-Za-z0-9])[_ .]([A-Za-z°%/µ0-9]+)\Z"):
-            if (match := re.search(tail, text)) and (unit := known_unit(match[1])):
-                text = text[: match.start()]
-                break
-    text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)
-    return re.sub(r"[^a-z0-9]+", " ", text.lower()).strip(), unit
-
-
-def known_unit(text: str) -> str:
-    """The unit as a map writes it, or nothing."""
-    unit = _SPELLINGS.get(text, text)
-    unit = unit if unit in UNITS else _SPELLINGS.get(text.lower(), "")
-    return _PLAIN.get(unit, unit) if unit in UNITS else ""
 
 
 def _inner(name: str) -> str:
@@ -303,7 +265,12 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     score += 0.5 * (re.search(role.prefer, words) is not None)
     if re.search(role.avoid, words):
         score -= 1.0
-    if not unit:
+    strange = re.search(r"[\[(]\s*([^\[\]()\s]{1,12})\s*[\])]\s*\Z", field.name)
+    if not unit and strange and re.search(r"[/^²³°%]|^[a-zA-Z]{1,3}\Z", strange[1]):
+        score -= 0.5
+        factor = 1.0
+        reasons.append(f"its unit {strange[1]} is not known, so it was not converted")
+    elif not unit:
         unit, factor, told = _by_size(role, large)
         reasons += [told] * bool(told)
         score -= 0.2 * bool(told)
@@ -379,9 +346,15 @@ def _as_time(field: Field, words: str, unit: str, named: bool) -> Guess | None:
     score -= 0.4 * (re.search(r"\b(ros|header|of|since|flight|up)\b", words) is not None)
     epoch = float(np.median(known)) > 1e8
     why = "grows from row to row" + (", an epoch" if epoch else f", {unit}" if unit else "")
-    usual = float(np.median(step))
+    usual = float(np.median(step[step > 0]))
     if not unit and not epoch and usual >= 5.0 and (step == np.round(step)).all():
-        return Guess("time", field.name, "ms", score - 0.3, f"{why}, ms by its steps of {usual:g}", "likely")
+        # whole numbers that are no seconds: the unit in which a row lasts 1 ms to 10 s, and all of them 20 s or more
+        span = float(known[-1] - known[0])
+        fits = (
+            name for name in ("ms", "us", "ns") if 1e-3 <= usual * UNITS[name][2] <= 10 and span * UNITS[name][2] > 20
+        )
+        if fine := next(fits, ""):
+            return Guess("time", field.name, fine, score - 0.3, f"{why}, {fine} by its steps of {usual:g}", "likely")
     return Guess(
         "time", field.name, "" if unit == "s" or epoch else unit, score, why, "sure" if score > 1.2 else "likely"
     )

@@ -21,6 +21,17 @@ _ZONE = r"(?:\s*(?:Z|UTC|GMT|[+-]\d{2}(?::?\d{2})?))"
 _DAY = re.compile(rf"(?:-?\d+ days? )?{_CLOCK}(?:\s*[AP]M)?\Z", re.IGNORECASE)
 _ISO = re.compile(rf"\d{{4}}[-/.]?\d{{2}}[-/.]?\d{{2}}(?:[T _]+(?:{_CLOCK}|\d{{6}}(?:[.,]\d+)?))?{_ZONE}?\Z", re.I)
 _DATED = re.compile(rf"\d{{1,2}}([-/.])\d{{1,2}}\1\d{{4}}(?:,?[T ]+{_CLOCK}(?:\s*[AP]M)?)?{_ZONE}?\Z", re.IGNORECASE)
+_MONTHS = {
+    "jan": 1, "feb": 2, "mar": 3, "apr": 4, "may": 5, "jun": 6, "jul": 7, "aug": 8, "sep": 9, "oct": 10, "nov": 11,
+    "dec": 12, "mai": 5, "okt": 10, "dez": 12,
+}  # fmt: skip
+_WORDED = re.compile(
+    rf"(?:[a-z]{{2,9}},?\s+)?(?:(\d{{1,2}})[-/. ]+([a-z]{{3,9}})\.?|([a-z]{{3,9}})\.?[- ]+(\d{{1,2}}),?)"
+    rf"(?:[-/, ]+(\d{{4}}))?(?:[,T: ]+({_CLOCK})\s*([AP]M)?)?(?:\s+(\d{{4}}))?{_ZONE}?\Z",
+    re.IGNORECASE,
+)
+_SHORT = re.compile(r"(\d{2})\.(\d{2})\.(\d{2})(?!\d)(?=[,T ]|\Z)")
+"""``14-Mar-2025 09:21:33.250``, ``Mar 14, 2025 9:21:33 AM``, ``Fri Mar 14 09:21:33 2025``."""
 _HOUR, _DAY_S = 3600.0, 86400.0
 _EPOCHS = ((1e17, 1e9, "nanoseconds"), (1e14, 1e6, "microseconds"), (1e11, 1e3, "milliseconds"), (1e8, 1.0, "seconds"))
 """Times from 1973 to 5138 in each unit lie above its limit and below the one before."""
@@ -55,8 +66,30 @@ class Stamps:
 
 def is_stamp(text: str) -> bool:
     """Whether a text is written like a time stamp, a date or a time of day."""
-    text = text.strip()
+    text = _in_numbers(text.strip())
     return any(pattern.match(text) for pattern in (_DAY, _ISO, _DATED))
+
+
+def _in_numbers(text: str) -> str:
+    """A date with the month's name, or ``14.03.25``, as ISO 8601; any other text as it is."""
+    if short := _SHORT.match(text):
+        return f"20{short[3]}-{short[2]}-{short[1]}{text[short.end() :]}"
+    found = _WORDED.match(text)
+    if found is None:
+        return text
+    month = _MONTHS.get((found[2] or found[3])[:3].lower())
+    year = found[5] or found[8]
+    if month is None or year is None:
+        return text
+    clock = found[6]
+    if clock and found[7]:
+        hour, rest = clock.split(":", 1)
+        clock = f"{int(hour) % 12 + 12 * (found[7].upper() == 'PM')}:{rest}"
+    zone = re.search(rf"{_ZONE}\Z", text, re.IGNORECASE)
+    date = f"{year}-{month:02d}-{int(found[1] or found[4]):02d}"
+    return (
+        f"{date} {clock.rjust(len(clock) + (clock[1] == ':'), '0')}{zone[0].strip() if zone else ''}" if clock else date
+    )
 
 
 def read_stamps(parts: Sequence[Floats | Labels], name: str, zone: str | None = None, local: bool = False) -> Stamps:
@@ -202,7 +235,7 @@ def _texts(labels: Labels) -> Stamps:
     """Times of texts, each distinct text read once."""
     import pandas as pd
 
-    texts = pd.Series([text.strip() for text in labels.names], dtype="object")
+    texts = pd.Series([_in_numbers(text.strip()) for text in labels.names], dtype="object")
     sample = next(iter(texts), "")
     if _DAY.match(sample):
         kind, form, values = "day", "a time of day", _times_of_day(texts)

@@ -12,28 +12,13 @@ from pathlib import Path
 
 from missionsim.errors import Fault, InputError
 from missionsim.glossary import column_of
+from missionsim.logs.formats.header import MISSING_WORDS as MISSING_WORDS
+from missionsim.logs.formats.header import cells_of, first_row, is_number, named_in_comment
 from missionsim.logs.remarks import Remark
 
 _HEAD_BYTES = 65536
 _NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 _ENCODINGS = {"utf-16": "UTF-16", "utf-16-le": "UTF-16 (without its mark)", "utf-16-be": "UTF-16 (without its mark)"}
-MISSING_WORDS: tuple[str, ...] = (
-    "",
-    "#N/A",
-    "#NA",
-    "-NaN",
-    "-nan",
-    "N/A",
-    "NA",
-    "NULL",
-    "NaN",
-    "n/a",
-    "nan",
-    "null",
-    "None",
-    "none",
-    "NAN",
-)
 _COMMA_NUMBER = re.compile(r"^[+-]?\d+,\d+$")
 
 
@@ -114,14 +99,24 @@ def sniff(
     def note(message: str, action: str = "read as such", line: int = 0) -> None:
         remarks.append(Remark("format", "", message, action, "note", line))
 
+    whole = lines[: -1 if len(head) == _HEAD_BYTES and len(lines) > 1 else None]
+    begin = None if typed or header else first_row(whole, skipped, delimiter)
+    skipped, rows, delimiter = begin or (skipped, skipped + 1, delimiter)
     if skipped:
         note(f"{skipped} lines before the header", "they were skipped", 1)
     first = lines[skipped]
-    body = [line for line in lines[skipped + 1 : -1 if len(head) == _HEAD_BYTES else None] if line.strip()][:200]
+    body = [line for line in whole[rows:] if line.strip()][:200]
     delimiter = delimiter or _delimiter(first, body)
-    cells = tuple(name.strip() for name in next(csv.reader([first], delimiter=delimiter)))
+    cells = tuple(cells_of(first, delimiter))
     names = tuple(header) or cells
+    if rows == skipped + 2 and len(units := cells_of(lines[skipped + 1], delimiter)) == len(names):
+        names = tuple(
+            f"{name} [{unit.strip('[]() ')}]" if unit else name for name, unit in zip(names, units, strict=True)
+        )
+        note("a line of units stands under the names", "each unit was written behind its name", skipped + 2)
     headless = not header and all(is_number(name) or not name for name in names)
+    if headless and skipped and not typed and (told := named_in_comment(lines[skipped - 1], delimiter, len(names))):
+        names, headless, rows = told, False, skipped
     if headless and typed:
         allowed = "a header line such as time_s,power_robot_w,speed_m_s"
         message = "the first line holds numbers, not column names"
@@ -135,14 +130,14 @@ def sniff(
         note(f"the columns are separated by {_NAMES.get(delimiter, delimiter)}, not commas")
     if decimal == ",":
         note("numbers are written with a decimal comma")
-    bare = bool(header) or headless
+    bare = bool(header) or headless or rows == skipped
     row = first if bare else (body[0] if body else "")
     return Dialect(
         names,
         delimiter,
         decimal,
         encoding,
-        skipped + (not bare),
+        skipped if bare else rows,
         '"' in text,
         remarks,
         tuple(cell.strip() for cell in next(csv.reader([row], delimiter=delimiter), [])),
@@ -241,15 +236,6 @@ def _decimal(body: list[str], delimiter: str) -> str:
     with_comma = sum(bool(_COMMA_NUMBER.match(cell)) for cell in cells)
     with_point = sum(bool(re.match(r"^[+-]?\d*\.\d+$", cell)) for cell in cells)
     return "," if with_comma > with_point else "."
-
-
-def is_number(word: str) -> bool:
-    """Whether a text is a number as `float` reads it."""
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def line_finder(path: Path, dialect: Dialect) -> Callable[[int], int]:
