@@ -72,7 +72,7 @@ ROLES: tuple[Role, ...] = (
     Role(
         "power",
         "power",
-        r"\b(power|watts?|pwr|p|\w*leistung|puissance|potencia|potenza|vermogen|moc)\b",
+        r"\b(power|watts?|pwr|p|pbatt?|pdc|p batt?|\w*leistung|puissance|potencia|potenza|vermogen|moc)\b",
         _WHOLE,
         f"{_PART}|{_COMMAND}|\\bsupply\\b",
         0.05,
@@ -81,7 +81,8 @@ ROLES: tuple[Role, ...] = (
     Role(
         "voltage",
         "voltage",
-        r"\b(voltage|volts?|vbat|ubat|u|\w*spannung|tension|voltaje|tensao|tensione|spanning|napiecie)\b",
+        r"\b(voltage|volts?|[vu]batt?|[uv]dc|[vu]bus|vin|u|[vu] (?:batt?|battery|bus|in|dc|pack)"
+        r"|\w*spannung|tension|voltaje|tensao|tensione|spanning|napiecie)\b",
         _WHOLE,
         f"{_PART}|{_COMMAND}|{_SIDES}",
         1.0,
@@ -90,7 +91,8 @@ ROLES: tuple[Role, ...] = (
     Role(
         "current",
         "current",
-        r"\b(current|amps?|amperes?|ibat|i|\w*strom|courant|corriente|corrente|stroom|prad)\b",
+        r"\b(current|amps?|amperes?|ibatt?|idc|ibus|iin|i|i (?:batt?|battery|bus|in|dc|pack)"
+        r"|\w*strom|courant|corriente|corrente|stroom|prad)\b",
         _WHOLE,
         f"{_PART}|{_COMMAND}|{_SIDES}",
         0.005,
@@ -345,6 +347,13 @@ def _as_time(field: Field, words: str, unit: str, named: bool) -> Guess | None:
     score = 1.0 + 0.8 * bool(unit) + 0.3 * (re.fullmatch(r"t|time|times?tamp|stamp", words) is not None)
     score -= 0.4 * (re.search(r"\b(ros|header|of|since|flight|up)\b", words) is not None)
     epoch = float(np.median(known)) > 1e8
+    if (
+        not unit
+        and (2e4 < known[0] < 8e4 or 6e5 < known[0] < 8e5)
+        and known[-1] - known[0] < 3
+        and 0 < np.median(step) < 1e-3
+    ):
+        return Guess("time", field.name, "d", score, "days, as spreadsheets count them", "likely")
     why = "grows from row to row" + (", an epoch" if epoch else f", {unit}" if unit else "")
     usual = float(np.median(step[step > 0]))
     if not unit and not epoch and usual >= 5.0 and (step == np.round(step)).all():

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from missionsim.importer import transform
 from missionsim.importer.roles import Guess
+from missionsim.importer.units import UNITS
 from missionsim.labels import Labels
 
 if TYPE_CHECKING:
@@ -62,32 +63,71 @@ def _speed(draft: Draft) -> str:
         draft.column("speed_m_s", _moving(draft, guess.field, "v"), guess)
     elif draft.best("left", 0.5) and draft.best("right", 0.5):
         _wheels(draft, draft.best("left", 0.5)[0], draft.best("right", 0.5)[0])
+    elif draft.direct:
+        _from_way(draft)
     return "speed_m_s" if "speed_m_s" in draft.columns else ""
 
 
 def _speed_unit(draft: Draft, guess: Guess) -> Guess:
-    """Unit of a speed whose name has none, by the distance that grows meanwhile."""
+    """Unit of a speed whose name has none, by the distance that grows meanwhile, or by the positions."""
     if "unit" in guess.why or draft.time_s is None or guess.score >= 3.0:
         return guess
     time, speed = draft.time_s, np.abs(np.asarray(draft.fields[guess.field].values, dtype=np.float64))
-    for far in draft.best("distance", 0.3):
-        grown = draft.values(far.field, far.unit)
+    ways = [(f"'{far.field}' grows", draft.values(far.field, far.unit)) for far in draft.best("distance", 0.3)]
+    if path := _path(draft):
+        ways.append(("the positions move", path[1]))
+    for told, grown in ways:
         known = np.isfinite(time) & np.isfinite(speed) & np.isfinite(grown)
         way = float(grown[known][-1] - grown[known][0]) if known.any() else 0.0
         area = float(np.trapezoid(speed[known], time[known])) if known.any() else 0.0
         if way <= 0 or area <= 0:
             continue
-        for unit, factor in (("", 1.0), ("km/h", 1 / 3.6), ("mm/s", 1e-3), ("mph", 0.44704)):
+        for unit, factor in (("", 1.0), ("km/h", 1 / 3.6), ("mm/s", 1e-3), ("cm/s", 1e-2), ("mph", 0.44704)):
             if 0.93 < area * factor / way < 1.07:
-                why = f"the name, {unit or 'm/s'} because '{far.field}' grows by it"
-                return replace(guess, unit=unit, sure="sure", why=why)
+                return replace(guess, unit=unit, sure="sure", why=f"the name, {unit or 'm/s'} because {told} by it")
     return guess
+
+
+def _path(draft: Draft) -> tuple[tuple[Guess, Guess], Floats] | None:
+    """Guesses for x and y, and the path so far [m], from positions a second apart; None where there are none."""
+    x, y = draft.best("x", 0.5), draft.best("y", 0.5)
+    if not x or not y or draft.time_s is None:
+        return None
+    px, py = draft.values(x[0].field, x[0].unit), draft.values(y[0].field, y[0].unit)
+    known = np.isfinite(px) & np.isfinite(py) & np.isfinite(draft.time_s)
+    t = draft.time_s[known]
+    if len(t) < 20 or (np.diff(t) < 0).any():
+        return None
+    stride = max(1, round(1.0 / max(float(np.median(np.diff(t))), 1e-3)))
+    steps = np.hypot(np.diff(px[known][::stride]), np.diff(py[known][::stride]))
+    return (x[0], y[0]), np.interp(draft.time_s, t[::stride], np.r_[0.0, np.cumsum(steps)])
+
+
+def _from_way(draft: Draft) -> None:
+    """The speed as the rate of an odometer, or of positions; its sign is lost."""
+    for guess in draft.best("distance", 0.5):
+        values = draft.values(guess.field)
+        if (np.diff(values[np.isfinite(values)]) >= 0).mean() > 0.99 and np.ptp(values[np.isfinite(values)]) > 0:
+            factor = UNITS[guess.unit][2] if guess.unit else 1.0
+            ref = draft.ref(guess.field, "way") + (f" * {factor:g}" if factor != 1.0 else "")
+            told = replace(guess, unit="", sure="likely", why=f"rate of '{guess.field}', without its sign")
+            draft.columns["speed_m_s"] = (f"{{differentiate: {ref}, average: 1 s}}", told)
+            return
+    if path := _path(draft):
+        told = replace(path[0][0], unit="", sure="likely", why="rate of the positions, without its sign")
+        for axis, guess in zip("xy", path[0], strict=True):
+            ref = draft.ref(guess.field, axis)
+            draft.columns[f"v{axis}_m_s"] = (f"{{differentiate: {ref}, average: 1 s}}", told)
+            draft.column(f"{axis}_m", ref, guess)
+        draft.column("speed_m_s", "hypot(vx_m_s, vy_m_s)", told)
 
 
 def _wheels(draft: Draft, left: Guess, right: Guess) -> None:
     refs = [draft.ref(left.field, "wheel_left"), draft.ref(right.field, "wheel_right")]
     mean = 0.5 * (draft.values(left.field, left.unit) + draft.values(right.field, right.unit))
     guess = replace(left, role="speed", unit="", sure="a guess", why="the mean of both wheels")
+    half = UNITS[left.unit][2] / 2 if left.unit == right.unit != "" else 0.5
+    both = f"({refs[0]} + {refs[1]}) * {half:.10g}" if half != 0.5 else f"({refs[0]} + {refs[1]}) / 2"
     radius = _radius(draft, mean)
     if radius is None:
         draft.head["constants"] = "{wheel_radius: RADIUS m}"
@@ -100,9 +140,9 @@ def _wheels(draft: Draft, left: Guess, right: Guess) -> None:
         guess = replace(guess, sure="likely", why="the mean of both wheels times a radius that fits the positions")
     else:
         guess = replace(guess, sure="likely", why="the mean of both wheels, which fits the positions")
-        draft.column("speed_m_s", f"({refs[0]} + {refs[1]}) / 2", guess)
+        draft.column("speed_m_s", both, guess)
         return
-    draft.column("speed_m_s", f"({refs[0]} + {refs[1]}) / 2 * wheel_radius", guess)
+    draft.column("speed_m_s", f"{both} * wheel_radius", guess)
 
 
 def _radius(draft: Draft, wheel: Floats) -> float | None:

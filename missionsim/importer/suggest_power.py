@@ -28,6 +28,7 @@ def suggest(draft: Draft) -> None:
     power = [guess for guess in draft.best("power", 0.7) if not _is_part(guess)]
     volts, amps = draft.best("voltage", 0.7), draft.best("current", 0.7)
     volts = [guess for guess in volts if guess.sure != "a guess"] or volts
+    amps = [_in_milli(draft, guess, volts[0]) if volts else guess for guess in amps]
     pair = next(((v, i) for v, i in itertools.product(volts[:3], amps[:3]) if _beside(draft, v, i)), None)
     sources: list[str] = []
     if power and (power[0].score >= 0.9 or pair is None):
@@ -48,6 +49,17 @@ def suggest(draft: Draft) -> None:
         draft.columns["power_robot_w"] = ("POWER", Guess("power", "", "", 0.0, message, "not found"))
         return
     _rows(draft, sources)
+
+
+def _in_milli(draft: Draft, amps: Guess, volts: Guess) -> Guess:
+    """A current without a unit that no battery of its voltage delivers is in milliamperes (assumed: 4 A a volt)."""
+    values, level = draft.values(amps.field), float(np.nanmedian(draft.values(volts.field, volts.unit)))
+    large = float(np.nanquantile(np.abs(values), 0.95)) if np.isfinite(values).any() else 0.0
+    if amps.unit or "unit" in amps.why or amps.score >= 3.0 or not large > max(60.0, 4.0 * level):
+        return amps
+    return replace(
+        amps, unit="mA", sure="likely", why=f"{amps.why}; mA, as {large:.4g} A at {level:.3g} V would be too much"
+    )
 
 
 def _is_part(guess: Guess) -> bool:

@@ -19,7 +19,7 @@ _TABLE: dict[str, dict[str, float]] = {
     "yaw rate": {"rad/s": 1.0, "deg/s": np.pi / 180, "rpm": np.pi / 30},
     "acceleration": {"m/s^2": 1.0},
     "angle": {"rad": 1.0, "deg": np.pi / 180},
-    "duration": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+    "duration": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0},
     "length": {"m": 1.0, "km": 1e3, "mm": 1e-3, "cm": 1e-2},
     "temperature": {"degC": 1.0, "K": 1.0},
     "fraction": {"%": 0.01},
@@ -50,6 +50,14 @@ _PER = re.compile(
 )
 
 
+_TAILS = (
+    r"[_ .]((?:k|m|mm|c)?m_s2?|km_h|rad_s|deg_s)\Z",
+    r"(?<=[A-Za-z0-9]),?[_ .]([A-Za-z°%/µ0-9]+)\Z",
+    r"\s*/\s*\(?([A-Za-z°%µ][\w/°%²^]*)\)?\Z",
+)
+"""A unit at the end of a name: ``v_m_s``, ``Voltage, V`` or ``battery_mA``, ``U/V``."""
+
+
 def words_of(name: str) -> tuple[str, str]:
     """A name as small words with blanks between, and the unit in it (empty where there is none)."""
     unit = ""
@@ -68,8 +76,9 @@ def words_of(name: str) -> tuple[str, str]:
         what = match[1][:3] if match[1][0] in "rdRD" else match[1][0] + "m" * (match[1][0] in "kK")
         unit, text = known_unit(f"{what}/{match[2][0]}".lower()), text[: match.start()]
     if not unit and not re.search(r"quat|orient|rotation|axis", text, re.IGNORECASE):
-        for tail in (r"[_ .]((?:k|m|mm|c)?m_s2?|km_h|rad_s|deg_s)\Z", r"(?<=[A-Za-z0-9])[_ .]([A-Za-z°%/µ0-9]+)\Z"):
-            if (match := re.search(tail, text)) and match[1] not in ("min", "h") and (unit := known_unit(match[1])):
+        for tail in _TAILS:
+            match = re.search(tail, text)
+            if match and match[1] not in ("min", "h", "d") and (unit := known_unit(match[1])):
                 text = text[: match.start()]
                 break
     text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text).lower().replace("ß", "ss")

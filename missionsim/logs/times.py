@@ -72,6 +72,8 @@ def is_stamp(text: str) -> bool:
 
 def _in_numbers(text: str) -> str:
     """A date with the month's name, or ``14.03.25``, as ISO 8601; any other text as it is."""
+    if re.search(r":\d{2}:\d{3}\Z", text):
+        text = f"{text[:-4]}.{text[-3:]}"
     if short := _SHORT.match(text):
         return f"20{short[3]}-{short[2]}-{short[1]}{text[short.end() :]}"
     found = _WORDED.match(text)

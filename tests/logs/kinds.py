@@ -193,12 +193,16 @@ def month_names(folder: Path) -> list[Path]:
 
 @kind
 def vesc(folder: Path) -> list[Path]:
-    head = ("ms_today;input_voltage;temp_mos_max;temp_motor;current_motor;current_in;d_axis_current;q_axis_current"
-            ";erpm;duty_cycle;amp_hours_used;watt_hours_used;tachometer;fault_code;vesc_id;speed_meters_per_sec\n")  # fmt: skip
     duty = 0.1 + 0.5 * V
     used = np.cumsum(P) * STEP_S / 3600.0
-    body = _rows(33_693_250 + 1000 * T, VOLTS, 31 + 0 * T, 28 + T / 60, AMPS / duty, AMPS, 0 * T, AMPS / duty, 5000 * V, duty,
-                 used / 24, used, 1000 * way(T), 0 * T, 0 * T + 37, V, sep=";")  # fmt: skip
+    zero = 0.0 * T
+    columns = {
+        "ms_today": 33_693_250 + 1000 * T, "input_voltage": VOLTS, "temp_mos_max": 31 + zero, "temp_motor": 28 + T / 60,
+        "current_motor": AMPS / duty, "current_in": AMPS, "d_axis_current": zero, "q_axis_current": AMPS / duty,
+        "erpm": 5000 * V, "duty_cycle": duty, "amp_hours_used": used / 24, "watt_hours_used": used,
+        "tachometer": 1000 * way(T), "fault_code": zero, "vesc_id": zero + 37, "speed_meters_per_sec": V,
+    }  # fmt: skip
+    head, body = ";".join(columns) + "\n", _rows(*columns.values(), sep=";")
     return _write(folder, "vesc.csv", head + body)
 
 
@@ -257,3 +261,91 @@ def motors_beside_the_battery(folder: Path) -> list[Path]:
         "time_s,motor_left_current_A,motor_right_current_A,battery_current_A,battery_voltage_V,cpu_temp_C,speed_m_s\n"
     )
     return _write(folder, "full.csv", head + _rows(T, 0.3 * AMPS, 0.4 * AMPS, AMPS, VOLTS, 45 + 0 * T, V))
+
+
+@kind
+def preamble_padded_by_a_spreadsheet(folder: Path) -> list[Path]:
+    head = "Device,X200,\nStart,14.03.2025,\n,,\nTime (min),Battery Power (W),Speed (kn)\n"
+    return _write(folder, "padded.csv", head + _rows(T / 60, P, V / 0.514444))
+
+
+@kind
+def units_after_a_stroke(folder: Path) -> list[Path]:
+    return _write(
+        folder, "labor.csv", "t/s;U/V;I/mA;v/(km/h)\n" + _rows(T, VOLTS, 1000 * AMPS, 3.6 * V, sep=";", comma=True)
+    )
+
+
+@kind
+def units_after_a_comma(folder: Path) -> list[Path]:
+    head = '"Time, s","Battery Voltage, V","Battery Current, A","Wheel Speed, m/s"\n'
+    return _write(folder, "comma.csv", head + _rows(T, VOLTS, AMPS, V))
+
+
+@kind
+def camel_case(folder: Path) -> list[Path]:
+    head = "timestampMs,batteryVoltage,batteryCurrent,linearVelocity,angularVelocity\n"
+    return _write(folder, "app.csv", head + _rows(_epoch(1e3), VOLTS, AMPS, V, turn(T)))
+
+
+@kind
+def short_names(folder: Path) -> list[Path]:
+    return _write(folder, "short.csv", "t,Vbatt,Ibatt,vx,wz\n" + _rows(T, VOLTS, AMPS, V, turn(T)))
+
+
+@kind
+def colon_before_milliseconds(folder: Path) -> list[Path]:
+    stamps = [stamp[::-1].replace(".", ":", 1)[::-1] for stamp in _stamps("%H:%M:%S.%L")]
+    return _write(folder, "colon.csv", "time,watt,speed\n" + _rows(stamps, P, V))
+
+
+@kind
+def spreadsheet_days(folder: Path) -> list[Path]:
+    return _write(
+        folder, "days.csv", "Time,Power (W),Speed (m/s)\n" + _rows([f"{45730.39 + t / 86400:.9f}" for t in T], P, V)
+    )
+
+
+@kind
+def few_milliamperes(folder: Path) -> list[Path]:
+    """Below what would be too much for a current of any battery, but not of this one."""
+    return _write(folder, "small.csv", "time,voltage,current,speed\n" + _rows(T, VOLTS * 2, 500 * AMPS, V))
+
+
+@kind
+def speed_by_positions(folder: Path) -> list[Path]:
+    """A speed without a unit, in km/h by the positions."""
+    return _write(
+        folder, "xy.csv", "time,power_W,speed,pos_x,pos_y\n" + _rows(T, P, 3.6 * V, way(T) * 0.8, way(T) * 0.6)
+    )
+
+
+@kind
+def odometer_alone(folder: Path) -> list[Path]:
+    return _write(folder, "odo.csv", "time_s,battery_power_W,distance_m\n" + _rows(T, P, way(T)))
+
+
+@kind
+def positions_alone(folder: Path) -> list[Path]:
+    return _write(
+        folder, "pose.csv", "time_s,battery_power_W,pose_x,pose_y\n" + _rows(T, P, way(T) * 0.8, way(T) * 0.6)
+    )
+
+
+@kind
+def total_and_parts(folder: Path) -> list[Path]:
+    head = "time,power_motors_W,power_cpu_W,power_total_W,cmd_vel,odom_vel\n"
+    return _write(folder, "parts.csv", head + _rows(T, 0.6 * P, 0.2 * P, P, 0 * V + 0.5, V))
+
+
+@kind
+def italian(folder: Path) -> list[Path]:
+    head = "Tempo (s);Tensione batteria (V);Corrente batteria (A);Velocità (m/s)\n"
+    return _write(folder, "prova.csv", head + _rows(T, VOLTS, AMPS, V, sep=";", comma=True), "latin-1")
+
+
+@kind
+def wheels_in_rpm_with_positions(folder: Path) -> list[Path]:
+    rpm = V / 0.1 * 30 / np.pi
+    head = "time_s,battery_power_W,left_wheel_rpm,right_wheel_rpm,x_m,y_m\n"
+    return _write(folder, "rpm.csv", head + _rows(T, P, rpm, rpm, way(T), 0 * T))

@@ -46,7 +46,9 @@ def first_row(lines: list[str], start: int, delimiter: str | None) -> tuple[int,
         width = collections.Counter(map(len, shapes.values())).most_common(1)[0][0]
         usual = collections.Counter(shape for shape in shapes.values() if len(shape) == width).most_common(1)[0][0]
         value = [k for k, sort in enumerate(usual) if sort == "1"]
-        rows = [i for i, shape in shapes.items() if len(shape) == width and any(shape[k] == "1" for k in value)]
+        rows = [
+            i for i, shape in shapes.items() if len(shape) == width and {"1"} <= {shape[k] for k in value} <= {"0", "1"}
+        ]
         if width < 2 or not value or len(rows) < 0.5 * len(shapes) or rows[0] == start:
             continue
         above = [i for i in shapes if i < rows[0] and len(shapes[i]) == width and "1" not in shapes[i]]
