@@ -160,7 +160,7 @@ def _computer(rng: np.random.Generator) -> pd.DataFrame:
         np.repeat(rng.uniform(0.05, 0.95, -(-rows // 25)), 25)[:rows] + 0.03 * rng.standard_normal(rows), 0, 1
     )
     memory = np.clip(0.3 + 0.25 * load + 0.1 * _walk(rng, rows, 60.0, 1.0), 0, 1)
-    speed = np.repeat(rng.choice([0.0, 0.1, 0.2], -(-rows // 20)), 20)[:rows]
+    speed = np.repeat(rng.choice([0.0, 0.1, 0.15, 0.22], -(-rows // 20)), 20)[:rows]
     power = 3.1 + 6.0 * speed + 6.5 * load + 0.15 * _walk(rng, rows, 20.0, 1.0)
     return pd.DataFrame(
         {
