@@ -326,7 +326,8 @@ def diagnose_battery(
     features, found, models = seen.features, seen.found, seen.models
     held = seen.held
     proposed: tuple[Proposal, ...] = ()
-    if laws and found.factor is None:
+    # a load that nobody logged would be given a law
+    if laws and found.factor is None and not features.unlogged:
         proposed = proposed_laws(found, features.covariates, models, held)
         if found.choice.forward is not None and found.effects:
             # where the base is far from right, effects that predict come first, unless a law predicts far better
@@ -359,13 +360,7 @@ def diagnose_battery(
     untestable = dict(features.untestable)
     if timeline is not None:
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
-    remarks = [
-        *describe([*split.train, *split.heldout]),
-        *_counted_off(subject, split, battery),
-        *features.remarks,
-        *found.remarks,
-        *seen_once(driven),
-    ]
+    remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks, *seen_once(driven)]
     remains = [s for s in found.unexplained.structures if s not in found.averages]
     if proposed:
         left = depends_on(proposed, left)
@@ -430,19 +425,6 @@ def _within_rows(models: Models, power: PowerModel, series: Sequence[RunSeries])
     return float(np.sqrt(max(rows**2 - square, 0.0)))
 
 
-def _counted_off(subject: Subject, split: Split, battery: str) -> list[str]:
-    """In words, components of the base that no log has a column of."""
-    logged = {name for log in (*split.train, *split.heldout) for name in log.columns}
-    used = {term.effect.covariate for term in subject.model.of(battery) if term.base}
-    lacking = sorted(name[3:] for name in used if name.startswith("on_") and name not in logged)
-    if not lacking:
-        return []
-    return [
-        f"no column {', '.join(f'on_{name}' for name in lacking)}: {', '.join(lacking)} count"
-        f"{'s' * (len(lacking) == 1)} as switched off"
-    ]
-
-
 def _renamed(log: Any, taken: set[str]) -> Any:
     return replace(log, run=f"held-out {log.run}") if log.run in taken else log
 
@@ -472,9 +454,17 @@ def _next(subject: Subject, seen: Examined, effects: Sequence[Finding], settings
     site = site_of(seen.features.covariates, subject.limits)
     bench = Bench(subject.model, seen.features, seen.found.choice, site, settings)
     proposed: list[Experiment] = []
+    known = {candidate.effect for candidate in seen.features.candidates}
     for effect in effects:
-        if effect.indistinguishable_from:
-            proposed += propose(bench, (effect.effect, *effect.indistinguishable_from))
+        rivals = [name for name in effect.indistinguishable_from if name in known]
+        unlogged = [name for name in effect.indistinguishable_from if name not in known]
+        if unlogged:
+            switches = " and ".join(f"on_{name.partition(':')[2]}" for name in unlogged)
+            do = f"any run again with {switches} in the log, which no drive can tell"
+            nan = float("nan")
+            proposed.append(Experiment((effect.effect, *unlogged), do, nan, nan, nan, 0.0))
+        if rivals:
+            proposed += propose(bench, (effect.effect, *rivals))
     if not proposed and seen.found.verdict == "unexplained_structure":
         on = tuple(seen.found.unexplained.depends_on)
         proposed += [

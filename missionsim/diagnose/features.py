@@ -6,7 +6,7 @@ Everything is evaluated at the raw rate of the log; the identification averages 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,11 @@ class Features:
         What was assumed or left out, in words.
     covariates : tuple of mapping
         Covariates of each run at its raw rate, with what follows from them.
+    unlogged : tuple of str
+        Components of which nothing tells when they were on.
+    steady : mapping of str to float
+        Relative changes of base parameters that together make the constant load of components of which nothing tells
+        whether they were on.
     """
 
     battery: str
@@ -69,6 +74,8 @@ class Features:
     untestable: Mapping[str, tuple[str, ...]]
     remarks: tuple[str, ...]
     covariates: tuple[Mapping[str, Any], ...]
+    unlogged: tuple[str, ...] = ()
+    steady: Mapping[str, float] = field(default_factory=dict)
 
 
 def make_features(
@@ -115,6 +122,9 @@ def make_features(
     watts = _loads(names, model.batteries, covariates, ready)
     library = all_effects(tuple(components), surfaces if 1 < len(surfaces) <= MOST_SURFACES else (), watts, battery)
     effects, untestable = _testable(names, surfaces, (*library, *own), held, ready.remarks)
+    steady = _shares_of(np.full(ready.seconds().shape, ready.unknown_w), ready.gradients) if ready.unknown_w else {}
+    if ready.unknown_w and not steady:
+        held.add("standby_load")
     columns: list[dict[str, Array]] = [{} for _ in ready.runs]
     charged = float(np.mean(ready.measured_w() < 0.0))
     candidates: list[Candidate] = []
@@ -122,6 +132,10 @@ def make_features(
         candidate = _add_columns(effect, covariates, columns, charged)
         if candidate.covariate not in names or candidate.covariate.startswith(("on_time_", "starts")):
             candidate = replace(candidate, covariate=logged_name(candidate.covariate))
+        if not effect.drive:
+            candidate = replace(
+                candidate, unlogged=(tuple(f"component_power:{c}" for c in ready.unknown), ready.unknown_w)
+            )
         candidates.append(_with_twin(candidate, columns, ready.gradients))
     data = ready.data(columns)
     return Features(
@@ -134,6 +148,8 @@ def make_features(
         untestable,
         tuple(dict.fromkeys(ready.remarks)),
         tuple(covariates),
+        ready.unknown,
+        steady,
     )
 
 
@@ -381,12 +397,20 @@ def _with_twin(
 
 def _imitator(y: Array, names: Sequence[str], gradients: Sequence[Mapping[str, Array]]) -> str | None:
     """The base parameter that takes the largest part in an exact imitation of a column; None where none is exact."""
+    shares = _shares_of(y, [{name: own[name] for name in names} for own in gradients])
+    size = {name: float(sum(own[name] @ own[name] for own in gradients)) ** 0.5 for name in shares}
+    return max(shares, key=lambda name: abs(shares[name]) * size[name], default=None)
+
+
+def _shares_of(y: Array, gradients: Sequence[Mapping[str, Array]]) -> dict[str, float]:
+    """Relative changes of base parameters that together imitate a column exactly; none where nothing does."""
+    names = [name for name in gradients[0] if any(np.any(own[name]) for own in gradients)]
     if not names or not np.any(y):
-        return None
-    x = np.column_stack([np.concatenate([g[name] for g in gradients]) for name in names])
+        return {}
+    x = np.column_stack([np.concatenate([own[name] for own in gradients]) for name in names])
     size = np.linalg.norm(x, axis=0)
     coefficients, *_ = np.linalg.lstsq(x / size, y, rcond=1e-9)
     left = y - (x / size) @ coefficients
     if float(left @ left) > 1e-6 * float(y @ y):
-        return None
-    return names[int(np.argmax(np.abs(coefficients)))]
+        return {}
+    return dict(zip(names, (float(c) for c in coefficients / size), strict=True))

@@ -24,6 +24,7 @@ def priors_of(subject: Subject, features: Features, logs: Sequence[Any]) -> dict
     priors = {}
     for name, parameter in features.parameters.items():
         given = (subject.priors or {}).get(name, prior_before(subject, parameter, logs))
+        given = float(np.hypot(given, features.steady.get(name, 0.0)))
         priors[name] = max(given, 1e-6) if given < NO_PRIOR_SD else _no_prior(features, name)  # 0 is as good as known
     return priors
 

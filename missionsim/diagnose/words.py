@@ -193,7 +193,7 @@ def unsure_line(effect: Finding) -> str:
 def next_line(experiment: Experiment) -> str:
     """A proposed manoeuvre."""
     minutes = f"{experiment.minutes:.0f} min"
-    long = "" if minutes in experiment.do else f" ({minutes})"
+    long = "" if minutes in experiment.do or not experiment.minutes else f" ({minutes})"
     if not math.isfinite(experiment.separation_after):
         return experiment.do + long
     return (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,8 @@ from missionsim.runs.run import Run
 
 Array = NDArray[np.float64]
 MOST_TEXTS = 12
+FAINT_LOAD = 0.01
+"""Part of the mean power below which it does not matter when a component was on."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,10 @@ class Prepared:
         Base parameters by their name within the battery.
     remarks : list of str
         What was assumed or left out, in words.
+    unknown : tuple of str
+        Components of which nothing tells when they were on.
+    unknown_w : float
+        Their power together [W].
     """
 
     battery: str
@@ -51,6 +57,8 @@ class Prepared:
     gradients: tuple[Mapping[str, Array], ...]
     parameters: Mapping[str, ModelParameter]
     remarks: list[str]
+    unknown: tuple[str, ...] = ()
+    unknown_w: float = 0.0
 
     @property
     def covariates(self) -> list[dict[str, Any]]:
@@ -132,7 +140,28 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
         tuple(gradients),
         model.parameters_of(battery),
         remarks,
+        *_unknown(model, runs, battery, remarks),
     )
+
+
+def _unknown(
+    model: PowerModel, runs: Sequence[Driven], battery: str, remarks: list[str]
+) -> tuple[tuple[str, ...], float]:
+    """The components whose switching neither logs nor schemes tell, and their power together [W]."""
+    unknown: set[str] = set().union(*(run.unknown for run in runs))
+    terms = tuple(term for term in model.of(battery) if term.effect.covariate in unknown)
+    drawn = replace(model, terms=terms).evaluate(dict.fromkeys(unknown, 1.0), battery=battery)[battery]
+    power = {key.component: abs(float(w)) for key, w in drawn.items() if abs(float(w)) > 0.0}
+    watts = sum(power.values())
+    measured = np.concatenate([run.run.power_w[battery] for run in runs])
+    if watts < FAINT_LOAD * abs(float(np.nanmean(measured))):
+        return (), 0.0
+    if power:
+        remarks.append(
+            f"nothing tells when {', '.join(power)} ({watts:.3g} W) was on: what a load of that size imitates is not "
+            "named with confidence; log its on_<component> column, or the control scheme"
+        )
+    return tuple(power), watts
 
 
 def _named(runs: Sequence[str]) -> str:
@@ -152,9 +181,10 @@ def _shared_names(runs: Sequence[Driven], remarks: list[str]) -> set[str]:
                 run.covariates.setdefault(name, np.zeros(len(run.time_s)))
                 run.covariates.setdefault(clock_of(name), np.zeros(len(run.time_s)))
             found |= {name, clock_of(name)}
-            remarks.append(
-                f"{name} is not logged in {_named([r.run.run for r in lacking])}: counted as switched off there"
-            )
+            off = [run for run in lacking if not np.any(run.covariates[name])]
+            if off:
+                told = _named([run.run.run for run in off])
+                remarks.append(f"{name} is not logged in {told}: counted as switched off there")
         elif may_be_cause(name):
             remarks.append(
                 f"{name} is not logged in {_named([r.run.run for r in lacking])}: effects that need it are not tested"

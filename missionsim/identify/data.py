@@ -72,6 +72,8 @@ class Candidate:
     covariate : main covariate, used to split by condition and to judge the form
     levels : label of each column, e.g. the floor
     shape_bounds : lowest and highest value of each shape parameter for the refit
+    unlogged : loads of which nothing tells when they were on and that may be what this effect explains, with their
+        power together [W]
     """
 
     effect: str
@@ -85,3 +87,4 @@ class Candidate:
     covariate: str = ""
     levels: tuple[str, ...] = ()
     shape_bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    unlogged: tuple[tuple[str, ...], float] = ((), 0.0)

@@ -68,6 +68,9 @@ def estimated(
             similar = rivals(model, number, constraints, candidates, settings)
         else:
             similar = tuple(candidates[o].effect for o in choice.forward.rivals.get(number, ()))
+        loads, watts = candidate.unlogged
+        if sum(abs(sizes[k]) for k in own) * model.design.layout.mean_power_w <= watts:
+            similar = (*similar, *(name for name in loads if name != candidate.effect))
         leads = {p.b: p.separation_nats for p in alike if p.a == candidate.effect}
         # where rivals are told, the lead over them is what is asked
         among = [leads[name] for name in similar if name in leads] or list(leads.values())

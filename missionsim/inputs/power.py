@@ -50,7 +50,16 @@ def build_power_model(robot: RobotSpec) -> PowerModel:
         if battery.nominal_voltage is not None and any(voltage in term.effect.needs for term in terms):
             constants[voltage] = battery.nominal_voltage.value  # a mission knows no other
     back = model_parameter(robot.body.regeneration) if robot.body.regeneration.value > 0.0 else None
-    return PowerModel(tuple(_unique(terms)), tuple(robot.batteries), constants, back)
+    return PowerModel(tuple(_unique(terms)), tuple(robot.batteries), constants, back, _switching(robot))
+
+
+def _switching(robot: RobotSpec) -> dict[str, dict[str, float]]:
+    """Units of components that each scheme requires; not a number where it may use them."""
+    found = {}
+    for name, scheme in robot.schemes.items():
+        required, allowed = scheme.sensor_rules()
+        found[name] = {component: float(required.get(component, "nan")) for component in allowed}
+    return found
 
 
 def model_parameter(parameter: Parameter, unit: str = "") -> ModelParameter:

@@ -369,7 +369,7 @@ class Search:
             if other.errors.with_law < CLOSE_ERROR * top.errors.with_law:
                 top = other
                 near = self._near(top, listed)
-        return Searched(top, tuple(near), self.tried)
+        return Searched(top, tuple(near), self.tried) if near else None
 
     def _promising(self, forms: Iterable[tuple[int, ...]]) -> list[tuple[int, ...]]:
         """Forms that are worth a noise of their own: those that predict left-out runs, at noise that is at hand, better

@@ -6,7 +6,7 @@ This is the only way to drive a model with a run, for compare, fits and the diag
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -41,12 +41,18 @@ class Assumed:
         Columns filled in.
     notes : tuple of str
         What was assumed, left out or skipped, in words.
+    switched : mapping of str to mapping of str to float
+        Switches that follow from the logged control scheme: units under each scheme.
+    unknown : frozenset of str
+        Switches that neither the log nor a scheme tells; they count as off.
     """
 
     model: PowerModel
     batteries: tuple[str, ...]
     assumed: Mapping[str, float]
     notes: tuple[str, ...]
+    switched: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    unknown: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,8 @@ class Driven:
         Modelled power by term, at the rate of the rows.
     assumed : frozenset of str
         Covariates that were filled in, not logged.
+    unknown : frozenset of str
+        Switches among them of which nothing tells whether they were on.
     """
 
     run: Run
@@ -78,6 +86,7 @@ class Driven:
     model_w: Mapping[str, NDArray[np.float64]]
     terms: Mapping[str, Mapping[TermKey, Any]]
     assumed: frozenset[str] = frozenset()
+    unknown: frozenset[str] = frozenset()
 
     @property
     def dt_s(self) -> Array:
@@ -102,7 +111,8 @@ class Driven:
         kept = replace(model, terms=tuple(term for term in model.terms if term.key in own))
         logged = self.run.columns
         cov = {**self.covariates, **{n: value for n, value in model.constants.items() if n not in logged}}
-        return _evaluated(kept, tuple(self.terms), self.run, cov, self.assumed)
+        driven = _evaluated(kept, tuple(self.terms), self.run, cov, self.assumed)
+        return replace(driven, unknown=self.unknown)
 
     def gradient(self, battery: str) -> dict[str, Array]:
         """``∂P/∂ln θ`` of each parameter of the terms that were evaluated; see `gradient`."""
@@ -128,6 +138,8 @@ def assume(model: PowerModel, columns: Iterable[str], measured: Iterable[str], *
         Where no battery is both measured and modelled.
     """
     have = {*columns, *_DERIVED}
+    scheme = columns.get("scheme") if isinstance(columns, Mapping) else None
+    scheme_tells = "scheme" in have and not (isinstance(scheme, Labels) and not set(scheme.names) & set(model.schemes))
     if "speed_m_s" in have:
         have.add("accel_m_s2")
     have |= {clock_of(name) for name in have if is_switch(name)}
@@ -168,11 +180,39 @@ def assume(model: PowerModel, columns: Iterable[str], measured: Iterable[str], *
     # a term whose only numbers are zero (acceleration in a model without it) costs time and says nothing
     kept = tuple(term for term in kept if any(p.value != 0.0 for p in term.parameters.values()) or not term.parameters)
     used = {name for battery in batteries for term in model.of(battery) for name in (term.effect.covariate,)}
-    for name in sorted(name for name in used if name.startswith("on_") and name not in have):
-        notes.append(f"no column {name}: {name[3:]} counts as switched off")
+    switched: dict[str, Mapping[str, float]] = {}
+    untold: set[str] = set()
+    told: dict[str, list[str]] = {}
+    for name in sorted(name for name in {*used, *assumed} - have if is_switch(name)):
+        by_scheme = {scheme: units.get(name[3:], 0.0) for scheme, units in model.schemes.items()}
+        if scheme_tells and any(value != 0.0 for value in by_scheme.values()):
+            switched[name] = by_scheme
+            state = "on where the logged control scheme requires it"
+        elif by_scheme and min(by_scheme.values()) == max(by_scheme.values()) > 0.0:
+            assumed[name] = next(iter(by_scheme.values()))
+            state = "switched on, since every control scheme of the robot requires it"
+        else:
+            state = "switched off"
+            untold.add(name)
+        if any(value != value for value in by_scheme.values()):
+            untold.add(name)
+        if name in used:
+            told.setdefault(state, []).append(name)
+    for state, names in told.items():
+        count = "counts" if len(names) == 1 else "count"
+        notes.append(f"no column {', '.join(names)}: {', '.join(name[3:] for name in names)} {count} as {state}")
+    for name in switched:
+        assumed.pop(name, None)
     notes += [f"no column {name}: {ASSUMED[name]}" for name in assumed if name in ASSUMED]
-    clocks = {clock_of(name): 0.0 for name in assumed if is_switch(name)}
-    return Assumed(replace(model, terms=kept), tuple(batteries), {**assumed, **clocks}, (*reasons, *notes))
+    clocks = {clock_of(name): 0.0 for name, value in assumed.items() if is_switch(name) and value == 0.0}
+    return Assumed(
+        replace(model, terms=kept),
+        tuple(batteries),
+        {**assumed, **clocks},
+        (*reasons, *notes),
+        switched,
+        frozenset(untold & used),
+    )
 
 
 def drive(model: PowerModel, run: Run, battery: str) -> Driven:
@@ -197,8 +237,10 @@ def drive_blocks(plan: Assumed, blocks: Iterable[Run]) -> Iterator[Driven]:
 
 
 def _driven(plan: Assumed, block: Run, cov: dict[str, Any]) -> Driven:
-    filled = frozenset(plan.assumed) - set(block.columns)
-    return _evaluated(plan.model, plan.batteries, block, plan.model.complete(cov), filled)
+    switches = {*plan.switched, *(name for name in plan.assumed if is_switch(name))}
+    filled = frozenset({*plan.assumed, *switches, *map(clock_of, switches)} - set(block.columns))
+    driven = _evaluated(plan.model, plan.batteries, block, plan.model.complete(cov), filled)
+    return replace(driven, unknown=plan.unknown)
 
 
 def _evaluated(
@@ -275,6 +317,8 @@ class _Carry:
             columns["accel_m_s2"] = _acceleration(block, before, after)
         for name, value in self._plan.assumed.items():
             columns.setdefault(name, np.full(block.time_s.shape, value))
+        for name, units in self._plan.switched.items():
+            columns[name] = _of_scheme(columns["scheme"], units)
         if "speed_m_s" in columns:
             # asked for by every term of the drive
             columns.setdefault("moving", np.asarray(is_moving(columns)))
@@ -289,13 +333,13 @@ class _Carry:
                 cov["starts"][0] = 1.0
                 cov["starts_per_s"][0] = 1.0 / max(float(block.dt_s[0]), 1e-9)
             self._moving = moving[1]
-        for name in [name for name in block.columns if is_switch(name)]:
+        for name in [name for name in columns if is_switch(name)]:
             self._carry_component(name, cov, block)
         return cov
 
     def _carry_component(self, name: str, cov: dict[str, Any], block: Run) -> None:
         clock = clock_of(name)
-        on = np.asarray(block.columns[name]) > 0.0
+        on = np.asarray(cov[name]) > 0.0
         if clock in block.columns or clock not in cov:
             return
         if on[0] and self._on.get(name, False):
@@ -303,6 +347,13 @@ class _Carry:
             cov[clock][:stretch] += self._clocks[clock]
         self._on[name] = bool(on[-1])
         self._clocks[clock] = float(cov[clock][-1] + 0.5 * block.dt_s[-1]) if on[-1] else 0.0
+
+
+def _of_scheme(scheme: Any, units: Mapping[str, float]) -> Array:
+    """Units that are on under the scheme of each row, shape (n,); none where that is not told."""
+    labels = Labels.of(np.asarray(scheme)) if not isinstance(scheme, Labels) else scheme
+    known = np.array([*(units.get(name, 0.0) for name in labels.names), 0.0])
+    return np.asarray(np.nan_to_num(known)[labels.codes])
 
 
 def _moves(cov: Mapping[str, Any], row: int) -> bool:
