@@ -35,3 +35,10 @@ def test_every_room_of_the_tree_is_on_the_page() -> None:
     rooms = {p.name for p in package.iterdir() if p.is_dir() and not p.name.startswith("_")}
     rooms |= {p.stem for p in package.glob("*.py") if not p.stem.startswith("_")}
     assert rooms - DATA == {name.partition(".")[0] for name in drawn()}
+
+
+def test_every_file_that_the_page_names_is_there() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    named = set(re.findall(r"`((?:\w+/)+[\w.]+\.(?:py|yaml))`", text))
+    assert named >= {"identify/verdict.py", "effects/library.py", "inputs/segments.py", "results/tables.py"}
+    assert [name for name in sorted(named) if not any((ROOT / at / name).is_file() for at in ("", "missionsim"))] == []
