@@ -32,7 +32,7 @@ from missionsim.inputs.values import Parameter
 from missionsim.plan.build import legs_of, make_plan
 from missionsim.plan.homing import Homing, last_driven
 from missionsim.plan.legs import Leg, Plan, Step
-from missionsim.plan.routes import Routes
+from missionsim.plan.routes import routes_of
 from missionsim.plan.steps import group
 
 if TYPE_CHECKING:
@@ -99,6 +99,8 @@ def simulate(
         model = mission.remembered("power model", lambda: build_power_model(mission.robot))
     numbers, drawn = split_values(values or {}, model)
     again = copy.deepcopy(rng)
+    if plan is None and not numbers and rng is None:
+        plan = mission.remembered("plan", lambda: make_plan(mission))
     plan = make_plan(mission, numbers, rng) if plan is None else plan
     setup = RunSetup(mission, plan, model, numbers, drawn)
     setup.again = again
@@ -161,9 +163,10 @@ class RunSetup:
     def homing(self) -> Homing:
         """Ways to the dock, made when first needed."""
         if self._homing is None:
-            environment = self.mission.environment
-            routes = None if environment is None else Routes(environment, lambda p: self.number(p, "environment."))
-            self._homing = Homing(self.mission, self.plan.limits, routes)
+            routes, limits = routes_of(self.mission, self.numbers), self.plan.limits
+            made = self.mission.remembered("homing", lambda: Homing(self.mission, limits, routes))
+            same = made.routes is routes and made.limits == limits
+            self._homing = made if same else Homing(self.mission, limits, routes)
         return self._homing
 
     def run(self, *, trace: bool = True) -> Evaluating[RunResult]:

@@ -19,7 +19,7 @@ from missionsim.plan.chance import failures, stopped_by_obstacles, told_at
 from missionsim.plan.draws import Odd, least, remainder, sign
 from missionsim.plan.legs import Activity, Gate, Leg, Limits, OnEdge, Plan, Recharge, SegmentInfo, Settings, Trigger
 from missionsim.plan.pace import Pace
-from missionsim.plan.routes import Routes, Way, along
+from missionsim.plan.routes import Way, along, routes_of
 from missionsim.plan.steady import steady_power_w
 from missionsim.plan.steps import group, slow_components
 
@@ -131,7 +131,7 @@ class _Builder:
         self.rng = rng
         self.odd = Odd()
         self.environment = environment = mission.environment
-        self.routes = None if environment is None else Routes(environment, lambda p: self.number(p, "environment."))
+        self.routes = routes_of(mission, numbers)
         self.place = mission.start or ""
         self.heading = None if mission.start_heading is None else self.number(mission.start_heading)
         if self.heading is None and environment is not None and self.place in environment.places:

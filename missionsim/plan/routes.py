@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from missionsim.errors import InputError, did_you_mean
 from missionsim.inputs.environment import EdgeSpec, EnvironmentSpec
+from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.values import Parameter
 from missionsim.plan.draws import least
 from missionsim.plan.legs import Settings
@@ -227,3 +228,13 @@ def along(base: Settings, way: Way, surface: str | None = None) -> Settings:
     """Settings on a way: its slope, its surface unless the segment names one, the covariates that the edge gives."""
     extra = base.extra if not way.extra else tuple(sorted({**dict(base.extra), **way.extra}.items()))
     return base._replace(slope_rad=way.slope_rad, surface=surface or way.surface or base.surface, extra=extra)
+
+
+def routes_of(mission: MissionSpec, numbers: Mapping[str, Any]) -> Routes | None:
+    """The routes through a mission's environment; found once where none of its numbers is drawn."""
+    environment = mission.environment
+    if environment is None:
+        return None
+    if any(name.startswith("environment.") for name in numbers):
+        return Routes(environment, lambda p: numbers.get(f"environment.{p.path}", p.value) if p.path else p.value)
+    return mission.remembered("routes", lambda: Routes(environment, lambda parameter: parameter.value))

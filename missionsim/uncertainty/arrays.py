@@ -82,7 +82,7 @@ class ArrayMission:
         if chosen.size:
             drawn = {name: values[chosen] for name, values in draws.items()}
             runs = simulate_block(
-                self.mission, self.model, self.sampler, seed, first, chosen.size, draws=drawn, numbers=first + chosen
+                self.mission, self.model, self.sampler, seed, first, chosen.size, draws=drawn, runs=first + chosen
             )
             for name, values in columns.items():
                 values[chosen] = runs[name]

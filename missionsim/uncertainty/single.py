@@ -46,10 +46,10 @@ def _plan(mission: MissionSpec, model: PowerModel, values: Mapping[str, float], 
     return make_plan(mission, numbers, run_generator(seed, "chance", run))
 
 
-def _plans(mission: MissionSpec, model: PowerModel, draws: Draws, count: int) -> list[Plan | None]:
+def _plans(mission: MissionSpec, numbers: Draws, count: int) -> list[Plan | None]:
     """The plans of many runs, made at once; None of those that are to be planned alone."""
     try:
-        together = plan_runs(mission, split_values(draws, model)[0])
+        together = plan_runs(mission, numbers)
     except MissionsimError:
         return [None] * count
     plans: list[Plan | None] = [*together.each(count)]
@@ -79,23 +79,26 @@ def simulate_block(
     count: int,
     *,
     draws: Draws | None = None,
-    numbers: Sequence[int] | NDArray[np.intp] | None = None,
+    runs: Sequence[int] | NDArray[np.intp] | None = None,
 ) -> dict[str, NDArray[Any]]:
     """A block of runs with SimPy, as columns; a run that fails is kept with its draws and its message.
 
-    `draws` are those of `sampler`, if they are there already; `numbers` the numbers of the runs, where they are not
+    `draws` are those of `sampler`, if they are there already; `runs` the numbers of the runs, where they are not
     those from `first` on.
     """
-    own = range(first, first + count) if numbers is None else numbers
+    own = range(first, first + count) if runs is None else runs
     draws = dict(draws or sampler.draw(seed, first, count))
     chance = left_to_chance(mission)
-    plans: list[Plan | None] = [None] * count if chance else _plans(mission, model, draws, count)
+    numbers, drawn = split_values(draws, model)
+    plans: list[Plan | None] = [None] * count if chance else _plans(mission, numbers, count)
     made: list[Plan | None] = [None] * count
 
     def run(i: int) -> Evaluating[dict[str, Any]]:
-        values = {name: float(column[i]) for name, column in draws.items()}
-        made[i] = plan = plans[i] or _plan(mission, model, values, seed, int(own[i]))
-        setup = RunSetup(mission, plan, model, *split_values(values, model))
+        values = {name: float(column[i]) for name, column in numbers.items()}
+        lots = run_generator(seed, "chance", int(own[i]))
+        made[i] = plan = plans[i] or make_plan(mission, values, lots)
+        setup = RunSetup(mission, plan, model, values, {name: float(column[i]) for name, column in drawn.items()})
+        setup.again = run_generator(seed, "chance", int(own[i])) if plan.gated else None
         if chance:
             setup.again = run_generator(seed, "chance", int(own[i]))
         result = yield from setup.run(trace=False)
@@ -106,8 +109,8 @@ def simulate_block(
     some = next((sum(len(step.phases) for step in plan.steps) for plan in plans if plan is not None), 1)
     size = max(1, min(MOST_TOGETHER, ROWS_TOGETHER // max(1, some)))
     for low in range(0, count, size):
-        runs = [run(i) for i in range(low, min(low + size, count))]
-        for found in together(model, tuple(mission.robot.components), runs):
+        these = [run(i) for i in range(low, min(low + size, count))]
+        for found in together(model, tuple(mission.robot.components), these):
             if isinstance(found, MissionsimError):
                 rows.append({"message": f"failed: {found}"})
             elif isinstance(found, (ArithmeticError, ValueError, RuntimeError)):
