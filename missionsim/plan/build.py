@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from missionsim.errors import Fault, InputError
-from missionsim.expressions import Place
-from missionsim.inputs.activities import AnchorSpec
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
 from missionsim.inputs.values import Parameter
+from missionsim.plan.asked import Asked
 from missionsim.plan.chance import failures, stopped_by_obstacles, told_at
-from missionsim.plan.draws import Odd, least, remainder, sign
-from missionsim.plan.legs import Activity, Gate, Leg, Limits, OnEdge, Plan, Recharge, SegmentInfo, Settings, Trigger
+from missionsim.plan.draws import remainder, sign
+from missionsim.plan.legs import Gate, Kind, Leg, OnEdge, Plan, SegmentInfo, Settings
 from missionsim.plan.pace import Pace
 from missionsim.plan.routes import Way, along, routes_of
 from missionsim.plan.steady import steady_power_w
@@ -27,12 +25,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MOST_SEGMENTS = 1_000_000
-_EXTRAS = (
-    ("temperature", "temp_ambient_c"),
-    ("cpu_load", "cpu_load"),
-    ("cpu_frequency", "cpu_freq_hz"),
-    ("access_point_distance", "access_point_distance_m"),
-)
 
 
 def make_plan(
@@ -115,7 +107,7 @@ def legs_of(
         yield builder.legs[before:]
 
 
-class _Builder:
+class _Builder(Asked):
     def __init__(
         self,
         mission: MissionSpec,
@@ -123,51 +115,22 @@ class _Builder:
         rng: np.random.Generator | None,
         rounds: Mapping[int, int] | None = None,
     ) -> None:
+        super().__init__(mission, numbers)
         self.rounds = rounds
         self._blocks = 0
-        self.mission = mission
-        self.robot = mission.robot
-        self.numbers = numbers
         self.rng = rng
-        self.odd = Odd()
-        self.environment = environment = mission.environment
         self.routes = routes_of(mission, numbers)
         self.place = mission.start or ""
         self.heading = None if mission.start_heading is None else self.number(mission.start_heading)
-        if self.heading is None and environment is not None and self.place in environment.places:
-            given = environment.places[self.place].heading
+        if self.heading is None and self.environment is not None and self.place in self.environment.places:
+            given = self.environment.places[self.place].heading
             self.heading = None if given is None else self.number(given, "environment.")
-        body = self.robot.body
-        accel = self._robot(body.max_acceleration)
-        decel = self._robot(body.max_deceleration)
-        self.limits = Limits(
-            accel,
-            accel if decel is None else decel,
-            self.number(body.max_yaw_rate, "robot."),
-            self._robot(body.max_yaw_acceleration),
-        )
         self.chance: dict[str, int] = {}
         self.legs: list[Leg] = []
         self.segments: list[SegmentInfo] = []
         self._names: dict[str, int] = {}
-        self._base: dict[int, Settings] = {}
-        self._scheme = ""
         self._routes: list[tuple[str, str, tuple[int, ...]]] = []
-        self._ambient_values = self._ambient()
-        self._ambient_surface = (environment.ambient.surface or "") if environment is not None else ""
-        self._default_extras = {key: getattr(mission.defaults, key, None) for key, _ in _EXTRAS}
-        self._tops: dict[tuple[str, bool, float], tuple[float, float, float]] = {}
-        self._behaviours_of: dict[str, tuple[tuple[Any, str], ...]] = {}
         self._costs: dict[int, dict[tuple[int, str], float]] = {}
-
-    def number(self, parameter: Parameter, prefix: str = "") -> float:
-        """Value of a parameter, drawn or nominal."""
-        if self.numbers and parameter.path:
-            return self.numbers.get(prefix + parameter.path, parameter.value)
-        return parameter.value
-
-    def _robot(self, parameter: Parameter | None) -> float | None:
-        return None if parameter is None else self.number(parameter, "robot.")
 
     def build(self) -> Plan:
         start = self.place
@@ -184,22 +147,18 @@ class _Builder:
         steps = group(self.legs, self.limits, breaks if slow or self._blocks else None, self.odd)
         if self.routes is not None and self.routes.drawn:
             self.odd.mark(self.routes.others_shorter(self._routes))
-        activities = tuple(self._activity(i, spec) for i, spec in enumerate(self.mission.activities))
+        activities = tuple(self.activity(i, spec) for i, spec in enumerate(self.mission.activities))
         return Plan(
-            tuple(self.legs),
-            steps,
-            tuple(self.segments),
-            activities,
-            self.limits,
-            start,
-            tuple(sorted(self.chance.items())),
-            tuple(self._routes),
-            self.odd.runs,
+            legs=tuple(self.legs),
+            steps=steps,
+            segments=tuple(self.segments),
+            activities=activities,
+            limits=self.limits,
+            start=start,
+            chance=tuple(sorted(self.chance.items())),
+            routes=tuple(self._routes),
+            odd=self.odd.runs,
         )
-
-    def fault(self, segment: Any, message: str, allowed: str = "") -> InputError:
-        """A fault at the line of a segment."""
-        return InputError(Fault(str(self.mission.path), int(getattr(segment, "line", 0)), 0, message, allowed=allowed))
 
     def _segment(self, segment: Any) -> None:
         if segment.kind == "repeat":
@@ -212,14 +171,14 @@ class _Builder:
         if len(self.segments) >= MOST_SEGMENTS:
             raise self.fault(segment, "too many segments", f"at most {MOST_SEGMENTS}, repeats counted one by one")
         self._name(segment)
-        base = self._settings(segment)
-        self._scheme = base.scheme
+        base = self.settings(segment, len(self.segments) - 1)
+        self.scheme = base.scheme
         before = len(self.legs)
         getattr(self, f"_{segment.kind}")(segment, base)
         if len(self.legs) == before:
             self.legs.append(Leg("stand", base))
         if segment.kind in ("drive", "arc", "turn", "move"):
-            given = self._behaviour(segment, "dwell")
+            given = self.behaviour(segment, "dwell")
             dwell = (0.0 if given is None else given) + self._by_chance(segment, before)
             if self.odd.most(dwell != 0.0):
                 self.legs.append(Leg("stand", self._still(base), duration_s=dwell))
@@ -262,20 +221,20 @@ class _Builder:
         """Put stops at obstacles into the segment's legs; time [s] of relocalisations that fail at its end."""
         if self.rng is None:
             return 0.0
-        spacing = self._given(segment, "obstacle_spacing")
+        spacing = self.given(segment, "obstacle_spacing")
         if spacing is not None:
-            stop = self._behaviour(segment, "obstacle_stop") or 0.0
+            stop = self.behaviour(segment, "obstacle_stop") or 0.0
             with self._told_at(*spacing):
                 made, stops = stopped_by_obstacles(self.legs[before:], self.number(*spacing), stop, self.rng)
             self.legs[before:] = made
             self._count("obstacles", stops)
-        failure = self._given(segment, "relocalisation_failure")
+        failure = self.given(segment, "relocalisation_failure")
         if failure is None:
             return 0.0
         with self._told_at(*failure):
             failed = failures(self.number(*failure), self.rng)
         self._count("relocalisations_failed", failed)
-        return failed * (self._behaviour(segment, "relocalisation_time") or 0.0)
+        return failed * (self.behaviour(segment, "relocalisation_time") or 0.0)
 
     def _told_at(self, parameter: Parameter, prefix: str = "") -> contextlib.AbstractContextManager[None]:
         return told_at(str((self.robot if prefix else self.mission).path), parameter)
@@ -294,113 +253,6 @@ class _Builder:
         name = label if count == 1 else f"{label} #{count}"
         self.segments.append(SegmentInfo(name, segment.kind, segment.line, label))
 
-    def _settings(self, segment: Any) -> Settings:
-        mission = self.mission
-        known = self._base.get(id(segment))
-        if known is not None:
-            return known._replace(segment=len(self.segments) - 1)
-        payload = mission.setting(segment, "payload")
-        surface = mission.setting(segment, "surface")
-        extra: dict[str, float | str] = dict(self._ambient_values)
-        for key, column in _EXTRAS:
-            given = getattr(segment, key)
-            if given is None:
-                given = self._default_extras[key]
-            if given is not None:
-                extra[column] = self.number(given)
-        for source in (mission.defaults.conditions, segment.conditions):
-            if source:
-                extra |= {name: self._condition(value) for name, value in source.items()}
-        slope = segment.slope if segment.kind in ("drive", "arc", "move") else None
-        made = Settings(
-            len(self.segments) - 1,
-            *mission.equipment(segment),
-            0.0 if payload is None else self.number(payload),
-            0.0 if slope is None else self.number(slope),
-            self._ambient_surface if surface is None else surface,
-            tuple(sorted(extra.items())),
-        )
-        self._base[id(segment)] = made
-        return made
-
-    def _condition(self, value: Any, prefix: str = "") -> float | str:
-        return self.number(value, prefix) if isinstance(value, Parameter) else str(value)
-
-    def _ambient(self) -> dict[str, float | str]:
-        environment = self.environment
-        if environment is None:
-            return {}
-        ambient = environment.ambient
-        pairs = (("temp_ambient_c", ambient.temperature), ("access_point_distance_m", ambient.access_point_distance))
-        known: dict[str, float | str] = {name: self.number(p, "environment.") for name, p in pairs if p is not None}
-        return known | {name: self._condition(value, "environment.") for name, value in ambient.conditions.items()}
-
-    def _behaviours(self, scheme: str) -> tuple[tuple[Any, str], ...]:
-        """Who says how the robot behaves under a scheme, the most specific first."""
-        known = self._behaviours_of.get(scheme)
-        if known is None:
-            mission = self.mission
-            of_robot = self.robot.schemes.get(scheme)
-            known = self._behaviours_of[scheme] = (
-                (mission.behaviour.schemes.get(scheme), ""),
-                (mission.behaviour, ""),
-                (mission.defaults.behaviour, ""),
-                (of_robot.behaviour if of_robot else None, "robot."),
-            )
-        return known
-
-    def _behaviour(self, segment: Any, key: str) -> float | None:
-        given = self._given(segment, key)
-        return None if given is None else self.number(*given)
-
-    def _given(self, segment: Any, key: str) -> tuple[Parameter, str] | None:
-        """The parameter of the behaviour of a segment, and the prefix of its path."""
-        for source, prefix in ((segment.behaviour, ""), *self._behaviours(self._scheme)):
-            given = None if source is None else getattr(source, key)
-            if given is not None:
-                return given, prefix
-        return None
-
-    def _pace(self, segment: Any, way_m_s: float = math.inf) -> Pace:
-        tracking = self._given(segment, "speed_tracking")
-        raised = 1.0 if tracking is None else max(1.0, tracking[0].value)
-        robot, scheme, top = self._top(segment.kind == "move", raised)
-        given = self.mission.setting(segment, "speed")
-        asked = top if given is None else self.number(given)
-        if tracking is not None:
-            asked = asked * self.number(*tracking)
-        self._above_0(asked, segment, "a segment that drives needs a speed above 0")
-        return Pace(asked, robot, scheme, way_m_s)
-
-    def _top(self, sideways: bool, raised: float) -> tuple[float, float, float]:
-        """Greatest speed of the robot and of the control scheme, raised, and the one driven where none is asked."""
-        key = (self._scheme, sideways, raised)
-        if key not in self._tops:
-            body, scheme = self.robot.body, self.robot.schemes.get(self._scheme)
-            robot = self.number(body.max_speed, "robot.")
-            given = None if scheme is None else scheme.max_speed
-            most = math.inf if given is None else self.number(given, "robot.")
-            top = robot
-            if sideways and body.max_lateral_speed is not None and body.max_lateral_speed.value > body.max_speed.value:
-                top = self.number(body.max_lateral_speed, "robot.")
-            self._tops[key] = (top * raised, most * raised, least(robot, most))
-        return self._tops[key]
-
-    def _above_0(self, number: float, segment: Any, message: str) -> None:
-        """A fault of the segment where a number is not above 0; of many runs, those in which it is not are odd."""
-        if isinstance(number, np.ndarray):
-            if not number.min() > 0.0:
-                self.odd.mark(~(number > 0.0))
-        elif not number > 0.0:
-            raise self.fault(segment, message)
-
-    def _stretch(self, segment: Any) -> float:
-        given = self._behaviour(segment, "path_stretch")
-        return 1.0 if given is None else given
-
-    def _instant(self, segment: Any) -> bool:
-        return self.mission.setting(segment, "profile") == "constant_speed" or self.limits.accel_m_s2 is None
-
     def _still(self, base: Settings) -> Settings:
         """Settings of standing at the end of a segment that moves."""
         last = self.legs[-1].settings if self.legs and self.legs[-1].settings.segment == base.segment else base
@@ -410,17 +262,7 @@ class _Builder:
         if segment.distance is not None:
             heading = None if segment.heading is None else self.number(segment.heading)
             self._face(segment, base, heading)
-            pace = self._pace(segment)
-            self.legs.append(
-                Leg(
-                    "roll",
-                    base,
-                    self.number(segment.distance) * self._stretch(segment),
-                    pace.speed,
-                    instant=self._instant(segment),
-                    pace=pace,
-                )
-            )
+            self._ahead("roll", segment, base, self.number(segment.distance), self.pace(segment))
             self.place = ""
             return
         if self.routes is None:
@@ -449,8 +291,8 @@ class _Builder:
         if key not in self._costs:
             plain = self if not self.numbers else _Builder(self.mission, {}, None)
             assert plain.routes is not None
-            plain._scheme = base.scheme
-            settings = base if plain is self else plain._settings(segment)
+            plain.scheme = base.scheme
+            settings = base if plain is self else plain.settings(segment, 0)
             ways = [way for leaving in plain.routes.ways.values() for way in leaving]
             heading, before = plain.heading, len(plain.legs)
             ends = []
@@ -471,24 +313,16 @@ class _Builder:
 
     def _way(self, segment: Any, base: Settings, way: Way) -> None:
         self._face(segment, base, way.heading_rad)
-        stretch = self._stretch(segment)
-        settings = along(base, way, segment.surface)
-        pace = self._pace(segment, way.max_speed_m_s)
-        instant = self._instant(segment)
-        pieces = self._radio(way, settings)
-        for i, (share_from, share_to, here) in enumerate(pieces):
-            self.legs.append(
-                Leg(
-                    "roll",
-                    here,
-                    way.length_m * (share_to - share_from) * stretch,
-                    pace.speed,
-                    instant=instant,
-                    pace=pace,
-                    place=way.end if i + 1 == len(pieces) else "",
-                    edge=OnEdge(way.begin, way.end, way.edge, way.length_m * share_from, way.length_m * share_to),
-                )
-            )
+        pace = self.pace(segment, way.max_speed_m_s)
+        for low, high, here in self._radio(way, along(base, way, segment.surface)):
+            edge = OnEdge(way.begin, way.end, way.edge, way.length_m * low, way.length_m * high)
+            self._ahead("roll", segment, here, way.length_m * (high - low), pace, edge=edge)
+        self.legs[-1] = self.legs[-1]._replace(place=way.end)
+
+    def _ahead(self, kind: Kind, segment: Any, base: Settings, metres: float, pace: Pace, **more: Any) -> None:
+        """A leg that is driven, as much longer as the behaviour says."""
+        metres = metres * self.stretch(segment)
+        self.legs.append(Leg(kind, base, metres, pace.speed, instant=self.instant(segment), pace=pace, **more))
 
     def _radio(self, way: Way, settings: Settings) -> list[tuple[float, float, Settings]]:
         """Pieces of a way with the distance to the nearest access point (its root mean square over the piece)."""
@@ -500,15 +334,11 @@ class _Builder:
             (self.number(p.x, "environment."), self.number(p.y, "environment."))
             for p in environment.access_points.values()
         ]
-        pieces = []
-        for low, high, distance in self.routes.away_from(way, points):
-            extra = (
-                settings.extra
-                if distance is None
-                else tuple(sorted({**dict(settings.extra), "access_point_distance_m": distance}.items()))
-            )
-            pieces.append((low, high, settings._replace(extra=extra)))
-        return pieces
+        own = dict(settings.extra)
+        return [
+            (low, high, settings._replace(extra=tuple(sorted({**own, "access_point_distance_m": metres}.items()))))
+            for low, high, metres in self.routes.away_from(way, points)
+        ] or [(0.0, 1.0, settings)]
 
     def _face(self, segment: Any, base: Settings, heading: float | None) -> None:
         """Turn on the spot towards a heading, where the mission asks for it and headings are known."""
@@ -523,7 +353,7 @@ class _Builder:
     def _turn_by(self, segment: Any, base: Settings, angle: float) -> None:
         given = self.mission.setting(segment, "yaw_rate")
         rate = self.limits.yaw_rate_rad_s if given is None else self.number(given)
-        self._above_0(rate, segment, "a turn needs a yaw rate above 0")
+        self.above_0(rate, segment, "a turn needs a yaw rate above 0")
         instant = self.mission.setting(segment, "profile") == "constant_speed"
         settings = base._replace(slope_rad=0.0)
         self.legs.append(Leg("turn", settings, angle_rad=angle, yaw_rate_rad_s=rate, instant=instant))
@@ -535,30 +365,17 @@ class _Builder:
 
     def _arc(self, segment: Any, base: Settings) -> None:
         radius, angle = self.number(segment.radius), self.number(segment.angle)
-        self._above_0(radius, segment, "an arc needs a radius above 0")
+        self.above_0(radius, segment, "an arc needs a radius above 0")
         given = self.mission.setting(segment, "yaw_rate")
         rate = self.limits.yaw_rate_rad_s if given is None else self.number(given)
-        pace = self._pace(segment, rate * radius)
-        length = radius * abs(angle) * self._stretch(segment)
-        self.legs.append(
-            Leg("roll", base, length, pace.speed, sign(angle) / radius, instant=self._instant(segment), pace=pace)
-        )
+        pace = self.pace(segment, rate * radius)
+        self._ahead("roll", segment, base, radius * abs(angle), pace, curvature_1_m=sign(angle) / radius)
         self.place = ""
         self.heading = None if self.heading is None else self.heading + angle
 
     def _move(self, segment: Any, base: Settings) -> None:
-        pace = self._pace(segment)
-        self.legs.append(
-            Leg(
-                "slide",
-                base,
-                self.number(segment.distance) * self._stretch(segment),
-                pace.speed,
-                direction_rad=self.number(segment.direction),
-                instant=self._instant(segment),
-                pace=pace,
-            )
-        )
+        direction = self.number(segment.direction)
+        self._ahead("slide", segment, base, self.number(segment.distance), self.pace(segment), direction_rad=direction)
         self.place = ""
 
     def _inspect(self, segment: Any, base: Settings) -> None:
@@ -576,45 +393,4 @@ class _Builder:
         self.legs.append(Leg("stand", base, duration_s=duration_s, place=self.place))
 
     def _dock(self, segment: Any, base: Settings) -> None:
-        environment = self.environment
-        charger = None
-        if environment is not None and self.place in environment.places:
-            charger = environment.places[self.place].charger
-        if charger is None:
-            raise self.fault(
-                segment, f"no charger at '{self.place or 'an unknown place'}'", "a place with a charger, reached before"
-            )
-        asked = segment.recharge
-        batteries = asked.batteries or charger.batteries or tuple(self.robot.batteries)
-        offered = self.number(charger.power, "environment.")
-        power = {}
-        for name, spec in self.robot.batteries.items():
-            if name in batteries:
-                most = math.inf if spec.max_charge_power is None else self.number(spec.max_charge_power, "robot.")
-                power[name] = least(offered, most) * self.number(spec.charge_efficiency, "robot.")
-        recharge = Recharge(
-            self.place,
-            power,
-            tuple(power),
-            None if asked.until is None else self.number(asked.until),
-            None if asked.duration is None else self.number(asked.duration),
-            charger.slots,
-            math.inf if segment.if_below is None else self.number(segment.if_below),
-        )
-        self.legs.append(Leg("dock", base, place=self.place, recharge=recharge))
-
-    def _activity(self, key: int, spec: Any) -> Activity:
-        begin = _trigger(self, spec.from_)
-        end = _trigger(self, spec.until)
-        every = None if spec.every is None else self.number(spec.every)
-        duration = None if spec.duration is None else self.number(spec.duration)
-        document = self.mission.document
-        place = Place() if document is None else document.place(("activities", key, "every"))
-        return Activity(spec.component, spec.units, begin, end, every, duration, key, place)
-
-
-def _trigger(builder: _Builder, anchor: AnchorSpec | None) -> Trigger | None:
-    if anchor is None:
-        return None
-    time = None if anchor.time is None else builder.number(anchor.time)
-    return Trigger(time, anchor.place or "", anchor.segment or "")
+        self.legs.append(Leg("dock", base, place=self.place, recharge=self.recharge(segment, self.place)))

@@ -123,17 +123,17 @@ class Routes:
             return None
         return math.atan2(b[1] - a[1], b[0] - a[0])
 
-    def away_from(self, way: Way, points: Sequence[tuple[float, float]]) -> list[tuple[float, float, float | None]]:
+    def away_from(self, way: Way, points: Sequence[tuple[float, float]]) -> list[tuple[float, float, float]]:
         """Pieces of a way and the distance [m] from each to the nearest point (its root mean square over the piece).
 
-        Begin and end are parts of the way; the distance is None where the way's ends have no coordinates.
+        Begin and end are parts of the way; none where the way's ends have no coordinates.
         """
         a, b = self.position(way.begin), self.position(way.end)
         if a is None or b is None:
-            return [(0.0, 1.0, None)]
+            return []
         count = max(1, math.ceil(way.search_m / RADIO_PIECE_M))
         span = math.hypot(b[0] - a[0], b[1] - a[1]) / count
-        pieces: list[tuple[float, float, float | None]] = []
+        pieces: list[tuple[float, float, float]] = []
         for i in range(count):
             low, high = i / count, (i + 1) / count
             middle = 0.5 * (low + high)

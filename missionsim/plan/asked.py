@@ -1,0 +1,228 @@
+"""What the segments of a mission ask for: the most specific of what is said of each setting, with its drawn number."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from missionsim.errors import Fault, InputError
+from missionsim.expressions import Place
+from missionsim.inputs.activities import AnchorSpec
+from missionsim.inputs.mission import MissionSpec
+from missionsim.inputs.values import Parameter
+from missionsim.plan.draws import Odd, least
+from missionsim.plan.legs import Activity, Limits, Recharge, Settings, Trigger
+from missionsim.plan.pace import Pace
+
+_EXTRAS = (
+    ("temperature", "temp_ambient_c"),
+    ("cpu_load", "cpu_load"),
+    ("cpu_frequency", "cpu_freq_hz"),
+    ("access_point_distance", "access_point_distance_m"),
+)
+
+
+class Asked:
+    """Settings, behaviour and speeds of segments, under the control scheme in `scheme`.
+
+    Parameters
+    ----------
+    mission : MissionSpec
+    numbers : mapping
+        Values that differ from the files', by path; arrays where many runs are planned at once.
+    """
+
+    def __init__(self, mission: MissionSpec, numbers: Mapping[str, float]) -> None:
+        self.mission = mission
+        self.robot = mission.robot
+        self.environment = environment = mission.environment
+        self.numbers = numbers
+        self.odd = Odd()
+        self.scheme = ""
+        body = self.robot.body
+        accel = self._robot(body.max_acceleration)
+        decel = self._robot(body.max_deceleration)
+        self.limits = Limits(
+            accel,
+            accel if decel is None else decel,
+            self.number(body.max_yaw_rate, "robot."),
+            self._robot(body.max_yaw_acceleration),
+        )
+        self._base: dict[int, Settings] = {}
+        self._ambient_values = self._ambient()
+        self._ambient_surface = (environment.ambient.surface or "") if environment is not None else ""
+        self._default_extras = {key: getattr(mission.defaults, key, None) for key, _ in _EXTRAS}
+        self._tops: dict[tuple[str, bool, float], tuple[float, float, float]] = {}
+        self._behaviours_of: dict[str, tuple[tuple[Any, str], ...]] = {}
+
+    def number(self, parameter: Parameter, prefix: str = "") -> float:
+        """Value of a parameter, drawn or nominal."""
+        if self.numbers and parameter.path:
+            return self.numbers.get(prefix + parameter.path, parameter.value)
+        return parameter.value
+
+    def _robot(self, parameter: Parameter | None) -> float | None:
+        return None if parameter is None else self.number(parameter, "robot.")
+
+    def fault(self, segment: Any, message: str, allowed: str = "") -> InputError:
+        """A fault at the line of a segment."""
+        return InputError(Fault(str(self.mission.path), int(getattr(segment, "line", 0)), 0, message, allowed=allowed))
+
+    def settings(self, segment: Any, index: int) -> Settings:
+        """Settings of a segment, the mission's number `index`."""
+        mission = self.mission
+        known = self._base.get(id(segment))
+        if known is not None:
+            return known._replace(segment=index)
+        payload = mission.setting(segment, "payload")
+        surface = mission.setting(segment, "surface")
+        extra: dict[str, float | str] = dict(self._ambient_values)
+        for key, column in _EXTRAS:
+            given = getattr(segment, key)
+            if given is None:
+                given = self._default_extras[key]
+            if given is not None:
+                extra[column] = self.number(given)
+        for source in (mission.defaults.conditions, segment.conditions):
+            if source:
+                extra |= {name: self._condition(value) for name, value in source.items()}
+        slope = segment.slope if segment.kind in ("drive", "arc", "move") else None
+        made = Settings(
+            index,
+            *mission.equipment(segment),
+            0.0 if payload is None else self.number(payload),
+            0.0 if slope is None else self.number(slope),
+            self._ambient_surface if surface is None else surface,
+            tuple(sorted(extra.items())),
+        )
+        self._base[id(segment)] = made
+        return made
+
+    def _condition(self, value: Any, prefix: str = "") -> float | str:
+        return self.number(value, prefix) if isinstance(value, Parameter) else str(value)
+
+    def _ambient(self) -> dict[str, float | str]:
+        environment = self.environment
+        if environment is None:
+            return {}
+        ambient = environment.ambient
+        pairs = (("temp_ambient_c", ambient.temperature), ("access_point_distance_m", ambient.access_point_distance))
+        known: dict[str, float | str] = {name: self.number(p, "environment.") for name, p in pairs if p is not None}
+        return known | {name: self._condition(value, "environment.") for name, value in ambient.conditions.items()}
+
+    def _behaviours(self, scheme: str) -> tuple[tuple[Any, str], ...]:
+        """Who says how the robot behaves under a scheme, the most specific first."""
+        known = self._behaviours_of.get(scheme)
+        if known is None:
+            mission = self.mission
+            of_robot = self.robot.schemes.get(scheme)
+            known = self._behaviours_of[scheme] = (
+                (mission.behaviour.schemes.get(scheme), ""),
+                (mission.behaviour, ""),
+                (mission.defaults.behaviour, ""),
+                (of_robot.behaviour if of_robot else None, "robot."),
+            )
+        return known
+
+    def behaviour(self, segment: Any, key: str) -> float | None:
+        """The number that the behaviour of a segment says of something."""
+        given = self.given(segment, key)
+        return None if given is None else self.number(*given)
+
+    def given(self, segment: Any, key: str) -> tuple[Parameter, str] | None:
+        """The parameter of the behaviour of a segment, and the prefix of its path."""
+        for source, prefix in ((segment.behaviour, ""), *self._behaviours(self.scheme)):
+            given = None if source is None else getattr(source, key)
+            if given is not None:
+                return given, prefix
+        return None
+
+    def pace(self, segment: Any, way_m_s: float = math.inf) -> Pace:
+        """Speed asked of a segment and what limits it."""
+        tracking = self.given(segment, "speed_tracking")
+        raised = 1.0 if tracking is None else max(1.0, tracking[0].value)
+        robot, scheme, top = self._top(segment.kind == "move", raised)
+        given = self.mission.setting(segment, "speed")
+        asked = top if given is None else self.number(given)
+        if tracking is not None:
+            asked = asked * self.number(*tracking)
+        self.above_0(asked, segment, "a segment that drives needs a speed above 0")
+        return Pace(asked, robot, scheme, way_m_s)
+
+    def _top(self, sideways: bool, raised: float) -> tuple[float, float, float]:
+        """Greatest speed of the robot and of the control scheme, raised, and the one driven where none is asked."""
+        key = (self.scheme, sideways, raised)
+        if key not in self._tops:
+            body, scheme = self.robot.body, self.robot.schemes.get(self.scheme)
+            robot = self.number(body.max_speed, "robot.")
+            given = None if scheme is None else scheme.max_speed
+            most = math.inf if given is None else self.number(given, "robot.")
+            top = robot
+            if sideways and body.max_lateral_speed is not None and body.max_lateral_speed.value > body.max_speed.value:
+                top = self.number(body.max_lateral_speed, "robot.")
+            self._tops[key] = (top * raised, most * raised, least(robot, most))
+        return self._tops[key]
+
+    def above_0(self, number: float, segment: Any, message: str) -> None:
+        """A fault of the segment where a number is not above 0; of many runs, those in which it is not are odd."""
+        if isinstance(number, np.ndarray):
+            if not number.min() > 0.0:
+                self.odd.mark(~(number > 0.0))
+        elif not number > 0.0:
+            raise self.fault(segment, message)
+
+    def stretch(self, segment: Any) -> float:
+        """How many times as long as planned the way of a segment is."""
+        given = self.behaviour(segment, "path_stretch")
+        return 1.0 if given is None else given
+
+    def instant(self, segment: Any) -> bool:
+        """Whether its speed is reached at once."""
+        return self.mission.setting(segment, "profile") == "constant_speed" or self.limits.accel_m_s2 is None
+
+    def recharge(self, segment: Any, place: str) -> Recharge:
+        """Charging as a dock segment asks for it at a place."""
+        environment = self.environment
+        charger = None
+        if environment is not None and place in environment.places:
+            charger = environment.places[place].charger
+        if charger is None:
+            raise self.fault(
+                segment, f"no charger at '{place or 'an unknown place'}'", "a place with a charger, reached before"
+            )
+        asked = segment.recharge
+        batteries = asked.batteries or charger.batteries or tuple(self.robot.batteries)
+        offered = self.number(charger.power, "environment.")
+        power = {}
+        for name, spec in self.robot.batteries.items():
+            if name in batteries:
+                most = math.inf if spec.max_charge_power is None else self.number(spec.max_charge_power, "robot.")
+                power[name] = least(offered, most) * self.number(spec.charge_efficiency, "robot.")
+        return Recharge(
+            place,
+            power,
+            tuple(power),
+            None if asked.until is None else self.number(asked.until),
+            None if asked.duration is None else self.number(asked.duration),
+            charger.slots,
+            math.inf if segment.if_below is None else self.number(segment.if_below),
+        )
+
+    def activity(self, key: int, spec: Any) -> Activity:
+        """What a component does beside the driving."""
+        begin = self._trigger(spec.from_)
+        end = self._trigger(spec.until)
+        every = None if spec.every is None else self.number(spec.every)
+        duration = None if spec.duration is None else self.number(spec.duration)
+        document = self.mission.document
+        place = Place() if document is None else document.place(("activities", key, "every"))
+        return Activity(spec.component, spec.units, begin, end, every, duration, key, place)
+
+    def _trigger(self, anchor: AnchorSpec | None) -> Trigger | None:
+        if anchor is None:
+            return None
+        time = None if anchor.time is None else self.number(anchor.time)
+        return Trigger(time, anchor.place or "", anchor.segment or "")
