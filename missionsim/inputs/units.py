@@ -21,36 +21,40 @@ _NUMBER = re.compile(r"\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?
 
 @dataclass(frozen=True)
 class Dimension:
-    """A kind of quantity: its SI unit inside, the unit of a plain number in YAML, an example for messages."""
+    """A kind of quantity: its SI unit inside, the unit of a plain number in YAML, an example for messages.
+
+    `exponents` are those of m, kg, s, A and K; an angle counts as a plain number.
+    """
 
     name: str
     si: str
     plain: str
     example: str
     pint: str
+    exponents: tuple[int, int, int, int, int]
 
 
 DIMENSIONS: dict[str, Dimension] = {
     item.name: item
     for item in (
-        Dimension("length", "m", "m", "50 m", "meter"),
-        Dimension("speed", "m/s", "m/s", "0.5 m/s", "meter/second"),
-        Dimension("acceleration", "m/s^2", "m/s^2", "0.3 m/s^2", "meter/second**2"),
-        Dimension("angle", "rad", "rad", "90 deg", "radian"),
-        Dimension("yaw rate", "rad/s", "rad/s", "30 deg/s", "radian/second"),
-        Dimension("yaw acceleration", "rad/s^2", "rad/s^2", "1 rad/s^2", "radian/second**2"),
-        Dimension("mass", "kg", "kg", "2.5 kg", "kilogram"),
-        Dimension("power", "W", "W", "2.34 W", "watt"),
-        Dimension("energy", "J", "Wh", "259 Wh", "joule"),
-        Dimension("charge", "C", "Ah", "7.2 Ah", "coulomb"),
-        Dimension("voltage", "V", "V", "14.8 V", "volt"),
-        Dimension("current", "A", "A", "1.2 A", "ampere"),
-        Dimension("resistance", "ohm", "ohm", "0.05 ohm", "ohm"),
-        Dimension("duration", "s", "s", "10 min", "second"),
-        Dimension("frequency", "Hz", "Hz", "25 Hz", "hertz"),
-        Dimension("temperature", "degC", "degC", "20 degC", "degC"),
-        Dimension("fraction", "1", "1", "15 % or 0.15", "dimensionless"),
-        Dimension("number", "1", "1", "1.2", "dimensionless"),
+        Dimension("length", "m", "m", "50 m", "meter", (1, 0, 0, 0, 0)),
+        Dimension("speed", "m/s", "m/s", "0.5 m/s", "meter/second", (1, 0, -1, 0, 0)),
+        Dimension("acceleration", "m/s^2", "m/s^2", "0.3 m/s^2", "meter/second**2", (1, 0, -2, 0, 0)),
+        Dimension("angle", "rad", "rad", "90 deg", "radian", (0, 0, 0, 0, 0)),
+        Dimension("yaw rate", "rad/s", "rad/s", "30 deg/s", "radian/second", (0, 0, -1, 0, 0)),
+        Dimension("yaw acceleration", "rad/s^2", "rad/s^2", "1 rad/s^2", "radian/second**2", (0, 0, -2, 0, 0)),
+        Dimension("mass", "kg", "kg", "2.5 kg", "kilogram", (0, 1, 0, 0, 0)),
+        Dimension("power", "W", "W", "2.34 W", "watt", (2, 1, -3, 0, 0)),
+        Dimension("energy", "J", "Wh", "259 Wh", "joule", (2, 1, -2, 0, 0)),
+        Dimension("charge", "C", "Ah", "7.2 Ah", "coulomb", (0, 0, 1, 1, 0)),
+        Dimension("voltage", "V", "V", "14.8 V", "volt", (2, 1, -3, -1, 0)),
+        Dimension("current", "A", "A", "1.2 A", "ampere", (0, 0, 0, 1, 0)),
+        Dimension("resistance", "ohm", "ohm", "0.05 ohm", "ohm", (2, 1, -3, -2, 0)),
+        Dimension("duration", "s", "s", "10 min", "second", (0, 0, 1, 0, 0)),
+        Dimension("frequency", "Hz", "Hz", "25 Hz", "hertz", (0, 0, -1, 0, 0)),
+        Dimension("temperature", "degC", "degC", "20 degC", "degC", (0, 0, 0, 0, 1)),
+        Dimension("fraction", "1", "1", "15 % or 0.15", "dimensionless", (0, 0, 0, 0, 0)),
+        Dimension("number", "1", "1", "1.2", "dimensionless", (0, 0, 0, 0, 0)),
     )
 }
 
@@ -213,52 +217,35 @@ def any_unit(unit: str) -> tuple[float, str]:
     return size, unit if math.isclose(size, 1.0) else f"{base.units:~}"
 
 
-def _compound(unit: str) -> float | None:
-    """Factor of a product of known units (``W s^2/m^2``, ``W/(m/s)^2``), or None where pint has to read it."""
-    flat = re.sub(r"\(m/s\)\^(\d)", r"m^\1 s^-\1", unit.replace("**", "^").replace("*", " ").replace("·", " "))
-    factor = 1.0
-    parts = flat.split("/")
+_TOKEN = re.compile(r"([A-Za-zΩµ°%1]+)(?:\^(-?\d))?")
+
+
+def _factors_of(unit: str) -> list[tuple[str, int]] | None:
+    """Simple units of a product (``W s^2/m^2``, ``W/(m/s)^2``) and their exponents; None where pint has to read it."""
+    flat = unit.replace("**", "^").replace("*", " ").replace("·", " ")
+    flat = re.sub(r"\(m/s\)\^(\d)", r"m^\1 s^-\1", re.sub(r"\s*\^\s*", "^", flat))
     if "(" in flat:
         return None
-    for index, part in enumerate(parts):
+    found = []
+    for index, part in enumerate(flat.split("/")):
         for token in part.split():
-            match = re.fullmatch(r"([A-Za-zΩµ°%1]+)(?:\^(-?\d))?", token)
+            match = _TOKEN.fullmatch(token)
             if match is None:
                 return None
-            base = (
-                1.0
-                if match.group(1) in ("1", "K")
-                else next((table[match.group(1)] for table in _FACTORS.values() if match.group(1) in table), None)
-            )
-            if base is None or match.group(1) in _FACTORS["temperature"]:
-                return None
-            power = int(match.group(2) or 1)
-            factor *= base ** (power if index == 0 else -power)
-    return factor
+            found.append((match.group(1), int(match.group(2) or 1) * (1 if index == 0 else -1)))
+    return found
 
 
-_EXPONENTS: dict[str, tuple[int, int, int, int, int]] = {
-    # of m, kg, s, A, K; an angle counts as a plain number
-    "length": (1, 0, 0, 0, 0),
-    "speed": (1, 0, -1, 0, 0),
-    "acceleration": (1, 0, -2, 0, 0),
-    "angle": (0, 0, 0, 0, 0),
-    "yaw rate": (0, 0, -1, 0, 0),
-    "yaw acceleration": (0, 0, -2, 0, 0),
-    "mass": (0, 1, 0, 0, 0),
-    "power": (2, 1, -3, 0, 0),
-    "energy": (2, 1, -2, 0, 0),
-    "charge": (0, 0, 1, 1, 0),
-    "voltage": (2, 1, -3, -1, 0),
-    "current": (0, 0, 0, 1, 0),
-    "resistance": (2, 1, -3, -2, 0),
-    "duration": (0, 0, 1, 0, 0),
-    "frequency": (0, 0, -1, 0, 0),
-    "temperature": (0, 0, 0, 0, 1),
-    "fraction": (0, 0, 0, 0, 0),
-    "number": (0, 0, 0, 0, 0),
-    "force": (1, 1, -2, 0, 0),
-}
+def _compound(unit: str) -> float | None:
+    """Factor of a product of known units, or None where pint has to read it."""
+    factor = 1.0
+    parts = _factors_of(unit)
+    for name, power in parts or ():
+        base = 1.0 if name in ("1", "K") else next((table[name] for table in _FACTORS.values() if name in table), None)
+        if base is None or name in _FACTORS["temperature"]:
+            return None
+        factor *= base**power
+    return None if parts is None else factor
 
 
 def same_dimension(unit: str, other: str) -> bool:
@@ -275,18 +262,16 @@ def same_dimension(unit: str, other: str) -> bool:
 def _dimension(unit: str) -> tuple[int, ...] | None:
     """Exponents of m, kg, s, A, K; None for a unit that neither the table nor pint knows."""
     total = [0, 0, 0, 0, 0]
-    flat = re.sub(r"\s*\^\s*", "^", unit.replace("**", "^").replace("*", " ").replace("·", " "))
-    for index, part in enumerate([] if "(" in flat else flat.split("/")):
-        for token in part.split():
-            match = re.fullmatch(r"([A-Za-zΩµ°%1]+)(?:\^(-?\d))?", token)
-            name = match and {"1": "number", "%": "number", "K": "temperature", "N": "force"}.get(
-                match.group(1), _DIMENSION_OF.get(match.group(1))
-            )
-            if match is None or name is None:
-                return _dimension_by_pint(unit)
-            power = int(match.group(2) or 1) * (1 if index == 0 else -1)
-            total = [old + power * new for old, new in zip(total, _EXPONENTS[name], strict=True)]
-    return _dimension_by_pint(unit) if "(" in flat else tuple(total)
+    parts = _factors_of(unit)
+    if parts is None:
+        return _dimension_by_pint(unit)
+    for base, power in parts:
+        name = {"1": "number", "%": "number", "K": "temperature"}.get(base, _DIMENSION_OF.get(base))
+        if name is None and base != "N":
+            return _dimension_by_pint(unit)
+        exponents = DIMENSIONS[name].exponents if name is not None else (1, 1, -2, 0, 0)
+        total = [old + power * new for old, new in zip(total, exponents, strict=True)]
+    return tuple(total)
 
 
 def _dimension_by_pint(unit: str) -> tuple[int, ...] | None:
