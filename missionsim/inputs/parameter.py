@@ -82,6 +82,14 @@ class Issue(ValueError):
         self.entry = {"message": message, "got": got, "allowed": allowed, "hint": hint, "at": at}
 
 
+class Issues(list[Issue]):
+    """What is wrong with one quantity."""
+
+    def tell(self, message: str, got: str, allowed: str, hint: str = "", at: tuple[str | int, ...] = ()) -> None:
+        """One more thing that is wrong."""
+        self.append(Issue(message, got, allowed, hint, at))
+
+
 def parameters(model: object) -> list[tuple[str, Parameter]]:
     """Paths and parameters of all numbers that a model's file gives, in the file's order."""
     result: list[tuple[str, Parameter]] = []

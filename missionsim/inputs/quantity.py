@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError, core_schema
 
 from missionsim.inputs import units
 from missionsim.inputs.distributions import KINDS
-from missionsim.inputs.parameter import STATUSES, Issue, Parameter
+from missionsim.inputs.parameter import STATUSES, Issue, Issues, Parameter
 from missionsim.inputs.tree import as_written
 from missionsim.inputs.uncertain import UncertainReader
 
@@ -68,31 +68,22 @@ class QuantityOf(UncertainReader):
             "type": "object",
             "additionalProperties": False,
             "properties": {
-                "value": part,
-                "sd": part,
-                "low": part,
-                "high": part,
+                **dict.fromkeys(("value", "sd", "low", "high"), part),
                 "distribution": {
                     "type": "object",
                     "additionalProperties": False,
                     "required": ["kind"],
                     "properties": {
                         "kind": {"enum": list(KINDS)},
-                        "mean": part,
-                        "sd": part,
-                        "low": part,
-                        "high": part,
-                        "mode": part,
+                        **dict.fromkeys(("mean", "sd", "low", "high", "mode"), part),
                         "values": {"type": "array", "items": part},
                         "weights": {"type": "array", "items": {"type": "number", "minimum": 0}},
-                        "file": {"type": "string"},
-                        "column": {"type": "string"},
+                        **{key: {"type": "string"} for key in ("file", "column")},
                     },
                 },
                 "unit": {"type": "string"},
                 "status": {"enum": list(STATUSES)},
-                "source": {"type": "string"},
-                "note": {"type": "string"},
+                **{key: {"type": "string"} for key in ("source", "note")},
             },
         }
         what = self._allowed()
@@ -112,7 +103,7 @@ class QuantityOf(UncertainReader):
     def _validate(self, raw: Any, info: core_schema.ValidationInfo) -> Parameter:
         if isinstance(raw, Parameter):
             return raw
-        issues: list[Issue] = []
+        issues = Issues()
         parameter = None
         try:
             if isinstance(raw, Mapping):
@@ -159,7 +150,7 @@ class QuantityOf(UncertainReader):
             raise Issue("number too large", as_written(raw), allowed, at=at) from None
         return _finite(value, raw, allowed, at), units.DIMENSIONS[self.dimension].si if self.dimension else unit
 
-    def _check_range(self, parameter: Parameter, raw: Any, issues: list[Issue]) -> None:
+    def _check_range(self, parameter: Parameter, raw: Any, issues: Issues) -> None:
         """Nominal value and given range inside what is physically possible."""
         si = units.DIMENSIONS[self.dimension].si if self.dimension else parameter.unit
         shown = "" if si == "1" else f" {si}"
@@ -172,13 +163,7 @@ class QuantityOf(UncertainReader):
             allowed = f"at most {self.high:g}{shown}"
         distribution = parameter.distribution
         candidates = [("value", parameter.value), ("low", parameter.low), ("high", parameter.high)]
-        if distribution is not None and distribution.kind in (
-            "uniform",
-            "triangular",
-            "discrete",
-            "empirical",
-            "truncated_normal",
-        ):
+        if distribution is not None and distribution.kind not in ("normal", "lognormal"):
             low = min(distribution.values) if distribution.values else distribution.low
             high = max(distribution.values) if distribution.values else distribution.high
             candidates += [("distribution", low), ("distribution", high)]
@@ -197,7 +182,7 @@ class QuantityOf(UncertainReader):
                     allowed += f", at most {self.high:g}{shown}"
                 if self.dimension == "fraction" and 1 < number <= 100 and isinstance(given, (int, float)):
                     hint = f"{given:g} %"
-                issues.append(Issue("impossible value", as_written(given), allowed, hint, at))
+                issues.tell("impossible value", as_written(given), allowed, hint, at)
                 return
 
 

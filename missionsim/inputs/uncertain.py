@@ -11,7 +11,7 @@ from typing import Any
 from missionsim.errors import did_you_mean
 from missionsim.inputs import units
 from missionsim.inputs.distributions import KINDS, Distribution
-from missionsim.inputs.parameter import STATUSES, Issue, Parameter
+from missionsim.inputs.parameter import STATUSES, Issue, Issues, Parameter
 from missionsim.inputs.tree import as_written
 
 _KEYS = ("value", "sd", "low", "high", "distribution", "unit", "status", "source", "note")
@@ -66,36 +66,30 @@ class UncertainReader:
         except units.UnitError:
             return 0.0
 
-    def _mapping(self, raw: Mapping[str, Any], issues: list[Issue], folder: Path | None) -> Parameter | None:
+    def _mapping(self, raw: Mapping[str, Any], issues: Issues, folder: Path | None) -> Parameter | None:
         for key in raw:
             if key not in _KEYS:
-                issues.append(
-                    Issue(f"unknown key '{key}'", str(key), ", ".join(_KEYS), did_you_mean(str(key), _KEYS), (key,))
-                )
+                issues.tell(f"unknown key '{key}'", str(key), ", ".join(_KEYS), did_you_mean(str(key), _KEYS), (key,))
         texts = {}
         for key in ("unit", "status", "source", "note"):
             text = raw.get(key, "")
             if not isinstance(text, str):
-                issues.append(Issue(f"{key} must be text", as_written(text), "text", at=(key,)))
+                issues.tell(f"{key} must be text", as_written(text), "text", at=(key,))
                 text = ""
             texts[key] = text
         if texts["status"] and texts["status"] not in STATUSES:
-            issues.append(
-                Issue(
-                    "unknown status",
-                    as_written(texts["status"]),
-                    ", ".join(STATUSES),
-                    did_you_mean(texts["status"], STATUSES),
-                    ("status",),
-                )
+            issues.tell(
+                "unknown status",
+                as_written(texts["status"]),
+                ", ".join(STATUSES),
+                did_you_mean(texts["status"], STATUSES),
+                ("status",),
             )
         given: dict[str, float | None] = {"value": None, "low": None, "high": None, "sd": None}
         unit = texts["unit"]
         if unit and self.dimension:
-            issues.append(
-                Issue(
-                    "unit belongs beside the number", as_written(unit), units.allowed_text(self.dimension), at=("unit",)
-                )
+            issues.tell(
+                "unit belongs beside the number", as_written(unit), units.allowed_text(self.dimension), at=("unit",)
             )
         failed = False
         for key in ("value", "low", "high"):
@@ -123,13 +117,8 @@ class UncertainReader:
             return None
         value, low, high, sd = given["value"], given["low"], given["high"], given["sd"]
         if low is not None and high is not None and low > high:
-            issues.append(
-                Issue(
-                    "low above high",
-                    f"{as_written(raw['low'])} > {as_written(raw['high'])}",
-                    "low <= high",
-                    at=("low",),
-                )
+            issues.tell(
+                "low above high", f"{as_written(raw['low'])} > {as_written(raw['high'])}", "low <= high", at=("low",)
             )
             return None
         if value is None and distribution is not None:
@@ -137,17 +126,15 @@ class UncertainReader:
         if value is None and low is not None and high is not None:
             value = (low + high) / 2
         if value is None:
-            issues.append(Issue("no value", as_written(raw), "value, low and high, or a distribution"))
+            issues.tell("no value", as_written(raw), "value, low and high, or a distribution")
             return None
         outside = (low is not None and value < low) or (high is not None and value > high)
         if outside:
-            issues.append(
-                Issue(
-                    "value outside its own low and high",
-                    as_written(raw.get("value")),
-                    f"{as_written(raw.get('low'))} to {as_written(raw.get('high'))}",
-                    at=("value",),
-                )
+            issues.tell(
+                "value outside its own low and high",
+                as_written(raw.get("value")),
+                f"{as_written(raw.get('low'))} to {as_written(raw.get('high'))}",
+                at=("value",),
             )
         if distribution is None:
             distribution = self._implied(value, sd, low, high)
@@ -177,32 +164,26 @@ class UncertainReader:
             return Distribution("uniform", low=low, high=high)
         return None
 
-    def _distribution(
-        self, raw: Any, value: float | None, issues: list[Issue], folder: Path | None
-    ) -> Distribution | None:
+    def _distribution(self, raw: Any, value: float | None, issues: Issues, folder: Path | None) -> Distribution | None:
         where: tuple[str | int, ...] = ("distribution",)
         if not isinstance(raw, Mapping):
-            issues.append(Issue("a distribution is a mapping", as_written(raw), "{kind: normal, sd: …}", at=where))
+            issues.tell("a distribution is a mapping", as_written(raw), "{kind: normal, sd: …}", at=where)
             return None
         kind = raw.get("kind")
         if kind not in KINDS:
             hint = did_you_mean(kind, KINDS) if isinstance(kind, str) else ""
-            issues.append(
-                Issue("unknown kind of distribution", as_written(kind), ", ".join(KINDS), hint, (*where, "kind"))
-            )
+            issues.tell("unknown kind of distribution", as_written(kind), ", ".join(KINDS), hint, (*where, "kind"))
             return None
         needs = _NEEDS[kind]
         before = len(issues)
         for key in raw:
             if key != "kind" and key not in needs:
-                issues.append(
-                    Issue(
-                        f"unknown key '{key}' of {_a(kind)} distribution",
-                        str(key),
-                        ", ".join(("kind", *needs)),
-                        did_you_mean(str(key), needs),
-                        (*where, key),
-                    )
+                issues.tell(
+                    f"unknown key '{key}' of {_a(kind)} distribution",
+                    str(key),
+                    ", ".join(("kind", *needs)),
+                    did_you_mean(str(key), needs),
+                    (*where, key),
                 )
         if kind in ("discrete", "empirical"):
             return self._from_values(raw, kind, issues, where, folder, before)
@@ -225,18 +206,16 @@ class UncertainReader:
         optional = ("low", "high") if kind == "truncated_normal" else ()
         for key in needs:
             if numbers.get(key) is None and key not in optional:
-                issues.append(
-                    Issue(f"{_a(kind)} distribution needs '{key}'", as_written(raw), ", ".join(needs), at=where)
-                )
+                issues.tell(f"{_a(kind)} distribution needs '{key}'", as_written(raw), ", ".join(needs), at=where)
         if len(issues) > before:
             return None
         low, high, mode, mean = (numbers.get(key) for key in ("low", "high", "mode", "mean"))
         if low is not None and high is not None and low >= high:
-            issues.append(Issue("low must be below high", as_written(raw), "low < high", at=where))
+            issues.tell("low must be below high", as_written(raw), "low < high", at=where)
         elif mode is not None and low is not None and high is not None and not low <= mode <= high:
-            issues.append(Issue("mode outside low and high", as_written(mode), "low <= mode <= high", at=where))
+            issues.tell("mode outside low and high", as_written(mode), "low <= mode <= high", at=where)
         elif kind == "lognormal" and (mean is None or mean <= 0):
-            issues.append(Issue("a lognormal distribution needs a mean above 0", as_written(mean), "> 0", at=where))
+            issues.tell("a lognormal distribution needs a mean above 0", as_written(mean), "> 0", at=where)
         if len(issues) > before:
             return None
         return Distribution(kind, mean, numbers.get("sd"), low, high, mode)
@@ -258,7 +237,7 @@ class UncertainReader:
         self,
         raw: Mapping[str, Any],
         kind: str,
-        issues: list[Issue],
+        issues: Issues,
         where: tuple[str | int, ...],
         folder: Path | None,
         before: int,
