@@ -366,7 +366,9 @@ def diagnose_battery(
         left = depends_on(proposed, left)
     return noted(
         BatteryDiagnosis(
-            verdict=decide(effects, remains, found.demoted, law=bool(proposed), execution=execution, averages=averages),
+            verdict=decide(
+                effects, remains, found.demoted, law=_louder(proposed, effects), execution=execution, averages=averages
+            ),
             effects=effects,
             candidates=(*candidates, *told_of(driven)),
             proposed_laws=proposed,
@@ -448,6 +450,12 @@ def _as_finding(one: ExecutionEffect) -> Finding:
         level="identified",
         remark=one.reason,
     )
+
+
+def _louder(laws: Sequence[Proposal], effects: Sequence[Finding]) -> bool:
+    """Whether a proposed law says more than every effect that is named; a lesser one is told and takes nothing back."""
+    named = max((abs(effect.energy_share) for effect in effects), default=0.0)
+    return any(abs(law.energy_share) > named for law in laws)
 
 
 def _next(subject: Subject, seen: Examined, effects: Sequence[Finding], settings: Settings) -> tuple[Experiment, ...]:
