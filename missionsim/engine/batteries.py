@@ -23,6 +23,10 @@ from missionsim.engine.solve import adaptive_runge_kutta, root
 
 Array = NDArray[np.float64]
 CHARGING, HELD = 1, 2
+"""What a charger does to a battery; more than 2 is charging in that piece of its taper, counted from 2."""
+Taper = tuple[tuple[float, float], ...]
+"""Up to which fraction of the capacity which part of the charger's power goes into the battery, the last up to 1."""
+FLAT: Taper = ((1.0, 1.0),)
 _CLEAR = 1e-6
 """State of charge, volts and share of the power by which a margin must be positive to be certainly so."""
 
@@ -102,6 +106,11 @@ class Battery(Protocol):
         """State at the start."""
         ...
 
+    @property
+    def taper(self) -> Taper:
+        """How charging slows down as the battery fills."""
+        ...
+
     def after(self, state: float, loads: Loads) -> Array:
         """State at the end of each interval, shape (n,)."""
         ...
@@ -141,6 +150,7 @@ class ConstantEnergy:
     name: str
     capacity_j: float
     initial: float
+    taper: Taper = FLAT
 
     def after(self, state: float, loads: Loads) -> Array:
         """Energy left at the end of each interval [J]."""
@@ -219,6 +229,7 @@ class EquivalentCircuit:
     peukert: float = 1.0
     rated_time_s: float = 72000.0
     cut_off_v: float = 0.0
+    taper: Taper = FLAT
 
     @cached_property
     def _knots(self) -> tuple[list[float], list[float], list[float]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -11,8 +12,17 @@ from missionsim.inputs.battery import BatterySpec
 from missionsim.inputs.battery import EquivalentCircuit as CircuitSpec
 from missionsim.inputs.values import Parameter
 
+PIECES = 8
+"""Of constant power in which a battery's charge is topped up at constant voltage."""
 
-def build_battery(name: str, spec: BatterySpec, number: Callable[[Parameter], float], initial: float) -> Battery:
+
+def build_battery(
+    name: str,
+    spec: BatterySpec,
+    number: Callable[[Parameter], float],
+    initial: float,
+    temperature_c: float | None = None,
+) -> Battery:
     """The battery of a robot file.
 
     Parameters
@@ -23,6 +33,8 @@ def build_battery(name: str, spec: BatterySpec, number: Callable[[Parameter], fl
         Value of a parameter, drawn or nominal.
     initial : float
         State of charge at the start, as a fraction.
+    temperature_c : float, optional
+        Ambient, for batteries whose capacity or resistance depends on it.
 
     Notes
     -----
@@ -31,10 +43,12 @@ def build_battery(name: str, spec: BatterySpec, number: Callable[[Parameter], fl
     """
     factor = spec.nominal_voltage.value if spec.capacity.unit == "C" and spec.nominal_voltage else 1.0
     new_j = number(spec.capacity) * factor
-    aged = number(spec.model.ageing)
+    over = spec.over_temperature
+    aged = number(spec.model.ageing) * (1.0 if over is None else _at(over.capacity, temperature_c, number))
+    steps = _taper(spec, number)
     if not isinstance(spec.model, CircuitSpec):
         capacity = new_j * aged
-        return ConstantEnergy(name, capacity, initial * capacity)
+        return ConstantEnergy(name, capacity, initial * capacity, steps)
     circuit = spec.model
     states = np.array([number(point[0]) for point in circuit.open_circuit_voltage])
     volts = np.array([number(point[1]) for point in circuit.open_circuit_voltage])
@@ -48,8 +62,34 @@ def build_battery(name: str, spec: BatterySpec, number: Callable[[Parameter], fl
         initial,
         charge * aged,
         (states, volts),
-        number(circuit.resistance),
+        number(circuit.resistance) * (1.0 if over is None else _at(over.resistance, temperature_c, number)),
         number(circuit.peukert),
         number(circuit.rated_time),
         0.0 if circuit.cut_off is None else number(circuit.cut_off),
+        steps,
     )
+
+
+def _at(curve: Any, temperature_c: float | None, number: Callable[[Parameter], float]) -> Any:
+    """What a curve over temperature gives; 1 without a curve or where no temperature is known."""
+    if curve is None or temperature_c is None:
+        return 1.0
+    points = [[number(value) for value in point] for point in curve]
+    made = np.interp(temperature_c, *zip(*points, strict=True))
+    return float(made) if made.ndim == 0 else made
+
+
+def _taper(spec: BatterySpec, number: Callable[[Parameter], float]) -> tuple[tuple[float, float], ...]:
+    """Up to which charge which part of the full power goes into a battery; the last up to full.
+
+    At constant voltage current and power fall in proportion to what is missing, down to `end_power`. The pieces take
+    as long as this does: their power is the logarithmic mean of that at their ends.
+    """
+    taper = spec.charge_taper
+    if taper is None or (end := number(taper.end_power)) >= 1.0:
+        return ((1.0, 1.0),)
+    begin = number(taper.from_)
+    levels = np.linspace(begin, 1.0, PIECES + 1)
+    powers = np.linspace(1.0, end, PIECES + 1)
+    parts = (powers[:-1] - powers[1:]) / np.log(powers[:-1] / powers[1:])
+    return ((begin, 1.0), *zip(levels[1:].tolist(), parts.tolist(), strict=True))

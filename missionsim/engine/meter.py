@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.effects.timeline import Timeline
-from missionsim.engine.batteries import Battery, Loads
+from missionsim.engine.batteries import CHARGING, HELD, Battery, Loads
 from missionsim.engine.outcome import Alarm
 from missionsim.engine.recorder import Recorder, Row, timeline
 from missionsim.errors import InputError
@@ -235,7 +235,12 @@ class Meter:
             total = np.add.reduce(list(answer.energies[name].values())) if answer.energies[name] else nothing
             if not np.isfinite(total).all():
                 self._refuse_nan(answer)
-            found[name] = Loads(name, answer.line, total, modes[:, i], power, self.model, self.values)
+            mode = modes[:, i]
+            if (mode > HELD).any():  # the taper is of what goes into the battery
+                parts = np.array([part for _, part in self.batteries[name].taper])[np.maximum(mode - HELD, 0)]
+                slowed = np.minimum(power, parts * power + total / answer.line.duration_s)
+                power, mode = np.where(mode > HELD, slowed, power), np.where(mode > HELD, CHARGING, mode)
+            found[name] = Loads(name, answer.line, total, mode, power, self.model, self.values)
         return found
 
 

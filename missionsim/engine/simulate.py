@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -127,7 +127,9 @@ class RunSetup:
         self.again: Generator | None = None
         robot = mission.robot
         self.batteries = {
-            name: build_battery(name, spec, self._robot_number, self._initial(name, spec))
+            name: build_battery(
+                name, spec, self._robot_number, self._initial(name, spec), self._temperature(name, spec)
+            )
             for name, spec in robot.batteries.items()
         }
         asked = {name: reserve_of(mission.policy.reserve, name) for name in robot.batteries}
@@ -155,6 +157,22 @@ class RunSetup:
     def _initial(self, name: str, spec: BatterySpec) -> float:
         own = self.mission.initial_charge.get(name)
         return self._robot_number(spec.initial_charge) if own is None else self.number(own)
+
+    def _temperature(self, name: str, spec: BatterySpec) -> float | None:
+        """Ambient temperature where the mission begins, for batteries that depend on it."""
+        if spec.over_temperature is None:
+            return None
+        known = dict(self.plan.legs[0].settings.extra).get("temp_ambient_c") if self.plan.legs else None
+        if known is None:
+            document = self.mission.robot.document
+            assert document is not None
+            allowed = (
+                "defaults: {temperature: 5 degC} in the mission, or ambient: {temperature: 5 degC} in its environment"
+            )
+            where = ("batteries", name, "over_temperature")
+            told = f"battery '{name}' depends on the temperature, and mission '{self.mission.name}' does not say it"
+            raise InputError(document.fault(where, told, allowed=allowed, key=True))
+        return cast("float", known)
 
     def _robot_number(self, parameter: Parameter) -> float:
         return self.number(parameter, "robot.")

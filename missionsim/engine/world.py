@@ -113,6 +113,7 @@ class World:
         self.excursions: list[list[float]] = []
         self.rounds: dict[int, int] = {leg.gate.block: 0 for leg in plan.legs if leg.gate is not None}
         self._ended: set[int] = set()
+        self._passed: set[tuple[str, int]] = set()
         self._batteries = batteries
         self._phases: tuple[Phase, ...] = ()
         if any(activity.every_s is not None for activity in plan.activities):
@@ -373,6 +374,17 @@ class World:
             return self.signals.wait("place", trigger.place)
         return self.signals.wait(edge, trigger.segment)
 
+    def _goal(self, name: str, level: float) -> tuple[float, int, bool]:
+        """To which state a battery is charged next, in which mode, and whether that is all; its taper has pieces."""
+        battery, state = self._batteries[name], self.meter.state[name]
+        for piece, (upper, _) in enumerate(battery.taper):
+            mode = CHARGING if piece == 0 else HELD + piece
+            if upper >= level:
+                return battery.state_of(level), mode, True
+            if state < battery.state_of(upper) and (name, mode) not in self._passed:
+                return battery.state_of(upper), mode, False
+        return battery.state_of(level), CHARGING, True
+
     def _recharge(self, recharge: Recharge) -> Generator[simpy.Event, Any, None]:
         env, recorder, meter = self.env, self.recorder, self.meter
         dock = self.docks.setdefault(recharge.place, simpy.Resource(env, max(1, recharge.slots)))
@@ -382,6 +394,7 @@ class World:
         with dock.request() as slot:
             yield slot
             began = env.now
+            self._passed = set()
             full: set[str] | None = None
             try:
                 while env.now < deadline:
@@ -398,18 +411,17 @@ class World:
                     active = [name for name in recharge.batteries if name not in full]
                     if not active and recharge.until is not None:
                         return
+                    goals = {name: self._goal(name, level) for name in active}
                     recorder.charge(
                         tuple(
-                            0 if name not in recharge.batteries else HELD if name in full else CHARGING
+                            0 if name not in recharge.batteries else HELD if name in full else goals[name][1]
                             for name in order
                         )
                     )
                     times: dict[str, float] = {}
                     while True:
                         for name in active:
-                            if name not in times and (
-                                (found := meter.time_to(name, self._batteries[name].state_of(level))) is not None
-                            ):
+                            if name not in times and ((found := meter.time_to(name, goals[name][0])) is not None):
                                 times[name] = found
                         if len(times) == len(active) or span >= min(left, LONGEST_LOOK_S):
                             break
@@ -424,7 +436,9 @@ class World:
                     ring = env.timeout(soonest)
                     yield ring | recorder.changed
                     if ring.triggered and ring.processed and times and wait <= left:
-                        full |= {name for name, seconds in times.items() if seconds <= wait}
+                        reached = {name for name, seconds in times.items() if seconds <= wait}
+                        full |= {name for name in reached if goals[name][2]}
+                        self._passed |= {(name, goals[name][1]) for name in reached}
             finally:
                 recorder.changed = None
                 recorder.charge((0,) * len(order))

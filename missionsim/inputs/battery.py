@@ -17,7 +17,9 @@ from missionsim.inputs.values import (
     Power,
     QuantityOf,
     Resistance,
+    Temperature,
     Voltage,
+    quantity,
 )
 
 
@@ -88,6 +90,38 @@ BatteryModel = Annotated[
 ]
 
 
+class TaperSpec(Model):
+    """Constant current up to a charge, then constant voltage: the power into the battery falls to a part when full."""
+
+    from_: Fraction = Field(alias="from")
+    end_power: Efficiency
+
+    @model_validator(mode="after")
+    def _below_full(self) -> "TaperSpec":
+        if self.from_.value >= 1.0:
+            raise wrong("a taper that begins when the battery is full", "100 %", "from: 80 %", "from")
+        return self
+
+
+Relative = Annotated[Parameter, quantity("fraction", 0.0, 100.0, strict=True)]
+Curve = Annotated[tuple[tuple[Temperature, Relative], ...], Field(min_length=2, max_length=1000)]
+
+
+class TemperatureSpec(Model):
+    """Capacity and resistance over the ambient temperature, relative to what the file gives; flat beyond the ends."""
+
+    capacity: Curve | None = None
+    resistance: Curve | None = None
+
+    @model_validator(mode="after")
+    def _rising(self) -> "TemperatureSpec":
+        for key in ("capacity", "resistance"):
+            degrees = [point[0].value for point in getattr(self, key) or ()]
+            if any(later <= earlier for earlier, later in pairwise(degrees)):
+                raise wrong("temperatures must increase", degrees, "[[0 degC, 80 %], [25 degC, 100 %]]", key)
+        return self
+
+
 class BatterySpec(Model):
     """One battery. `capacity` is in J, or in C where the file gives Ah: use `capacity_j`."""
 
@@ -98,6 +132,8 @@ class BatterySpec(Model):
     model: BatteryModel = ConstantEnergy.model_construct()
     max_charge_power: Power | None = None
     charge_efficiency: Efficiency = Parameter(1.0, status="assumed")
+    charge_taper: TaperSpec | None = None
+    over_temperature: TemperatureSpec | None = None
 
     @model_validator(mode="after")
     def _voltage_known(self) -> "BatterySpec":

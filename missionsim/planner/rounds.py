@@ -80,7 +80,7 @@ class Shift:
         for k, kind in enumerate(order):
             spare = max(0.0, k * self.every_s - x[1])
             need = x[2:] + self.use[kind, 2:] - (physics.capacity_wh - (reserve if k + 1 == len(order) else keep))
-            seconds = self._seconds(need)
+            seconds = self._seconds(x, need)
             if not math.isfinite(seconds):
                 return None
             if spare > seconds and self.charger is not None:
@@ -107,13 +107,14 @@ class Shift:
         answer.charge_left_wh = dict(zip(physics.names, (physics.capacity_wh - x[2:]).tolist(), strict=True))
         return answer
 
-    def _seconds(self, need: Array) -> float:
+    def _seconds(self, x: Array, need: Array) -> float:
         """How long to charge for what is needed, with a little more than rounding takes."""
         if (need <= 0.0).all():
             return 0.0
         if self.charger is None or (self.charger.gain_w[need > 0.0] <= 0.0).any():
             return math.inf
-        return float((need[need > 0.0] * 3600.0 / self.charger.gain_w[need > 0.0]).max()) * (1.0 + 1e-9) + 1e-6
+        wanted = 1.0 - (x[2:] - np.maximum(need, 0.0)) / self.site.physics.capacity_wh
+        return float(self.charger.seconds_to(x, np.minimum(wanted, 1.0)).max()) * (1.0 + 1e-9) + 1e-6
 
     def _energy(self, joules: Array) -> dict[str, float]:
         return dict(zip(self.site.physics.names, (joules / 3600.0).tolist(), strict=True))

@@ -54,7 +54,7 @@ class Charger:
     Attributes
     ----------
     gain_w : ndarray, shape (batteries,)
-        What comes in less what the robot draws; 0 or less where it is not charged.
+        What comes in less what the robot draws, before the charge tapers off; 0 or less where it is not charged.
     draw_w : ndarray, shape (batteries,)
         What the robot draws while docked.
     served : ndarray of bool, shape (batteries,)
@@ -63,6 +63,8 @@ class Charger:
         Objective for a second at the dock.
     levels : tuple of float or None
         Fractions that may be charged to; None for any.
+    tapers : tuple of (tuple of (level, gain))
+        Of each battery, up to which fraction of its capacity what comes in less what the robot draws [W].
     """
 
     gain_w: Array
@@ -71,6 +73,7 @@ class Charger:
     capacity_wh: Array
     rate: float
     levels: tuple[float, ...] | None = None
+    tapers: tuple[tuple[tuple[float, float], ...], ...] = ()
 
     def after(self, x: Array, seconds: float, level: float = 1.0) -> Array:
         """The vector after charging for some time, batteries held at a level once there."""
@@ -80,16 +83,40 @@ class Charger:
         count = len(self.gain_w)
         missing = x[2 : 2 + count]
         floor = (1.0 - level) * self.capacity_wh
-        charged = np.maximum(missing - self.gain_w * seconds / 3600.0, np.minimum(floor, missing))
+        charged = np.array([self._charged(b, float(missing[b]), seconds) for b in range(count)])
+        charged = np.maximum(charged, np.minimum(floor, missing))
         made[2 : 2 + count] = np.where(self.served, charged, missing + self.draw_w * seconds / 3600.0)
         return made
 
-    def seconds_to(self, x: Array, level: float) -> Array:
+    def _charged(self, battery: int, missing: float, seconds: float) -> float:
+        """What a battery lacks after charging for some time [Wh]."""
+        capacity, left = float(self.capacity_wh[battery]), seconds
+        for upper, gain in self.tapers[battery]:
+            there = (1.0 - upper) * capacity
+            if missing <= there:
+                continue
+            needed = (missing - there) * 3600.0 / gain if gain > 0.0 else math.inf
+            if needed >= left:
+                return missing - gain * left / 3600.0
+            missing, left = there, left - needed
+        return missing
+
+    def seconds_to(self, x: Array, level: float | Array) -> Array:
         """Time until each battery served is at a level, shape (batteries,); infinite where it never is."""
-        missing = x[2 : 2 + len(self.gain_w)] - (1.0 - level) * self.capacity_wh
-        with np.errstate(divide="ignore", invalid="ignore"):
-            needed = np.where(self.gain_w > 0.0, missing * 3600.0 / self.gain_w, math.inf)
-        return np.where(self.served & (missing > 0.0), needed, 0.0)
+        count = len(self.gain_w)
+        made = np.zeros(count)
+        for b, asked in enumerate(np.broadcast_to(level, count).tolist()):
+            missing, capacity = float(x[2 + b]), float(self.capacity_wh[b])
+            if not self.served[b]:
+                continue
+            for upper, gain in self.tapers[b]:
+                there = (1.0 - min(upper, asked)) * capacity
+                if missing > there:
+                    made[b] += (missing - there) * 3600.0 / gain if gain > 0.0 else math.inf
+                    missing = there
+                if upper >= asked:
+                    break
+        return made
 
     def level_of(self, x: Array, seconds: float) -> float | None:
         """The level that charging for some time comes to; None where any charge may be had."""
@@ -106,7 +133,8 @@ class Charger:
                 if 0.0 < seconds < math.inf:
                     made.append(self.after(x, seconds, level)[None, :])
             return made
-        times = self.seconds_to(x, 1.0)
+        levels = sorted({upper for taper in self.tapers for upper, _ in taper})
+        times = np.concatenate([self.seconds_to(x, level) for level in levels])
         knots = sorted({float(t) for t in times if 0.0 < t < math.inf})
         return [np.array([x, *(self.after(x, t) for t in knots)])] if knots else []
 
@@ -258,7 +286,12 @@ def _charger(site: Site, leg: Leg) -> Charger:
     rate = float(site.objective(np.array([1.0, *(draw / 3600.0)])))
     levels = site.task.choose.charge
     chosen = None if levels == "any" else tuple(sorted({level.value for level in levels}))
-    return Charger(np.where(served, power - draw, -draw), draw, served, physics.capacity_wh, rate, chosen)
+    gain = np.where(served, power - draw, -draw)
+    tapers = tuple(
+        tuple((upper, float(min(gain[b], part * power[b]))) for upper, part in battery.taper) if served[b] else ()
+        for b, battery in enumerate(physics.setup.batteries.values())
+    )
+    return Charger(gain, draw, served, physics.capacity_wh, rate, chosen, tapers)
 
 
 class Tour:

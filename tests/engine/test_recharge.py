@@ -115,3 +115,44 @@ def test_charging_takes_rounds_away() -> None:
 def test_what_cannot_be_is_told(segment: dict[str, Any], told: str) -> None:
     with pytest.raises(InputError, match=told):
         simulate(load({"segments": [segment], "start": "home"}, None, SITE))
+
+
+@pytest.mark.parametrize("end", [0.05, 0.3])
+def test_a_taper_takes_as_long_as_constant_voltage_does(end: float) -> None:
+    """A charge whose power falls in proportion to what is missing: (1 - s0) C / (P (1 - r)) ln(1 / r)."""
+    taper = {"charge_taper": {"from": 0.75, "end_power": end}, "initial_charge": 0.5}
+    made = robot(batteries={"main": {"capacity": "10 Wh", **taper}, "aux": {"capacity": "100 Wh"}})
+    made["motion"]["parameters"]["standing"] = 0.0
+    made["components"] = {"boards": {"always_on": True, "loads": [{"battery": "aux", "power": 3.0}]}}
+    made["effects"] = []
+    result = run([{"dock": {"recharge": {"until": 1.0, "batteries": ["main"]}}}], made, SITE, start="home")
+    slow = 2.5 / (80.0 * (1.0 - end)) * np.log(1.0 / end)
+    assert result.dock_s / 3600.0 == pytest.approx(2.5 / 80.0 + slow, rel=1e-9)
+    assert result.batteries["main"].charge_left_wh == pytest.approx(10.0, rel=1e-9)
+
+
+def test_a_taper_charges_although_its_end_is_less_than_the_robot_draws() -> None:
+    batteries = {"main": {"capacity": "6 Wh", "charge_taper": {"from": 0.5, "end_power": 0.01}, "initial_charge": 0.2}}
+    made = robot(batteries=batteries | {"aux": {"capacity": "100 Wh"}})
+    result = run([{"dock": {}}], made, SITE, start="home")
+    main = result.batteries["main"]
+    assert main.charge_left_wh == pytest.approx(6.0, rel=1e-9)
+    assert main.initial_wh + main.charged_wh - main.energy_wh == pytest.approx(6.0, rel=1e-9)
+
+
+def test_capacity_and_resistance_over_temperature() -> None:
+    over = {"capacity": [["0 degC", 0.5], ["20 degC", 1.0]], "resistance": [["0 degC", 3.0], ["20 degC", 1.0]]}
+    made = robot(batteries__main__over_temperature=over)
+    wait = [{"wait": {"duration": "60 s"}}]
+    for degrees, part in ((-10.0, 0.5), (10.0, 0.75), (20.0, 1.0), (35.0, 1.0)):
+        result = run(wait, made, defaults={"temperature": degrees})
+        assert result.batteries["main"].capacity_wh == pytest.approx(200.0 * part, rel=1e-12)
+    with pytest.raises(InputError, match="depends on the temperature") as told:
+        run(wait, made)
+    assert told.value.faults[0].line
+    circuit = {"kind": "equivalent_circuit", "open_circuit_voltage": [[0, 12.0], [1, 12.0]], "resistance": 0.5}
+    made["batteries"]["main"] |= {"model": circuit, "nominal_voltage": 12.0}
+    losses = [
+        run(wait, made, defaults={"temperature": degrees}).batteries["main"].internal_loss_wh for degrees in (0.0, 20.0)
+    ]
+    assert losses[0] == pytest.approx(3.0 * losses[1], rel=0.2)

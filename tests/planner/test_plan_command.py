@@ -99,3 +99,20 @@ def test_bad_tasks_are_told_where_they_are(
     task = root / "missions/planning/inspection.yaml"
     assert run_command(["plan", str(task), "--set", setting, "--quiet"]) == 2
     assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("charge", ["any", "[80 %, 100 %]"])
+def test_a_plan_charges_along_the_taper_that_the_run_has(root: Path, tmp_path: Path, charge: str) -> None:
+    robot = ["robot.batteries.drive.capacity=5 Wh"]
+    robot += [f"robot.batteries.{name}.charge_taper={{from: 70 %, end_power: 10 %}}" for name in ("drive", "computer")]
+    choose = ("choose.docks=all", f"choose.charge={charge}", "choose.speeds=[0.7]", "choose.schemes=[seen]")
+    free = plan(root, tmp_path, TWO, robot[0], *choose)
+    slow = plan(root, tmp_path, TWO, *robot, *choose)
+    assert slow["objective"] >= free["objective"] * (1 - 1e-12)
+    target = tmp_path / "run.json"
+    chosen = [part for text in robot for part in ("--set", text)]
+    assert run_command(["run", str(tmp_path / "mission.yaml"), *chosen, "--json", str(target), "--quiet"]) == 0
+    run = json.loads(target.read_text())
+    assert slow["duration_s"] == pytest.approx(run["duration_s"], rel=1e-9)
+    for name, battery in slow["batteries"].items():
+        assert battery["charge_left_wh"] == pytest.approx(run["batteries"][name]["charge_left_wh"], rel=1e-9)
