@@ -349,7 +349,7 @@ def _needs(formula: Expression, own: Collection[str]) -> tuple[str, ...]:
     return tuple(sorted({ALIASES.get(name, name) for name in formula.names - set(own)} - {"mass_kg"}))
 
 
-def aliased(cov: Covariates) -> dict[str, Any]:
+def aliased(cov: Covariates) -> Covariates:
     """Covariates under their own and their short names.
 
     ``v`` is how fast, forwards or backwards, and ``a`` the rate of that: a robot that reverses draws power as well, and

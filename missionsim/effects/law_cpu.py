@@ -7,13 +7,10 @@ hardest environment), from which the load follows as the time of one batch times
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
-from missionsim.effects.base import ParameterSpec
-from missionsim.effects.covariates import Covariates
+from missionsim.effects.base import Parameters, ParameterSpec
+from missionsim.effects.covariates import Covariates, Value
 from missionsim.physics import processor
 
 PARAMETERS: tuple[ParameterSpec, ...] = (
@@ -35,17 +32,17 @@ PARAMETERS: tuple[ParameterSpec, ...] = (
 NEEDS = ("speed_m_s",)
 
 
-def clock(cov: Covariates, p: Mapping[str, Any]) -> Any:
+def clock(cov: Covariates, p: Parameters) -> Value:
     """Clock [Hz]: ``cpu_freq_hz`` where it is known, else the highest."""
     return _given(cov, "cpu_freq_hz", p["high_freq"])
 
 
-def load(cov: Covariates, p: Mapping[str, Any]) -> Any:
+def load(cov: Covariates, p: Parameters) -> Value:
     """Utilisation of a busy core: ``cpu_load`` where it is known, else batch rate times loop time, at most 1."""
     return _given(cov, "cpu_load", processor.utilisation(loop_time(cov, p), batch_rate_hz=p["batch_rate"]))
 
 
-def loop_time(cov: Covariates, p: Mapping[str, Any]) -> Any:
+def loop_time(cov: Covariates, p: Parameters) -> Value:
     """Time per batch (PLPT) [s]."""
     return processor.loop_time(
         clock(cov, p),
@@ -57,7 +54,7 @@ def loop_time(cov: Covariates, p: Mapping[str, Any]) -> Any:
     )
 
 
-def power(cov: Covariates, p: Mapping[str, Any]) -> Any:
+def power(cov: Covariates, p: Parameters) -> Value:
     """Power of one board that is on [W]."""
     return processor.multicore_power(
         clock(cov, p),
@@ -75,7 +72,7 @@ def power(cov: Covariates, p: Mapping[str, Any]) -> Any:
     )
 
 
-def _given(cov: Covariates, name: str, default: Any) -> Any:
+def _given(cov: Covariates, name: str, default: Value) -> Value:
     """A covariate where it is known; rows without it (not a number) take the default."""
     value = cov.get(name)
     return default if value is None else np.where(np.isnan(value), default, value)
