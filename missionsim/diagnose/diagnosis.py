@@ -50,6 +50,7 @@ from missionsim.identify.verdict import decide
 from missionsim.labels import Labels
 from missionsim.logs import describe
 from missionsim.runs.admit import admit
+from missionsim.runs.covariates import logged_name
 
 if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
@@ -362,13 +363,12 @@ def diagnose_battery(
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
     remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks, *seen_once(driven)]
     remains = [s for s in found.unexplained.structures if s not in found.averages]
+    law = _something_else(proposed, effects, features)
     if proposed:
         left = depends_on(proposed, left)
     return noted(
         BatteryDiagnosis(
-            verdict=decide(
-                effects, remains, found.demoted, law=_louder(proposed, effects), execution=execution, averages=averages
-            ),
+            verdict=decide(effects, remains, found.demoted, law=law, execution=execution, averages=averages),
             effects=effects,
             candidates=(*candidates, *told_of(driven)),
             proposed_laws=proposed,
@@ -452,10 +452,11 @@ def _as_finding(one: ExecutionEffect) -> Finding:
     )
 
 
-def _louder(laws: Sequence[Proposal], effects: Sequence[Finding]) -> bool:
-    """Whether a proposed law says more than every effect that is named; a lesser one is told and takes nothing back."""
-    named = max((abs(effect.energy_share) for effect in effects), default=0.0)
-    return any(abs(law.energy_share) > named for law in laws)
+def _something_else(laws: Sequence[Proposal], effects: Sequence[Finding], features: Features) -> bool:
+    """Whether a proposed law reads quantities that no single named effect reads; else it is the form of that effect,
+    told beside it."""
+    known = [{logged_name(name) for name in features.effects[effect.effect].needs} for effect in effects]
+    return any(not any({logged_name(v) for v in law.first.variables} <= own for own in known) for law in laws)
 
 
 def _next(subject: Subject, seen: Examined, effects: Sequence[Finding], settings: Settings) -> tuple[Experiment, ...]:
