@@ -182,8 +182,9 @@ def _print(logs: list[LogTable], targets: list[Path]) -> None:
 
 
 def _list(sources: Sequence[Path], to: Output) -> int:
+    from missionsim.importer.fields import fields_of
     from missionsim.importer.roles import folded, guess_all
-    from missionsim.importer.sources import fields_of, find_files
+    from missionsim.importer.sources import find_files
     from missionsim.report.terminal import console, simple_table
 
     paths = find_files(sources)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.glossary import column_of
-from missionsim.importer.sources import Field
+from missionsim.importer.fields import Field
 from missionsim.importer.units import UNITS, words_of
 from missionsim.labels import Labels
 from missionsim.logs.times import is_stamp
@@ -262,6 +262,8 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     numbers = np.asarray(field.values)
     values = np.abs(numbers[np.isfinite(numbers)])
     large = float(np.quantile(values, 0.95)) if len(values) else 0.0
+    if role.name == "speed" and not unit and re.match(r"V(?![a-z])", field.name):
+        return None  # volts
     score = 1.0 * named + 0.8 * own_dimension
     reasons = ["the name"] * named + [f"its unit {unit}"] * own_dimension
     score += 0.5 * (re.search(role.prefer, words) is not None)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.importer.sources import Field, identifier
+from missionsim.importer.fields import Field
+from missionsim.importer.sources import identifier
 from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable

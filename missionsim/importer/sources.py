@@ -5,21 +5,20 @@ from __future__ import annotations
 import glob
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import translate
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.importer.fields import fields_of
 from missionsim.importer.timeline import Signal, merge_signals
 from missionsim.inputs.log_map import FileMap, MapSpec
 from missionsim.inputs.units import UnitError, unit_factor
-from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable
-from missionsim.logs.readers import Options, Reader, Recording, Topic, not_there, reader_of, source_suffixes
+from missionsim.logs.readers import Options, Reader, Topic, not_there, reader_of, source_suffixes
 from missionsim.logs.remarks import Remark
 from missionsim.logs.times import Stamps, TimeError, read_stamps
 
@@ -380,48 +379,3 @@ def missing_field(
         message, allowed = f"'{field}' stands {len(numbered)} times in {file}", ", ".join([*numbered, *numbers])
         hint = numbered[0]
     return _at(spec, path or ("signals", alias), message, got=field, allowed=allowed, hint=hint)
-
-
-@dataclass(frozen=True)
-class Field:
-    """One column or field that a source offers, with the values that were looked at."""
-
-    name: str
-    kind: str
-    count: int
-    values: ColumnData
-    time_s: NDArray[np.float64] | None = None
-    title: str = ""
-
-    def range(self) -> str:
-        """Lowest and highest value, or the first words."""
-        if isinstance(self.values, Labels):
-            names = self.values.names[:4]
-            return ", ".join(names)[:60] + (", …" if len(self.values.names) > 4 else "")
-        known = self.values[np.isfinite(self.values)]
-        if not len(known):
-            return ""
-        low, high = float(known.min()), float(known.max())
-        return f"{low:.6g}" if low == high else f"{low:.4g} … {high:.4g}"
-
-
-def fields_of(path: Path, reader: Reader | None = None, most: int = 20_000) -> list[Field]:
-    """What a source holds, for listings and suggestions: columns of a table, or fields of the topics of a recording.
-
-    At most `most` rows or messages of a topic are looked at.
-    """
-    return list(_fields(path, reader or reader_of(path), most))
-
-
-def _fields(path: Path, reader: Reader, most: int) -> Iterator[Field]:
-    if reader.table is not None:
-        raw = reader.table(path, Options(most=most))
-        for name, data in raw.columns.items():
-            yield Field(name, "number" if isinstance(data, np.ndarray) else "text", len(data), data)
-        return
-    assert reader.recording is not None
-    found: Recording = reader.recording(path, Options(most=most))
-    for topic in sorted(found.topics, key=lambda topic: topic.name):
-        for name, data in topic.columns.items():
-            kind = "number" if isinstance(data, np.ndarray) else "text"
-            yield Field(f"{topic.name}.{name}", kind, topic.count or len(data), data, topic.time_s, topic.title)

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.importer.roles import UNITS, Guess, words_of
-from missionsim.importer.sources import Field
+from missionsim.importer.fields import Field
+from missionsim.importer.roles import Guess
+from missionsim.importer.units import UNITS, words_of
 from missionsim.labels import Labels
 from missionsim.logs.power import refreshes
 

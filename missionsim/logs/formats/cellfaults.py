@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from missionsim.errors import Fault
-from missionsim.logs.formats.dialect import MISSING_WORDS, Dialect, field_position, is_number
+from missionsim.logs.formats.dialect import Dialect, field_position
+from missionsim.logs.formats.header import MISSING_WORDS, is_number
 from missionsim.logs.raw import wanted_kind
 from missionsim.logs.times import is_stamp
 

@@ -10,16 +10,15 @@ from typing import Any, TypeVar
 from missionsim.errors import InputError
 from missionsim.logs.formats.cellfaults import explain, text_faults
 from missionsim.logs.formats.dialect import (
-    MISSING_WORDS,
     Dialect,
     count_rows,
     has_cut_end,
     has_utf8,
-    is_number,
     line_finder,
     one_byte_encoding,
     sniff,
 )
+from missionsim.logs.formats.header import MISSING_WORDS, is_number
 from missionsim.logs.power import measures
 from missionsim.logs.raw import RawTable, from_arrow, wanted_kind
 from missionsim.logs.readers import Options, Reader

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from missionsim.errors import Fault, InputError
 from missionsim.glossary import column_of
-from missionsim.logs.formats.header import MISSING_WORDS as MISSING_WORDS
 from missionsim.logs.formats.header import cells_of, first_row, is_number, named_in_comment
 from missionsim.logs.remarks import Remark
 
