@@ -178,12 +178,12 @@ class Search:
         from missionsim.inputs.loading import load_robot
         from missionsim.inputs.power import build_power_model
         from missionsim.logs import describe, read_logs
-        from missionsim.runs.admit import admit
+        from missionsim.runs.admit import admit, unchanging
 
         spec = load_robot(self.robot)
         tables, left_out = admit(read_logs(list(logs), robot=spec), build_power_model(spec))
         tell_left_out(left_out)
-        for line in [] if to.quiet else describe(tables):
+        for line in [] if to.quiet else [*describe(tables), *unchanging(tables)]:
             print(visible(line), file=sys.stderr)
         return spec, choose_split(tables, self.holdout), tables, left_out
 

@@ -244,6 +244,7 @@ def _freeze(
         suspect.check_magnitudes(rows, None if limit is None else float(limit))
         suspect.check_agreement(rows, kinds)
         suspect.check_standstill(rows)
+        suspect.check_order(rows)
         check_obstacles(rows, components)
     repeated |= suspect.check_frozen(rows, held.__contains__)
     power, fresh = {}, {}

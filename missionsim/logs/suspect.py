@@ -250,6 +250,26 @@ def check_dead_meter(rows: Rows, battery: str, power_w: Floats) -> None:
         )
 
 
+def check_order(rows: Rows) -> None:
+    """Refuse a speed that has nothing to do with itself a row earlier: the rows are in no order."""
+    data, time = rows.columns.get("speed_m_s"), rows.time
+    if data is None or isinstance(data, Labels) or len(data) < 100:
+        return
+    speed = data[:_SAMPLE]
+    spread = float(np.std(speed))
+    if spread < 0.05 or float(np.median(np.diff(time[:_SAMPLE]))) > 2.0:
+        return
+    kept = float(np.corrcoef(speed[1:], speed[:-1])[0, 1])
+    if kept < 0.15:
+        rows.remark(
+            "order",
+            "speed_m_s",
+            f"the speed jumps from row to row, as if the rows were shuffled (correlation from row to row {kept:.2g})",
+            "left as it is; sort the rows by their time",
+            "error",
+        )
+
+
 def check_standstill(rows: Rows) -> None:
     """Tell a speed or yaw rate whose noise at rest is above the limits of standing still."""
     number = {name: rows.columns.get(name) for name in ("speed_m_s", "yaw_rate_rad_s")}

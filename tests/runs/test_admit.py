@@ -12,7 +12,7 @@ from missionsim.cli.app import run_command
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import Remark
-from missionsim.runs.admit import admit
+from missionsim.runs.admit import admit, unchanging
 from missionsim.runs.run import Run
 from tests.diagnose.logs import drive
 
@@ -73,3 +73,35 @@ def test_the_command_says_it_first_and_exits_with_one(
     arguments = ["--robot", "pioneer3dx", str(logs), "--quiet"]
     assert run_command(["add-effect", "--effect", "grade", *arguments, "--out", str(tmp_path / "r.yaml")]) == 1
     assert capsys.readouterr().err.startswith("LEFT OUT run_01: power_robot_w is")
+
+
+def test_an_offset_of_one_meter_is_named_in_watts(runs: list[Run]) -> None:
+    odd = replace(runs[4], power_w={"robot": runs[4].power_w["robot"] + 2.0})
+    (line,) = told([*runs[:4], odd])
+    assert line.startswith("run_04: power_robot_w lies +")
+    assert 1.6 < float(line.split("lies ")[1].split(" W")[0]) < 2.4
+
+
+def test_what_was_on_in_one_run_and_is_logged_is_no_offset_of_a_meter(runs: list[Run]) -> None:
+    on = {**runs[4].columns, "on_kinect": np.ones(len(runs[4]))}
+    own = [replace(run, columns={**run.columns, "on_kinect": np.zeros(len(run))}) for run in runs[:4]]
+    assert told([*own, replace(runs[4], columns=on, power_w={"robot": runs[4].power_w["robot"] + 5.0})]) == []
+
+
+def test_rows_in_no_order_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(1)
+    speed = np.clip(0.4 + 0.4 * np.sin(np.arange(400) / 9.0), 0.0, None)
+    for name, order in (("good", np.arange(400)), ("shuffled", rng.permutation(400))):
+        rows = [f"{t},{5 + 9 * v:.3f},{v:.4f}" for t, v in enumerate(speed[order])]
+        (tmp_path / f"{name}.csv").write_text("time_s,power_robot_w,speed_m_s\n" + "\n".join(rows) + "\n")
+    assert run_command(["validate", str(tmp_path / "good.csv")]) == 0
+    assert run_command(["validate", str(tmp_path / "shuffled.csv")]) == 2
+    assert "as if the rows were shuffled" in capsys.readouterr().err
+
+
+def test_a_switch_that_never_moves_is_told(runs: list[Run]) -> None:
+    stuck = [replace(run, columns={**run.columns, "on_kinect": np.zeros(len(run))}) for run in runs]
+    told_of = [line for line in unchanging(stuck) if line.startswith("on_kinect")]
+    assert told_of == ["on_kinect is 0 in every row of all runs: what it draws cannot be told by them"]
+    moved = replace(stuck[0], columns={**stuck[0].columns, "on_kinect": np.arange(len(stuck[0])) % 2.0})
+    assert not [line for line in unchanging([moved, *stuck[1:]]) if line.startswith("on_kinect")]
