@@ -50,6 +50,7 @@ from missionsim.identify.verdict import decide
 from missionsim.labels import Labels
 from missionsim.logs import describe
 from missionsim.runs.admit import admit
+from missionsim.runs.coarse import Bounded
 from missionsim.runs.covariates import logged_name
 
 if TYPE_CHECKING:
@@ -172,7 +173,10 @@ def diagnose_files(
         run = simulate(load_mission(mission, robot=spec))
         timeline, segments = run.timeline, tuple(segment.name for segment in run.segments)
     subject = Subject.of(spec)
-    tables, left_out = admit(read_logs(list(logs), robot=spec), subject.model)
+    bounded = Bounded()
+    read, averaged = bounded.all(read_logs(list(logs), robot=spec, each=bounded))
+    tables, left_out = admit(read, subject.model)
+    left_out = [*left_out, *filter(None, [averaged])]
     if on_left_out is not None:
         on_left_out(left_out)
     return diagnose(

@@ -8,7 +8,7 @@ their value.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -166,6 +166,10 @@ class Clock:
     lag_s: float
     run_delay_s: tuple[float, ...]
     at_edge: bool = False
+
+    def of_runs(self, numbers: Sequence[int]) -> Clock:
+        """The clock of some of the runs."""
+        return replace(self, run_delay_s=tuple(self.run_delay_s[j] for j in numbers))
 
 
 def find_clock(runs: Sequence[RunColumns], step_s: float) -> Clock:

@@ -86,6 +86,23 @@ class Design:
         """Measured minus base model [W], shape (n,)."""
         return self.y - self.base
 
+    def of_runs(self, numbers: Sequence[int], most: int | None = None) -> tuple[Design, NDArray[np.intp]]:
+        """The rows of some runs, the first `most` of each, and where they stand in all, shape (rows,)."""
+        at: list[NDArray[np.intp]] = []
+        runs: list[slice] = []
+        stretches: list[slice] = []
+        for j in numbers:
+            run, begin = self.runs[j], runs[-1].stop if runs else 0
+            stop = run.stop if most is None else min(run.stop, run.start + most)
+            at.append(np.arange(run.start, stop))
+            runs.append(slice(begin, begin + stop - run.start))
+            own = [(part.start, min(part.stop, stop)) for part in self.stretches if run.start <= part.start < stop]
+            stretches += [slice(first - run.start + begin, last - run.start + begin) for first, last in own]
+        part, names = np.concatenate(at), tuple(self.names[j] for j in numbers)
+        rows = {name: getattr(self, name)[part] for name in ("y", "base", "duration_s", "time_s")}
+        stacks = {name: getattr(self, name)[:, part] for name in ("gradient", "phi", "random")}
+        return replace(self, **rows, **stacks, runs=tuple(runs), stretches=tuple(stretches), names=names), part
+
     def run_index(self) -> NDArray[np.intp]:
         """Number of the run of each row, shape (n,)."""
         out = np.empty(len(self.y), dtype=np.intp)
@@ -164,6 +181,28 @@ class Source:
             _root=root,
             _varied={**self._varied, column: curve},
         )
+
+    def of_runs(self, numbers: Sequence[int]) -> Source:
+        """The same columns in some of the runs."""
+        root = self._root or self
+        ends = np.cumsum([0, *(run.values.shape[1] + 1 for run in self.columns)])
+        at = np.concatenate([np.arange(ends[j], ends[j + 1]) for j in numbers])
+        return Source(
+            tuple(self.runs[j] for j in numbers),
+            [self.columns[j] for j in numbers],
+            self.covariates,
+            self.layout,
+            self.clock.of_runs(numbers),
+            self.aligned,
+            tuple(self.kept[j] for j in numbers),
+            _root=None if self._root is None else root.of_runs(numbers),
+            _varied={k: curve[:, at] for k, curve in self._varied.items()},
+        )
+
+    def rows_of(self, numbers: Sequence[int]) -> NDArray[np.intp]:
+        """Where the rows of some runs stand in a design, shape (rows,)."""
+        runs = (self._root or self)._rows().runs
+        return np.concatenate([np.arange(runs[j].start, runs[j].stop) for j in numbers])
 
     def design(self, clock: Clock, only: Sequence[int] | None = None) -> Design:
         """Build the regression for a clock, with all candidate columns or some only."""

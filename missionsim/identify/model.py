@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,8 +16,16 @@ from missionsim.identify.design import Design, Source
 from missionsim.identify.gram import Gram, eliminate_random, make_gram, project, random_effects, raw_blocks
 from missionsim.identify.noise import Noise, start_noise
 from missionsim.identify.predictive import LeastSquares
-from missionsim.identify.reml import fit_noise
-from missionsim.identify.settings import CLOCK_RISE_NATS, LARGEST_RUN_DELAY_S, RUN_DELAY_SD_S, UNUSUAL_GAIN, USUAL_GAIN
+from missionsim.identify.reml import fit_noise, on_rows
+from missionsim.identify.settings import (
+    CLOCK_RISE_NATS,
+    FEWEST_FITTED,
+    LARGEST_RUN_DELAY_S,
+    MOST_FITTED,
+    RUN_DELAY_SD_S,
+    UNUSUAL_GAIN,
+    USUAL_GAIN,
+)
 from missionsim.identify.whitening import start_factor
 
 
@@ -75,6 +84,17 @@ class Model:
         return kept.unbiased(chosen, value, covariance), covariance
 
 
+def spread(model: Model) -> Model:
+    """The model on runs spread evenly over all where they are many."""
+    numbers = spread_runs(len(model.design.runs), len(model.design.y), FEWEST_FITTED // 2)
+    if len(numbers) == len(model.design.runs):
+        return model
+    design, at = model.design.of_runs(numbers)
+    squares = None if model.squares is None else LeastSquares.of(design)
+    clock, source = model.clock.of_runs(numbers), model.source.of_runs(numbers)
+    return Model(source, model.chosen, clock, design, model.noise.of_rows(at), squares)
+
+
 def score(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) -> float:
     """Log-likelihood of the chosen columns at a clock, noise given; base parameters and run effects integrated out."""
     gram, log_det = _reduced(source, clock, noise, chosen)
@@ -96,11 +116,32 @@ def _reduced(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int]) 
     return Gram(reduced, design.layout.prior_sd**-2.0), float(log_det.sum())
 
 
+def spread_runs(runs: int, rows: int, fewest: int = FEWEST_FITTED) -> list[int]:
+    """Numbers of runs, spread evenly over all, that together have at most about `MOST_FITTED` rows."""
+    few = min(runs, max(fewest, math.ceil(runs * MOST_FITTED / max(rows, 1))))
+    return sorted({int(j) for j in np.linspace(0, runs - 1, few).round()})
+
+
+def fitted_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None, thorough: bool = True) -> Noise:
+    """`fit_noise`, from some of the runs where they are many."""
+    numbers = spread_runs(len(design.runs), len(design.y))
+    if len(numbers) == len(design.runs):
+        return fit_noise(design, chosen, guess, thorough)
+    part, at = design.of_runs(numbers, MOST_FITTED // len(numbers))
+    known = None if guess is None else guess.of_rows(at)
+    return on_rows(design, fit_noise(part, chosen, known, thorough), chosen)
+
+
 def refine_clock(source: Source, clock: Clock, noise: Noise, chosen: Sequence[int], rounds: int = 2) -> Clock:
     """Common delay and lag by pattern search, delays of single runs from their jitter effect, in turns."""
     reach = max(1.0, source.layout.step_s)
+    numbers = spread_runs(len(source.runs), len(noise.weight), FEWEST_FITTED // 2)
+    some, part = source, noise
+    if len(numbers) < len(source.runs):
+        some, part = source.of_runs(numbers), noise.of_rows(source.rows_of(numbers))
     for round_ in range(rounds):
-        clock = _search_common(source, clock, noise, chosen, reach, round_ == 0)
+        found = _search_common(some, clock.of_runs(numbers), part, chosen, reach, round_ == 0)
+        clock = replace(found, run_delay_s=clock.run_delay_s)
         if len(source.runs) > 1:
             clock = _move_runs(source, clock, noise, chosen)
     return clock
@@ -167,11 +208,11 @@ def fit_model(source: Source, chosen: Sequence[int], start: Model | None = None,
             fast_share=fresh.fast_share,
             slow_share=fresh.slow_share,
         )
-    noise = fit_noise(design, chosen, guess, thorough=guess is None or unusual)
+    noise = fitted_noise(design, chosen, guess, thorough=guess is None or unusual)
     if source.aligned:
         clock = refine_clock(source, clock, noise, chosen, 2 if start is None else 1)
         design = source.design(clock)
-        noise = fit_noise(design, chosen, noise, thorough=thorough or unusual)
+        noise = fitted_noise(design, chosen, noise, thorough=thorough or unusual)
     return Model(source, chosen, clock, design, noise)
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.identify.data import Array
 from missionsim.identify.design import Design
@@ -46,6 +47,10 @@ class Noise:
     switch_error: float
     weight: Array
     scale: Array
+
+    def of_rows(self, at: NDArray[np.intp]) -> Noise:
+        """The same noise at some of the rows."""
+        return replace(self, weight=self.weight[at], scale=self.scale[at])
 
     def random_sd(self) -> Array:
         """Standard deviations of the random effects between runs, shape (5,)."""

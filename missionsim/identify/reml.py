@@ -16,7 +16,7 @@ import numpy as np
 from missionsim.identify.data import Array
 from missionsim.identify.design import Design
 from missionsim.identify.gram import Blocks, innovations, total_without_random
-from missionsim.identify.noise import Noise, edge_variance, log_level, start_noise
+from missionsim.identify.noise import Noise, edge_variance, for_rows, log_level, start_noise, without_outliers
 from missionsim.identify.settings import HUBER, JITTER_SD_S, LAG_JITTER_SD_S2, LARGEST_GAIN, NOISE_SPLIT_S, SHARE_PRIOR
 from missionsim.identify.whitening import Shape, start_factor
 
@@ -185,11 +185,21 @@ def _fit_scale(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:
     # outliers capped at five sd must not pass for uncertain edges
     cost = np.sum(np.log(variance) + np.minimum(e[near] ** 2, 25.0) / variance, axis=1)
     ramp_error, switch_error = (float(x) for x in grid[int(np.argmin(cost))])
-    variance = 1.0 + ramp_error * ramp + switch_error * switch
+    found = replace(noise, exponent=exponent, scale=scale, ramp_error=ramp_error, switch_error=switch_error)
+    return replace(found, weight=_weights(e, 1.0 + ramp_error * ramp + switch_error * switch))
+
+
+def _weights(e: Array, variance: Array) -> Array:
+    """Weights of rows with innovations e and the variance that edges add: outliers count less (Huber 1981)."""
     e = e / np.sqrt(variance)
     # the median is not moved by the outliers that it shall find
     typical = 1.4826 * float(np.median(np.abs(e)))
     huber = np.minimum(1.0, HUBER / np.maximum(np.abs(e) / max(typical, 1e-9), 1e-9))
-    return replace(
-        noise, exponent=exponent, scale=scale, ramp_error=ramp_error, switch_error=switch_error, weight=huber / variance
-    )
+    return np.asarray(huber / variance)
+
+
+def on_rows(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:
+    """A noise that was fitted to some of the runs, with the scale and the weights of all rows of a design."""
+    plain = without_outliers(design, for_rows(design, noise))
+    e = innovations(design, plain, chosen) / np.sqrt(plain.weight)
+    return replace(plain, weight=_weights(e, 1.0 / plain.weight))

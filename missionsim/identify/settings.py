@@ -111,6 +111,11 @@ NOISE_FLOOR = 0.3
 """The noise no longer falls below this part of the mean power: a meter has a floor of its own (assumed)."""
 NOISE_SPLIT_S = 25.0
 """Border between the correlation times of the fast and of the slow part [s] (assumed)."""
+MOST_FITTED = 16_000
+"""Intervals from which on clock and noise are fitted to some of the runs only, spread evenly over all, and laws are
+searched in these: they are surer than they need to be."""
+FEWEST_FITTED = 8
+"""Runs that the noise is fitted to at least, then to the first part of each; half as many for clock and laws."""
 SHARE_PRIOR = 4.0
 """Precision of the weak prior on a share of energy (sd 50 %): keeps runs without the effect harmless."""
 UNUSUAL_GAIN = 0.03

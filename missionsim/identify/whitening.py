@@ -21,6 +21,8 @@ START_ROWS = 40
 APART = np.abs(np.subtract.outer(np.arange(START_ROWS), np.arange(START_ROWS)))
 FILLED = 0.8
 """Stretches are filtered together, filled up with zeros to the longest, as long as they fill this part themselves."""
+NO_DENORMALS = 1e-170
+"""Where rows are zero for long the filter fades into numbers that processors are slow with; its square is no number."""
 Shape = tuple[float, float, float, float, float]
 """Analysis step, fast and slow correlation time [s], shares of the variance of both."""
 
@@ -116,7 +118,7 @@ class Packed:
     @classmethod
     def of(cls, rows: Array, scale: Array, weight: Array, stretches: Sequence[slice], runs: Sequence[slice]) -> Packed:
         """Cut rows (k, n) with scale and weight (n,) into stretches; every stretch lies in one of the runs."""
-        scaled, root = rows / scale, np.sqrt(weight)
+        scaled, root = rows / scale + NO_DENORMALS, np.sqrt(weight)
         begins = np.array([run.start for run in runs])
         longest_first = sorted(stretches, key=lambda part: part.start - part.stop)
         alike: list[list[slice]] = []
@@ -132,7 +134,7 @@ class Packed:
         groups = []
         for parts in alike:
             length = parts[0].stop - parts[0].start
-            own = np.zeros((len(parts), len(rows), length))
+            own = np.full((len(parts), len(rows), length), NO_DENORMALS)
             roots = np.zeros((len(parts), 1, length))
             for i, part in enumerate(parts):
                 own[i, :, : part.stop - part.start] = scaled[:, part]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from missionsim.identify.data import Array
 from missionsim.identify.design import Column, Design
 from missionsim.identify.identification import Identification
-from missionsim.identify.model import Model, log_likelihood
+from missionsim.identify.model import Model, log_likelihood, spread
 from missionsim.identify.noise import Noise, bounded_noise, for_rows, start_noise
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.reml import fit_noise
@@ -152,6 +152,7 @@ def ground_of(found: Identification, covariates: Sequence[Mapping[str, Any]]) ->
         (name, tuple(k for k in model.chosen if found.library[columns[k].candidate].effect == name)) for name in names
     )
     inside = tuple(k for k in model.chosen if any(k in own for _, own in held))
+    model = spread(model)
     if inside != model.chosen:
         model = replace(model, chosen=inside, noise=fit_noise(model.design, inside, model.noise, thorough=False))
     return Ground(model, tuple(covariates[i] for i in model.source.kept), held)

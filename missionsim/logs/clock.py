@@ -117,6 +117,7 @@ def _low_pass(causes: Floats, step: float, tau: float) -> Floats:
     from scipy.signal import lfilter
 
     keep = float(np.exp(-step / tau))
+    causes = causes + 1e-100  # at rest the filter would fade into denormal numbers, which processors are slow with
     start = causes[:, :1] * keep
     return np.asarray(lfilter([1.0 - keep], [1.0, -keep], causes, axis=1, zi=start)[0])
 
@@ -133,8 +134,6 @@ def _explained(power: Floats, causes: Floats, most: int) -> Floats | None:
         return None
     gram = causes @ causes.T + 1e-3 * np.eye(len(causes))
     lags = np.arange(-most, most + 1)
-    size = 1 << (2 * n - 1).bit_length()
-    spectrum = np.fft.rfft(power, size)
-    cross = np.array([np.fft.irfft(spectrum * np.conj(np.fft.rfft(row, size)), size)[lags] for row in causes])
+    cross = np.stack([causes[:, max(0, -k) : n - max(0, k)] @ power[max(0, k) : n + min(0, k)] for k in lags], axis=1)
     squared = np.einsum("kl,kl->l", cross, np.linalg.solve(gram, cross)) / total
     return np.asarray(np.sqrt(np.clip(squared, 0.0, 1.0)))

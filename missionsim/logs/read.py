@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -57,11 +57,16 @@ def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> LogTable:
     return make_log(raw, Path(path).stem, robot=robot)
 
 
-def read_logs(paths: Iterable[PathLike] | PathLike, *, robot: RobotSpec | None = None) -> list[LogTable]:
+def read_logs(
+    paths: Iterable[PathLike] | PathLike,
+    *,
+    robot: RobotSpec | None = None,
+    each: Callable[[LogTable], LogTable] | None = None,
+) -> list[LogTable]:
     """Read several logs; a folder stands for every ``.csv`` and ``.parquet`` in it, by name.
 
     Runs of the same name (from two folders) get the folder's name in front. Files of the same content are one run, and
-    a remark of it names them.
+    a remark of it names them. What `each` makes of a log is kept in its place.
 
     Raises
     ------
@@ -73,6 +78,7 @@ def read_logs(paths: Iterable[PathLike] | PathLike, *, robot: RobotSpec | None =
     for path, twins in distinct_logs(paths).items():
         try:
             log = read_log(path, robot=robot)
+            log = log if each is None else each(log)
             logs.append(replace(log, remarks=(*log.remarks, same_content(twins))) if twins else log)
         except InputError as error:
             faults.extend(error.faults)

@@ -182,3 +182,19 @@ def test_arrays_of_different_length_are_refused(field):
 def test_time_must_increase():
     with pytest.raises(ValueError, match="increasing"):
         RunData("r", np.array([0.0, 0.0, 1.0]), np.ones(3), np.ones(3), np.ones(3))
+
+
+def test_some_of_the_runs_are_those_of_the_whole(source):
+    clock = replace(source.clock, delay_s=0.2, lag_s=0.3)
+    whole, numbers = source.design(clock), [2, 0]
+    part, at = whole.of_runs(numbers)
+    again = source.of_runs(numbers).design(clock.of_runs(numbers))
+    assert np.array_equal(at, source.rows_of(numbers))
+    assert part.names == again.names == tuple(whole.names[j] for j in numbers)
+    assert part.runs == again.runs
+    assert part.stretches == again.stretches
+    for name in ("y", "base", "gradient", "phi", "random"):
+        assert np.allclose(getattr(part, name), getattr(again, name), rtol=1e-9, atol=1e-9)
+    first, _ = whole.of_runs(numbers, 20)
+    assert [run.stop - run.start for run in first.runs] == [20, 20]
+    assert np.array_equal(first.y[:20], whole.y[whole.runs[2]][:20])
