@@ -97,10 +97,6 @@ class InputError(MissionsimError):
         return cls(Fault(file, 0, 0, message, path, str(got) if got != "" else "", allowed, hint))
 
 
-class MissionsimWarning(UserWarning):
-    """Something in the input that was accepted but that the user should know."""
-
-
 def did_you_mean(word: str, known: Sequence[str] | Iterable[str], cutoff: float = 0.6) -> str:
     """Closest known name, or an empty string.
 

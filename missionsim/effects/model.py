@@ -303,11 +303,6 @@ class PowerModel:
             result[name] = (np.asarray(up) - np.asarray(down)) / (2.0 * step)
         return result
 
-    def with_term(self, term: Term) -> PowerModel:
-        """A model with one more term (replacing one of the same key)."""
-        kept = tuple(other for other in self.terms if other.key != term.key)
-        return replace(self, terms=(*kept, term))
-
     def with_values(self, values: Mapping[str, float]) -> PowerModel:
         """A model with other parameter values, by ``battery/name``.
 

@@ -47,22 +47,6 @@ def energy_needed(
     return f64(static_w) * (moving_s + f64(standing_s)) + f64(motion_w) * moving_s
 
 
-def energy_left(available_j: ArrayLike, consumed_j: ArrayLike) -> Array:
-    """Energy left, J (Eqs. 11 and 13: E_r = E_a − E_c); negative when the mission cannot be done."""
-    return f64(available_j) - f64(consumed_j)
-
-
-def measured_energy(voltage_v: ArrayLike, current_a: ArrayLike, sample_s: float) -> float:
-    """Energy of a record, J (Eq. 16: Σ V I, here with the sampling time that the printed sum lacks)."""
-    return float(np.sum(f64(voltage_v) * f64(current_a)) * sample_s)
-
-
-def prediction_error(reference_j: ArrayLike, predicted_j: ArrayLike) -> Array:
-    """Error of a prediction, % of the measured reference (Eq. 17)."""
-    reference = f64(reference_j)
-    return 100.0 * (reference - f64(predicted_j)) / reference
-
-
 def saving(before: ArrayLike, after: ArrayLike) -> Array:
     """Share of energy saved, %: 100 (before − after) / before."""
     first = f64(before)

@@ -124,11 +124,6 @@ def copper_loss(forces_n: tuple[Array, ...], *, resistance_w_n2: ArrayLike) -> A
     return 4.0 * f64(resistance_w_n2) * total
 
 
-def direction_of_least_power(angles_rad: ArrayLike, power_w: ArrayLike) -> float:
-    """Angle (rad) on the grid at which the power is least; the first one where several are equal."""
-    return float(f64(angles_rad)[int(np.argmin(f64(power_w)))])
-
-
 def minimum_jerk(time_s: ArrayLike, *, speed_m_s: float, duration_s: float) -> tuple[Array, Array]:
     """Speed and acceleration of a start along a minimum-jerk curve (quintic position → speed 10τ³−15τ⁴+6τ⁵).
 

@@ -85,22 +85,6 @@ def propulsive_force(
     )
 
 
-def electrical_power(mechanical_w: ArrayLike, *, efficiency: ArrayLike = 1.0, regeneration: ArrayLike = 0.0) -> Array:
-    """Power from the battery for a mechanical power, W (rover paper, Eq. 1 with a drive efficiency).
-
-    Parameters
-    ----------
-    mechanical_w : array_like
-        Force times speed, W; negative when the ground drives the robot.
-    efficiency : array_like
-        Of the drive, 0 to 1: driving costs mechanical / efficiency. The paper has none (1).
-    regeneration : array_like
-        Fraction of negative mechanical power that comes back to the battery, 0 to 1 (0: brakes turn it into heat).
-    """
-    mechanical = f64(mechanical_w)
-    return np.where(mechanical >= 0.0, mechanical / f64(efficiency), mechanical * f64(regeneration))
-
-
 def speed_of_least_energy(constant_w: float, speeds_m_s: ArrayLike, power_w: ArrayLike) -> float:
     """Speed at which (constant + power(v)) / v is least on a grid, refined by a parabola through the three best points.
 

@@ -142,8 +142,3 @@ def phases(distance_m: Any, limit_m_s: Any, accel_m_s2: Any = None, decel_m_s2: 
     if accel_m_s2 is None:
         return constant_phases(distance_m, limit_m_s)
     return ramp_phases(distance_m, limit_m_s, accel_m_s2, accel_m_s2 if decel_m_s2 is None else decel_m_s2)
-
-
-def braking_distance(speed_m_s: Any, decel_m_s2: Any) -> Any:
-    """Distance to a standstill, ``v² / (2 b)`` in m; 0 where braking is instant (`decel_m_s2` None)."""
-    return 0.0 * speed_m_s if decel_m_s2 is None else np.square(speed_m_s) / (2.0 * decel_m_s2)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,7 @@ def with_effect(model: PowerModel, name: str, **values: float) -> PowerModel:
     term = Term(
         TermKey("robot", name, name), get_effect(name), {k: ModelParameter(v) for k, v in values.items()}, base=False
     )
-    return model.with_term(term)
+    return replace(model, terms=(*model.terms, term))
 
 
 def replayed(model: PowerModel, log: object, size: int = 0) -> np.ndarray:  # type: ignore[type-arg]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,9 +30,9 @@ def model(*extra: tuple[str, dict[str, float]], **parameters: float) -> PowerMod
     )
     for id, values in extra:
         effect = get_effect(id)
-        result = result.with_term(
-            Term(TermKey("robot", effect.component, id), effect, {n: value(v) for n, v in values.items()}, base=False)
-        )
+        named = {n: value(v) for n, v in values.items()}
+        term = Term(TermKey("robot", effect.component, id), effect, named, base=False)
+        result = replace(result, terms=(*result.terms, term))
     return result
 
 

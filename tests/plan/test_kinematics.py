@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from missionsim.plan.kinematics import Phases, braking_distance, constant_phases, junction_speeds, phases, ramp_phases
+from missionsim.plan.kinematics import Phases, constant_phases, junction_speeds, phases, ramp_phases
 
 lengths = st.lists(st.floats(0.01, 200.0), min_size=1, max_size=6)
 rates = st.floats(0.05, 5.0)
@@ -86,8 +86,3 @@ def test_draws_broadcast_to_the_same_numbers_as_scalars() -> None:
     for i in range(50):
         alone = ramp_phases(distance[i], limit[i], up[i], down[i])
         assert np.array_equal(alone.duration_s, together.duration_s[i])
-
-
-def test_braking_distance() -> None:
-    assert braking_distance(2.0, 0.5) == pytest.approx(4.0)
-    assert braking_distance(2.0, None) == 0.0

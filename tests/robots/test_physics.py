@@ -32,11 +32,6 @@ def test_force_by_hand() -> None:
     assert float(traction.rolling_force(0.0, 10.0, rolling_coefficient=0.03)) == 0.0
 
 
-def test_electrical_power_never_gains() -> None:
-    watts = traction.electrical_power([-100.0, 0.0, 80.0], efficiency=0.8, regeneration=0.5)
-    assert watts == pytest.approx([-50.0, 0.0, 100.0])
-
-
 def test_speed_of_least_energy_of_a_parabola() -> None:
     speeds_m_s = np.linspace(0.1, 2.0, 400)
     best = traction.speed_of_least_energy(3.66, speeds_m_s, 6.25 * speeds_m_s**2 + 9.79 * speeds_m_s)
