@@ -168,7 +168,7 @@ def whatif(
     alternatives = [Alternative(BASELINE, base, other)]
     alternatives += [Alternative(a.name, a.set, other) for a in varied(pairs, base)]
     found = run_alternatives(mission, alternatives, workers=workers)
-    line = f"{found.mission}: {len(found.results)} alternatives, {sum(r.feasible for r in found.results)} feasible"
+    line = f"{found.mission}: {len(found.results)} alternatives, {sum(r.feasible for r in found.runs)} feasible"
     return Answer(found, line, found.table, found.to_json, ("alternative", "energy_wh"))
 
 

@@ -98,7 +98,8 @@ def whatif(
         write_table(found.table(), out)
     answer = found.to_json()
     if montecarlo:
-        answer["montecarlo"] = _draw(path, alternatives, montecarlo, seed, to)
+        possible = [a for a, row in zip(alternatives, answer["alternatives"], strict=True) if row["batteries"]]
+        answer["montecarlo"] = _draw(path, possible, montecarlo, seed, to)
     to.emit(answer)
     if to.text:
         show(found)
@@ -106,7 +107,7 @@ def whatif(
             _show_differences(answer["montecarlo"])
         if out is not None:
             console().print(f"Written: {out}")
-    return 0 if found.results[0].feasible else 1
+    return 0 if found.runs[0].feasible else 1
 
 
 def _draw(path: Path, alternatives: Sequence[Alternative], runs: int, seed: int, to: Output) -> dict[str, Any]:
@@ -201,9 +202,13 @@ def show(found: WhatIf) -> None:
     for name in found.batteries:
         columns += [f">{name} Wh", ">± Wh", ">± %"]
     columns.append("feasible")
-    cells = []
+    cells, left = [], []
     for number, row in enumerate(rows):
-        line: list[Any] = [f"{number} {row['name']}", clock(row["duration_s"]), signed(row["difference_s"], 1)]
+        label = f"{number} {row['name']}"
+        if not row["batteries"]:
+            cells.append([label, *["–"] * (2 + 3 * len(found.batteries)), "impossible"])
+            continue
+        line: list[Any] = [label, clock(row["duration_s"]), signed(row["difference_s"], 1)]
         for name in found.batteries:
             b = row["batteries"][name]
             percent = b["difference_pct"]
@@ -211,13 +216,25 @@ def show(found: WhatIf) -> None:
             line.append("–" if percent is None else signed(percent, 1))
         line.append("yes" if row["feasible"] else "NO")
         cells.append(line)
+        known = [row["batteries"][name] for name in found.batteries]
+        left.append([label, *(text for b in known for text in _left(b))])
     table = simple_table("Alternatives", columns, cells)
     table.collapse_padding = True
     terminal.print(table)
     for number, row in enumerate(rows):
         if not row["feasible"]:
             terminal.print(f"  {number} {row['name']}: {row['reason']}")
+    columns = [">left Wh", ">left", ">margin Wh"]
+    heads = [f">{name} {column[1:]}" for name in found.batteries for column in columns]
+    terminal.print(simple_table("Charge left, and what it is above the reserve", ["alternative", *heads], left))
     terminal.print(_term_rows(rows))
+
+
+def _left(battery: Mapping[str, Any]) -> list[str]:
+    if battery["charge_left_wh"] is None:
+        return ["–"] * 3
+    share = f"{100 * battery['charge_left_fraction']:.1f} %"
+    return [f"{battery['charge_left_wh']:.3f}", share, f"{battery['margin_wh']:.3f}"]
 
 
 def _term_rows(rows: list[dict[str, Any]], most: int = 5) -> Any:
@@ -232,7 +249,8 @@ def _term_rows(rows: list[dict[str, Any]], most: int = 5) -> Any:
         ]
         changes.sort(key=lambda change: -abs(change[0]))
         text = ", ".join(f"{battery}/{term} {signed(d, 4)}" for d, battery, term in changes[:most])
-        cells.append((f"{number} {row['name']}", text or "nothing changes"))
+        if row["batteries"]:
+            cells.append((f"{number} {row['name']}", text or "nothing changes"))
     return simple_table("Terms that change most [Wh]", ["alternative", "battery/term"], cells)
 
 

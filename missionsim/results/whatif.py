@@ -42,31 +42,43 @@ class WhatIf:
         Name of the mission.
     alternatives : tuple of Alternative
         The baseline first.
-    results : tuple of RunResult
-        Of each, in the same order, with the totals of segments in place of intervals.
+    results : tuple of (RunResult or tuple of Fault)
+        Of each, in the same order, with the totals of segments in place of intervals; of one that is impossible, why.
     warnings : tuple of Fault
         What the checks of their files found strange but possible, each once.
     """
 
     mission: str
     alternatives: tuple[Alternative, ...]
-    results: tuple[RunResult, ...]
+    results: tuple[RunResult | tuple[Fault, ...], ...]
     warnings: tuple[Fault, ...] = ()
 
     @property
     def batteries(self) -> tuple[str, ...]:
         """Batteries of any of the runs, in order."""
-        return tuple(dict.fromkeys(name for result in self.results for name in result.batteries))
+        return tuple(dict.fromkeys(name for result in self.runs for name in result.batteries))
+
+    @property
+    def runs(self) -> list[RunResult]:
+        """Results of the alternatives that are possible; the baseline is."""
+        return [result for result in self.results if isinstance(result, RunResult)]
 
     def rows(self) -> list[dict[str, Any]]:
         """One mapping an alternative: values, and differences to the baseline, by battery and by term.
 
-        `difference_…` is the alternative less the baseline; `difference_pct` relative to the baseline.
+        `difference_…` is the alternative less the baseline; `difference_pct` relative to the baseline; `margin_wh` the
+        charge left less the reserve to keep. An alternative that is impossible has no batteries, and `reason` says why.
         """
-        base = self.results[0]
+        base = self.runs[0]
         rows = []
         for alternative, result in zip(self.alternatives, self.results, strict=True):
             batteries: dict[str, Any] = {}
+            if not isinstance(result, RunResult):
+                why = "; ".join(fault.message + (f" ({fault.got})" if fault.got else "") for fault in result)
+                nothing = dict.fromkeys(("robot", "duration_s", "difference_s", "distance_m"))
+                rows.append({"name": alternative.name, "title": alternative.title, "set": dict(alternative.set),
+                             "feasible": False, "reason": f"impossible: {why}", **nothing, "batteries": batteries})
+                continue
             for name in self.batteries:
                 now, before = result.batteries.get(name), base.batteries.get(name)
                 energy = now.energy_wh if now else 0.0
@@ -80,6 +92,7 @@ class WhatIf:
                     "charge_left_wh": now.charge_left_wh if now else None,
                     "charge_left_fraction": now.charge_left_fraction if now else None,
                     "reserve_wh": now.reserve_wh if now else None,
+                    "margin_wh": now.charge_left_wh - now.reserve_required_wh if now else None,
                     "empty_at_s": now.empty_at_s if now else None,
                     "deficit_wh": now.deficit_wh if now else None,
                     "by_term_wh": terms,
@@ -105,17 +118,20 @@ class WhatIf:
         """One tidy table: a row an alternative, battery and term; `term` is ``total`` for the sum."""
         table: dict[str, list[Any]] = {name: [] for name in (
             "alternative", "set", "robot", "feasible", "reason", "duration_s", "difference_s", "battery", "term",
-            "energy_wh", "difference_wh", "charge_left_wh", "deficit_wh",
+            "energy_wh", "difference_wh", "charge_left_wh", "margin_wh", "deficit_wh",
         )}
         for row in self.rows():
             setting = "; ".join(f"{path}={value}" for path, value in row["set"].items())
+            if not row["batteries"]:
+                for name, column in table.items():
+                    column.append({**row, "alternative": row["name"], "set": setting}.get(name))
             for battery, b in row["batteries"].items():
                 cells = [("total", b["energy_wh"], b["difference_wh"])]
                 cells += [(term, b["by_term_wh"].get(term, 0.0), d) for term, d in b["difference_by_term_wh"].items()]
                 for term, energy, difference in cells:
                     values = (row["name"], setting, row["robot"], row["feasible"], row["reason"] or "",
                               row["duration_s"], row["difference_s"], battery, term, energy, difference,
-                              b["charge_left_wh"], b["deficit_wh"])
+                              b["charge_left_wh"], b["margin_wh"], b["deficit_wh"])
                     for column, value in zip(table.values(), values, strict=True):
                         column.append(value)
         return table
@@ -199,20 +215,19 @@ def run_alternatives(
     Raises
     ------
     missionsim.errors.InputError
-        All faults of all alternatives.
+        All faults of all alternatives, where the baseline or every other one is impossible.
     """
     size = max(1, min(_AT_ONCE, -(-len(alternatives) // workers)))
     parts = [alternatives[i : i + size] for i in range(0, len(alternatives), size)]
     faults: list[Fault] = []
-    results: list[RunResult] = []
+    results: list[RunResult | tuple[Fault, ...]] = []
     warnings: list[Fault] = []
 
     def take(tried: Iterable[_Tried]) -> None:
         for result, found, told in tried:
             faults.extend(found)
             warnings.extend(told)
-            if result is not None:
-                results.append(result)
+            results.append(tuple(found) if result is None else result)
             done()
 
     if workers > 1 and len(parts) > 1:
@@ -224,9 +239,10 @@ def run_alternatives(
         with remembered():
             models: dict[int, PowerModel] = {}
             take(_try(mission, alternative, models) for alternative in alternatives)
-    if faults:
+    first, *others = results
+    if not isinstance(first, RunResult) or (faults and not any(isinstance(item, RunResult) for item in others)):
         raise InputError(faults)
-    return WhatIf(results[0].mission, tuple(alternatives), tuple(results), tuple(dict.fromkeys(warnings)))
+    return WhatIf(first.mission, tuple(alternatives), tuple(results), tuple(dict.fromkeys(warnings)))
 
 
 _AT_ONCE = 50

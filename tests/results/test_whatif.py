@@ -150,3 +150,16 @@ def test_alternatives_share_the_files_that_none_changes(corridor: Path, monkeypa
     # outside of it, a file that was changed meanwhile is read anew
     load_mission(corridor)
     assert len(read) > len(set(read))
+
+
+def test_an_impossible_cell_is_one_row_that_says_why(corridor: Path, tmp_path: Path) -> None:
+    found = whatif(
+        [str(corridor), "--vary", "defaults.speed=0.3,9", "--out", str(tmp_path / "w.csv")], tmp_path / "w.json"
+    )
+    baseline, slow, fast = found["alternatives"]
+    assert not fast["feasible"]
+    assert "faster than the robot" in fast["reason"]
+    for row in (baseline, slow):
+        for battery in row["batteries"].values():
+            assert battery["margin_wh"] <= battery["charge_left_wh"]
+    assert "impossible: faster" in (tmp_path / "w.csv").read_text()
