@@ -11,26 +11,23 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import Labels
 from missionsim.effects.integrate import SAMPLES, averaged
 from missionsim.effects.model import PowerModel
-from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.outcome import J_PER_WH
-from missionsim.engine.simulate import RESERVE_TOLERANCE, RunSetup, simulate, split_values
-from missionsim.errors import MissionsimError
+from missionsim.engine.simulate import RESERVE_TOLERANCE, RunSetup, split_values
 from missionsim.inputs.mission import MissionSpec
-from missionsim.plan.build import make_plan, plan_runs
-from missionsim.plan.legs import Leg, Phase, Plan
+from missionsim.plan.build import plan_runs
+from missionsim.plan.legs import Plan
 from missionsim.plan.steady import closure
 from missionsim.uncertainty.draws import Draws, Sampler
-from missionsim.uncertainty.matrices import Progress, at_nodes, running_sum, table, take
-from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, left_to_chance, simulate_block
+from missionsim.uncertainty.matrices import Intervals, Progress, at_nodes, distance_of, running_sum, take
+from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, simulate_block
 
 Array = NDArray[np.float64]
 AGREEMENT = 1e-9
@@ -44,10 +41,7 @@ _PARTS = np.linspace(0.0, 1.0, PROGRESS_POINTS)
 # its threshold grows to the largest block that was ever freed)
 _largest = np.empty(24 << 20, dtype=np.uint8)
 del _largest
-_CHECK_PROBABILITIES = (0.5, 0.002, 0.998, 0.25, 0.75)
-_CHECK_DRAWS, _TRIED = 3, 256
 _BELOW = "below its reserve: "
-_RATE = "d/dt "
 
 
 @dataclass(frozen=True)
@@ -141,7 +135,7 @@ class ArrayMission:
         columns["speed_limited"][:] = functools.reduce(np.logical_or, limited, False)
         if plan.odd is not None:
             again |= plan.odd
-        intervals = _Intervals.of(plan)
+        intervals = Intervals.of(plan)
         if len(plan.legs) != len(self.plan.legs) or not set(range(len(plan.legs))) <= set(intervals.leg_of.tolist()):
             again[:] = True
             return
@@ -158,7 +152,7 @@ class ArrayMission:
 
     def _piece(
         self,
-        intervals: _Intervals,
+        intervals: Intervals,
         part: slice,
         setup: RunSetup,
         values: Mapping[str, Array],
@@ -173,7 +167,7 @@ class ArrayMission:
         energy, doubt = self._energies(cov, rates, duration, knots[-1], values, parts, intervals.leg_of)
         for joules in parts.values():
             joules *= 1.0 / J_PER_WH
-        columns["duration_s"][:], columns["distance_m"][:] = knots[-1], _distance(cov, duration)
+        columns["duration_s"][:], columns["distance_m"][:] = knots[-1], distance_of(cov, duration)
         sound = np.isfinite(knots[-1]) & (duration.min(axis=1) >= 0.0)
         again |= ~sound
         if not sound.all():
@@ -230,13 +224,13 @@ class ArrayMission:
         return frozenset(name for term in terms for name in (*term.effect.needs, *term.effect.memory))
 
     def covariates(
-        self, intervals: _Intervals, part: slice, duration: Array, knots: Array
+        self, intervals: Intervals, part: slice, duration: Array, knots: Array
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Covariates at the start of each interval and their change per second.
 
         Parameters
         ----------
-        intervals : _Intervals
+        intervals : Intervals
         part : slice
             The runs.
         duration : ndarray, shape (runs, intervals)
@@ -372,208 +366,3 @@ class ArrayMission:
                 energy[term.battery] += spread
                 parts[term.battery, term.component] += spread.sum(axis=1)
         return energy, doubt
-
-
-@dataclass(frozen=True)
-class _Intervals:
-    """The phases of a plan of many runs, and the legs that they belong to."""
-
-    plan: Plan
-    phases: tuple[Phase, ...]
-    leg_of: NDArray[np.intp]
-
-    @classmethod
-    def of(cls, plan: Plan) -> _Intervals:
-        phases = tuple(phase for step in plan.steps for phase in step.phases)
-        return cls(plan, phases, np.array([phase.leg for phase in phases], dtype=np.intp))
-
-    def duration(self, part: slice) -> Array:
-        """Of each interval [s], shape (runs, intervals)."""
-        lasting = self._tables[""]
-        if lasting.ndim > 1:
-            return lasting[:, part].T
-        return np.repeat(lasting[:, None], part.stop - part.start, axis=1).T
-
-    @functools.cached_property
-    def _tables(self) -> dict[str, Array]:
-        """Covariates of each interval at its start and, with a prefix, their rates; see `table`."""
-        phases = self.phases
-        found = {"": table([phase.duration_s for phase in phases])}
-        for name, level, rate in (
-            ("speed_m_s", "speed_m_s", "accel_m_s2"),
-            ("lateral_speed_m_s", "lateral_m_s", "lateral_m_s2"),
-            ("yaw_rate_rad_s", "yaw_rad_s", "yaw_rad_s2"),
-        ):
-            found[name] = table([getattr(phase, level) for phase in phases])
-            found[_RATE + name] = table([getattr(phase, rate) for phase in phases])
-        legs: list[Leg] = [self.plan.legs[i] for i in self.leg_of.tolist()]
-        for name in ("payload_kg", "slope_rad"):
-            found[name] = table([getattr(leg.settings, name) for leg in legs])
-        extra = [dict(leg.settings.extra) for leg in self.plan.legs]
-        for name in sorted({name for item in extra for name in item} - self._of_legs.keys()):
-            given = [item.get(name, np.nan) for item in extra]
-            found[name] = table([given[i] for i in self.leg_of.tolist()])
-        return found
-
-    @functools.cached_property
-    def _of_legs(self) -> dict[str, Any]:
-        """Covariates that no draw changes, of each interval."""
-        settings = [leg.settings for leg in self.plan.legs]
-        found: dict[str, Any] = {
-            name: Labels.of([getattr(item, name) for item in settings])[self.leg_of]
-            for name in ("scheme", "navigation", "surface")
-        }
-        moving = np.array([phase.moving for phase in self.phases])
-        # a leg that takes no time in any run is planned as standing
-        before = np.concatenate([[False], moving[:-1]])
-        found["moving"], found["starts"] = moving.astype(float), (moving & ~before).astype(float)
-        for name in sorted({name for item in settings for name, value in item.extra if isinstance(value, str)}):
-            found[name] = Labels.of([dict(item.extra).get(name, np.nan) for item in settings])[self.leg_of]
-        return found
-
-    def covariates(self, part: slice) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Covariates at the start of each interval, shape (runs, intervals) or (intervals,), and their rates."""
-        cov: dict[str, Any] = dict(self._of_legs)
-        rates: dict[str, Any] = {}
-        for name, rows in self._tables.items():
-            (rates if name.startswith(_RATE) else cov)[name.removeprefix(_RATE)] = (
-                rows[:, part].T if rows.ndim > 1 else rows
-            )
-        del cov[""]
-        cov["accel_m_s2"], cov["lateral_accel_m_s2"] = rates["speed_m_s"], rates["lateral_speed_m_s"]
-        return cov, rates
-
-
-def _distance(cov: Mapping[str, Any], duration: Array) -> Array:
-    """Distance driven [m], shape (runs,)."""
-    if not np.any(cov["accel_m_s2"]) and not np.any(cov["lateral_speed_m_s"]):
-        speed = np.broadcast_to(np.abs(cov["speed_m_s"]), duration.shape)
-        return np.asarray(np.einsum("ij,ij->i", speed, duration))
-    ahead = cov["speed_m_s"] * duration + 0.5 * cov["accel_m_s2"] * duration**2
-    aside = cov["lateral_speed_m_s"] * duration + 0.5 * cov["lateral_accel_m_s2"] * duration**2
-    return np.asarray(np.hypot(ahead, aside).sum(axis=1))
-
-
-def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) -> ArrayMission | str:
-    """Compile a mission for evaluation as arrays.
-
-    Parameters
-    ----------
-    mission : MissionSpec
-    model : PowerModel
-    sampler : Sampler
-
-    Returns
-    -------
-    ArrayMission or str
-        The compiled mission, or in words why its runs need SimPy.
-    """
-    try:
-        plan = make_plan(mission)
-        reason = _obstacle(mission, model, plan)
-    except MissionsimError as error:
-        reason = f"the nominal mission fails: {error}"
-    if reason:
-        return reason
-    made = _without_fixed_terms(ArrayMission(mission, model, sampler, plan, model, {}))
-    _, again = made.evaluate(sampler.draw(0, 0, _TRIED), _TRIED)
-    if again.mean() > 0.5:
-        return (
-            f"in {100 * again.mean():.0f} % of its runs a battery comes to a threshold, another way is shorter, a "
-            "value changes what the plan consists of, or a power has a kink inside an interval"
-        )
-    return _disagreement(made) or made
-
-
-def _obstacle(mission: MissionSpec, model: PowerModel, plan: Plan) -> str:
-    if plan.activities:
-        return "activities overlap with the segments, so that events may change their order"
-    if any(leg.recharge is not None for leg in plan.legs) or mission.policy.on_empty == "recharge_and_continue":
-        return "it recharges"
-    if plan.gated:
-        return "a block is repeated until a time"
-    chance = left_to_chance(mission)
-    if chance:
-        return f"chance decides in each run: {', '.join(name.removeprefix('chance.') for name in chance)}"
-    setup = RunSetup(mission, plan, model, {}, {})
-    if any(not isinstance(battery, ConstantEnergy) for battery in setup.batteries.values()):
-        return "a battery is no constant store of energy"
-    if any(component.startup_s for component in setup.components):
-        return "components take time to start"
-    whole = simulate(mission, plan=plan, model=model)
-    if not whole.completed:
-        return "the nominal mission does not end"
-    if any(b.home_wh for b in whole.batteries.values()):
-        return "it ends away from its dock, so that each run has a way home of its own"
-    return ""
-
-
-def _without_fixed_terms(made: ArrayMission) -> ArrayMission:
-    """Evaluate the terms that no draw changes, once and for all.
-
-    Two runs with values of their own are evaluated: what follows from a draw, or changes along a leg, has two rows
-    then. A term with zero as its undrawn coefficient is nought whatever else it depends on.
-    """
-    draws = made.sampler.at({value.name: np.array([0.3, 0.7]) for value in made.sampler.values})
-    numbers, drawn = split_values(draws, made.model)
-    values = {name: np.asarray(value)[:, None] for name, value in drawn.items()}
-    intervals, part = _Intervals.of(plan_runs(made.mission, numbers)), slice(0, 2)
-    duration = intervals.duration(part)
-    cov, rates = made.covariates(intervals, part, duration, running_sum(duration.T))
-    for name, rate in rates.items():  # what changes along an interval counts as changing from run to run
-        if np.any(rate):
-            cov[name] = np.broadcast_to(cov[name], duration.shape) + np.array([[0.0], [1.0]])
-    powers = made.model.evaluate(cov, values)
-    first = np.unique(intervals.leg_of, return_index=True)[1]
-    if len(first) != len(made.plan.legs):
-        return made
-    fixed: dict[tuple[str, str], Array] = {}
-    kept = []
-    for battery, watts in powers.items():
-        terms = made.model.of(battery)
-        whole = any(term.effect.of_load for term in terms)
-        changing = {term.key for term in terms if np.ndim(watts[term.key]) == 2 and len(watts[term.key]) > 1}
-        nought = {
-            term.key
-            for term in terms
-            if [parameter.value for parameter in term.parameters.values()] == [0.0]
-            and f"{battery}/{term.name_of(next(iter(term.parameters)))}" not in values
-            and not np.any(watts[term.key])
-        }
-        relieved = any(term.effect.recovers and term.key in changing - nought for term in terms)
-        for term in terms:
-            together = relieved and (term.effect.drive or term.effect.recovers) and term.key not in nought
-            if whole or term.key in changing - nought or together:
-                kept.append(term)
-            elif term.key not in nought:
-                place = (battery, term.key.component)
-                row = np.broadcast_to(np.asarray(watts[term.key], dtype=float), (1, len(intervals.leg_of)))[0]
-                fixed[place] = fixed.get(place, np.zeros(len(first))) + row[first]
-    return replace(made, varying=replace(made.model, terms=tuple(kept)), fixed=fixed)
-
-
-def _disagreement(made: ArrayMission) -> str:
-    """Why the arrays are not to be trusted: the largest difference to SimPy on some draws; empty if none."""
-    values, sampler = made.sampler.values, made.sampler
-    few = sampler.draw(0, 0, _CHECK_DRAWS)
-    at = sampler.at({value.name: np.array(_CHECK_PROBABILITIES) for value in values})
-    draws = {name: np.concatenate([at[name], few[name]]) for name in few}
-    count = len(_CHECK_PROBABILITIES) + _CHECK_DRAWS
-    columns, again = made.evaluate(draws, count)
-    for i in range(count):
-        if again[i]:
-            continue
-        try:
-            result = simulate(made.mission, values={n: float(v[i]) for n, v in draws.items()}, model=made.model)
-        except MissionsimError as error:
-            return f"a drawn mission fails: {error}"
-        for name, battery in result.batteries.items():
-            ours = float(columns[f"energy_{name}_wh"][i])
-            if not abs(ours - battery.energy_wh) <= AGREEMENT * max(abs(battery.energy_wh), 1e-12):
-                return (
-                    f"arrays and SimPy differ by {abs(ours / battery.energy_wh - 1):.1e} on battery '{name}' "
-                    "(a term has a kink or fades inside an interval)"
-                )
-        if bool(columns["feasible"][i]) != result.feasible:
-            return "arrays and SimPy do not agree on what is feasible"
-    return ""

@@ -25,8 +25,9 @@ from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
 from missionsim.plan.build import make_plan
 from missionsim.uncertainty.answers import proportion_interval
-from missionsim.uncertainty.arrays import ArrayMission, compile_arrays
+from missionsim.uncertainty.arrays import ArrayMission
 from missionsim.uncertainty.draws import Sampler, make_sampler
+from missionsim.uncertainty.qualify import compile_arrays
 from missionsim.uncertainty.single import simulate_block
 from missionsim.uncertainty.store import BlockStore
 from missionsim.uncertainty.streams import run_generator

@@ -6,15 +6,20 @@ an interval meets them as one number, and sums over intervals add whole rows.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.effects.covariates import Labels
 from missionsim.effects.integrate import SAMPLES
+from missionsim.plan.legs import Leg, Phase, Plan
 
 Array = NDArray[np.float64]
+_RATE = "d/dt "
 
 
 def table(numbers: Sequence[float | Array]) -> Array:
@@ -111,3 +116,84 @@ def take(cov: Mapping[str, Any], index: NDArray[np.intp]) -> dict[str, Any]:
     return {
         name: value[index] if hasattr(value, "codes") else np.asarray(value)[..., index] for name, value in cov.items()
     }
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """The phases of a plan of many runs, and the legs that they belong to."""
+
+    plan: Plan
+    phases: tuple[Phase, ...]
+    leg_of: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, plan: Plan) -> Intervals:
+        """Those of a plan."""
+        phases = tuple(phase for step in plan.steps for phase in step.phases)
+        return cls(plan, phases, np.array([phase.leg for phase in phases], dtype=np.intp))
+
+    def duration(self, part: slice) -> Array:
+        """Of each interval [s], shape (runs, intervals)."""
+        lasting = self._tables[""]
+        if lasting.ndim > 1:
+            return lasting[:, part].T
+        return np.repeat(lasting[:, None], part.stop - part.start, axis=1).T
+
+    @functools.cached_property
+    def _tables(self) -> dict[str, Array]:
+        """Covariates of each interval at its start and, with a prefix, their rates; see `table`."""
+        phases = self.phases
+        found = {"": table([phase.duration_s for phase in phases])}
+        for name, level, rate in (
+            ("speed_m_s", "speed_m_s", "accel_m_s2"),
+            ("lateral_speed_m_s", "lateral_m_s", "lateral_m_s2"),
+            ("yaw_rate_rad_s", "yaw_rad_s", "yaw_rad_s2"),
+        ):
+            found[name] = table([getattr(phase, level) for phase in phases])
+            found[_RATE + name] = table([getattr(phase, rate) for phase in phases])
+        legs: list[Leg] = [self.plan.legs[i] for i in self.leg_of.tolist()]
+        for name in ("payload_kg", "slope_rad"):
+            found[name] = table([getattr(leg.settings, name) for leg in legs])
+        extra = [dict(leg.settings.extra) for leg in self.plan.legs]
+        for name in sorted({name for item in extra for name in item} - self._of_legs.keys()):
+            given = [item.get(name, np.nan) for item in extra]
+            found[name] = table([given[i] for i in self.leg_of.tolist()])
+        return found
+
+    @functools.cached_property
+    def _of_legs(self) -> dict[str, Any]:
+        """Covariates that no draw changes, of each interval."""
+        settings = [leg.settings for leg in self.plan.legs]
+        found: dict[str, Any] = {
+            name: Labels.of([getattr(item, name) for item in settings])[self.leg_of]
+            for name in ("scheme", "navigation", "surface")
+        }
+        moving = np.array([phase.moving for phase in self.phases])
+        # a leg that takes no time in any run is planned as standing
+        before = np.concatenate([[False], moving[:-1]])
+        found["moving"], found["starts"] = moving.astype(float), (moving & ~before).astype(float)
+        for name in sorted({name for item in settings for name, value in item.extra if isinstance(value, str)}):
+            found[name] = Labels.of([dict(item.extra).get(name, np.nan) for item in settings])[self.leg_of]
+        return found
+
+    def covariates(self, part: slice) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Covariates at the start of each interval, shape (runs, intervals) or (intervals,), and their rates."""
+        cov: dict[str, Any] = dict(self._of_legs)
+        rates: dict[str, Any] = {}
+        for name, rows in self._tables.items():
+            (rates if name.startswith(_RATE) else cov)[name.removeprefix(_RATE)] = (
+                rows[:, part].T if rows.ndim > 1 else rows
+            )
+        del cov[""]
+        cov["accel_m_s2"], cov["lateral_accel_m_s2"] = rates["speed_m_s"], rates["lateral_speed_m_s"]
+        return cov, rates
+
+
+def distance_of(cov: Mapping[str, Any], duration: Array) -> Array:
+    """Distance driven [m], shape (runs,)."""
+    if not np.any(cov["accel_m_s2"]) and not np.any(cov["lateral_speed_m_s"]):
+        speed = np.broadcast_to(np.abs(cov["speed_m_s"]), duration.shape)
+        return np.asarray(np.einsum("ij,ij->i", speed, duration))
+    ahead = cov["speed_m_s"] * duration + 0.5 * cov["accel_m_s2"] * duration**2
+    aside = cov["lateral_speed_m_s"] * duration + 0.5 * cov["lateral_accel_m_s2"] * duration**2
+    return np.asarray(np.hypot(ahead, aside).sum(axis=1))
