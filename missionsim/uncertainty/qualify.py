@@ -1,0 +1,149 @@
+"""Whether a mission can be evaluated as arrays, and what of it no draw changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.model import PowerModel
+from missionsim.engine.batteries import ConstantEnergy
+from missionsim.engine.simulate import RunSetup, simulate, split_values
+from missionsim.errors import MissionsimError
+from missionsim.inputs.mission import MissionSpec
+from missionsim.plan.build import make_plan, plan_runs
+from missionsim.plan.legs import Plan
+from missionsim.uncertainty.arrays import AGREEMENT, ArrayMission
+from missionsim.uncertainty.draws import Sampler
+from missionsim.uncertainty.matrices import Intervals, running_sum
+from missionsim.uncertainty.single import left_to_chance
+
+Array = NDArray[np.float64]
+_CHECK_PROBABILITIES = (0.5, 0.002, 0.998, 0.25, 0.75)
+_CHECK_DRAWS, _TRIED = 3, 256
+
+
+def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) -> ArrayMission | str:
+    """Compile a mission for evaluation as arrays.
+
+    Parameters
+    ----------
+    mission : MissionSpec
+    model : PowerModel
+    sampler : Sampler
+
+    Returns
+    -------
+    ArrayMission or str
+        The compiled mission, or in words why its runs need SimPy.
+    """
+    try:
+        plan = make_plan(mission)
+        reason = _obstacle(mission, model, plan)
+    except MissionsimError as error:
+        reason = f"the nominal mission fails: {error}"
+    if reason:
+        return reason
+    made = _without_fixed_terms(ArrayMission(mission, model, sampler, plan, model, {}))
+    _, again = made.evaluate(sampler.draw(0, 0, _TRIED), _TRIED)
+    if again.mean() > 0.5:
+        return (
+            f"in {100 * again.mean():.0f} % of its runs a battery comes to a threshold, another way is shorter, a "
+            "value changes what the plan consists of, or a power has a kink inside an interval"
+        )
+    return _disagreement(made) or made
+
+
+def _obstacle(mission: MissionSpec, model: PowerModel, plan: Plan) -> str:
+    if plan.activities:
+        return "activities overlap with the segments, so that events may change their order"
+    if any(leg.recharge is not None for leg in plan.legs) or mission.policy.on_empty == "recharge_and_continue":
+        return "it recharges"
+    if plan.gated:
+        return "a block is repeated until a time"
+    chance = left_to_chance(mission)
+    if chance:
+        return f"chance decides in each run: {', '.join(name.removeprefix('chance.') for name in chance)}"
+    setup = RunSetup(mission, plan, model, {}, {})
+    if any(not isinstance(battery, ConstantEnergy) for battery in setup.batteries.values()):
+        return "a battery is no constant store of energy"
+    if any(component.startup_s for component in setup.components):
+        return "components take time to start"
+    whole = simulate(mission, plan=plan, model=model)
+    if not whole.completed:
+        return "the nominal mission does not end"
+    if any(b.home_wh for b in whole.batteries.values()):
+        return "it ends away from its dock, so that each run has a way home of its own"
+    return ""
+
+
+def _without_fixed_terms(made: ArrayMission) -> ArrayMission:
+    """Evaluate the terms that no draw changes, once and for all.
+
+    Two runs with values of their own are evaluated: what follows from a draw, or changes along a leg, has two rows
+    then. A term with zero as its undrawn coefficient is nought whatever else it depends on.
+    """
+    draws = made.sampler.at({value.name: np.array([0.3, 0.7]) for value in made.sampler.values})
+    numbers, drawn = split_values(draws, made.model)
+    values = {name: np.asarray(value)[:, None] for name, value in drawn.items()}
+    intervals, part = Intervals.of(plan_runs(made.mission, numbers)), slice(0, 2)
+    duration = intervals.duration(part)
+    cov, rates = made.covariates(intervals, part, duration, running_sum(duration.T))
+    for name, rate in rates.items():  # what changes along an interval counts as changing from run to run
+        if np.any(rate):
+            cov[name] = np.broadcast_to(cov[name], duration.shape) + np.array([[0.0], [1.0]])
+    powers = made.model.evaluate(cov, values)
+    first = np.unique(intervals.leg_of, return_index=True)[1]
+    if len(first) != len(made.plan.legs):
+        return made
+    fixed: dict[tuple[str, str], Array] = {}
+    kept = []
+    for battery, watts in powers.items():
+        terms = made.model.of(battery)
+        whole = any(term.effect.of_load for term in terms)
+        changing = {term.key for term in terms if np.ndim(watts[term.key]) == 2 and len(watts[term.key]) > 1}
+        nought = {
+            term.key
+            for term in terms
+            if [parameter.value for parameter in term.parameters.values()] == [0.0]
+            and f"{battery}/{term.name_of(next(iter(term.parameters)))}" not in values
+            and not np.any(watts[term.key])
+        }
+        relieved = any(term.effect.recovers and term.key in changing - nought for term in terms)
+        for term in terms:
+            together = relieved and (term.effect.drive or term.effect.recovers) and term.key not in nought
+            if whole or term.key in changing - nought or together:
+                kept.append(term)
+            elif term.key not in nought:
+                place = (battery, term.key.component)
+                row = np.broadcast_to(np.asarray(watts[term.key], dtype=float), (1, len(intervals.leg_of)))[0]
+                fixed[place] = fixed.get(place, np.zeros(len(first))) + row[first]
+    return replace(made, varying=replace(made.model, terms=tuple(kept)), fixed=fixed)
+
+
+def _disagreement(made: ArrayMission) -> str:
+    """Why the arrays are not to be trusted: the largest difference to SimPy on some draws; empty if none."""
+    values, sampler = made.sampler.values, made.sampler
+    few = sampler.draw(0, 0, _CHECK_DRAWS)
+    at = sampler.at({value.name: np.array(_CHECK_PROBABILITIES) for value in values})
+    draws = {name: np.concatenate([at[name], few[name]]) for name in few}
+    count = len(_CHECK_PROBABILITIES) + _CHECK_DRAWS
+    columns, again = made.evaluate(draws, count)
+    for i in range(count):
+        if again[i]:
+            continue
+        try:
+            result = simulate(made.mission, values={n: float(v[i]) for n, v in draws.items()}, model=made.model)
+        except MissionsimError as error:
+            return f"a drawn mission fails: {error}"
+        for name, battery in result.batteries.items():
+            ours = float(columns[f"energy_{name}_wh"][i])
+            if not abs(ours - battery.energy_wh) <= AGREEMENT * max(abs(battery.energy_wh), 1e-12):
+                return (
+                    f"arrays and SimPy differ by {abs(ours / battery.energy_wh - 1):.1e} on battery '{name}' "
+                    "(a term has a kink or fades inside an interval)"
+                )
+        if bool(columns["feasible"][i]) != result.feasible:
+            return "arrays and SimPy do not agree on what is feasible"
+    return ""
