@@ -33,7 +33,7 @@ J_PER_WH = 3600.0
 SCHEMA = "missionsim.run/1"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BatteryResult:
     """What a run did to one battery.
 
@@ -89,7 +89,7 @@ class BatteryResult:
     audit_relative_error: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunResult:
     """One simulated mission.
 
@@ -310,5 +310,5 @@ def _grouped(edges: list[DrivenEdge]) -> dict[int, list[DrivenEdge]]:
 def _totals(terms: Mapping[TermKey, Array], name_of: Callable[[TermKey], str]) -> dict[str, float]:
     totals: dict[str, list[float]] = {}
     for key, joules in terms.items():
-        totals.setdefault(name_of(key), []).append(float(np.sum(joules)))
+        totals.setdefault(name_of(key), []).append(float(joules.sum()))
     return {name: math.fsum(parts) / J_PER_WH for name, parts in totals.items()}
