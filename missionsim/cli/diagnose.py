@@ -31,6 +31,7 @@ def diagnose(
 
     search.check(logs)
     left_out: list[str] = []
+    remarks: list[str] = []
     result = diagnose_files(
         search.robot,
         list(logs),
@@ -40,6 +41,7 @@ def diagnose(
         alpha=search.alpha,
         align=not search.no_align,
         on_left_out=left_out.extend,
+        on_remark=remarks.extend,
     )
     tell_left_out(left_out)
     to.emit(result.to_json() | {"left_out": left_out})
@@ -50,6 +52,8 @@ def diagnose(
         write_text(report, diagnosis_page(result, footer=_footer(), robot=search.robot, logs=logs))
     if to.text:
         show(result, search.robot, logs)
+        for line in remarks:
+            console().print(line)
         if report is not None:
             console().print(f"report written: {report}")
     return 1 if left_out else 0

@@ -49,7 +49,7 @@ from missionsim.identify.settings import (
 from missionsim.identify.verdict import decide
 from missionsim.labels import Labels
 from missionsim.logs import describe
-from missionsim.runs.admit import admit
+from missionsim.runs.admit import admit, unchanging
 from missionsim.runs.coarse import Bounded
 from missionsim.runs.covariates import logged_name
 
@@ -133,6 +133,7 @@ def diagnose_files(
     alpha: float = ALPHA,
     align: bool = True,
     on_left_out: Callable[[list[str]], None] | None = None,
+    on_remark: Callable[[list[str]], None] | None = None,
 ) -> Diagnosis:
     """Diagnose from files.
 
@@ -154,6 +155,8 @@ def diagnose_files(
         Find and apply delay and lag of the meter behind the motion.
     on_left_out : callable, optional
         Called with a line for each run that is not learnt from, see `missionsim.runs.admit.admit`.
+    on_remark : callable, optional
+        Called with what no run can tell, see `missionsim.runs.admit.unchanging`.
 
     Raises
     ------
@@ -179,6 +182,8 @@ def diagnose_files(
     left_out = [*left_out, *filter(None, [averaged])]
     if on_left_out is not None:
         on_left_out(left_out)
+    if on_remark is not None:
+        on_remark(unchanging(tables))
     return diagnose(
         subject,
         tables,
