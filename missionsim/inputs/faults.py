@@ -69,80 +69,46 @@ def to_faults(
                 )
                 result.append((at, fault))
             continue
-        if kind == "extra_forbidden":
-            key = str(path[-1])
-            known = _allowed_keys(model, error["loc"][:-1])
-            fault = document.fault(
-                path, f"unknown key '{key}'", got=key, allowed=", ".join(known), hint=_close_key(key, known), key=True
-            )
-        elif kind == "missing" and path[:1] == ("components",) and error["loc"][-1] == "loads":
-            fault = _unfed(document, path[:2], path[1], raw)
+        if follows_from_entries(error):
+            continue
+        at, got, allowed, hint, key = path, as_written(raw), "", "", False
+        if kind in ("missing", "too_short") and path[:1] == ("components",) and error["loc"][-1] == "loads":
+            at = path[:2] if kind == "missing" else path
+            message, allowed = f"component '{path[1]}' is fed by no battery", "loads: [{battery: …, power: …}]"
+        elif kind == "extra_forbidden":
+            known, got, key = _allowed_keys(model, error["loc"][:-1]), str(path[-1]), True
+            message, allowed, hint = f"unknown key '{got}'", ", ".join(known), _close_key(got, known)
         elif kind == "missing":
-            fault = document.fault(
-                path[:-1] if _absent(shape, path) else path,
-                f"'{error['loc'][-1]}' is missing",
-                got=as_written(raw),
-                allowed=f"{error['loc'][-1]}: …",
-            )
+            at = path[:-1] if _absent(shape, path) else path
+            message, allowed = f"'{error['loc'][-1]}' is missing", f"{error['loc'][-1]}: …"
         elif kind in _LIMITS:
-            word, key = _LIMITS[kind]
-            fault = document.fault(path, "impossible value", got=as_written(raw), allowed=f"{word} {context[key]:g}")
+            word, limit = _LIMITS[kind]
+            message, allowed = "impossible value", f"{word} {context[limit]:g}"
         elif kind in ("literal_error", "enum"):
             options = [item.strip("'") for item in str(context["expected"]).replace(" or ", ", ").split(", ")]
+            message, allowed = "not one of the allowed words", ", ".join(options)
             hint = did_you_mean(raw, options) if isinstance(raw, str) else ""
-            fault = document.fault(
-                path, "not one of the allowed words", got=as_written(raw), allowed=", ".join(options), hint=hint
-            )
         elif kind in ("union_tag_invalid", "union_tag_not_found"):
-            options = (
-                [item.strip("'") for item in str(context.get("expected_tags", "")).split(", ")]
-                if context.get("expected_tags")
-                else []
-            )
+            options = [item.strip("'") for item in str(context.get("expected_tags") or "").split(", ") if item]
             tag = context.get("tag", "")
-            fault = document.fault(
-                (*path, "kind"),
-                "unknown kind" if tag else "'kind' is missing",
-                got=as_written(tag or raw),
-                allowed=", ".join(options) or "kind: …",
-                hint=did_you_mean(str(tag), options),
-            )
+            at, message, got = (*path, "kind"), "unknown kind" if tag else "'kind' is missing", as_written(tag or raw)
+            allowed, hint = ", ".join(options) or "kind: …", did_you_mean(str(tag), options)
         elif kind in _KINDS:
-            fault = document.fault(path, f"must be {_KINDS[kind]}", got=as_written(raw), allowed=_KINDS[kind])
+            message, allowed = f"must be {_KINDS[kind]}", _KINDS[kind]
         elif kind == "string_pattern_mismatch":
-            allowed = (
-                "lower-case letters, digits and _, beginning with a letter"
-                if "a-z0-9" in context["pattern"]
-                else context["pattern"]
-            )
-            fault = document.fault(
-                path, "not a name that can be used here", got=as_written(raw), allowed=allowed, key=True
-            )
+            letters = "lower-case letters, digits and _, beginning with a letter"
+            message, allowed, key = "not a name that can be used here", context["pattern"], True
+            allowed = letters if "a-z0-9" in allowed else allowed
         elif kind in ("too_short", "too_long"):
             few = kind == "too_short"
-            number = context["min_length"] if few else context["max_length"]
-            if follows_from_entries(error):
-                continue
-            if few and path[:1] == ("components",) and path[-1] == "loads":
-                result.append((path, _unfed(document, path, path[1], raw)))
-                continue
-            fault = document.fault(
-                path,
-                "too few entries" if few else "too many entries",
-                got=as_written(raw),
-                allowed=f"at {'least' if few else 'most'} {number}",
-            )
+            message = "too few entries" if few else "too many entries"
+            allowed = f"at least {context['min_length']}" if few else f"at most {context['max_length']}"
         elif kind in ("string_too_short", "string_too_long"):
-            number = context.get("min_length", context.get("max_length"))
-            fault = document.fault(
-                path,
-                "text too short" if "short" in kind else "text too long",
-                got=as_written(raw),
-                allowed=f"{number} characters",
-            )
+            message = "text too short" if "short" in kind else "text too long"
+            allowed = f"{context.get('min_length', context.get('max_length'))} characters"
         else:
-            fault = document.fault(path, error["msg"][:1].lower() + error["msg"][1:], got=as_written(raw))
-        result.append((path, fault))
+            message = error["msg"][:1].lower() + error["msg"][1:]
+        result.append((path, document.fault(at, message, got=got, allowed=allowed, hint=hint, key=key)))
     return result
 
 
@@ -151,15 +117,6 @@ def follows_from_entries(error: Any) -> bool:
     raw = error.get("input")
     return bool(
         error["type"] == "too_short" and isinstance(raw, (list, tuple, dict)) and len(raw) >= error["ctx"]["min_length"]
-    )
-
-
-def _unfed(document: Document, where: Sequence[str | int], component: str | int, raw: Any) -> Fault:
-    return document.fault(
-        where,
-        f"component '{component}' is fed by no battery",
-        got=as_written(raw),
-        allowed="loads: [{battery: …, power: …}]",
     )
 
 
