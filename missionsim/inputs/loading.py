@@ -200,9 +200,9 @@ def _read(path: Path, faults: list[Fault]) -> Document | None:
 def _kind_fault(document: Document, kinds: Sequence[str]) -> Fault:
     data = document.data
     if not isinstance(data, dict):
-        return document.fault(
-            (), "the file must hold a mapping", got=as_written(data), allowed="kind: " + " | ".join(kinds)
-        )
+        # not what the file holds: a mission of somebody else may name any file as its robot
+        sort = "a list" if isinstance(data, list) else "nothing" if data is None else "one value"
+        return document.fault((), "the file must hold a mapping", got=sort, allowed="kind: " + " | ".join(kinds))
     if "kind" not in data:
         return document.fault((), "'kind' is missing", allowed="kind: " + " | ".join(kinds))
     kind = data["kind"]

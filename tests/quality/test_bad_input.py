@@ -217,3 +217,11 @@ def test_results_keep_links_and_devices(tmp_path: Path) -> None:
     with pytest.raises(IsADirectoryError, match="a folder"):
         write_text(tmp_path, "x")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["link.txt", "real.txt"]
+
+
+def test_messages_do_not_show_what_another_file_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "secret.txt").write_text("hunter2 is the password\n")
+    mission = tmp_path / "mission.yaml"
+    mission.write_text("kind: mission\nname: a\nrobot: secret.txt\nsegments: [{wait: {duration: 5 s}}]\n")
+    assert run_command(["validate", str(mission)]) == 2
+    assert "hunter2" not in capsys.readouterr().err
