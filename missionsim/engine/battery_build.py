@@ -74,8 +74,8 @@ def _at(curve: Any, temperature_c: float | None, number: Callable[[Parameter], f
     """What a curve over temperature gives; 1 without a curve or where no temperature is known."""
     if curve is None or temperature_c is None:
         return 1.0
-    points = [[number(value) for value in point] for point in curve]
-    made = np.interp(temperature_c, *zip(*points, strict=True))
+    degrees, parts = (np.array([number(point[i]) for point in curve]) for i in (0, 1))
+    made = np.asarray(np.interp(temperature_c, degrees, parts))
     return float(made) if made.ndim == 0 else made
 
 

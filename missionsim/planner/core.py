@@ -123,6 +123,7 @@ class Outcome:
     bound: float = -math.inf
     labels: int = 0
     runners_up: list[Label] = field(default_factory=list)
+    interrupted: bool = False
 
 
 class _Front:
@@ -315,6 +316,7 @@ def search(
     except KeyboardInterrupt:
         if outcome.label is None or every_goal:
             raise
+        outcome.interrupted = True
         return outcome
     outcome.bound = outcome.objective if outcome.label is not None or math.isfinite(best) else math.inf
     return outcome

@@ -148,6 +148,8 @@ class Shift:
         answer = min(feasible, key=lambda item: item.objective)
         answer.bound = min(bound, answer.objective)
         answer.extra["rounds"] = rounds
+        kinds = f"of shifts of {len(self.kinds)} kinds of rounds"
+        answer.extra["assumed"] = [f"{kinds}, {'charging only at the start' if self.charger else 'without charging'}"]
         return answer
 
     def most(self) -> tuple[int, Answer | None]:

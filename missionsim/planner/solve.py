@@ -15,6 +15,8 @@ from missionsim.planner.bounds import bounds_of
 from missionsim.planner.core import Label, Outcome, search
 from missionsim.planner.drives import Drive
 from missionsim.planner.dual import Prices, best_prices
+from missionsim.planner.large import solve_large
+from missionsim.planner.orders import MOST_FREE
 from missionsim.planner.tour import Site, Tour, make_site
 
 Array = NDArray[np.float64]
@@ -76,6 +78,8 @@ def solve(task: TaskSpec, watch: Watch | None = None) -> Answer:
 
 def solve_site(site: Site, watch: Watch | None = None) -> Answer:
     """The best plan of a site; where visits may be left out, first as much value as can be."""
+    if site.order.sequence is None and len(site.task.visits) > MOST_FREE:
+        return solve_large(site, lambda one: solve_site(one, watch))
     values = np.array([visit.value or 0.0 for visit in site.task.visits])
     if not any(visit.value is not None for visit in site.task.visits):
         return _solve(site, None, math.inf, watch)
@@ -116,7 +120,9 @@ def _solve(
         try:
             outcome = search(tour, [Label(0, tour.start())], tour.is_goal, bounds, best=objective, watch=told)
         except KeyboardInterrupt:
+            stopped = True
             break
+        stopped = stopped or outcome.interrupted
         if outcome.label is not None:
             best, objective = outcome.label, outcome.objective
         bound = max(bound, min(outcome.bound, prices.bound + gap))
@@ -126,5 +132,6 @@ def _solve(
         if gap > MOST_GAP * scale:
             gap = math.inf
     if best is None:
-        return Answer(site, False)
+        early = "the search was stopped before it found a plan; there may be one"
+        return Answer(site, False, notes=[early] if stopped else [])
     return answer_of(tour, best, objective, bound)

@@ -20,7 +20,7 @@ from missionsim.plan.build import legs_of
 from missionsim.plan.legs import Leg
 from missionsim.planner.core import Leaving
 from missionsim.planner.drives import Drive, Drives
-from missionsim.planner.orders import MOST_FREE, Order
+from missionsim.planner.orders import Order
 from missionsim.planner.physics import Physics
 from missionsim.planner.pieces import FREE, ROLLED, STOPPED, State, make_road, pieces_of
 
@@ -237,15 +237,11 @@ def make_site(task: TaskSpec, order: Order | None = None) -> Site:
     Raises
     ------
     missionsim.errors.InputError
-        Where the task asks for what is not planned: turning at places, too many visits in any order.
+        Where the task asks for what is not planned: turning at places.
     """
     order = order or Order(task)
     if task.defaults.turn_at_places:
         raise _refused(task, "turning at places is not planned", "turn_at_places: false", "defaults", "turn_at_places")
-    if order.sequence is None and len(task.visits) > MOST_FREE:
-        raise _refused(
-            task, f"{len(task.visits)} visits in any order", f"at most {MOST_FREE}, or order: given", "visits"
-        )
     physics = Physics(task)
     energy, time = task.weights()
     weights = np.array([time, *(energy[name] for name in physics.names)])

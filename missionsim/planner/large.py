@@ -1,0 +1,150 @@
+"""Many visits in any order: an order by local search, then the best plan in that order, and a bound on all orders."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.inputs.check_task import earlier_of
+from missionsim.planner.answer import Answer
+from missionsim.planner.bounds import matrix
+from missionsim.planner.orders import Order
+from missionsim.planner.tour import Site
+
+Array = NDArray[np.float64]
+STARTS = 4
+LATE = 1e3
+"""What a second after the end of a window counts, relative to a second of the whole drive."""
+
+
+def solve_large(site: Site, solve: Callable[[Site], Answer]) -> Answer:
+    """The plan of an order that local search finds (moves of up to three visits, and reversals; Or 1976, Croes 1958).
+
+    Parameters
+    ----------
+    site : Site
+    solve : callable
+        Site with a given order → its best plan.
+    """
+    apart = matrix(site, site.order.load_kg, site.weights)
+    orders = _orders(site, apart)
+    answer = Answer(site, False)
+    for order in orders:
+        answer = solve(replace(site, order=Order(site.task, order)))
+        if answer.feasible:
+            break
+    else:
+        count = len(orders)
+        return Answer(site, False, notes=[f"no plan in the {count} orders that were tried of {len(order)} visits"])
+    answer.bound = min(answer.objective, _bound(site, apart))
+    answer.extra["assumed"] = ["the order was found by a heuristic"]
+    return answer
+
+
+def _bound(site: Site, apart: Array) -> float:
+    """Below which no order's objective is: each stop is left and entered once (assignment problem); else -infinity."""
+    from scipy.optimize import linear_sum_assignment
+
+    visits = site.task.visits
+    if any(v.value is not None or v.take_up is not None or v.set_down is not None for v in visits):
+        return -math.inf
+    count = len(visits)
+    cost = apart[: count + 1, 1 : count + 2].copy()
+    cost[np.arange(1, count + 1), np.arange(count)] = math.inf
+    cost[~np.isfinite(cost)] = 1e12
+    if count:
+        cost[0, count] = 1e12
+    rows, columns = linear_sum_assignment(cost)
+    standing = sum(float(site.standing(1 + i, site.order.load_kg) @ site.weights) for i in range(count))
+    return float(cost[rows, columns].sum()) + standing
+
+
+def _orders(site: Site, apart: Array) -> list[tuple[int, ...]]:
+    """Orders that keep to before and after, the best first."""
+    visits = site.task.visits
+    seconds = np.zeros_like(site.weights)
+    seconds[0] = 1.0
+    fast = matrix(site, site.order.load_kg, seconds)
+    stands = [float(site.standing(1 + i, site.order.load_kg)[0]) for i in range(len(visits))]
+    earlier = earlier_of(visits)
+    scale = LATE * float(np.nanmean(apart[np.isfinite(apart)])) / max(float(np.nanmean(fast[np.isfinite(fast)])), 1e-9)
+
+    def allowed(order: Sequence[int]) -> bool:
+        done: set[int] = set()
+        for i in order:
+            if not earlier[i] <= done:
+                return False
+            done.add(i)
+        load = site.order.load_kg
+        for i in order:
+            visit = visits[i]
+            load += (visit.take_up.value if visit.take_up else 0.0) - (visit.set_down.value if visit.set_down else 0.0)
+            most = site.task.within.max_payload or site.task.robot.body.max_payload
+            if load < -1e-9 or (most is not None and load > most.value * (1 + 1e-12)):
+                return False
+        return True
+
+    def cost(order: Sequence[int]) -> float:
+        total, clock, here = 0.0, 0.0, 0
+        for i in order:
+            total += apart[here, 1 + i]
+            clock += fast[here, 1 + i]
+            window = visits[i].window
+            if window is not None:
+                clock = max(clock, window.from_.value)
+                if window.until is not None:
+                    total += scale * max(0.0, clock - window.until.value)
+            clock += stands[i]
+            here = 1 + i
+        clock += fast[here, site.goal]
+        late = max(0.0, clock - site.deadline_s) if math.isfinite(site.deadline_s) else 0.0
+        return float(total + apart[here, site.goal] + scale * late)
+
+    rng = np.random.default_rng(1)
+    found: dict[tuple[int, ...], float] = {}
+    for start in range(STARTS):
+        order = _start(earlier, apart, rng if start else None)
+        if not allowed(order):
+            continue
+        best = cost(order)
+        improved = True
+        while improved:
+            improved = False
+            for other in _near(order):
+                if (value := cost(other)) < best - 1e-9 * abs(best) and allowed(other):
+                    order, best, improved = other, value, True
+                    break
+        found[tuple(order)] = best
+    return sorted(found, key=lambda order: found[order])
+
+
+def _start(earlier: list[set[int]], apart: Array, rng: np.random.Generator | None) -> list[int]:
+    """Always the nearest visit that may come next, or (with a generator) any of them."""
+    order: list[int] = []
+    here, left = 0, set(range(len(earlier)))
+    while left:
+        free = sorted(i for i in left if not earlier[i] & left)
+        chosen = min(free, key=lambda i: apart[here, 1 + i]) if rng is None else int(rng.choice(free))
+        order.append(chosen)
+        left.discard(chosen)
+        here = 1 + chosen
+    return order
+
+
+def _near(order: list[int]) -> list[list[int]]:
+    made = []
+    count = len(order)
+    for i in range(count):
+        for length in (1, 2, 3):
+            part, rest = order[i : i + length], order[:i] + order[i + length :]
+            if len(part) == length:
+                for k in range(len(rest) + 1):
+                    if k != i:
+                        made.append(rest[:k] + part + rest[k:])
+                        made.append(rest[:k] + part[::-1] + rest[k:])
+        made += [order[:i] + order[i:k][::-1] + order[k:] for k in range(i + 2, count + 1)]
+    return made
