@@ -18,7 +18,7 @@ def least(first: float, second: float) -> float:
     if isinstance(second, float):
         if isinstance(first, float):
             return min(first, second)
-        return first if second == math.inf else np.minimum(first, second)
+        return first if second == math.inf or first.max() <= second else np.minimum(first, second)
     return second if isinstance(first, float) and first == math.inf else np.minimum(first, second)
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,17 @@ from tests.benchmarks import forty
 pytestmark = pytest.mark.benchmark_ratio
 
 RUNS = 4096
+
+
+@pytest.fixture(autouse=True)
+def without_the_heap_of_other_tests() -> Iterator[None]:
+    """What they left is not looked through by the garbage collector while this is measured."""
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
 SEED = 4
 
 
@@ -57,14 +69,16 @@ def test_arrays_beside_the_same_by_hand(patrol: Prepared) -> None:
     few = {"plain Python loop": (forty.python_loop, 1024), "SimPy by hand": (forty.simpy_by_hand, 128)}
     ours = float("inf")
     seconds = dict.fromkeys([*peers, *few], float("inf"))
-    for _ in range(12):  # in turns; once more on a busy machine: neither can take less than it needs
+    ratios = [
+        least(lambda: arrays.block(SEED, 0, RUNS), 1) / least(lambda: forty.by_hand(RUNS, rng), 1) for _ in range(60)
+    ]
+    ratio = statistics.median(ratios)  # in turns of some milliseconds: what else the machine does meets both alike
+    for _ in range(3):
         ours = min(ours, least(lambda: arrays.block(SEED, 0, RUNS), 5) / RUNS)
         for name, call in peers.items():
             seconds[name] = min(seconds[name], least(call, 3) / RUNS)
         for name, (peer, runs) in few.items():
             seconds[name] = min(seconds[name], least(lambda peer=peer, runs=runs: peer(runs, rng), 1) / runs)  # type: ignore[misc]
-        if ours / seconds["NumPy by hand, the same totals"] <= 2.7:
-            break
     events = lambda: simulate_block(patrol.mission, patrol.model, patrol.sampler, SEED, 0, 50)  # noqa: E731
     seconds["ours, a block through SimPy"] = least(events, 3) / 50
     mine, theirs = arrays.block(SEED, 0, RUNS), forty.by_hand(RUNS, rng, charge=True)
@@ -83,7 +97,8 @@ def test_arrays_beside_the_same_by_hand(patrol: Prepared) -> None:
     print(f"\narrays {1 / ours:,.0f} missions/s; a run takes them, of the time of")
     for name, spent in seconds.items():
         print(f"  {name}: {1 / spent:,.0f}/s, {ours / spent:.4g}")
-    assert ours / seconds["NumPy by hand, the same totals"] <= 3.0
+    print(f"  the same totals, median of turns: {ratio:.2f}")
+    assert ratio <= 3.0
     assert seconds["SimPy by hand"] / ours >= 8.0
     assert seconds["ours, a block through SimPy"] / ours >= 50.0
     assert seconds["ours, a block through SimPy"] / seconds["SimPy by hand"] <= 80.0
