@@ -127,9 +127,10 @@ def _candidate(
     text: str, spec: RobotSpec, split: Split, battery: str, formula: str, settings: Settings
 ) -> tuple[str, str]:
     """The text of the robot with the formula as a candidate, and its name; a number means one of the forms proposed."""
-    from missionsim.diagnose.diagnosis import Subject, examine
+    from missionsim.diagnose.diagnosis import examine
     from missionsim.diagnose.proposed import formula_of, proposed_laws, with_candidate
     from missionsim.diagnose.split import Split
+    from missionsim.diagnose.subject import Subject
 
     if formula.strip().isdigit():
         seen = examine(Subject.of(spec), Split(split.train, (), split.how), battery, settings)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 from missionsim import command_package
 
 if TYPE_CHECKING:
-    from missionsim.diagnose.diagnosis import Subject, diagnose, diagnose_files
+    from missionsim.diagnose.diagnosis import diagnose, diagnose_files
+    from missionsim.diagnose.subject import Subject
     from missionsim.identify.findings import Diagnosis
 
 __all__ = ["Diagnosis", "Subject", "diagnose", "diagnose_files"]

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.diagnose.diagnosis import Examined, Subject, examine
+from missionsim.diagnose.diagnosis import Examined, examine
 from missionsim.diagnose.heldout import KINDS, Models
 from missionsim.diagnose.split import Split
+from missionsim.diagnose.subject import Subject
 from missionsim.diagnose.waterfall import worse_of
 from missionsim.errors import InputError, MissionsimError, did_you_mean
 from missionsim.fit.final import FinalFit

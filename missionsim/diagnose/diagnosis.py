@@ -9,45 +9,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.diagnose.execution import ExecutionEffect, execution_effects, seen_once, told_of
-from missionsim.diagnose.experiments import Bench, propose, to_learn
+from missionsim.diagnose.execution import ExecutionEffect, as_finding, execution_effects, seen_once, told_of
+from missionsim.diagnose.experiments import Bench, next_experiments
 from missionsim.diagnose.features import Features, at_size, lacks, make_features, steady_speed, with_same_causes
 from missionsim.diagnose.heldout import KINDS, Models
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
-from missionsim.diagnose.priors import priors_of
 from missionsim.diagnose.proposed import depends_on, proposed_laws, without_stand_ins
 from missionsim.diagnose.split import Split, choose_split
+from missionsim.diagnose.subject import Subject, priors_of
 from missionsim.diagnose.waterfall import noted
-from missionsim.effects.base import Effect
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
-from missionsim.fit.final import FinalFit
 from missionsim.identify.align import Clock
-from missionsim.identify.findings import (
-    BatteryDiagnosis,
-    Diagnosis,
-    Estimate,
-    Experiment,
-    Finding,
-    HeldOut,
-    Recalibrated,
-    RunSeries,
-    Where,
-)
+from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding, HeldOut, RunSeries, Where
 from missionsim.identify.identification import Identification, identify
 from missionsim.identify.proposed import Proposal
-from missionsim.identify.settings import (
-    ALPHA,
-    MOST_PASSES,
-    SAME_SIZE,
-    SHIFTED_MEAN_RATIO,
-    SHIFTED_RATIO,
-    SHIFTED_RUNS,
-    Settings,
-)
+from missionsim.identify.settings import ALPHA, MOST_PASSES, SAME_SIZE, Settings
 from missionsim.identify.verdict import decide
-from missionsim.labels import Labels
 from missionsim.logs import describe
 from missionsim.runs.admit import admit, unchanging
 from missionsim.runs.coarse import Bounded
@@ -55,72 +34,10 @@ from missionsim.runs.covariates import logged_name
 
 if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
-    from missionsim.inputs.robot import RobotSpec
     from missionsim.runs.run import Run
 
 MOST_WHERE = 4
 WORTH_SAYING = 0.03
-
-
-@dataclass(frozen=True)
-class Subject:
-    """A robot under diagnosis: its file, power model, own candidate effects.
-
-    Attributes
-    ----------
-    name : str
-    model : PowerModel
-    sources : mapping
-        Key of the robot file's ``sources`` → text.
-    own : mapping of battery to tuple of Effect
-        Effects of the file that are candidates only.
-    switchable : mapping of battery to tuple of str
-        Components that can be switched and that the battery feeds.
-    limits : mapping
-        ``max_speed``, ``max_yaw_rate``, ``acceleration``.
-    """
-
-    name: str
-    model: PowerModel
-    sources: Mapping[str, str]
-    own: Mapping[str, tuple[Effect, ...]]
-    switchable: Mapping[str, tuple[str, ...]]
-    limits: Mapping[str, float]
-    priors: Mapping[str, float] | None = None
-    """Relative prior standard deviations by parameter, in place of the file's."""
-
-    @classmethod
-    def of(
-        cls, robot: RobotSpec, model: PowerModel | None = None, priors: Mapping[str, float] | None = None
-    ) -> Subject:
-        """The subject of a robot file."""
-        from missionsim.inputs.power import build_effect, build_power_model
-
-        own: dict[str, list[Effect]] = {}
-        for spec in robot.effects:
-            if spec.candidate:
-                own.setdefault(spec.battery, []).append(build_effect(spec, robot))
-        switchable = {
-            battery: tuple(
-                name
-                for name, component in robot.components.items()
-                if not component.always_on and any(load.battery == battery for load in component.loads)
-            )
-            for battery in robot.batteries
-        }
-        body = robot.body
-        limits = {"max_speed": body.max_speed.value, "max_yaw_rate": body.max_yaw_rate.value}
-        if body.max_acceleration is not None:
-            limits["acceleration"] = body.max_acceleration.value
-        return cls(
-            robot.name,
-            model or build_power_model(robot),
-            dict(robot.sources),
-            {battery: tuple(effects) for battery, effects in own.items()},
-            switchable,
-            limits,
-            priors,
-        )
 
 
 def diagnose_files(
@@ -353,8 +270,11 @@ def diagnose_battery(
         after = heldout.power_rmse_w["with_effects"]
         effects = tuple(replace(e, heldout_rmse_before_w=before[e.effect], heldout_rmse_after_w=after) for e in effects)
     series = _series(seen, powers)
-    driven = _execution(split, battery, timeline, settings)
-    execution = tuple(_as_finding(one) for one in driven if one.found)
+    logs = [log for log in (*split.train, *split.heldout) if battery in log.power_w]
+    driven: list[ExecutionEffect] = []
+    if timeline is not None and all("speed_m_s" in log.columns for log in logs):
+        driven = execution_effects(timeline, logs, battery, settings.alpha)
+    execution = tuple(as_finding(one) for one in driven if one.found)
     left, averages = found.unexplained, found.averages
     if found.factor is None and not averages:
         over = leftover(found, features.covariates)
@@ -375,13 +295,15 @@ def diagnose_battery(
     law = _something_else(proposed, effects, features)
     if proposed:
         left = depends_on(proposed, left)
+    bench = Bench(subject.model, features, found.choice, site_of(features.covariates, subject.limits), settings)
+    unexplained = found.unexplained if found.verdict == "unexplained_structure" else None
     return noted(
         BatteryDiagnosis(
             verdict=decide(effects, remains, found.demoted, law=law, execution=execution, averages=averages),
             effects=effects,
             candidates=(*candidates, *told_of(driven)),
             proposed_laws=proposed,
-            recalibration=_recalibrated(fits["with_effects"], features),
+            recalibration=models.recalibrated(fits["with_effects"]),
             delay_s=found.delay_s,
             lag_s=found.lag_s,
             clock_at_edge=found.clock_at_edge,
@@ -392,9 +314,9 @@ def diagnose_battery(
             confounding=found.confounding,
             battery=battery,
             untestable=untestable,
-            next_experiments=() if proposed and not effects else _next(subject, seen, effects, settings),
+            next_experiments=() if proposed and not effects else next_experiments(bench, effects, unexplained),
             heldout=heldout,
-            shifted=_shifted(seen),
+            shifted=models.shifted(found.effects),
             execution=execution,
             runs=tuple(run.run for run in features.runs),
             seconds=float(sum(np.sum(run.dt_s) for run in features.runs)),
@@ -404,28 +326,6 @@ def diagnose_battery(
             aligned=found.choice.model.source.aligned,
         )
     )
-
-
-def _recalibrated(fitted: FinalFit, features: Features) -> tuple[Recalibrated, ...]:
-    """Shifts of the base parameters with their values, largest first in prior standard deviations."""
-    rows = []
-    for name, new in fitted.values.items():
-        own = features.parameters.get(name)
-        if own is None:
-            continue
-        shift, sd = new.value / own.value - 1.0, new.sd / abs(own.value)
-        rows.append(
-            Recalibrated(
-                parameter=name,
-                shift=shift,
-                shift_sd=sd,
-                shift_in_prior_sd=shift / features.prior_sd[name],
-                value=new.value,
-                sd=new.sd,
-                unit=own.unit,
-            )
-        )
-    return tuple(sorted(rows, key=lambda row: -abs(row.shift_in_prior_sd)))
 
 
 def _within_rows(models: Models, power: PowerModel, series: Sequence[RunSeries]) -> float:
@@ -440,91 +340,11 @@ def _renamed(log: Any, taken: set[str]) -> Any:
     return replace(log, run=f"held-out {log.run}") if log.run in taken else log
 
 
-def _execution(split: Split, battery: str, timeline: Timeline | None, settings: Settings) -> list[ExecutionEffect]:
-    if timeline is None:
-        return []
-    logs = [log for log in (*split.train, *split.heldout) if battery in log.power_w]
-    if not all("speed_m_s" in log.columns for log in logs):
-        return []
-    return execution_effects(timeline, logs, battery, settings.alpha)
-
-
-def _as_finding(one: ExecutionEffect) -> Finding:
-    return Finding(
-        effect=one.effect,
-        parameters={"k": Estimate(one.value, one.low, one.high, one.unit)},
-        energy_share=one.energy_share,
-        p_value=one.p_value,
-        scheme=one.scheme,
-        level="identified",
-        remark=one.reason,
-    )
-
-
 def _something_else(laws: Sequence[Proposal], effects: Sequence[Finding], features: Features) -> bool:
     """Whether a proposed law reads quantities that no single named effect reads; else it is the form of that effect,
     told beside it."""
     known = [{logged_name(name) for name in features.effects[effect.effect].needs} for effect in effects]
     return any(not any({logged_name(v) for v in law.first.variables} <= own for own in known) for law in laws)
-
-
-def _next(subject: Subject, seen: Examined, effects: Sequence[Finding], settings: Settings) -> tuple[Experiment, ...]:
-    site = site_of(seen.features.covariates, subject.limits)
-    bench = Bench(subject.model, seen.features, seen.found.choice, site, settings)
-    proposed: list[Experiment] = []
-    known = {candidate.effect for candidate in seen.features.candidates}
-    for effect in effects:
-        rivals = [name for name in effect.indistinguishable_from if name in known]
-        unlogged = [name for name in effect.indistinguishable_from if name not in known]
-        if unlogged:
-            switches = " and ".join(f"on_{name.partition(':')[2]}" for name in unlogged)
-            do = f"any run again with {switches} in the log, which no drive can tell"
-            nan = float("nan")
-            proposed.append(Experiment((effect.effect, *unlogged), do, nan, nan, nan, 0.0))
-        if rivals:
-            proposed += propose(bench, (effect.effect, *rivals))
-    if not proposed and seen.found.verdict == "unexplained_structure":
-        on = tuple(seen.found.unexplained.depends_on)
-        proposed += [
-            Experiment(
-                on,
-                f"{m.do}, to see the form of the dependence on {', '.join(on)}",
-                float("nan"),
-                float("nan"),
-                float("nan"),
-                m.duration_s / 60.0,
-                tuple(part.to_json() for part in m.parts),
-            )
-            for m in to_learn(site, on)[:2]
-        ]
-    return tuple(proposed)
-
-
-def _shifted(seen: Examined) -> HeldOut | None:
-    """The same test on runs that differ in kind: the runs in which the main effect's covariate is largest are left out.
-
-    Only where enough runs differ in it; the size of effects and base is fitted again on the others.
-    """
-    found, features = seen.found, seen.features
-    if not found.effects or len(features.runs) < SHIFTED_RUNS:
-        return None
-    main = found.effects[0].effect
-    covariate = next((c.covariate for c in features.candidates if c.effect == main), "")
-    if not all(covariate in run.covariates for run in features.runs):
-        return None
-    if isinstance(features.covariates[0].get(covariate), Labels):
-        return None
-    level = np.array([float(np.average(np.abs(r.covariates[covariate]), weights=r.dt_s)) for r in features.runs])
-    count = max(1, len(level) // 3)
-    order = np.argsort(level, kind="stable")
-    held, kept = order[-count:], order[:-count]
-    if (
-        level[held].min() < SHIFTED_RATIO * level[kept].max()
-        and level[held].mean() < SHIFTED_MEAN_RATIO * level[kept].mean()
-    ):
-        return None
-    how = f"the {count} run{'s' * (count > 1)} with most {covariate} left out and predicted"
-    return seen.models.left_out(found.effects, [features.runs[i].run for i in held], how)
 
 
 def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.timeline import Timeline
-from missionsim.identify.findings import Judged
+from missionsim.identify.findings import Estimate, Finding, Judged
 from missionsim.runs.motion import Motion, Still, motions, planned, speed_of, still_of, stretch, told_apart, tracking
 from missionsim.runs.run import Run
 
@@ -214,3 +214,16 @@ def by_effect(effects: Sequence[ExecutionEffect]) -> Mapping[str, list[Execution
     for one in sorted(effects, key=lambda e: (not e.found, -abs(e.energy_share))):
         grouped.setdefault(one.effect, []).append(one)
     return grouped
+
+
+def as_finding(one: ExecutionEffect) -> Finding:
+    """An execution effect among the findings."""
+    return Finding(
+        effect=one.effect,
+        parameters={"k": Estimate(one.value, one.low, one.high, one.unit)},
+        energy_share=one.energy_share,
+        p_value=one.p_value,
+        scheme=one.scheme,
+        level="identified",
+        remark=one.reason,
+    )

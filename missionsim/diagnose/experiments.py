@@ -14,7 +14,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.identify.choice import Choice
 from missionsim.identify.data import RunData
 from missionsim.identify.design import make_source
-from missionsim.identify.findings import Experiment
+from missionsim.identify.findings import Experiment, Finding, Unexplained
 from missionsim.identify.gram import Gram, make_gram
 from missionsim.identify.model import Model
 from missionsim.identify.search import Constraints, single_gains
@@ -81,6 +81,37 @@ def imagined_run(power: PowerModel, features: Features, manoeuvre: Manoeuvre, si
         effect_columns(features.effects, features.candidates, cov),
         watched,
     )
+
+
+def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained | None) -> tuple[Experiment, ...]:
+    """What tells the effects apart that these data cannot; else, of a structure that is `left`, what shows its form."""
+    proposed: list[Experiment] = []
+    nan = float("nan")
+    known = {candidate.effect for candidate in bench.features.candidates}
+    for effect in effects:
+        rivals = [name for name in effect.indistinguishable_from if name in known]
+        unlogged = [name for name in effect.indistinguishable_from if name not in known]
+        if unlogged:
+            switches = " and ".join(f"on_{name.partition(':')[2]}" for name in unlogged)
+            do = f"any run again with {switches} in the log, which no drive can tell"
+            proposed.append(Experiment((effect.effect, *unlogged), do, nan, nan, nan, 0.0))
+        if rivals:
+            proposed += propose(bench, (effect.effect, *rivals))
+    if not proposed and left is not None:
+        on = tuple(left.depends_on)
+        proposed += [
+            Experiment(
+                on,
+                f"{m.do}, to see the form of the dependence on {', '.join(on)}",
+                nan,
+                nan,
+                nan,
+                m.duration_s / 60.0,
+                tuple(part.to_json() for part in m.parts),
+            )
+            for m in to_learn(bench.site, on)[:2]
+        ]
+    return tuple(proposed)
 
 
 def propose(bench: Bench, names: Sequence[str]) -> list[Experiment]:

@@ -20,8 +20,9 @@ from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.fit.final import FREE_SD, FinalFit, final_fit
 from missionsim.identify.align import Clock
 from missionsim.identify.design import Source
-from missionsim.identify.findings import Estimate, Finding, HeldOut
-from missionsim.identify.settings import Settings
+from missionsim.identify.findings import Estimate, Finding, HeldOut, Recalibrated
+from missionsim.identify.settings import SHIFTED_MEAN_RATIO, SHIFTED_RATIO, SHIFTED_RUNS, Settings
+from missionsim.labels import Labels
 from missionsim.runs.drive import drive
 from missionsim.runs.error import Errors, errors_of
 from missionsim.runs.run import Run
@@ -137,6 +138,53 @@ class Models:
         models = (self.power, self.fit((), runs=kept).model, self.fit(effects, runs=kept).model)
         out = [run for run in self.runs if run.run in names]
         return self.held_out(dict(zip(KINDS, models, strict=True)), out, how, True)
+
+    def shifted(self, effects: Sequence[Finding]) -> HeldOut | None:
+        """The same test on runs that differ in kind: those with most of the main effect's covariate are left out.
+
+        Only where enough runs differ in it; the size of effects and base is fitted again on the others.
+        """
+        features = self.features
+        if not effects or len(features.runs) < SHIFTED_RUNS:
+            return None
+        main = effects[0].effect
+        covariate = next((c.covariate for c in features.candidates if c.effect == main), "")
+        if not all(covariate in run.covariates for run in features.runs):
+            return None
+        if isinstance(features.covariates[0].get(covariate), Labels):
+            return None
+        level = np.array([float(np.average(np.abs(r.covariates[covariate]), weights=r.dt_s)) for r in features.runs])
+        count = max(1, len(level) // 3)
+        order = np.argsort(level, kind="stable")
+        held, kept = order[-count:], order[:-count]
+        if (
+            level[held].min() < SHIFTED_RATIO * level[kept].max()
+            and level[held].mean() < SHIFTED_MEAN_RATIO * level[kept].mean()
+        ):
+            return None
+        how = f"the {count} run{'s' * (count > 1)} with most {covariate} left out and predicted"
+        return self.left_out(effects, [features.runs[i].run for i in held], how)
+
+    def recalibrated(self, fitted: FinalFit) -> tuple[Recalibrated, ...]:
+        """Shifts of the base parameters with their values, largest first in prior standard deviations."""
+        rows = []
+        for name, new in fitted.values.items():
+            own = self.features.parameters.get(name)
+            if own is None:
+                continue
+            shift, sd = new.value / own.value - 1.0, new.sd / abs(own.value)
+            rows.append(
+                Recalibrated(
+                    parameter=name,
+                    shift=shift,
+                    shift_sd=sd,
+                    shift_in_prior_sd=shift / self.features.prior_sd[name],
+                    value=new.value,
+                    sd=new.sd,
+                    unit=own.unit,
+                )
+            )
+        return tuple(sorted(rows, key=lambda row: -abs(row.shift_in_prior_sd)))
 
     def averaged(self, model: PowerModel, source: Source, clock: Clock) -> Array:
         """Power of a model at the rate of the analysis [W], shape (n,)."""

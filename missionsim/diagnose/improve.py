@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from missionsim.diagnose.adopt import write
-from missionsim.diagnose.diagnosis import Subject, diagnose_battery, examine
-from missionsim.diagnose.priors import NO_PRIOR_SD, prior_before
+from missionsim.diagnose.diagnosis import diagnose_battery, examine
 from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.split import Split
+from missionsim.diagnose.subject import NO_PRIOR_SD, Subject, prior_before
 from missionsim.diagnose.waterfall import noise_floor, worse_note
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.settings import Settings

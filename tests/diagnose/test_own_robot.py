@@ -11,9 +11,10 @@ import pytest
 
 from missionsim.compare import compare_files
 from missionsim.diagnose.adopt import adopt
-from missionsim.diagnose.diagnosis import Subject, diagnose_battery, examine
+from missionsim.diagnose.diagnosis import diagnose_battery, examine
 from missionsim.diagnose.improve import improve
 from missionsim.diagnose.split import Split
+from missionsim.diagnose.subject import Subject
 from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.fit.provenance import data_tag
 from missionsim.fit.refit import refit_robot

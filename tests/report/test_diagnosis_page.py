@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from missionsim.diagnose.diagnosis import Subject, diagnose
+from missionsim.diagnose.diagnosis import diagnose
 from missionsim.diagnose.improve import improve
 from missionsim.diagnose.split import choose_split
+from missionsim.diagnose.subject import Subject
 from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import load_robot

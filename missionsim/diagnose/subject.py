@@ -1,22 +1,86 @@
-"""What is known of the base parameters beside these logs: the file's standard deviations, or nothing."""
+"""The robot under diagnosis, and what is known of its base parameters beside these logs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from missionsim.effects.base import Effect
+from missionsim.effects.model import PowerModel
 from missionsim.fit.provenance import fitted_to, sd_on_other_logs
 from missionsim.identify.settings import LEAST_FREE_SD
 
 if TYPE_CHECKING:
-    from missionsim.diagnose.diagnosis import Subject
     from missionsim.diagnose.features import Features
     from missionsim.effects.model import ModelParameter
+    from missionsim.inputs.robot import RobotSpec
 
 NO_PRIOR_SD = float("inf")
 """Prior of a parameter that was fitted to these very logs: they may not count twice."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A robot under diagnosis: its file, power model, own candidate effects.
+
+    Attributes
+    ----------
+    name : str
+    model : PowerModel
+    sources : mapping
+        Key of the robot file's ``sources`` → text.
+    own : mapping of battery to tuple of Effect
+        Effects of the file that are candidates only.
+    switchable : mapping of battery to tuple of str
+        Components that can be switched and that the battery feeds.
+    limits : mapping
+        ``max_speed``, ``max_yaw_rate``, ``acceleration``.
+    """
+
+    name: str
+    model: PowerModel
+    sources: Mapping[str, str]
+    own: Mapping[str, tuple[Effect, ...]]
+    switchable: Mapping[str, tuple[str, ...]]
+    limits: Mapping[str, float]
+    priors: Mapping[str, float] | None = None
+    """Relative prior standard deviations by parameter, in place of the file's."""
+
+    @classmethod
+    def of(
+        cls, robot: RobotSpec, model: PowerModel | None = None, priors: Mapping[str, float] | None = None
+    ) -> Subject:
+        """The subject of a robot file."""
+        from missionsim.inputs.power import build_effect, build_power_model
+
+        own: dict[str, list[Effect]] = {}
+        for spec in robot.effects:
+            if spec.candidate:
+                own.setdefault(spec.battery, []).append(build_effect(spec, robot))
+        switchable = {
+            battery: tuple(
+                name
+                for name, component in robot.components.items()
+                if not component.always_on and any(load.battery == battery for load in component.loads)
+            )
+            for battery in robot.batteries
+        }
+        body = robot.body
+        limits = {"max_speed": body.max_speed.value, "max_yaw_rate": body.max_yaw_rate.value}
+        if body.max_acceleration is not None:
+            limits["acceleration"] = body.max_acceleration.value
+        return cls(
+            robot.name,
+            model or build_power_model(robot),
+            dict(robot.sources),
+            {battery: tuple(effects) for battery, effects in own.items()},
+            switchable,
+            limits,
+            priors,
+        )
 
 
 def priors_of(subject: Subject, features: Features, logs: Sequence[Any]) -> dict[str, float]:
