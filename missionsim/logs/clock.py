@@ -76,7 +76,7 @@ def clock_delay(
     explained = _explained(power, np.diff(causes, axis=1), most)
     if explained is None:
         return None
-    lags = np.arange(-most, most + 1)
+    lags = range(-most, most + 1)
     top = int(np.argmax(explained))
     offset = 0.0
     if 0 < top < len(lags) - 1:
@@ -133,7 +133,7 @@ def _explained(power: Floats, causes: Floats, most: int) -> Floats | None:
     if total <= 0 or not len(causes) or n <= 4 * most:
         return None
     gram = causes @ causes.T + 1e-3 * np.eye(len(causes))
-    lags = np.arange(-most, most + 1)
+    lags = range(-most, most + 1)
     cross = np.stack([causes[:, max(0, -k) : n - max(0, k)] @ power[max(0, k) : n + min(0, k)] for k in lags], axis=1)
     squared = np.einsum("kl,kl->l", cross, np.linalg.solve(gram, cross)) / total
     return np.asarray(np.sqrt(np.clip(squared, 0.0, 1.0)))
