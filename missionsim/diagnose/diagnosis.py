@@ -184,6 +184,11 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
         )
     try:
         found = identify(features.runs, features.candidates, features.prior_sd, settings)
+        if sum(features.steady.get(one.parameter, 0.0) * one.shift for one in found.recalibration) < 0.0:
+            # a component that may be on draws something; where less is drawn than modelled, it is no reason
+            features = replace(features, steady={})
+            features = replace(features, prior_sd=priors_of(subject, features, split.train))
+            found = identify(features.runs, features.candidates, features.prior_sd, settings)
         used: dict[str, float] = {}
         for _ in range(MOST_PASSES):
             sizes = _limited(found, features)

@@ -123,7 +123,7 @@ def make_features(
     watts = _loads(names, model.batteries, covariates, ready)
     library = all_effects(tuple(components), surfaces if 1 < len(surfaces) <= MOST_SURFACES else (), watts, battery)
     effects, untestable = _testable(names, surfaces, (*library, *own), held, ready.remarks)
-    steady = _shares_of(np.full(ready.seconds().shape, ready.unknown_w), ready.gradients) if ready.unknown_w else {}
+    steady = _shares_of(np.full(ready.seconds().shape, ready.unknown_w), _level(ready.gradients))
     if ready.unknown_w and not steady:
         held.add("standby_load")
     columns: list[dict[str, Array]] = [{} for _ in ready.runs]
@@ -401,6 +401,14 @@ def _imitator(y: Array, names: Sequence[str], gradients: Sequence[Mapping[str, A
     shares = _shares_of(y, [{name: own[name] for name in names} for own in gradients])
     size = {name: float(sum(own[name] @ own[name] for own in gradients)) ** 0.5 for name in shares}
     return max(shares, key=lambda name: abs(shares[name]) * size[name], default=None)
+
+
+def _level(gradients: Sequence[Mapping[str, Array]]) -> list[dict[str, Array]]:
+    """Gradients of the parameters that are a constant power wherever they act."""
+    whole = {name: np.concatenate([own[name] for own in gradients]) for name in gradients[0]}
+    acting = {name: values[values != 0.0] for name, values in whole.items()}
+    kept = [name for name, values in acting.items() if len(values) and np.ptp(values) <= 1e-9 * np.max(np.abs(values))]
+    return [{name: own[name] for name in kept} for own in gradients]
 
 
 def _shares_of(y: Array, gradients: Sequence[Mapping[str, Array]]) -> dict[str, float]:
