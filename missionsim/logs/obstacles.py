@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,7 +17,7 @@ Floats = NDArray[np.float64]
 _SAMPLE = 100_000
 
 
-def check_obstacles(rows: Rows, components: tuple[str, ...] = ()) -> None:
+def check_obstacles(rows: Rows, components: Sequence[str] = ()) -> None:
     """Tell what stands in the way of a diagnosis although nothing is wrong with the file."""
     missing = [name for name in components if f"on_{name}" not in rows.columns]
     if missing:
@@ -23,7 +25,7 @@ def check_obstacles(rows: Rows, components: tuple[str, ...] = ()) -> None:
             "obstacle",
             "",
             f"no column says when {', '.join(missing)} {'is' if len(missing) == 1 else 'are'} on",
-            f"taken as always on; what a component draws can be told apart only where it is switched (on_{missing[0]})",
+            f"what a component draws can be told apart only where it is switched and logged (on_{missing[0]})",
             "note",
         )
     time = rows.time

@@ -251,7 +251,8 @@ def _freeze(
         suspect.check_agreement(rows, kinds)
         suspect.check_standstill(rows)
         suspect.check_order(rows)
-        check_obstacles(rows, components)
+        switchable = [name for name in components if robot is not None and not robot.components[name].always_on]
+        check_obstacles(rows, switchable)
     repeated |= suspect.check_frozen(rows, held.__contains__)
     power, fresh = {}, {}
     for battery, kind in kinds.items():

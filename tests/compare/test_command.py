@@ -35,7 +35,7 @@ def test_tables_fit_a_terminal_of_100_columns(logs: Path, capsys: pytest.Capture
     out = capsys.readouterr().out
     assert max(len(line) for line in out.splitlines()) <= 100
     assert "The error varies with slope" in out
-    assert "no column on_sonar: sonar counts as switched off" in " ".join(out.split())
+    assert "no column on_laser, on_sonar: laser, sonar count as switched off" in " ".join(out.split())
 
 
 def test_json_on_standard_output_is_json_alone(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
