@@ -130,6 +130,8 @@ class PowerModel:
     """`constants`' regeneration as a number that may be fitted; None where nothing gives back or it is zero."""
     schemes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Units of components that each control scheme requires; not a number where it may use them."""
+    known: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Least and greatest value of covariates in the logs that effects were fitted to."""
 
     def __post_init__(self) -> None:
         ordered = tuple(sorted(self.terms, key=lambda term: term.effect.stage))

@@ -14,8 +14,11 @@ from missionsim.engine.batteries import Battery
 from missionsim.errors import Fault
 from missionsim.expressions import Place
 from missionsim.plan.legs import SegmentInfo
+from missionsim.runs.covariates import COVARIATES
 
 J_PER_WH = 3600.0
+BEYOND = 0.05
+"""Part of the range of the logs by which a mission may leave it before that is told."""
 TOLERANCE = 1e-9
 """Relative to the energy of the battery's terms, or to its capacity: below it is rounding."""
 Energies = Mapping[str, Mapping[TermKey, NDArray[np.float64]]]
@@ -90,7 +93,38 @@ def doubts(
                     "full; the surplus is counted as if it were kept"
                 )
             )
-    return tuple(found)
+    return (*found, *_beyond(model, line, segments))
+
+
+def _beyond(model: PowerModel, line: Timeline, segments: Sequence[SegmentInfo]) -> list[Fault]:
+    """Warnings where the mission leaves the range of the logs that the model's effects were fitted to."""
+    read = {name for term in model.terms for name in (*term.effect.needs, term.effect.covariate)}
+    found: list[Fault] = []
+    for name, (low, high) in model.known.items():
+        one = COVARIATES.get(name)
+        if one is None or one.text or name not in read or name not in line.columns:
+            continue
+        values = np.broadcast_to(np.asarray(line.columns[name], dtype=float), (len(line),))
+        if one.magnitude:
+            values, low, high = np.abs(values), 0.0, max(abs(low), abs(high))
+        if name == "speed_m_s":
+            low = min(low, 0.0)  # every drive begins at rest
+        room = BEYOND * (high - low)
+        over = np.maximum(values - high, low - values)
+        if not np.any(over > room):
+            continue
+        worst = int(np.argmax(over))
+        measured = f"{low * one.factor:.3g} to {high * one.factor:.3g} {one.unit}".strip()
+        there = f"{values[worst] * one.factor:.3g} {one.unit}".strip()
+        found.append(
+            Place().warning(
+                f"{one.title} {there} in {_named(line.segment[over > room], segments)}: the logs that effects of this "
+                f"robot were fitted to have {measured}",
+                got=there,
+                allowed=measured,
+            )
+        )
+    return found
 
 
 _OF_COMPONENTS = ("law", "component", "always_on", "startup", "switchboard", "processor")
