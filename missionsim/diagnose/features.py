@@ -123,9 +123,11 @@ def make_features(
     watts = _loads(names, model.batteries, covariates, ready)
     library = all_effects(tuple(components), surfaces if 1 < len(surfaces) <= MOST_SURFACES else (), watts, battery)
     effects, untestable = _testable(names, surfaces, (*library, *own), held, ready.remarks)
-    steady = _shares_of(np.full(ready.seconds().shape, ready.unknown_w), _level(ready.gradients))
-    if ready.unknown_w and not steady:
-        held.add("standby_load")
+    steady: dict[str, float] = {}
+    if ready.unknown_w:
+        steady = _shares_of(np.full(ready.seconds().shape, ready.unknown_w), _level(ready.gradients))
+        if not steady:
+            held.add("standby_load")
     columns: list[dict[str, Array]] = [{} for _ in ready.runs]
     charged = float(np.mean(ready.measured_w() < 0.0))
     candidates: list[Candidate] = []

@@ -283,7 +283,3 @@ def _share(effect: Finding) -> str:
 
 def _unit(unit: str) -> str:
     return "" if unit in ("1", "") else f" {unit}"
-
-
-def _listed(parts: list[str]) -> str:
-    return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1]

@@ -111,8 +111,7 @@ class Driven:
         kept = replace(model, terms=tuple(term for term in model.terms if term.key in own))
         logged = self.run.columns
         cov = {**self.covariates, **{n: value for n, value in model.constants.items() if n not in logged}}
-        driven = _evaluated(kept, tuple(self.terms), self.run, cov, self.assumed)
-        return replace(driven, unknown=self.unknown)
+        return _evaluated(kept, tuple(self.terms), self.run, cov, self.assumed, self.unknown)
 
     def gradient(self, battery: str) -> dict[str, Array]:
         """``∂P/∂ln θ`` of each parameter of the terms that were evaluated; see `gradient`."""
@@ -239,12 +238,16 @@ def drive_blocks(plan: Assumed, blocks: Iterable[Run]) -> Iterator[Driven]:
 def _driven(plan: Assumed, block: Run, cov: dict[str, Any]) -> Driven:
     switches = {*plan.switched, *(name for name in plan.assumed if is_switch(name))}
     filled = frozenset({*plan.assumed, *switches, *map(clock_of, switches)} - set(block.columns))
-    driven = _evaluated(plan.model, plan.batteries, block, plan.model.complete(cov), filled)
-    return replace(driven, unknown=plan.unknown)
+    return _evaluated(plan.model, plan.batteries, block, plan.model.complete(cov), filled, plan.unknown)
 
 
 def _evaluated(
-    model: PowerModel, batteries: Sequence[str], block: Run, cov: Mapping[str, Any], filled: frozenset[str]
+    model: PowerModel,
+    batteries: Sequence[str],
+    block: Run,
+    cov: Mapping[str, Any],
+    filled: frozenset[str],
+    unknown: frozenset[str],
 ) -> Driven:
     measured, modelled, terms = {}, {}, {}
     for battery in batteries:
@@ -257,7 +260,7 @@ def _evaluated(
         fresh = block.fresh.get(battery)
         if fresh is not None:
             measured[battery], modelled[battery] = _per_reading(block.power_w[battery], total, block.dt_s, fresh)
-    return Driven(block, cov["time_s"], model, cov, measured, modelled, terms, filled)
+    return Driven(block, cov["time_s"], model, cov, measured, modelled, terms, filled, unknown)
 
 
 def _per_reading(
