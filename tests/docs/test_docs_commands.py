@@ -1,7 +1,8 @@
 """Every command that README and docs show is run, in the order shown, in a folder that looks like the repository.
 
-Convention: fenced blocks marked ``bash`` are run with ``bash -eu``; a line that may answer "no" ends in ``# exit 1``.
-Blocks marked ``text``, ``yaml`` or ``json`` are shown only; ``python`` blocks of a page are run one after the other.
+Convention: in fenced blocks marked ``bash`` the shell reads each line as it would for a user; commands of missionsim
+then run in this process through `missionsim.cli.main`, whatever else there is in the shell. A line that may answer "no"
+ends in ``# exit 1``. Blocks marked ``text``, ``yaml`` or ``json`` are shown only; ``python`` blocks are run in turn.
 The two blocks under "Run it" and "Test it" set the project up; they are tried in a clean clone instead.
 """
 
@@ -12,13 +13,18 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from missionsim.cli import main
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+STATEMENT = re.compile(r"(?:.*<<'END'\n(?:.*\n)*?END|(?:.*\\\n)*.+)(?:\n|\Z)")
+"""A line with what continues it, or one with the text that it feeds to a program."""
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
@@ -31,47 +37,62 @@ def blocks(page: Path) -> list[tuple[str, str]]:
     return [(language, code) for language, code in FENCE.findall(text) if language in ("bash", "python")]
 
 
-def allowed_exit(line: str) -> int:
-    match = re.search(r"#\s*exit (\d)", line)
-    return int(match.group(1)) if match else 0
+def statements(page: Path) -> Iterator[tuple[str, str]]:
+    for language, code in blocks(page):
+        if language == "python":
+            yield language, code
+        else:
+            yield from ((language, found) for found in STATEMENT.findall(code) if not found.startswith("#"))
 
 
-def script(code: str) -> str:
-    """The block with each line that may say "no" allowed to do so, and nothing else."""
-    lines = []
-    for line in code.splitlines():
-        wanted = allowed_exit(line)
-        lines.append(f"{line.split('#')[0]} && code=0 || code=$?; [ $code -eq {wanted} ]" if wanted else line)
-    return "\n".join(lines)
+def shell(script: str) -> str:
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", script],
+        capture_output=True,
+        text=True,
+        stdin=subprocess.DEVNULL,
+        check=False,
+    )
+    assert done.returncode == 0, f"{script}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+def run(statement: str, monkeypatch: pytest.MonkeyPatch) -> int:
+    if not statement.startswith("missionsim ") or " > " in statement:
+        shell(statement)
+        return 0
+    words = shell('missionsim() { printf "%s\\0" "$@"; }\n' + statement).split("\0")[:-1]
+    monkeypatch.setattr(sys, "argv", ["missionsim", *words])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert isinstance(left.value.code, int)
+    return left.value.code
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_commands_of_page(page: Path, tmp_path: Path) -> None:
-    parts = blocks(page)
+def test_commands_of_page(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parts = list(statements(page))
     if not parts:
         pytest.skip("this page shows no command")
     if any("../shared" in code for _, code in parts) and not (ROOT.parent / "shared" / "contract.md").is_file():
         pytest.skip("this page reads the shared logs, which are not here")
     here = tmp_path / "repository"
     here.mkdir()
-    for name in ("missions", "environments", "docs", "missionsim", "results"):
+    for name in ("missions", "environments", "docs", "results"):
         if (ROOT / name).is_dir():
             shutil.copytree(ROOT / name, here / name)
+    (here / "missionsim").symlink_to(ROOT / "missionsim")
     if (ROOT.parent / "shared").is_dir():
         (tmp_path / "shared").symlink_to(ROOT.parent / "shared")
-    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "COLUMNS": "100"}
+    monkeypatch.chdir(here)
+    monkeypatch.setenv("COLUMNS", "100")
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     for language, code in parts:
-        shell = ["bash", "-euo", "pipefail", "-c", script(code)]
-        command = shell if language == "bash" else [sys.executable, "-c", code]
-        done = subprocess.run(
-            command,
-            cwd=here,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=600,
-            check=False,
-            stdin=subprocess.DEVNULL,
-        )
-        told = f"--- out\n{done.stdout[-3000:]}\n--- err\n{done.stderr[-3000:]}"
-        assert done.returncode == 0, f"{page.name}:\n{code}\n{told}"
+        if language == "python":
+            exec(compile(code, page.name, "exec"), {"__name__": "__main__"})
+        else:
+            allowed = re.search(r"#\s*exit (\d)", code)
+            left = run(code, monkeypatch)
+            assert left == (int(allowed[1]) if allowed else 0), "\n".join([code, *capsys.readouterr()])
