@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from missionsim.effects import law_cpu
+from missionsim.effects import law_models
 from missionsim.errors import InputError
-from missionsim.physics import processor
-from missionsim.physics.arrays import f64
+from missionsim.physics import electrical, f64
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
@@ -88,7 +87,7 @@ class PowerPredictor:
             for load in component.loads:
                 if load.law is not None and getattr(load.law, "model", None) == "multicore_cpu":
                     given = {key: float(value) for key, value in load.law.parameters.items()}
-                    defaults = {p.name: p.default for p in law_cpu.PARAMETERS}
+                    defaults = {p.name: p.default for p in law_models.PARAMETERS}
                     own = {key.removeprefix(f"{self.battery}/{name}."): v for key, v in self.values.items()}
                     return {**defaults, **given, **{k: v for k, v in own.items() if k in defaults}}
         return None
@@ -156,11 +155,11 @@ class PowerPredictor:
             For a robot without an on-board computer under the law ``multicore_cpu``.
         """
         cov = {"speed_m_s": f64(speed_m_s), "cpu_freq_hz": f64(freq_hz), "complexity": f64(complexity)}
-        return f64(law_cpu.loop_time(cov, self._cpu()))
+        return f64(law_models.loop_time(cov, self._cpu()))
 
     def throughput(self, speed_m_s: ArrayLike, freq_hz: ArrayLike, complexity: ArrayLike = 1.0) -> Array:
         """Batches processed per second."""
-        return processor.throughput(
+        return electrical.throughput(
             self.loop_time(speed_m_s, freq_hz, complexity), batch_rate_hz=self._cpu()["batch_rate"]
         )
 
@@ -191,7 +190,7 @@ class PowerPredictor:
 
     def energy_per_metre(self, speeds_m_s: ArrayLike, freq_hz: ArrayLike, complexity: ArrayLike = 1.0) -> Array:
         """Eq. 7 of the rover paper, J/m."""
-        return processor.energy_per_metre(self.power(speeds_m_s, freq_hz, complexity), speeds_m_s)
+        return electrical.energy_per_metre(self.power(speeds_m_s, freq_hz, complexity), speeds_m_s)
 
     def best(
         self, speeds_m_s: ArrayLike, clocks_hz: ArrayLike, complexity: float = 1.0, *, service: bool = True

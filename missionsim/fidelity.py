@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from missionsim.control import TX2_STEP_HZ, Optimum, PowerPredictor
-from missionsim.physics.arrays import f64
+from missionsim.physics import f64
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from missionsim.diagnose.features import Features, effect_columns
 from missionsim.diagnose.manoeuvres import Manoeuvre, Site, library, script, shortened
-from missionsim.effects.derive import derive
+from missionsim.effects.covariates import derive
 from missionsim.effects.model import PowerModel
 from missionsim.identify.choice import Choice
 from missionsim.identify.data import RunData

@@ -1,4 +1,4 @@
-"""Covariates: what the power of a robot depends on, under glossary names, as scalars or arrays."""
+"""What the power of a robot depends on, under glossary names, as scalars or arrays, and what follows from a log."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ Truth = bool | NDArray[np.bool_]
 """Yes or no, or an array of them."""
 Covariates = Mapping[str, Any]
 """Glossary name → `Value`, or a str / `Labels` for text columns."""
+SMOOTHING_S = 0.5
+"""Width over which a noisy speed is smoothed before it is differentiated (a raw difference biases max(a, 0))."""
 
 
 def is_text(value: object) -> bool:
@@ -51,3 +53,80 @@ def is_moving(cov: Covariates) -> Truth:
         speed = np.hypot(speed, cov["lateral_speed_m_s"])
     turning = np.abs(number(cov, "yaw_rate_rad_s"))
     return np.asarray((speed >= STILL_SPEED_M_S) | (turning >= STILL_YAW_RATE_RAD_S))
+
+
+def derive(columns: Mapping[str, Any], time_s: NDArray[np.float64], dt_s: NDArray[np.float64]) -> dict[str, Any]:
+    """Log columns with what follows from them.
+
+    Parameters
+    ----------
+    columns : mapping
+        Glossary columns of one run, arrays of shape (n,).
+    time_s, dt_s : ndarray, shape (n,)
+        Time of each row and the time it stands for.
+
+    Returns
+    -------
+    dict
+        `columns` with ``accel_m_s2`` (if not logged), ``moving_time_s``, ``starts``, ``starts_per_s`` and
+        ``on_time_<component>_s`` for each ``on_<component>``.
+    """
+    cov: dict[str, Any] = dict(columns)
+    if "speed_m_s" in cov:
+        if "accel_m_s2" not in cov:
+            cov["accel_m_s2"] = acceleration(np.asarray(cov["speed_m_s"], dtype=float), time_s)
+        moving = np.asarray(is_moving(cov))
+        cov["moving_time_s"] = elapsed(moving, dt_s, reset=False)
+        starts = np.concatenate([[False], moving[1:] & ~moving[:-1]])
+        cov["starts"] = starts.astype(float)
+        cov["starts_per_s"] = starts / np.maximum(dt_s, 1e-9)
+    for name in [name for name in columns if name.startswith("on_") and not name.startswith("on_time_")]:
+        clock = f"on_time_{name[3:]}_s"
+        if clock not in cov:
+            cov[clock] = elapsed(np.asarray(cov[name], dtype=float) > 0.0, dt_s, reset=True)
+    return cov
+
+
+def elapsed(active: NDArray[np.bool_], dt_s: NDArray[np.float64], *, reset: bool) -> NDArray[np.float64]:
+    """Time spent active up to the middle of each row [s], shape (n,).
+
+    Parameters
+    ----------
+    active : ndarray of bool, shape (n,)
+    dt_s : ndarray, shape (n,)
+    reset : bool
+        Whether the clock starts again from zero at each switching on.
+    """
+    spent = np.where(active, dt_s, 0.0)
+    total = np.cumsum(spent)
+    middle = total - 0.5 * spent
+    if not reset:
+        return middle
+    before = np.where(~active, total, 0.0)
+    return np.where(active, middle - np.maximum.accumulate(before), 0.0)
+
+
+def acceleration(speed_m_s: NDArray[np.float64], time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rate of a noisy speed: slope of a local least-squares line over `SMOOTHING_S` or three rows [m/s²].
+
+    Parameters
+    ----------
+    speed_m_s, time_s : ndarray, shape (n,)
+    """
+    count = len(time_s)
+    if count < 3:
+        return np.gradient(speed_m_s, time_s) if count == 2 and time_s[1] > time_s[0] else np.zeros(count)
+    step = float(np.median(np.diff(time_s)))
+    reach = max(1, round(0.5 * SMOOTHING_S / max(step, 1e-6)))
+    first = np.maximum(np.arange(count) - reach, 0)
+    last = np.minimum(np.arange(count) + reach + 1, count)
+    clock = time_s - time_s[0]
+    middle = float(np.mean(clock))
+    sums = [
+        np.concatenate([[0.0], np.cumsum(x)])
+        for x in (clock - middle, speed_m_s, (clock - middle) ** 2, (clock - middle) * speed_m_s)
+    ]
+    st, sv, stt, stv = (s[last] - s[first] for s in sums)
+    number = last - first
+    spread = stt - st * st / number
+    return np.asarray(np.where(spread > 0.0, (stv - st * sv / number) / np.where(spread > 0.0, spread, 1.0), 0.0))

@@ -30,9 +30,6 @@ REFERENCE_GRID_C = (25.0,)
 _SPEED = ("speed_m_s",)
 
 
-_Power = Callable[[Covariates, Mapping[str, Any]], Any]
-
-
 def _k(unit: str, meaning: str, high: float = float("inf")) -> ParameterSpec:
     return ParameterSpec("k", unit, meaning, high=high)
 

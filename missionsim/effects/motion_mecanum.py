@@ -14,7 +14,7 @@ from missionsim.effects.base import Effect, ParameterSpec
 from missionsim.effects.base_terms import LIFTING
 from missionsim.effects.covariates import Covariates, is_moving, number
 from missionsim.effects.motion_models import MotionModel
-from missionsim.physics import mecanum, traction
+from missionsim.physics import mecanum, motion
 
 _SOURCE = "after Hou et al. 2019, section 2"
 _WHEEL = ParameterSpec("wheel_friction", "N", "friction of all four wheels, empty robot")
@@ -55,7 +55,7 @@ def _copper(cov: Covariates, p: Mapping[str, Any]) -> Any:
         mass_kg=cov["mass_kg"],
         wheel_friction_n=p["wheel_friction"] * load,
         roller_friction_n=p["roller_friction"] * load,
-        grade_force_n=traction.grade_force(number(cov, "slope_rad"), cov["mass_kg"]),
+        grade_force_n=motion.grade_force(number(cov, "slope_rad"), cov["mass_kg"]),
     )
     return mecanum.copper_loss(forces, resistance_w_n2=p["copper_resistance"]) * is_moving(cov)
 

@@ -249,7 +249,7 @@ def _fit_to_logs(fleet: Fleet, logs: Sequence[Path], battery: str, remarks: list
     """Least squares of power over all rows, none below zero; the tool's watts only where logs say when it was on."""
     from scipy.optimize import nnls
 
-    from missionsim.effects.derive import acceleration
+    from missionsim.effects.covariates import acceleration
     from missionsim.logs import read_logs
 
     blocks, targets = [], []

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.effects.base_terms import ALIASES
-from missionsim.effects.covariates import is_moving
-from missionsim.effects.derive import elapsed
+from missionsim.effects.covariates import elapsed, is_moving
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError, did_you_mean
 from missionsim.expressions import FUNCTIONS, Expression, compile_expression

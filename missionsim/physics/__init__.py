@@ -1,1 +1,13 @@
-"""Physics: bare functions of scalars or arrays, inputs first and parameters after, SI units, NumPy alone."""
+"""Bare functions of scalars or arrays; numbers or arrays in, float64 arrays out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def f64(values: ArrayLike) -> Array:
+    """`values` as a float64 array (a 0-d array for a number), not copied where it is one already."""
+    return np.asarray(values, dtype=np.float64)

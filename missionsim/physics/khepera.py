@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from missionsim.physics.arrays import Array, f64
+from missionsim.physics import Array, f64
 
 
 def motion_power(

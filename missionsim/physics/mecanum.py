@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from missionsim.physics.arrays import Array, f64
+from missionsim.physics import Array, f64
 
 _SIDEWAYS = (-1.0, 1.0, 1.0, -1.0)
 _TURNING = (-1.0, 1.0, -1.0, 1.0)

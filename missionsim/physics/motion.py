@@ -1,6 +1,8 @@
-"""Power that motion takes: base polynomial of a DC-motor drive and the effects that add to it.
+"""Power that motion takes, what the drive relieves, and how much longer than planned a path gets.
 
-All functions take scalars or arrays that broadcast, in SI units, and return watts (or joules where said).
+All functions take scalars or arrays that broadcast, in SI units, and return watts where nothing else is said. The
+causes of path stretch are those that Jaiem et al. 2021 name in sections 3.4.1 and 3.4.2; the paper prints no formula
+for them, so these (small-angle geometry) are ours.
 """
 
 from __future__ import annotations
@@ -9,8 +11,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from missionsim.glossary import GRAVITY_M_S2
+from missionsim.physics import Array, f64
 
 Value = Any
 
@@ -190,19 +194,65 @@ def relieved_powers(
     return [np.maximum(watts, 0.0) + share * np.minimum(watts, 0.0) for watts in powers_w]
 
 
-def polynomial_power(speed_m_s: Value, c2: Value, c3: Value, c4: Value) -> Value:
-    """Power of steady driving, ``C2 v² + C3 v + C4`` (Jaiem 2021, Eq. 6)."""
-    return viscous_power(speed_m_s, c2) + rolling_power(speed_m_s, c3) + c4
-
-
-def travel_energy(distance_m: Value, speed_m_s: Value, c2: Value, c3: Value, c4: Value) -> Value:
-    """Energy in J to drive a distance at constant speed, ``C2 d v + C3 d + C4 d/v`` (Jaiem 2021, Eq. 9)."""
-    return polynomial_power(speed_m_s, c2, c3, c4) * distance_m / speed_m_s
-
-
 def optimal_speed(c2: Value, c4: Value, other_w: Value = 0.0) -> Value:
     """Speed of least energy per metre, ``sqrt((C4 + P_other)/C2)`` in m/s (Jaiem 2021, Eqs. 10 and 11).
 
     `other_w` is the constant power of what else is on while driving (sensors) [W].
     """
     return np.sqrt((c4 + other_w) / c2)
+
+
+def speed_of_least_energy(constant_w: float, speeds_m_s: ArrayLike, power_w: ArrayLike) -> float:
+    """Speed at which (constant + power(v)) / v is least on a grid, refined by a parabola through the three best points.
+
+    Parameters
+    ----------
+    constant_w : float
+        Power that runs whatever the speed, W.
+    speeds_m_s, power_w : array_like, shape (n,)
+        Grid of positive speeds (m/s, increasing) and the motion power at each (W).
+
+    Returns
+    -------
+    float
+        m/s; an end of the grid where the least lies there.
+    """
+    speeds = f64(speeds_m_s)
+    energy = (constant_w + f64(power_w)) / speeds
+    best = int(np.argmin(energy))
+    if best in (0, len(speeds) - 1):
+        return float(speeds[best])
+    x, y = speeds[best - 1 : best + 2], energy[best - 1 : best + 2]
+    curvature, slope, _ = np.polyfit(x - x[1], y, 2)
+    return float(x[1] - slope / (2.0 * curvature)) if curvature > 0.0 else float(x[1])
+
+
+def relocalisation_stretch(spacing_m: ArrayLike, *, drift: ArrayLike, settle_m: ArrayLike) -> Array:
+    """Path stretch of a robot that drifts and is put right at markers: 1 + drift² L / (2 s).
+
+    Between markers L apart the position drifts sideways by drift · L; back on the path within the settling length s it
+    drives √(s² + (drift L)²) instead of s, about (drift L)² / (2 s) more on each L.
+
+    Parameters
+    ----------
+    spacing_m : array_like
+        Distance between markers, m.
+    drift : array_like
+        Sideways drift per metre driven.
+    settle_m : array_like
+        Length on which an offset is driven off, m.
+    """
+    offset = f64(drift) * f64(spacing_m)
+    return 1.0 + offset**2 / (2.0 * f64(settle_m) * f64(spacing_m))
+
+
+def centring_stretch(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> Array:
+    """Path stretch in a corridor whose walls the robot follows: 1 + (π A / λ)², a sine of amplitude A and length λ."""
+    return 1.0 + (np.pi * f64(amplitude_m) / f64(wavelength_m)) ** 2
+
+
+def settling_stretch(
+    turns: ArrayLike, distance_m: ArrayLike, *, heading_error_rad: ArrayLike, settle_m: ArrayLike
+) -> Array:
+    """Path stretch of headings that settle after turns: each adds s δ² / 4 (heading error fading over length s)."""
+    return 1.0 + f64(turns) * f64(settle_m) * f64(heading_error_rad) ** 2 / (4.0 * f64(distance_m))

@@ -14,8 +14,7 @@ from missionsim.inputs.activities import AnchorSpec
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.values import Parameter
 from missionsim.plan.draws import Odd, least
-from missionsim.plan.legs import Activity, Limits, Recharge, Settings, Trigger
-from missionsim.plan.pace import Pace
+from missionsim.plan.legs import Activity, Limits, Pace, Recharge, Settings, Trigger
 
 _EXTRAS = (
     ("temperature", "temp_ambient_c"),

@@ -15,8 +15,7 @@ from missionsim.inputs.values import Parameter
 from missionsim.plan.asked import Asked
 from missionsim.plan.chance import failures, stopped_by_obstacles, told_at
 from missionsim.plan.draws import remainder, sign
-from missionsim.plan.legs import Gate, Kind, Leg, OnEdge, Plan, SegmentInfo, Settings
-from missionsim.plan.pace import Pace
+from missionsim.plan.legs import Gate, Kind, Leg, OnEdge, Pace, Plan, SegmentInfo, Settings
 from missionsim.plan.routes import Way, along, routes_of
 from missionsim.plan.steady import steady_power_w
 from missionsim.plan.steps import group, slow_components

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.physics import path_following
-from missionsim.physics.arrays import f64
+from missionsim.physics import f64, motion
 from missionsim.published.figures import Ours, load_figures
 from missionsim.published.locate import mission, run
 
@@ -177,12 +176,12 @@ def behaviour_draws(causes: Causes, draws: int, rng: np.random.Generator) -> tup
         if segment.kind != "drive":
             continue
         if spec.navigation_of(segment) == "qr_code":
-            extra = path_following.relocalisation_stretch(spacing, drift=drift, settle_m=settle)
+            extra = motion.relocalisation_stretch(spacing, drift=drift, settle_m=settle)
             stretch[:, index] *= extra
         if spec.scheme_of(segment) == "centring_motion":
-            stretch[:, index] *= path_following.centring_stretch(amplitude, causes.wall_wavelength_m)
+            stretch[:, index] *= motion.centring_stretch(amplitude, causes.wall_wavelength_m)
         if name in turns:
-            stretch[:, index] *= path_following.settling_stretch(
+            stretch[:, index] *= motion.settling_stretch(
                 turns[name], lengths[index], heading_error_rad=causes.heading_error_rad, settle_m=settle
             )
         asked = float((segment.behaviour and segment.behaviour.speed_tracking) or 1.0)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from missionsim.control import PowerPredictor
 from missionsim.inputs import load_robot
-from missionsim.physics import traction
+from missionsim.physics import motion
 from missionsim.published.figures import Figure, Ours, load_figures
 from missionsim.published.locate import mission
 
@@ -56,19 +56,9 @@ def mechanical_power(speed_m_s: Array, *, with_constant: bool = True) -> Array:
 
 def drive_constant(speed_m_s: float) -> float:
     """Constant power (W) with which Table 1 has its least energy per metre at a speed: v² dF/dv."""
-    robot = load_robot("rover_tx2")
-    p = {name: float(value) for name, value in robot.motion.parameters.items()} if robot.motion else {}
-    force = {
-        "mass_kg": float(robot.body.mass or 0.0),
-        "rolling_coefficient": p["rolling_coefficient"],
-        "viscous_coefficient_s_m": p["viscous_coefficient"],
-        "drag_coefficient": p["drag_coefficient"],
-        "frontal_area_m2": p["frontal_area"],
-        "air_density_kg_m3": p["air_density"],
-    }
-    step = 1e-4 * speed_m_s
-    up, down = (float(traction.propulsive_force(speed_m_s + d, **force)) for d in (step, -step))
-    return speed_m_s**2 * (up - down) / (2.0 * step)
+    around = speed_m_s * np.array([1.0 + 1e-4, 1.0 - 1e-4])
+    force = mechanical_power(around, with_constant=False) / around
+    return float(speed_m_s**2 * (force[0] - force[1]) / (around[0] - around[1]))
 
 
 def processing_work(
@@ -163,8 +153,8 @@ def _optima(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
     low = robot.best(grid, clocks, tracks["field"])
     yield "qos.low", Ours(float(robot.throughput(2.0 * low.speed_m_s, clocks[-1], tracks["field"])))
     fine = speeds(top, 0.01)
-    yield "mech.speed", Ours(traction.speed_of_least_energy(0.0, fine, mechanical_power(fine)))
-    alone = traction.speed_of_least_energy(0.0, fine, mechanical_power(fine, with_constant=False))
+    yield "mech.speed", Ours(motion.speed_of_least_energy(0.0, fine, mechanical_power(fine)))
+    alone = motion.speed_of_least_energy(0.0, fine, mechanical_power(fine, with_constant=False))
     yield "mech.alone", Ours(alone, "the lowest speed of the grid: no optimum")
     part = float(mechanical_power(np.array([printed]))[0])
     whole = float(robot.power(printed, clocks[-1], tracks["slalom"]))

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import is_moving
-from missionsim.effects.derive import SMOOTHING_S, acceleration, derive
+from missionsim.effects.covariates import SMOOTHING_S, acceleration, derive, is_moving
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.errors import InputError
 from missionsim.labels import Labels

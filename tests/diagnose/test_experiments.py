@@ -7,7 +7,7 @@ import pytest
 
 from missionsim.diagnose.experiments import power_of
 from missionsim.diagnose.manoeuvres import Part, library, script, site_of
-from missionsim.effects.derive import derive
+from missionsim.effects.covariates import derive
 from missionsim.labels import Labels
 
 LIMITS = {"max_speed": 0.75, "max_yaw_rate": 1.0, "acceleration": 0.3}

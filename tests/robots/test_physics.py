@@ -1,4 +1,4 @@
-"""Physics of traction, Mecanum wheels, processors and path following, against closed forms."""
+"""Physics of Mecanum wheels, processors and path following, against closed forms."""
 
 from __future__ import annotations
 
@@ -7,36 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from missionsim.glossary import GRAVITY_M_S2
-from missionsim.physics import khepera, mecanum, path_following, processor, traction
+from missionsim.physics import electrical, khepera, mecanum, motion
 
 speeds = st.floats(-3.0, 3.0)
 angles = st.floats(-3.1, 3.1)
 
 
-def test_force_by_hand() -> None:
-    force = traction.propulsive_force(
-        2.0,
-        0.5,
-        0.1,
-        mass_kg=10.0,
-        rolling_coefficient=0.03,
-        viscous_coefficient_s_m=0.02,
-        drag_coefficient=0.7,
-        frontal_area_m2=0.1,
-        air_density_kg_m3=1.2,
-    )
-    weight = 10.0 * GRAVITY_M_S2
-    by_hand = 5.0 + (0.03 + 0.04) * weight * np.cos(0.1) + 0.5 * 1.2 * 0.7 * 0.1 * 4.0 + weight * np.sin(0.1)
-    assert float(force) == pytest.approx(by_hand, rel=1e-12)
-    assert float(traction.rolling_force(0.0, 10.0, rolling_coefficient=0.03)) == 0.0
-
-
 def test_speed_of_least_energy_of_a_parabola() -> None:
     speeds_m_s = np.linspace(0.1, 2.0, 400)
-    best = traction.speed_of_least_energy(3.66, speeds_m_s, 6.25 * speeds_m_s**2 + 9.79 * speeds_m_s)
+    best = motion.speed_of_least_energy(3.66, speeds_m_s, 6.25 * speeds_m_s**2 + 9.79 * speeds_m_s)
     assert best == pytest.approx(np.sqrt(3.66 / 6.25), abs=1e-4)
-    assert traction.speed_of_least_energy(0.0, speeds_m_s, speeds_m_s**2) == pytest.approx(0.1)
+    assert motion.speed_of_least_energy(0.0, speeds_m_s, speeds_m_s**2) == pytest.approx(0.1)
 
 
 @given(speeds, speeds, st.floats(-2.0, 2.0))
@@ -82,7 +63,7 @@ def test_starts_reach_their_speed() -> None:
 @given(st.floats(0.35e9, 2.0e9), st.floats(1e6, 1e8))
 def test_clock_up_time_down_power_up(clock: float, more: float) -> None:
     work = {"fixed_s": 0.003, "cycles": 3e7, "cycles_per_speed": 4e6}
-    assert processor.loop_time(clock + more, 2.0, 1.0, **work) < processor.loop_time(clock, 2.0, 1.0, **work)
+    assert electrical.loop_time(clock + more, 2.0, 1.0, **work) < electrical.loop_time(clock, 2.0, 1.0, **work)
     board = {
         "board_idle_w": 3.0,
         "core_work_w": 1.2,
@@ -95,11 +76,11 @@ def test_clock_up_time_down_power_up(clock: float, more: float) -> None:
         "low_v": 0.7,
         "high_v": 1.1,
     }
-    assert processor.multicore_power(clock + more, 0.5, **board) > processor.multicore_power(clock, 0.5, **board)
+    assert electrical.multicore_power(clock + more, 0.5, **board) > electrical.multicore_power(clock, 0.5, **board)
 
 
 def test_multicore_power_by_hand() -> None:
-    watts = processor.multicore_power(
+    watts = electrical.multicore_power(
         2e9,
         0.5,
         board_idle_w=3.0,
@@ -117,8 +98,8 @@ def test_multicore_power_by_hand() -> None:
 
 
 def test_throughput_saturates() -> None:
-    assert processor.throughput([0.01, 0.05], batch_rate_hz=30.0) == pytest.approx([30.0, 20.0])
-    assert processor.utilisation([0.01, 0.05], batch_rate_hz=30.0) == pytest.approx([0.3, 1.0])
+    assert electrical.throughput([0.01, 0.05], batch_rate_hz=30.0) == pytest.approx([30.0, 20.0])
+    assert electrical.utilisation([0.01, 0.05], batch_rate_hz=30.0) == pytest.approx([0.3, 1.0])
 
 
 def test_components_that_are_never_apart_are_refused() -> None:
@@ -132,7 +113,7 @@ def test_relocalisation_stretch_against_the_drawn_path() -> None:
     spacing, drift, settle = 10.0, 0.02, 1.0
     offset = drift * spacing
     drawn = (spacing - settle + np.hypot(settle, offset)) / spacing
-    formula = float(path_following.relocalisation_stretch(spacing, drift=drift, settle_m=settle))
+    formula = float(motion.relocalisation_stretch(spacing, drift=drift, settle_m=settle))
     assert formula == pytest.approx(drawn, abs=1e-4)
 
 
@@ -140,5 +121,5 @@ def test_centring_stretch_against_the_length_of_a_sine() -> None:
     x = np.linspace(0.0, 4.0, 200001)
     y = 0.05 * np.sin(2 * np.pi * x / 4.0)
     length = np.sum(np.hypot(np.diff(x), np.diff(y))) / 4.0
-    assert float(path_following.centring_stretch(0.05, 4.0)) == pytest.approx(length, abs=1e-5)
-    assert float(path_following.settling_stretch(0, 10.0, heading_error_rad=0.5, settle_m=1.0)) == 1.0
+    assert float(motion.centring_stretch(0.05, 4.0)) == pytest.approx(length, abs=1e-5)
+    assert float(motion.settling_stretch(0, 10.0, heading_error_rad=0.5, settle_m=1.0)) == 1.0
