@@ -16,12 +16,10 @@ from missionsim.diagnose.subject import Subject
 from missionsim.diagnose.waterfall import worse_of
 from missionsim.errors import InputError, MissionsimError, did_you_mean
 from missionsim.fit.final import FinalFit
-from missionsim.fit.provenance import CALIBRATION, data_tag, log_hash
+from missionsim.fit.provenance import CALIBRATION, data_tag, log_hash, ranges_of
 from missionsim.identify.findings import Finding, HeldOut
 from missionsim.identify.identification import Identification, fit_effects
 from missionsim.identify.settings import Settings
-from missionsim.labels import Labels
-from missionsim.runs.covariates import COVARIATES
 
 if TYPE_CHECKING:
     from missionsim.effects.model import ModelParameter
@@ -272,20 +270,6 @@ def _of_file(parameter: ModelParameter, value: float, sd: float) -> dict[str, An
     }
 
 
-def _ranges(runs: Sequence[Run]) -> dict[str, Any]:
-    """Least and greatest value of each covariate over runs, in units of the glossary; the names of floors."""
-    found: dict[str, Any] = {}
-    for name in COVARIATES:
-        columns = [run.columns[name] for run in runs if name in run.columns]
-        if name == "surface" and columns:
-            found[name] = sorted({text for one in columns if isinstance(one, Labels) for text in one.names})
-        numbers = [one[np.isfinite(one)] for one in columns if not isinstance(one, Labels)]
-        values = np.concatenate(numbers) if numbers else np.zeros(0)
-        if len(values):
-            found[name] = [float(f"{limit:.4g}") for limit in (np.min(values), np.max(values))]
-    return found
-
-
 def _entry(robot: RobotSpec, found: Finding, split: Split, battery: str, significant: bool) -> dict[str, Any]:
     parameters = {
         name: {
@@ -302,7 +286,7 @@ def _entry(robot: RobotSpec, found: Finding, split: Split, battery: str, signifi
         "date": dt.datetime.now(dt.UTC).date().isoformat(),
         "runs": [log.run for log in split.train],
         "sha256": [log_hash(log) for log in split.train],
-        "range": _ranges(split.train),
+        "range": ranges_of(split.train),
         "p_value": found.p_value,
         "energy_share": found.energy_share,
     }

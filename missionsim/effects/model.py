@@ -131,7 +131,9 @@ class PowerModel:
     schemes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Units of components that each control scheme requires; not a number where it may use them."""
     known: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Least and greatest value of covariates in the logs that effects were fitted to."""
+    """Least and greatest value of covariates in the logs that the robot was fitted to."""
+    floors: frozenset[str] = frozenset()
+    """Surfaces in those logs."""
 
     def __post_init__(self) -> None:
         ordered = tuple(sorted(self.terms, key=lambda term: term.effect.stage))

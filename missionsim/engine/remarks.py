@@ -13,6 +13,7 @@ from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery
 from missionsim.errors import Fault
 from missionsim.expressions import Place
+from missionsim.labels import Labels
 from missionsim.plan.legs import SegmentInfo
 from missionsim.runs.covariates import COVARIATES
 
@@ -98,8 +99,17 @@ def doubts(
 
 def _beyond(model: PowerModel, line: Timeline, segments: Sequence[SegmentInfo]) -> list[Fault]:
     """Warnings where the mission leaves the range of the logs that the model's effects were fitted to."""
-    read = {name for term in model.terms for name in (*term.effect.needs, term.effect.covariate)}
+    read = {name for term in model.terms for name in (*term.effect.needs, term.effect.covariate)} | _ALWAYS_TOLD
     found: list[Fault] = []
+    floors = line.columns.get("surface")
+    if model.floors and isinstance(floors, Labels):
+        for number, floor in enumerate(floors.names):
+            strange = floors.codes == number
+            if floor and floor not in model.floors and np.any(strange):
+                there = _named(line.segment[np.broadcast_to(strange, (len(line),))], segments)
+                measured = ", ".join(sorted(model.floors))
+                told = f"floor '{floor}' in {there}: the logs that this robot was fitted to have {measured}"
+                found.append(Place().warning(told, got=floor, allowed=measured))
     for name, (low, high) in model.known.items():
         one = COVARIATES.get(name)
         if one is None or one.text or name not in read or name not in line.columns:
@@ -118,8 +128,8 @@ def _beyond(model: PowerModel, line: Timeline, segments: Sequence[SegmentInfo]) 
         there = f"{values[worst] * one.factor:.3g} {one.unit}".strip()
         found.append(
             Place().warning(
-                f"{one.title} {there} in {_named(line.segment[over > room], segments)}: the logs that effects of this "
-                f"robot were fitted to have {measured}",
+                f"{one.title} {there} in {_named(line.segment[over > room], segments)}: the logs that this robot "
+                f"was fitted to have {measured}",
                 got=there,
                 allowed=measured,
             )
@@ -127,6 +137,8 @@ def _beyond(model: PowerModel, line: Timeline, segments: Sequence[SegmentInfo]) 
     return found
 
 
+_ALWAYS_TOLD = {"slope_rad", "payload_kg"}
+"""Told even where no term reads them: a base that was fitted on the level knows nothing of a ramp."""
 _OF_COMPONENTS = ("law", "component", "always_on", "startup", "switchboard", "processor")
 
 

@@ -16,7 +16,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError, did_you_mean
 from missionsim.expressions import FUNCTIONS, Expression, compile_expression
 from missionsim.fit.parameters import FittedParameter, ModelFit, fit_parameters
-from missionsim.fit.provenance import CALIBRATION, data_tag
+from missionsim.fit.provenance import CALIBRATION, data_tag, ranges_of
 from missionsim.glossary import column_of
 from missionsim.runs.drive import drive
 from missionsim.runs.error import errors_of
@@ -264,6 +264,7 @@ def _text(
         f"name: {_word(robot.name)}",
         f"title: {json.dumps(f'{robot.name}, base model fitted to measured logs')}",
         *([f"sources: {{{CALIBRATION}: {json.dumps(source + ', data ' + tag)}}}"] if source else []),
+        *([f"origin: {{range: {json.dumps(ranges_of(logs))}}}"] if source else []),
         "body:",
         *([f"  mass: {json.dumps(robot.mass)}"] if robot.mass else []),
         f"  drive: {_word(robot.drive)}",

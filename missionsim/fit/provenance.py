@@ -6,7 +6,15 @@ import hashlib
 import math
 import re
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from missionsim.labels import Labels
+from missionsim.runs.covariates import COVARIATES
+
+if TYPE_CHECKING:
+    from missionsim.runs.run import Run
 
 MOST_HASHES = 40
 LENGTH = 8
@@ -67,3 +75,17 @@ def sd_on_other_logs(sd: float, source: str) -> float:
         What the file says of where the number comes from; others than fits keep their sd.
     """
     return math.hypot(sd, OTHER_DAY_SD) if _TAG.search(source) else sd
+
+
+def ranges_of(runs: Sequence[Run]) -> dict[str, Any]:
+    """Least and greatest value of each covariate over runs, in units of the glossary; the names of floors."""
+    found: dict[str, Any] = {}
+    for name in COVARIATES:
+        columns = [run.columns[name] for run in runs if name in run.columns]
+        if name == "surface" and columns:
+            found[name] = sorted({text for one in columns if isinstance(one, Labels) for text in one.names})
+        numbers = [one[np.isfinite(one)] for one in columns if not isinstance(one, Labels)]
+        values = np.concatenate(numbers) if numbers else np.zeros(0)
+        if len(values):
+            found[name] = [float(f"{limit:.4g}") for limit in (np.min(values), np.max(values))]
+    return found

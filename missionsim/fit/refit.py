@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import InputError
 from missionsim.fit.parameters import ModelFit, fit_parameters
-from missionsim.fit.provenance import CALIBRATION, data_tag, fitted_to, sd_on_other_logs
+from missionsim.fit.provenance import CALIBRATION, data_tag, fitted_to, ranges_of, sd_on_other_logs
 from missionsim.runs.error import errors_of
 from missionsim.runs.run import Run
 
@@ -90,7 +90,8 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
     written = build_power_model(robot_from_text(text))
     fits = [_as_written(fit, written, logs) for fit in fits]
     count = len(logs)
-    text = edit.set_source(text, CALIBRATION, f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(logs)}")
+    told = f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(logs)}"
+    text = edit.set_source(text, CALIBRATION, told, ranges_of(logs))
     return Refit(text, tuple(fits), tuple(dict.fromkeys(remarks)))
 
 

@@ -226,12 +226,14 @@ def _sequence(items: Sequence[Any], flow: bool = False) -> Any:
     return result
 
 
-def set_source(text: str, key: str, told: str) -> str:
-    """The robot's text with one entry of ``sources:`` added or replaced."""
+def set_source(text: str, key: str, told: str, ranges: Mapping[str, Any] | None = None) -> str:
+    """The robot's text with one entry of ``sources:`` added or replaced, and the ranges of the logs in ``origin:``."""
     yaml, data = _open(text)
     if data.get("sources"):
         data["sources"][key] = told
     else:
         position = next((i for i, name in enumerate(data) if name not in ("kind", "name", "title")), len(data))
         data.insert(position, "sources", _mapping({key: told}))
+    if ranges is not None:
+        data["origin"] = _plain({**data.get("origin", {}), "range": dict(ranges)})
     return _close(yaml, data)

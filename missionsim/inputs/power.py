@@ -50,20 +50,28 @@ def build_power_model(robot: RobotSpec) -> PowerModel:
         if battery.nominal_voltage is not None and any(voltage in term.effect.needs for term in terms):
             constants[voltage] = battery.nominal_voltage.value  # a mission knows no other
     back = model_parameter(robot.body.regeneration) if robot.body.regeneration.value > 0.0 else None
-    return PowerModel(tuple(_unique(terms)), tuple(robot.batteries), constants, back, _switching(robot), _known(robot))
+    known, floors = _known(robot)
+    return PowerModel(
+        tuple(_unique(terms)), tuple(robot.batteries), constants, back, _switching(robot), known=known, floors=floors
+    )
 
 
-def _known(robot: RobotSpec) -> dict[str, tuple[float, float]]:
-    """Ranges that the runs behind added effects covered together."""
+def _known(robot: RobotSpec) -> tuple[dict[str, tuple[float, float]], frozenset[str]]:
+    """Ranges and floors that the runs behind the base and the added effects covered together."""
     found: dict[str, tuple[float, float]] = {}
-    for spec in robot.effects:
-        ranges = spec.origin.get("range")
-        for name, limits in ranges.items() if isinstance(ranges, dict) and not spec.candidate else ():
-            if isinstance(limits, list) and len(limits) == 2 and all(isinstance(x, int | float) for x in limits):
-                low, high = (float(str(x)) for x in limits)
-                before = found.get(name, (low, high))
-                found[name] = (min(low, before[0]), max(high, before[1]))
-    return found
+    floors: set[str] = set()
+    for origin in [robot.origin, *(spec.origin for spec in robot.effects if not spec.candidate)]:
+        ranges = origin.get("range")
+        for name, limits in ranges.items() if isinstance(ranges, dict) else ():
+            if not isinstance(limits, list):
+                continue
+            numbers = [float(x) for x in limits if isinstance(x, int | float)]
+            if name == "surface":
+                floors |= {str(text) for text in limits}
+            elif len(numbers) == 2 == len(limits):
+                before = found.get(name, (numbers[0], numbers[1]))
+                found[name] = (min(numbers[0], before[0]), max(numbers[1], before[1]))
+    return found, frozenset(floors)
 
 
 def _switching(robot: RobotSpec) -> dict[str, dict[str, float]]:

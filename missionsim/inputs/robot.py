@@ -111,6 +111,7 @@ class RobotSpec(FileModel):
     switchboards: dict[Identifier, SwitchboardSpec] = Field(default_factory=dict)
     processor: ProcessorSpec | None = None
     schemes: dict[Identifier, SchemeSpec] = Field(default_factory=dict)
+    origin: dict[str, JsonValue] = Field(default_factory=dict)
     effects: tuple[EffectSpec, ...] = ()
     idle_scheme: Identifier | None = None
 

@@ -42,3 +42,29 @@ def test_a_slope_beyond_the_logs_is_told(tmp_path: Path) -> None:
     (message,) = told["9 deg"]
     assert message.startswith("slope 9 °")
     assert f"{np.degrees(low):.3g} to {np.degrees(high):.3g} °" in message
+
+
+def test_calibrate_writes_the_ranges_and_other_floors_are_told(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    time = np.arange(0.0, 120.0, 0.5)
+    speed = np.where(time < 20.0, 0.0, 0.4 + 0.2 * np.sin(time / 9.0))
+    power = np.where(speed > 0.0, 12.0 + 20.0 * speed, 5.0) + 0.1 * rng.normal(size=time.size)
+    rows = ["time_s,speed_m_s,slope_rad,surface,power_main_w"]
+    rows += [f"{t},{v:.4f},0.0,paved,{p:.4f}" for t, v, p in zip(time, speed, power, strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    robot, again = tmp_path / "graded.yaml", tmp_path / "again.yaml"
+    new = ["calibrate", str(tmp_path / "log.csv"), "--new", "hauler", "--base", "a*v + b", "--capacity", "50 Wh"]
+    assert run_command([*new, "--max-speed", "1 m/s", "--out", str(robot), "--quiet"]) == 0
+    refit = ["calibrate", str(tmp_path / "log.csv"), "--robot", str(robot), "--out", str(again), "--quiet"]
+    assert run_command(refit) == 0
+    for path in (robot, again):
+        found = load_robot(path).origin["range"]
+        assert found["speed_m_s"] == [0.0, float(f"{speed.max():.4g}")]
+        assert found["surface"] == ["paved"]
+    site = SITE.replace("slope: {slope}", "slope: 4 deg, surface: gravel").replace("{{", "{").replace("}}", "}")
+    (tmp_path / "yard.yaml").write_text(site, encoding="utf-8")
+    (tmp_path / "up.yaml").write_text(MISSION.replace("0.4 m/s", "0.9 m/s"), encoding="utf-8")
+    told = " ".join(w.message for w in missionsim.simulate(missionsim.load_mission(tmp_path / "up.yaml")).warnings)
+    assert "speed 0.9 m/s" in told
+    assert "slope 4 °" in told
+    assert "floor 'gravel'" in told
