@@ -24,7 +24,6 @@ from missionsim.identify.settings import Settings
 if TYPE_CHECKING:
     from missionsim.effects.model import ModelParameter
     from missionsim.inputs.robot import RobotSpec
-    from missionsim.runs.run import Run
 
 METER_ALLOWANCE = 0.01
 """Relative standard deviation added to fitted base values: meters differ by about this much between runs (assumed)."""
