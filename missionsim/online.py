@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from missionsim.errors import InputError
 from missionsim.expected import ExpectedRun, expected_run
 from missionsim.glossary import STILL_SPEED_M_S
-from missionsim.inputs.activities import reserve_of
+from missionsim.inputs.mission import reserve_of
 
 Array = NDArray[np.float64]
 ARRIVED_SHARE, ARRIVED_M = 0.05, 0.05

@@ -23,9 +23,8 @@ from missionsim.engine.remarks import doubts, never_on
 from missionsim.engine.reserve import home_energies
 from missionsim.engine.world import World
 from missionsim.errors import Fault, InputError
-from missionsim.inputs.activities import reserve_of
 from missionsim.inputs.battery import BatterySpec
-from missionsim.inputs.mission import MissionSpec
+from missionsim.inputs.mission import MissionSpec, reserve_of
 from missionsim.inputs.power import build_power_model
 from missionsim.inputs.segments import DockSegment, RechargeSpec
 from missionsim.inputs.values import Parameter
@@ -165,7 +164,6 @@ class RunSetup:
         known = dict(self.plan.legs[0].settings.extra).get("temp_ambient_c") if self.plan.legs else None
         if known is None:
             document = self.mission.robot.document
-            assert document is not None
             allowed = (
                 "defaults: {temperature: 5 degC} in the mission, or ambient: {temperature: 5 degC} in its environment"
             )
@@ -303,7 +301,7 @@ class RunSetup:
         off: tuple[str, ...] = ()
         if trace:
             document = self.mission.robot.document
-            places = {} if document is None else {name: document.place(("batteries", name)) for name in self.batteries}
+            places = {name: document.place(("batteries", name)) for name in self.batteries}
             warnings = doubts(self.model, line, energies, charge, self.batteries, segments, places)
             off = never_on(line)
         mission = self.mission

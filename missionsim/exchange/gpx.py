@@ -41,8 +41,7 @@ def read(root: Element, site: Site, options: SiteOptions, faults: Faults) -> Non
         faults.found.append(Fault(site.file, root.line, 0, "a GPX file without tracks, routes and waypoints"))
     if faults.found:
         return
-    plane = LocalPlane.around([point[:2] for point in every])
-    site.notes.append(f"metres east and north of {plane.latitude}, {plane.longitude} (WGS 84)")
+    plane = site.plane([point[:2] for point in every])
     chains = [
         chain
         for name, points, is_track in ways

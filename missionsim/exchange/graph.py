@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from missionsim.errors import Fault, InputError
-from missionsim.exchange.geo import LocalPlane
 from missionsim.exchange.site import Site, SiteOptions, clean, says_charger
 from missionsim.exchange.source import Element, Faults, Value
 
@@ -70,24 +69,19 @@ def read_graphml(root: Element, text: str, site: Site, options: SiteOptions) -> 
 
 def read_node_link(root: Value, site: Site, options: SiteOptions) -> None:
     """Fill the site of a node-link file (d3, networkx.node_link_data)."""
-    nodes, edges, known = [], [], set()
+    nodes, edges = [], []
+    known: dict[str, str] = {}
     for index, node in enumerate(root.entries("nodes")):
         identity = node.data.get("id", node.data.get("name", index)) if isinstance(node.data, dict) else node.data
         name = str(identity)
         if name in known:
             node.fault(f"node '{name[:60]}' stands twice", "an id of its own")
-        known.add(name)
+        known[name] = name
         nodes.append(Part((name,), node.data if isinstance(node.data, dict) else {}, node.line))
     for edge in root.entries("links", "edges"):
-        ends = []
-        for key in ("source", "target"):
-            found = edge.need(key)
-            if found and str(found.data) not in known:
-                found.fault("no node has this id", "the id of a node")
-            elif found:
-                ends.append(str(found.data))
-        if len(ends) == 2:
-            edges.append(Part((ends[0], ends[1]), edge.data, edge.line))
+        start, end = (found.named(known) if (found := edge.need(key)) else None for key in ("source", "target"))
+        if start is not None and end is not None:
+            edges.append(Part((start, end), edge.data, edge.line))
     if not nodes:
         root.fault("a graph without nodes", "nodes: [{id: …}]")
     graph = root.get("graph")
@@ -114,9 +108,7 @@ def _fill(
             Fault(site.file, nodes[0].line, 0, "no latitudes and longitudes", "", str(angles[0][:2]), "degrees")
         )
         return
-    plane = LocalPlane.around([(p[0], p[1]) for p in angles]) if angles else None
-    if plane:
-        site.notes.append(f"metres east and north of {plane.latitude}, {plane.longitude} (WGS 84)")
+    plane = site.plane([(p[0], p[1]) for p in angles]) if angles else None
     names: dict[str, str] = {}
     for node in nodes:
         found = positions[node.ends[0]]
@@ -135,14 +127,8 @@ def _fill(
                 Fault(site.file, edge.line, 0, "how long this edge is, is unknown", "", " to ".join(edge.ends), known)
             )
             continue
-        name = next(
-            (
-                clean(str(edge.attributes[key]))
-                for key in ("name", "label", "id")
-                if edge.attributes.get(key) is not None
-            ),
-            "",
-        )
+        named = [edge.attributes[key] for key in ("name", "label", "id") if edge.attributes.get(key) is not None]
+        name = clean(str(named[0])) if named else ""
         more = {"max_speed": _speed(edge, site), "slope": _slope(edge, site)}
         site.edge(start, end, edge.line, name=name, both_ways=not directed, length=length, **more)
         _left(edge, _EDGE_USED, "an edge", site)

@@ -82,9 +82,7 @@ def _station(station: Value, site: Site, names: dict[str, str], options: SiteOpt
     words = [station.word(key) for key in ("stationId", "stationName", "stationDescription")]
     charges = says_charger(*words)
     for node in station.entries("interactionNodeIds"):
-        name = names.get(str(node.data))
-        if name is None:
-            node.fault("no node has this id", "the id of a node")
+        if (name := node.named(names)) is None:
             continue
         place = site.places[name]
         place["title"] = "; ".join(filter(None, [place.get("title", ""), words[1] or words[0]]))
@@ -97,32 +95,21 @@ def _station(station: Value, site: Site, names: dict[str, str], options: SiteOpt
 
 
 def _edge(edge: Value, site: Site, names: dict[str, str], options: SiteOptions) -> None:
-    ends = []
-    for key in ("startNodeId", "endNodeId"):
-        found = edge.need(key)
-        if found and str(found.data) not in names:
-            found.fault("no node has this id", "the id of a node")
-        ends.append(names.get(str(found.data)) if found else None)
+    start, end = (found.named(names) if (found := edge.need(key)) else None for key in ("startNodeId", "endNodeId"))
     properties = _properties(edge, "vehicleTypeEdgeProperties", options)
     if options.vehicle and not properties:
         site.tell(f"left out: edge that {options.vehicle} may not use", edge.line)
         return
-    if ends[0] is None or ends[1] is None:
+    if start is None or end is None:
         return
     speeds = [speed for one in properties if (speed := one.optional("maxSpeed", 0.0, 60.0))]
-    lengths = [length for one in properties if (length := _length(one, site)) is not None]
+    drawn = [trajectory for one in properties if (trajectory := one.get("trajectory")) is not None]
+    lengths = [length for one in drawn if (length := trajectory_length(one, site, 3)) is not None]
     for one in properties:
-        for key, value in one.items():
-            if key not in _EDGE_USED:
-                site.tell(f"left out: {key} of an edge", value.line)
+        site.left_out("an edge", one.items(), _EDGE_USED)
     length = max(lengths, default=None)
     name, speed = edge.word("edgeId"), min(speeds, default=None)
-    site.edge(ends[0], ends[1], edge.line, name=name, length=length, max_speed=speed)
-
-
-def _length(properties: Value, site: Site) -> float | None:
-    trajectory = properties.get("trajectory")
-    return None if trajectory is None else trajectory_length(trajectory, site, 3)
+    site.edge(start, end, edge.line, name=name, length=length, max_speed=speed)
 
 
 def trajectory_length(trajectory: Value, site: Site, degree: int) -> float | None:

@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from missionsim.exchange.geo import LocalPlane
-from missionsim.exchange.site import Site, SiteOptions, says_charger
-from missionsim.exchange.source import Faults, JsonNode, Value, encoding_of, parse_json, read_text
+from missionsim.exchange.site import Site, SiteOptions, flow, says_charger, scalar
+from missionsim.exchange.source import Faults, Value, encoding_of, parse_json, read_text
+from missionsim.inputs.tree import Node
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
@@ -58,8 +59,7 @@ def _nodes(root: Value, site: Site, nodes: list[tuple[Value, Value]], options: S
     if any(code in crs for code in ("4326", "CRS84")) and any(positions):
         points = [(p[1], p[0]) for p in positions if p]
         if all(abs(latitude) <= 90 and abs(longitude) <= 360 for latitude, longitude in points):
-            plane = LocalPlane.around(points)
-            site.notes.append(f"metres east and north of {plane.latitude}, {plane.longitude} (WGS 84)")
+            plane = site.plane(points)
     for (properties, _), position in zip(nodes, positions, strict=True):
         number = _id(properties, "id")
         if number is None or position is None:
@@ -203,8 +203,6 @@ def export_costs(
     ------
     missionsim.errors.InputError
     """
-    from missionsim.exchange.steady import steady_power
-
     text = read_text(path)
     document = parse_json(text.removeprefix("\ufeff"), str(path))
     faults = Faults()
@@ -254,6 +252,45 @@ def export_costs(
     return GraphCosts((mark + body).encode(encoding_of(path)), told, tuple(remarks))
 
 
+def steady_power(
+    robot: RobotSpec, drives: Sequence[tuple[float, float]], *, scheme: str = "", payload_kg: float = 0.0
+) -> dict[str, NDArray[np.float64]]:
+    """Power of each battery while driving straight on: without starts, stops and turns, warm, batteries full.
+
+    Parameters
+    ----------
+    robot : RobotSpec
+    drives : sequence of (float, float)
+        Slope [rad] and speed [m/s] of each.
+    scheme : str
+        Control scheme; by default the robot's first that moves.
+    payload_kg : float
+
+    Returns
+    -------
+    dict of str to ndarray, shape (len(drives),)
+        W.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        What the robot cannot do.
+    """
+    from missionsim.inputs.loading import mission_from_text
+    from missionsim.inputs.power import build_power_model
+    from missionsim.plan.build import make_plan
+    from missionsim.plan.steady import steady_power_w
+
+    scheme = scheme or next((name for name, spec in robot.schemes.items() if spec.motion), "")
+    defaults = {"scheme": scheme, "profile": "constant_speed", "payload": f"{payload_kg:.9g} kg" if payload_kg else ""}
+    lines = [f"kind: mission\nname: steady\nrobot: {scalar(robot.name)}"]
+    lines.append(f"defaults: {flow({key: value for key, value in defaults.items() if value})}\nsegments:")
+    for slope, speed in drives:
+        lines.append(f"  - drive: {{distance: 1 m, slope: {slope:.12g} rad, speed: {speed:.12g} m/s}}")
+    legs = make_plan(mission_from_text("\n".join(lines) + "\n", robot)).legs
+    return steady_power_w(robot, build_power_model(robot), [leg for leg in legs if leg.kind == "roll"])
+
+
 def _is_edge(feature: Value) -> bool:
     geometry = feature.get("geometry")
     return geometry is not None and geometry.word("type") in ("LineString", "MultiLineString")
@@ -261,40 +298,29 @@ def _is_edge(feature: Value) -> bool:
 
 def _edit(properties: Value, cost: float, share: float, edits: list[tuple[int, int, str]]) -> None:
     """Where the text of an edge's properties changes: replaced where there is one, else put behind the last entry."""
-    added = []
-    for key, value in (("cost", _number(cost)),):
-        node = _node(properties.node, key)
-        if node is None:
-            added.append(f'"{key}": {value}')
-        else:
-            edits.append((node.start, node.end, value))
-    metadata = _node(properties.node, "metadata")
     limit = f'"speed_limit": {_number(share)}'
-    if metadata is None or not isinstance(metadata.children, dict):
-        added.append(f'"metadata": {{ {limit} }}')
-        if metadata is not None:
-            edits.append((metadata.start, metadata.end, f"{{ {limit} }}"))
-            added.pop()
-    elif (node := _node(metadata, "speed_limit")) is not None:
-        edits.append((node.start, node.end, _number(share)))
+    metadata = properties.node.children.get("metadata") if isinstance(properties.node.children, dict) else None
+    if metadata is not None and isinstance(metadata.children, dict):
+        _put(metadata, "speed_limit", _number(share), edits)
+        _put(properties.node, "cost", _number(cost), edits)
+    elif metadata is not None:
+        edits.append((metadata.start, metadata.end, f"{{ {limit} }}"))
+        _put(properties.node, "cost", _number(cost), edits)
     else:
-        _append(metadata, [limit], edits)
-    _append(properties.node, added, edits)
+        _put(properties.node, "cost", _number(cost), edits, f'"metadata": {{ {limit} }}')
 
 
-def _append(parent: Any, entries: Sequence[str], edits: list[tuple[int, int, str]]) -> None:
-    if not entries:
-        return
-    last = list(parent.children.values())
-    if last:
-        edits.append((last[-1].end, last[-1].end, "".join(f", {entry}" for entry in entries)))
-    else:
-        edits.append((parent.start + 1, parent.end - 1, f" {', '.join(entries)} "))
-
-
-def _node(parent: Any, key: str) -> JsonNode | None:
+def _put(parent: Node, key: str, value: str, edits: list[tuple[int, int, str]], *more: str) -> None:
+    assert isinstance(parent.children, dict)
     found = parent.children.get(key)
-    return found if isinstance(found, JsonNode) else None
+    if found is not None:
+        edits.append((found.start, found.end, value))
+    entries = [*([] if found else [f'"{key}": {value}']), *more]
+    if entries and parent.children:
+        last = list(parent.children.values())[-1]
+        edits.append((last.end, last.end, "".join(f", {entry}" for entry in entries)))
+    elif entries:
+        edits.append((parent.start + 1, parent.end - 1, f" {', '.join(entries)} "))
 
 
 def _number(value: float) -> str:

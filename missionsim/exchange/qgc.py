@@ -164,9 +164,7 @@ def build(
     if faults:
         raise InputError(faults[:20])
     points = [(item.latitude or 0.0, item.longitude or 0.0) for item in world] + ([home] if home else [])
-    plane = LocalPlane.around(points) if points else None
-    if plane:
-        site.notes.append(f"metres east and north of {plane.latitude}, {plane.longitude} (WGS 84)")
+    plane = site.plane(points) if points else None
     _Route(items, plane, speed, site, options, home).drive()
 
 

@@ -10,7 +10,7 @@ import cmath
 from dataclasses import dataclass, field
 from typing import Any
 
-from missionsim.exchange.geo import LocalPlane, mercator_to_degrees
+from missionsim.exchange.geo import mercator_to_degrees
 from missionsim.exchange.site import Site, SiteOptions
 from missionsim.exchange.source import Value
 
@@ -178,8 +178,7 @@ def _project(levels: dict[str, _Level], site: Site, mercator: bool) -> None:
             degrees[level.name, index] = where
     if not degrees:
         return
-    plane = LocalPlane.around(list(degrees.values()))
-    site.notes.append(f"metres east and north of {plane.latitude}, {plane.longitude} (WGS 84)")
+    plane = site.plane(list(degrees.values()))
     for (name, index), where in degrees.items():
         levels[name].points[index] = complex(*plane.to_metres(*where))
 

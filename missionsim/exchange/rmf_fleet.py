@@ -275,7 +275,7 @@ def _fit_to_logs(fleet: Fleet, logs: Sequence[Path], battery: str, remarks: list
 
 
 def _fit_to_model(fleet: Fleet, robot: RobotSpec, battery: str, remarks: list[str]) -> None:
-    from missionsim.exchange.steady import steady_power
+    from missionsim.exchange.nav2 import steady_power
 
     speeds = np.linspace(0.1, 1.0, 10) * robot.body.max_speed.value
     watts = steady_power(robot, [(0.0, speed) for speed in speeds])[battery]

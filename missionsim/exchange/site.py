@@ -6,13 +6,15 @@ import json
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from missionsim.errors import InputError
+from missionsim.exchange.geo import LocalPlane
+from missionsim.exchange.source import Value
 from missionsim.files import atomic_write
 from missionsim.inputs.loading import load_environment, load_mission
 from missionsim.inputs.robot import RobotSpec
@@ -116,6 +118,18 @@ class Site:
             self.remarks[message].count += 1
         else:
             self.remarks[message] = Remark(message, line)
+
+    def plane(self, points: Sequence[tuple[float, float]]) -> LocalPlane:
+        """Metres around the middle of (latitude, longitude) points, degrees; noted in the environment."""
+        plane = LocalPlane.around(points)
+        self.notes.append(f"metres east and north of {plane.latitude}, {plane.longitude} (WGS 84)")
+        return plane
+
+    def left_out(self, what: str, items: Iterable[tuple[str, Value]], used: Container[str]) -> None:
+        """Tell which of the keys and values have no place in ours."""
+        for key, value in items:
+            if key not in used:
+                self.tell(f"left out: {key[:40]} of {what}", value.line)
 
     def place(
         self, name: str, position: tuple[float, float] | None, height: float | None = None, **more: object

@@ -2,33 +2,24 @@
 
 from __future__ import annotations
 
+import json
+import json.scanner
 import math
 import re
-from collections.abc import Iterator
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from json.decoder import scanstring  # type: ignore[attr-defined]
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
 from missionsim.errors import Fault, InputError
-from missionsim.inputs.tree import Document, Node, as_written, dotted, parse_document
+from missionsim.inputs.tree import Document, Node, as_written, decoded, dotted, parse_document, read_bytes
 
 MAX_BYTES = 32_000_000
 MAX_DEPTH = 64
 _MOST_FAULTS = 20
-_SPACE = re.compile(r"[ \t\n\r]*")
-_NUMBER = re.compile(r"-?(?:0|[1-9]\d*)(?:\.\d+)?(?:[eE][-+]?\d+)?")
-_WORDS = {"true": True, "false": False, "null": None}
 _ENCODING = re.compile(rb"""^<\?xml[^>]*encoding=["']([A-Za-z0-9._-]+)["']""")
-
-
-@dataclass(slots=True, eq=False)
-class JsonNode(Node):
-    """A JSON value with the part of the text that it stands in, for edits in place."""
-
-    start: int = 0
-    end: int = 0
 
 
 @dataclass(slots=True)
@@ -58,32 +49,10 @@ def read_text(path: str | Path) -> str:
     InputError
         Cannot be read, too large, not text; with the line of the first bad byte.
     """
-    shown = str(path)
-    try:
-        if not Path(path).is_file():
-            reason = (
-                "is a folder" if Path(path).is_dir() else "no such file" if not Path(path).exists() else "is no file"
-            )
-            raise InputError(Fault(shown, 0, 0, f"cannot read this file: {reason}"))
-        with open(path, "rb") as handle:
-            raw = handle.read(MAX_BYTES + 1)
-    except OSError as problem:
-        raise InputError(Fault(shown, 0, 0, f"cannot read this file: {problem.strerror or problem}")) from None
-    if len(raw) > MAX_BYTES:
-        raise InputError(Fault(shown, 0, 0, "file too large", allowed=f"at most {MAX_BYTES // 10**6} MB"))
-    encoding = _encoding(raw)
-    try:
-        text = raw.decode(encoding)
-    except LookupError:
-        raise InputError(Fault(shown, 1, 1, "an encoding that is not known", got=encoding, allowed="UTF-8")) from None
-    except UnicodeError as problem:
-        at = getattr(problem, "start", 0)
-        line = raw.count(b"\n", 0, at) + 1
-        raise InputError(
-            Fault(shown, line, 0, f"not text in {encoding.upper()}", got=f"byte 0x{raw[at]:02x}", allowed="UTF-8")
-        ) from None
+    raw = read_bytes(path, str(path), MAX_BYTES)
+    text = decoded(raw, _encoding(raw), str(path))
     if not text.strip():
-        raise InputError(Fault(shown, 1, 1, "the file is empty"))
+        raise InputError(Fault(str(path), 1, 1, "the file is empty"))
     return text
 
 
@@ -102,105 +71,69 @@ def _encoding(raw: bytes) -> str:
 
 
 def parse_json(text: str, name: str) -> Document:
-    """JSON text as a document whose nodes are `JsonNode`.
+    """JSON text as a document whose nodes know their `start` and `end` in it.
 
     Raises
     ------
     InputError
         The first place where the text is not JSON, values nested deeper than 64, or a key that stands twice.
     """
-    return Document(name, (root := _Json(text, name).whole()).data, root)
+    starts = [0, *(match.end() for match in re.finditer("\n", text))]
+    depth = 0
 
+    def wrong(at: int, message: str) -> InputError:
+        line = bisect_right(starts, at)
+        got = as_written(text[at : at + 12]) if at < len(text) else "the end of the file"
+        return InputError(Fault(name, line, at - starts[line - 1] + 1, f"not JSON: {message}", got=got))
 
-class _Json:
-    def __init__(self, text: str, name: str) -> None:
-        self.text, self.name = text, name
-        self.starts = [0, *(match.end() for match in re.finditer("\n", text))]
+    def node_at(_: str, at: int) -> tuple[Node, int]:
+        nonlocal depth
+        if (depth := depth + 1) > MAX_DEPTH:
+            raise wrong(at, f"nested too deeply, more than {MAX_DEPTH} levels")
+        if text.startswith(("NaN", "Infinity", "-Infinity"), at):
+            raise StopIteration(at)
+        data, end = scan(text, at)
+        depth -= 1
+        line = bisect_right(starts, at)
+        node = Node(data, line, at - starts[line - 1] + 1, text[at:end], start=at, end=end)
+        if isinstance(data, dict):
+            node.text, node.children, node.data = "", data, {key: child.data for key, child in data.items()}
+        elif isinstance(data, list):
+            node.text, node.children, node.data = "", data, [child.data for child in data]
+        elif isinstance(data, str):
+            node.data = node.text = writable(data)
+        return node, end
 
-    def place(self, at: int) -> tuple[int, int]:
-        from bisect import bisect_right
+    def writable(word: str) -> str:  # without lone halves of surrogate pairs
+        return word.encode("utf-8", "replace").decode()
 
-        line = bisect_right(self.starts, at)
-        return line, at - self.starts[line - 1] + 1
+    def one_each(pairs: list[tuple[str, Node]]) -> dict[str, Node]:
+        found: dict[str, Node] = {}
+        for key, node in ((writable(key), node) for key, node in pairs):
+            if key in found:
+                raise wrong(node.start, f"key '{key}' stands twice")
+            found[key] = node
+        return found
 
-    def wrong(self, at: int, message: str, allowed: str = "") -> InputError:
-        line, column = self.place(min(at, len(self.text)))
-        got = "the end of the file" if at >= len(self.text) else as_written(self.text[at : at + 12])
-        return InputError(Fault(self.name, line, column, f"not JSON: {message}", got=got, allowed=allowed))
+    def whole(word: str) -> float:
+        return int(word) if len(word) <= 300 else float(word)
 
-    def skip(self, at: int) -> int:
-        match = _SPACE.match(self.text, at)
-        return match.end() if match else at
-
-    def whole(self) -> JsonNode:
-        node = self.value(self.skip(0), 0)
-        if (at := self.skip(node.end)) < len(self.text):
-            raise self.wrong(at, "more text after the end")
-        return node
-
-    def value(self, at: int, depth: int) -> JsonNode:
-        text = self.text
-        letter = text[at : at + 1]
-        line, column = self.place(at)
-        if letter in ("{", "[") and letter:
-            if depth >= MAX_DEPTH:
-                raise self.wrong(at, "nested too deeply", f"at most {MAX_DEPTH} levels")
-            return self.container(at, depth, line, column)
-        if letter == '"':
-            data, end = self.string(at)
-            return JsonNode(data, line, column, data, start=at, end=end)
-        if match := _NUMBER.match(text, at):
-            word = match.group()
-            is_float = any(mark in word for mark in ".eE")
-            number = float(word) if is_float or len(word) > 300 else int(word)
-            return JsonNode(number, line, column, word, start=at, end=match.end())
-        for word, constant in _WORDS.items():
-            if text.startswith(word, at):
-                return JsonNode(constant, line, column, word, start=at, end=at + len(word))
-        raise self.wrong(at, "a value is expected here", 'an object, a list, "text", a number, true, false or null')
-
-    def string(self, at: int) -> tuple[str, int]:
-        try:
-            data, end = scanstring(self.text, at + 1, True)
-        except ValueError as problem:
-            raise self.wrong(getattr(problem, "pos", at), getattr(problem, "msg", "bad text").lower()) from None
-        return data.encode("utf-8", "replace").decode("utf-8"), end
-
-    def container(self, at: int, depth: int, line: int, column: int) -> JsonNode:
-        is_object = self.text[at] == "{"
-        closing = "}" if is_object else "]"
-        node = JsonNode({}, line, column, children={}) if is_object else JsonNode([], line, column, children=[])
-        node.start, here = at, self.skip(at + 1)
-        while not self.text.startswith(closing, here):
-            key = ""
-            if is_object:
-                if not self.text.startswith('"', here):
-                    raise self.wrong(here, "a key in quotes is expected here")
-                key_at = here
-                key, here = self.string(here)
-                if key in node.keys:
-                    raise self.wrong(key_at, f"key '{key}' stands twice")
-                node.keys[key] = self.place(key_at)
-                here = self.skip(here)
-                if not self.text.startswith(":", here):
-                    raise self.wrong(here, "':' is expected here")
-                here = self.skip(here + 1)
-            child = self.value(here, depth + 1)
-            node.size += child.size
-            if isinstance(node.children, dict):
-                node.children[key], node.data[key] = child, child.data
-            elif isinstance(node.children, list):
-                node.children.append(child)
-                node.data.append(child.data)
-            here = self.skip(child.end)
-            if self.text.startswith(",", here):
-                here = self.skip(here + 1)
-                if self.text.startswith(closing, here):
-                    raise self.wrong(here, "a value is expected after the comma")
-            elif not self.text.startswith(closing, here):
-                raise self.wrong(here, f"',' or '{closing}' is expected here")
-        node.end = here + 1
-        return node
+    decoder: Any = json.decoder
+    scanner: Any = json.scanner
+    rules: Any = json.JSONDecoder(object_pairs_hook=one_each, parse_int=whole)
+    rules.parse_object = lambda at, strict, _, *hooks: decoder.JSONObject(at, strict, node_at, *hooks)
+    rules.parse_array = lambda at, _: decoder.JSONArray(at, node_at)
+    scan: Callable[[str, int], tuple[Any, int]] = scanner.py_make_scanner(rules)
+    begin = len(text) - len(text.lstrip(" \t\n\r"))
+    try:
+        root, end = node_at(text, begin)
+    except json.JSONDecodeError as problem:
+        raise wrong(problem.pos, problem.msg[:1].lower() + problem.msg[1:]) from None
+    except StopIteration:
+        raise wrong(begin, "expecting value") from None
+    if rest := text[end:].strip(" \t\n\r"):
+        raise wrong(text.index(rest[0], end), "more text after the end")
+    return Document(name, root.data, root)
 
 
 def parse_xml(text: str, name: str) -> Element:
@@ -331,6 +264,12 @@ class Value:
             return []
         children = found.node.children.items()
         return [(key, Value(self.document, self.faults, child, (*found.path, key))) for key, child in children]
+
+    def named(self, names: Mapping[str, str]) -> str | None:
+        """What `names` holds for the id that stands here; None and a fault where it knows none."""
+        if (found := names.get(str(self.data))) is None:
+            self.fault("no node has this id", "the id of a node")
+        return found
 
     def number(self, low: float = -1e12, high: float = 1e12) -> float | None:
         """A number between limits; None and a fault where it is none."""

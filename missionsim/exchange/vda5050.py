@@ -87,9 +87,7 @@ def _node(node: Value, site: Site, names: dict[str, str], options: SiteOptions) 
         return None
     if node.get("released") and node.data["released"] is False:
         site.tell("horizon (released: false) is read like the base", node.line)
-    for key, value in node.items():
-        if key not in _NODE_USED:
-            site.tell(f"left out: {key[:40]} of a node", value.line)
+    site.left_out("a node", node.items(), _NODE_USED)
     if identity in names:
         return names[identity]
     position = node.get("nodePosition")
@@ -99,9 +97,7 @@ def _node(node: Value, site: Site, names: dict[str, str], options: SiteOptions) 
         x, y = position.optional("x"), position.optional("y")
         where = None if x is None or y is None else (x, y)
         heading = position.optional("theta", -6.3, 6.3)
-        for key, value in position.items():
-            if key not in ("x", "y", "theta"):
-                site.tell(f"left out: {key[:40]} of a position", value.line)
+        site.left_out("a position", position.items(), ("x", "y", "theta"))
     title = node.word("nodeDescription") or node.word("nodeDescriptor")
     names[identity] = site.place(identity, where, heading=heading, title=title)
     return names[identity]
@@ -114,9 +110,7 @@ def _edge(edge: Value | None, node: Value, start: str, end: str, site: Site) -> 
     for key, ends in (("startNodeId", start), ("endNodeId", end)):
         if (given := edge.get(key)) and site.places.get(str(given.data)) and str(given.data) != ends:
             given.fault("the edge stands between other nodes", ends)
-    for key, value in edge.items():
-        if key not in _EDGE_USED:
-            site.tell(f"left out: {key[:40]} of an edge", value.line)
+    site.left_out("an edge", edge.items(), _EDGE_USED)
     trajectory = edge.get("trajectory")
     length = edge.optional("length", 0.0, 1e9)
     if trajectory is not None:

@@ -14,7 +14,7 @@ from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import Expression, compile_expression
 from missionsim.glossary import column_of
 from missionsim.importer import transform
-from missionsim.importer.mapunits import to_glossary
+from missionsim.importer.units import to_glossary
 from missionsim.inputs.log_map import ColumnMap, MapSpec
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable
@@ -56,20 +56,14 @@ class Mapper:
         if self.faults:
             raise InputError(self.faults)
 
-    def _fault(self, path: tuple[str | int, ...], message: str, **details: str) -> None:
-        document = self.spec.document
-        if document is not None:
-            self.faults.append(document.fault(path, message, **details))
-        else:
-            self.faults.append(Fault("map", 0, 0, message, ".".join(map(str, path)), **details))
+    def _fault(
+        self, path: tuple[str | int, ...], message: str, *, got: str = "", allowed: str = "", hint: str = ""
+    ) -> None:
+        self.faults.append(self.spec.document.fault(path, message, got=got, allowed=allowed, hint=hint))
 
     def _compile(self, text: str, path: tuple[str | int, ...], known: set[str]) -> _Formula:
-        document = self.spec.document
-        file, (line, column) = ("map", (0, 0)) if document is None else (document.file, document.position(path))
         try:
-            expression = compile_expression(
-                text, names=known, file=file, line=line, column=column, path=".".join(map(str, path))
-            )
+            expression = compile_expression(text, names=known, **self.spec.document.place(path)._asdict())
         except InputError as error:
             self.faults.extend(error.faults)
             expression = compile_expression("0")

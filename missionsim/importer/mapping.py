@@ -20,13 +20,13 @@ from missionsim.inputs.log_map import MapSpec
 from missionsim.logs.raw import ColumnData, RawTable
 from missionsim.logs.read import PathLike, make_log
 from missionsim.logs.remarks import Remark
-from missionsim.logs.table import LogTable
 from missionsim.logs.times import close_jumps
+from missionsim.runs.run import Run
 
 
 def import_source(
     source: PathLike | Sequence[PathLike], spec: MapSpec, left_out: list[Fault] | None = None
-) -> list[LogTable]:
+) -> list[Run]:
     """Turn sources into checked logs, by a map.
 
     Parameters
@@ -40,7 +40,7 @@ def import_source(
 
     Returns
     -------
-    list of LogTable
+    list of Run
         One per run, with remarks that say what was done.
 
     Raises
@@ -49,7 +49,7 @@ def import_source(
         All faults of the first source that has any; or of all, where none can be read.
     """
     given = [source] if isinstance(source, (str, os.PathLike)) else list(source)
-    logs: list[LogTable] = []
+    logs: list[Run] = []
     faults: list[Fault] = []
     for one in find_sources([Path(path) for path in given], spec):
         try:
@@ -70,7 +70,7 @@ def import_source(
     return logs
 
 
-def _logs(mapper: Mapper, part: Part) -> list[LogTable]:
+def _logs(mapper: Mapper, part: Part) -> list[Run]:
     """Logs of one run of the source (several where gaps split it)."""
     chosen = _which(part.rows, mapper.raw.rows)
     source: dict[str, Any] = {name: data[chosen] for name, data in mapper.raw.columns.items()}
@@ -143,7 +143,7 @@ def _finish(
     source: dict[str, Any],
     number: NDArray[np.int64],
     remarks: list[Remark],
-) -> LogTable:
+) -> Run:
     time = np.asarray(run["time_s"])
     if len(time) > 1 and (np.diff(time) < 0).any():
         order = np.argsort(time, kind="stable")
@@ -220,7 +220,7 @@ def _averaged(run: dict[str, ColumnData], step_s: float) -> dict[str, ColumnData
     return short
 
 
-def provenance(log: LogTable, spec: MapSpec) -> dict[str, str]:
+def provenance(log: Run, spec: MapSpec) -> dict[str, str]:
     """Where a log comes from, for the metadata of its file: source and map with their hashes."""
     path = Path(log.source)
     return {

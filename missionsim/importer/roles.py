@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -369,8 +369,3 @@ def _as_time(field: Field, words: str, unit: str, named: bool) -> Guess | None:
     return Guess(
         "time", field.name, "" if unit == "s" or epoch else unit, score, why, "sure" if score > 1.2 else "likely"
     )
-
-
-def with_sure(guess: Guess, sure: str, why: str) -> Guess:
-    """The same guess, less or more sure, for another reason."""
-    return replace(guess, sure=sure, why=why)

@@ -14,7 +14,7 @@ import numpy as np
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.importer.fields import fields_of
-from missionsim.importer.timeline import Signal, merge_signals
+from missionsim.importer.transform import Signal, merge_signals
 from missionsim.inputs.log_map import FileMap, MapSpec
 from missionsim.inputs.units import UnitError, unit_factor
 from missionsim.logs.raw import ColumnData, RawTable
@@ -130,19 +130,11 @@ def _grouped(files: Sequence[Path], spec: MapSpec, name: str) -> list[Source]:
                 listed = ", ".join(path.name for path in matches or files)[:200]
                 told = f"{len(matches)} files match '{file.name}'" + (f" in run {run}" if run else f" in {name}")
                 hint = "'{run}' in the patterns, where it holds several runs" if len(matches) > 1 else ""
-                fault = _at(spec, ("files", alias), told, got=listed, allowed="one file a run", hint=hint)
+                fault = spec.document.fault(("files", alias), told, got=listed, allowed="one file a run", hint=hint)
                 faults.append(fault)
     if faults:
         raise InputError(faults)
     return [Source(run or name, {alias: paths[0] for alias, paths in found.items()}) for run, found in runs.items()]
-
-
-def _at(spec: MapSpec, path: tuple[str, ...], message: str, got: str = "", allowed: str = "", hint: str = "") -> Fault:
-    """A fault at a place of the map."""
-    if spec.document is None:
-        return Fault(str(spec.path), 0, 0, message, ".".join(path), got, allowed, hint)
-    fault: Fault = spec.document.fault(path, message, got=got, allowed=allowed, hint=hint)
-    return fault
 
 
 def read_source(source: Source, spec: MapSpec) -> RawTable:
@@ -242,8 +234,8 @@ def _merged(
         signals[alias] = Signal(topic.time_s, values, spec.signals[alias].fill, topic.name)
     if spec.timeline is not None and spec.timeline not in spec.signals:
         message = f"timeline '{spec.timeline}' is not a signal"
-        hint = did_you_mean(spec.timeline, spec.signals)
-        faults.append(_at(spec, ("timeline",), message, spec.timeline, ", ".join(spec.signals), hint))
+        allowed, hint = ", ".join(spec.signals), did_you_mean(spec.timeline, spec.signals)
+        faults.append(spec.document.fault(("timeline",), message, got=spec.timeline, allowed=allowed, hint=hint))
     if faults:
         raise InputError(faults)
     raw = merge_signals(signals, spec.timeline, str(path))
@@ -378,4 +370,4 @@ def missing_field(
         numbers = [f"'#{names.index(name) + 1}'" for name in numbered]
         message, allowed = f"'{field}' stands {len(numbered)} times in {file}", ", ".join([*numbered, *numbers])
         hint = numbered[0]
-    return _at(spec, path or ("signals", alias), message, got=field, allowed=allowed, hint=hint)
+    return spec.document.fault(path or ("signals", alias), message, got=field, allowed=allowed, hint=hint)

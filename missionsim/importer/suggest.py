@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.expressions import FUNCTIONS
-from missionsim.importer import suggest_motion, suggest_others, suggest_power
+from missionsim.importer import suggest_motion, suggest_power
 from missionsim.importer.fields import Field, fields_of
 from missionsim.importer.roles import ROLES, Guess, guess_all, guess_role
 from missionsim.importer.runs import recognised_runs
 from missionsim.importer.sources import identifier, stamps_of
-from missionsim.importer.suggest_others import quoted
+from missionsim.importer.suggest_motion import quoted
 from missionsim.importer.units import UNITS
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
@@ -25,7 +25,6 @@ from missionsim.logs.readers import Options, reader_of
 
 Floats = NDArray[np.float64]
 _MOST_ROWS = 200_000
-PLACEHOLDER = re.compile(r"\b(RATE|RADIUS|POWER|TIME)\b")
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,7 @@ def suggest_map(paths: Sequence[Path]) -> Suggestion:
         draft.column("time_s", "time_s", Guess("time", "time_s", "", 2.0, "time of the messages", "sure"))
     suggest_power.suggest(draft)
     suggest_motion.suggest(draft)
-    suggest_others.suggest(draft)
+    suggest_motion.suggest_others(draft)
     if draft.direct:
         draft.head |= recognised_runs(draft.fields, draft.time_s, {draft.columns["time_s"][1].field})
     used = {guess.field for _, guess in draft.columns.values()}

@@ -7,6 +7,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr,
 from pydantic_core import PydanticCustomError
 
 from missionsim.errors import Fault
+from missionsim.inputs.tree import Document, Node
 
 
 def _text_of_int(raw: Any) -> Any:
@@ -71,12 +72,12 @@ class FileModel(Model):
 
     _file: str = PrivateAttr(default="")
     _sha256: str = PrivateAttr(default="")
-    _document: Any = PrivateAttr(default=None)
+    _document: Document = PrivateAttr(default_factory=lambda: Document("", None, Node(None, 0, 0)))
     _whole: bool = PrivateAttr(default=True)
     _sound: bool = PrivateAttr(default=True)
     _warnings: tuple[Fault, ...] = PrivateAttr(default=())
 
-    def faults(self, document: Any) -> list[Fault]:
+    def faults(self, document: Document) -> list[Fault]:
         """Faults across parts of the file that the model itself knows to look for."""
         return []
 
@@ -106,6 +107,6 @@ class FileModel(Model):
         return self._sha256
 
     @property
-    def document(self) -> Any:
-        """`missionsim.inputs.tree.Document` that it was read from, for the positions in messages; may be None."""
+    def document(self) -> Document:
+        """What it was read from, for the positions in messages."""
         return self._document

@@ -10,7 +10,6 @@ from missionsim.inputs.check_route import RouteCheck
 from missionsim.inputs.checker import Checker, Where
 from missionsim.inputs.mission import CorrelationSpec, MissionSpec
 from missionsim.inputs.parameter import uncertain_values
-from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.segments import flat_segments
 from missionsim.inputs.tree import Document
 
@@ -149,7 +148,9 @@ class _MissionCheck(RouteCheck):
         if robot is None:
             return
         if settings.scheme is not None:
-            check.known((*where, "scheme"), settings.scheme, _raw(robot, "schemes"), "control scheme")
+            check.known(
+                (*where, "scheme"), settings.scheme, Checker(robot.document).raw_keys("schemes"), "control scheme"
+            )
         name = mission.scheme_of(segment) if segment is not None else settings.scheme
         scheme = robot.schemes.get(name or "")
         if settings.navigation is not None:
@@ -303,12 +304,6 @@ def _possible(correlations: Sequence[CorrelationSpec]) -> bool:
     except np.linalg.LinAlgError:
         return False
     return True
-
-
-def _raw(robot: RobotSpec, key: str) -> list[str]:
-    """Names in the robot's file, also those whose values are at fault (they are told once, there)."""
-    document = robot.document
-    return Checker(document).raw_keys(key) if document is not None else list(getattr(robot, key))
 
 
 def _count(segments: Sequence[Any]) -> int:

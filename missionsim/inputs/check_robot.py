@@ -7,9 +7,7 @@ from collections.abc import Mapping
 from missionsim.effects.base import ParameterSpec
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.inputs.checker import Checker, Where
-from missionsim.inputs.components import ComponentSpec, LawSpec
-from missionsim.inputs.robot import EffectSpec, RobotSpec
-from missionsim.inputs.schemes import SchemeSpec
+from missionsim.inputs.robot import ComponentSpec, EffectSpec, LawSpec, RobotSpec, SchemeSpec
 from missionsim.inputs.tree import Document
 from missionsim.inputs.units import same_dimension
 from missionsim.inputs.values import Parameter

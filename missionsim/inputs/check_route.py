@@ -26,8 +26,7 @@ class RouteCheck:
         self.places: list[str] = []
         self.ways: dict[str, set[str]] = {}
         if self.environment is not None:
-            source = self.environment.document
-            self.places = Checker(source).raw_keys("places") if source is not None else list(self.environment.places)
+            self.places = Checker(self.environment.document).raw_keys("places")
             whole = self.environment.whole and self.environment.sound
             self.ways = _ways(self.environment) if whole else {}
         self.labels: list[str] = []

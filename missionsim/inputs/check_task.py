@@ -19,11 +19,7 @@ class _TaskCheck:
     def __init__(self, task: TaskSpec, document: Document) -> None:
         self.task = task
         self.check = Checker(document)
-        self.places: list[str] | None = None
-        environment = task.environment
-        if environment is not None:
-            source = environment.document
-            self.places = Checker(source).raw_keys("places") if source is not None else list(environment.places)
+        self.places = None if task.environment is None else Checker(task.environment.document).raw_keys("places")
 
     def run(self) -> list[Fault]:
         task = self.task

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from missionsim.errors import Fault, InputError, did_you_mean
-from missionsim.inputs.salvage import related, under
 from missionsim.inputs.tree import Document, as_written
+from missionsim.inputs.validation import related, under
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
@@ -75,7 +75,7 @@ class Checker:
 
     def units(self, where: Where, name: str, count: int, robot: RobotSpec, least: int = 0) -> bool:
         """Whether a robot has a component, and as many units of it."""
-        known = Checker(robot.document).raw_keys("components") if robot.document is not None else list(robot.components)
+        known = Checker(robot.document).raw_keys("components")
         key = where[-1] == name
         if not self.known(where, name, known, "component", key=key):
             return False

@@ -1,12 +1,17 @@
 """The environment file: places, ways between them, chargers, ambient."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from missionsim.errors import Fault
 from missionsim.inputs.base import FileModel, Identifier, Model, Name, Text, wrong
+from missionsim.inputs.checker import Checker
+from missionsim.inputs.tree import Document
 from missionsim.inputs.values import (
     Angle,
     Condition,
@@ -20,6 +25,9 @@ from missionsim.inputs.values import (
     Speed,
     Temperature,
 )
+
+_ROUNDING = 1e-3
+"""Lengths may be this much (relative) below the straight distance: maps are rounded."""
 
 
 class ChargerSpec(Model):
@@ -42,7 +50,7 @@ class PlaceSpec(Model):
     title: Text = ""
 
     @model_validator(mode="after")
-    def _both(self) -> "PlaceSpec":
+    def _both(self) -> PlaceSpec:
         if (self.x is None) != (self.y is None):
             raise wrong("a place has both coordinates or none", "x" if self.x else "y", "x: 0 m, y: 0 m")
         return self
@@ -154,3 +162,44 @@ class EnvironmentSpec(FileModel):
                 begin, end, spec=edge, index=index, length_m=self.length_m(edge), slope_rad=slope, reverse=back
             )
         return graph
+
+    def faults(self, document: Document) -> list[Fault]:
+        """Edges join known places, are not loops, have a length that is possible."""
+        check = Checker(document)
+        places = check.raw_keys("places")
+        for index, edge in enumerate(self.edges):
+            where: tuple[str | int, ...] = ("edges", index)
+            known = check.known((*where, "from"), edge.from_, places, "place")
+            known = check.known((*where, "to"), edge.to, places, "place") and known
+            if not known:
+                continue
+            if check.touched("places", edge.from_) or check.touched("places", edge.to):
+                continue
+            if edge.from_ == edge.to:
+                check.add((*where, "to"), "an edge from a place to itself", got=edge.to, allowed="another place")
+                continue
+            straight = self.straight_m(edge.from_, edge.to)
+            raw = check.document.node(where).children
+            has_length = isinstance(raw, dict) and "length" in raw
+            if straight is None and edge.length is None and not has_length:
+                check.add(
+                    where,
+                    "edge without a length, and its places have no coordinates",
+                    got=f"{edge.from_} to {edge.to}",
+                    allowed="length: 16 m, or x and y for both places",
+                )
+            elif straight is not None and edge.length is None and straight == 0.0 and not has_length:
+                check.add(
+                    where,
+                    "edge of length 0",
+                    got=f"{edge.from_} and {edge.to} at the same point",
+                    allowed="length: 16 m",
+                )
+            elif straight is not None and edge.length is not None and edge.length.value < straight * (1 - _ROUNDING):
+                check.add(
+                    (*where, "length"),
+                    "shorter than the straight line between its places",
+                    got=f"{edge.length.value:g} m",
+                    allowed=f"at least {straight:.3f} m",
+                )
+        return check.faults

@@ -13,9 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.inputs import overrides as override_rules
 from missionsim.inputs.base import FileModel
-from missionsim.inputs.check_environment import check_environment
 from missionsim.inputs.check_mission import check_mission
-from missionsim.inputs.check_robot import check_robot
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.examples import find_robot, unknown_robot
 from missionsim.inputs.mission import MissionSpec, StudySpec
@@ -69,6 +67,12 @@ def load_robot(name_or_path: str | os.PathLike[str], overrides: Sequence[Overrid
 def robot_from_text(text: str, name: str = "robot") -> RobotSpec:
     """A robot from the text of its file; `name` is what messages call it."""
     return _finished(Path(name), RobotSpec, (), parse_document(text, name=name))
+
+
+def mission_from_text(text: str, robot: RobotSpec, name: str = "mission") -> MissionSpec:
+    """A mission of a loaded robot from the text of its file; see `robot_from_text`."""
+    faults: list[Fault] = []
+    return _finish(_load_mission(Path(name), faults, (), robot, parse_document(text, name=name)), faults)
 
 
 def load_environment(path: str | os.PathLike[str], overrides: Sequence[Override] = ()) -> EnvironmentSpec:
@@ -253,13 +257,7 @@ def _load_anew(
     result = validate_document(document, model, faults)
     if result is None:
         return None
-    found: list[Fault] = []
-    if isinstance(result, RobotSpec):
-        found = check_robot(result, result.document)
-    elif isinstance(result, EnvironmentSpec):
-        found = check_environment(result, result.document)
-    else:
-        found = list(result.faults(result.document))
+    found = result.faults(result.document)
     result._sound = not any(fault.severity == "error" for fault in found)
     faults.extend(found)
     return result

@@ -308,7 +308,6 @@ class MapSpec(FileModel):
         """Where a formula of a column stands in the file: a bare text stands for its `value`."""
         if isinstance(key, int):
             return ("columns", name, "quaternion", key)
-        document = self.document
-        if key == "value" and document is not None and not isinstance(document.node(("columns", name)).children, dict):
+        if key == "value" and not isinstance(self.document.node(("columns", name)).children, dict):
             return ("columns", name)
         return ("columns", name, key)

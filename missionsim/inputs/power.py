@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from missionsim.effects import base_terms
 from missionsim.effects.base import Effect, ParameterSpec
@@ -16,8 +16,7 @@ from missionsim.errors import InputError
 from missionsim.expressions import Expression, Place, compile_expression
 
 if TYPE_CHECKING:
-    from missionsim.inputs.components import ComponentSpec, LoadSpec
-    from missionsim.inputs.robot import EffectSpec, RobotSpec
+    from missionsim.inputs.robot import ComponentSpec, EffectSpec, LoadSpec, RobotSpec
     from missionsim.inputs.values import Parameter
 
 
@@ -130,8 +129,7 @@ def _compiled(formula: Any, place: Place) -> Expression:
 
 
 def _place(robot: RobotSpec | None, path: tuple[str | int, ...]) -> Place:
-    document = None if robot is None else robot.document
-    return Place() if document is None else cast(Place, document.place(path))
+    return Place() if robot is None else robot.document.place(path)
 
 
 def _converted(parameters: Mapping[str, Parameter], specs: tuple[ParameterSpec, ...]) -> dict[str, ModelParameter]:

@@ -1,25 +1,189 @@
 """The robot file: body, batteries, components, motion, control schemes and effects."""
 
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from pydantic import Field, JsonValue, model_validator
 
-from missionsim.inputs.base import Expression, FileModel, Identifier, Model, Name, ParameterName, Text, wrong
+from missionsim.errors import Fault
+from missionsim.inputs.base import Expression, FileModel, Identifier, Model, Name, ParameterName, Sensors, Text, wrong
 from missionsim.inputs.battery import BatterySpec
-from missionsim.inputs.components import ComponentSpec, LinkSpec, SwitchboardSpec
-from missionsim.inputs.schemes import ProcessorSpec, SchemeSpec
+from missionsim.inputs.tree import Document
 from missionsim.inputs.values import (
     Acceleration,
     AnyNumber,
+    Chance,
+    Distance,
+    Duration,
     EffectNumber,
+    Efficiency,
     Fraction,
+    Frequency,
     Length,
     Mass,
     Parameter,
+    Power,
+    Ratio,
     Speed,
     YawAcceleration,
     YawRate,
 )
+
+
+class LawSpec(Model):
+    """Power that depends on a rate, the speed, a load…: an expression over parameters and glossary columns (`power`),
+    or a registered law (`model`)."""
+
+    power: Expression | None = None
+    model: Identifier | None = None
+    rate: Frequency | None = None
+    parameters: dict[ParameterName, AnyNumber] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _one(self) -> "LawSpec":
+        if (self.power is None) == (self.model is None):
+            raise wrong(
+                "a law has either a power or a model",
+                "both" if self.power else "neither",
+                'power: "k*rate", or model: multicore_cpu',
+            )
+        return self
+
+
+class LoadSpec(Model):
+    """What one unit of a component takes from one battery."""
+
+    battery: Identifier
+    power: Power | None = None
+    law: LawSpec | None = None
+    through: Identifier | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> "LoadSpec":
+        if (self.power is None) == (self.law is None):
+            raise wrong(
+                "a load has either a power or a law",
+                "both" if self.power else "neither",
+                "power: 2.3 W, or law: {power: …}",
+            )
+        return self
+
+
+class StartupSpec(Model):
+    """Time between switching on and being ready, and the power meanwhile (per unit, on the first load's battery)."""
+
+    duration: Duration
+    power: Power | None = None
+
+
+class ComponentSpec(Model):
+    """A sensor, board, screen or radio."""
+
+    title: Text = ""
+    units: Annotated[int, Field(strict=True, ge=1, le=1000)] = 1
+    always_on: bool = False
+    loads: Annotated[tuple[LoadSpec, ...], Field(min_length=1, max_length=50)]
+    relay: Identifier | None = None
+    requires: tuple[Identifier, ...] = ()
+    startup: StartupSpec | None = None
+
+
+class LinkSpec(Model):
+    """Converter or USB link between a component and its battery: power at the battery = power / efficiency."""
+
+    battery: Identifier
+    efficiency: Efficiency = Parameter(1.0)
+    title: Text = ""
+
+
+class SwitchboardSpec(Model):
+    """Relay board: its own power for 0, 1, 2… activated relays."""
+
+    battery: Identifier
+    power: Annotated[tuple[Power, ...], Field(min_length=1, max_length=100)]
+    title: Text = ""
+
+
+class ProcessorSpec(Model):
+    """The computer whose power the control schemes' tables give.
+
+    `fallback` says what holds for a set of sensors that no row of the scheme's table names: ``nearest`` takes the row
+    with the fewest units differing (the larger power of equals), marked assumed; ``refuse`` is a fault.
+    """
+
+    battery: Identifier
+    idle: Power | None = None
+    fallback: Literal["nearest", "refuse"] = "nearest"
+
+
+class ProcessorRow(Model):
+    """Processor power for one hardware configuration; sensors that are not named are off."""
+
+    navigation: Identifier | None = None
+    sensors: Sensors = Field(default_factory=dict)
+    power: Power
+    source: Text = ""
+    status: Literal["", "published", "fitted", "assumed", "measured"] = ""
+
+    @model_validator(mode="after")
+    def _tell_power(self) -> "ProcessorRow":
+        """Status and source of the row belong to its power."""
+        told = replace(self.power, status=self.power.status or self.status, source=self.power.source or self.source)
+        self.__dict__["power"] = told
+        return self
+
+
+class SensorRules(Model):
+    """Sensors that a scheme needs, and those that it may use, with units."""
+
+    required: Sensors = Field(default_factory=dict)
+    optional: Sensors = Field(default_factory=dict)
+
+
+class BehaviourSpec(Model):
+    """How the robot does otherwise than planned: distance ×, speed ×, extra standing time.
+
+    The last four are left to chance, run by run, in a Monte Carlo: obstacles at a mean distance from each other, each
+    with a stop of a mean time, and relocalisation at the end of a segment, which fails and is tried again.
+    """
+
+    path_stretch: Ratio | None = None
+    speed_tracking: Ratio | None = None
+    dwell: Duration | None = None
+    obstacle_spacing: Distance | None = None
+    obstacle_stop: Duration | None = None
+    relocalisation_failure: Chance | None = None
+    relocalisation_time: Duration | None = None
+
+
+class SchemeSpec(Model):
+    """A control scheme."""
+
+    title: Text = ""
+    motion: bool = True
+    image_analysis: bool = False
+    max_speed: Speed | None = None
+    sensors: SensorRules = SensorRules.model_construct()
+    default_sensors: Sensors = Field(default_factory=dict)
+    navigation: dict[Identifier, SensorRules] = Field(default_factory=dict)
+    default_navigation: Identifier | None = None
+    processor: tuple[ProcessorRow, ...] = ()
+    behaviour: BehaviourSpec = BehaviourSpec.model_construct()
+
+    def sensor_rules(self, navigation: str | None = None) -> tuple[dict[str, int], dict[str, int]]:
+        """Required units, and the most units allowed (required ones among them), under a navigation."""
+        chosen = self.navigation.get(navigation or self.default_navigation or "", None)
+        required = dict(self.sensors.required)
+        allowed = dict(self.sensors.optional)
+        for rules in [chosen] if chosen is not None else []:
+            for name, count in rules.required.items():
+                required[name] = max(count, required.get(name, 0))
+            for name, count in rules.optional.items():
+                allowed[name] = max(count, allowed.get(name, 0))
+        for name, count in required.items():
+            allowed[name] = max(count, allowed.get(name, 0))
+        return required, allowed
+
 
 Drive = Literal["differential", "skid_steer", "mecanum", "omni", "ackermann"]
 
@@ -125,3 +289,9 @@ class RobotSpec(FileModel):
             for row in scheme.processor:
                 found |= dict.fromkeys(row.sensors)
         return tuple(name for name in self.components if name in found)
+
+    def faults(self, document: Document) -> list[Fault]:
+        """What parts of the file say of each other; see `missionsim.inputs.check_robot`."""
+        from missionsim.inputs.check_robot import check_robot
+
+        return check_robot(self, document)

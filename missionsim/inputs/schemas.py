@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import InputError, did_you_mean
+from missionsim.inputs import units
 from missionsim.inputs.loading import KINDS, model_of
-from missionsim.inputs.schema_names import add_descriptions, add_models, add_names
 from missionsim.inputs.segments import SEGMENT_KINDS
+from missionsim.inputs.tree import read_document
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
@@ -94,3 +97,150 @@ def _tidy(node: Any, shared: dict[str, Any], properties: bool = False) -> Any:
         shared[name] = {key: value for key, value in result.items() if key != "default"}
         result = {"$ref": f"#/$defs/{name}"} | ({"default": result["default"]} if "default" in result else {})
     return result
+
+
+_NUMBER = r"^\s*[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?"
+_ANY = {"$ref": "#/$defs/quantity_any_number"}
+Schema = dict[str, Any]
+
+
+def unit_pattern(dimension: str, percent: bool = False) -> str:
+    """Text of a number with a unit of one dimension; what is composed (``kg m/s^2``) is left to the loader.
+
+    Parameters
+    ----------
+    dimension : str
+        Key of `units.DIMENSIONS`; empty for any unit.
+    percent : bool
+        Whether ``%`` is a unit of it (slopes).
+    """
+    if not dimension:
+        return _NUMBER + r"\s*\S*.*$"
+    names = [unit for unit in units.units_of(dimension) if unit]
+    names += units.units_of("charge") if dimension == "energy" else []
+    names += ["%"] if percent else []
+    every = {unit for one in units.DIMENSIONS for unit in units.units_of(one) if unit}
+    listed, others = (_either(some) for some in (names, every - set(names)))
+    composed = rf"(?!(?:{others})\s*$)[A-Za-zµΩ°%][^\s*/^·]*\s*[*/^· ]\s*\S.*"
+    return rf"{_NUMBER}\s*({listed}|{composed})?\s*$"
+
+
+def _either(names: Iterable[str]) -> str:
+    escaped = [re.escape(name).replace("\\ ", " ") for name in sorted(names, key=lambda name: (-len(name), name))]
+    return "|".join(escaped)
+
+
+def add_descriptions(name: str, definition: Schema, definitions: dict[str, Schema]) -> None:
+    """What each property means, its unit and its default."""
+    for key, node in definition.get("properties", {}).items():
+        if not isinstance(node, dict):
+            continue
+        if "description" not in node or "$ref" in node:
+            words = key_words()
+            told = words.get(f"{name}.{key}") or words.get(key) or words.get(key.rstrip("s")) or key.replace("_", " ")
+            unit = _unit_of(node, definitions)
+            node["description"] = told + (f" [{unit}]" if unit else "")
+        if key not in definition.get("required", ()) and "default" not in node and "const" not in node:
+            node["default"] = [] if node.get("type") == "array" else {} if node.get("type") == "object" else None
+
+
+@functools.cache
+def key_words() -> dict[str, str]:
+    """What each key means, and ``Model.key`` where it means another thing in one place."""
+    words: dict[str, str] = read_document(Path(__file__).with_name("schema_words.yaml")).data
+    return words
+
+
+def _unit_of(node: Schema, definitions: dict[str, Schema]) -> str:
+    for part in (node, *node.get("anyOf", ())):
+        target = definitions.get(str(part.get("$ref", "")).rpartition("/")[2], {})
+        for option in target.get("anyOf", ()):
+            plain = str(option.get("description", ""))
+            if plain.startswith("in ") and plain not in ("in SI", "in 1"):
+                return plain.removeprefix("in ")
+    return ""
+
+
+def add_models(definitions: dict[str, Schema]) -> None:
+    """Enumerate models, laws and effects, and the parameters that each has."""
+    from missionsim.effects.families import FLOORS
+    from missionsim.effects.law_models import law_models
+    from missionsim.effects.library import effect_ids, get_effect
+    from missionsim.effects.motion_models import get_motion_model, motion_model_ids
+
+    if motion := definitions.get("MotionSpec"):
+        ids = motion_model_ids()
+        _enumerate(motion["properties"]["model"], [*ids, "expression", "none"])
+        motion["allOf"] = [
+            _rule("model", name, {p.name: p.unit for p in get_motion_model(name).parameters}) for name in ids
+        ]
+        # the model that holds where none is named
+        motion["allOf"][ids.index("polynomial")]["if"].pop("required", None)
+    if law := definitions.get("LawSpec"):
+        _enumerate(law["properties"]["model"], list(law_models()))
+        law["allOf"] = [
+            _rule("model", name, {p.name: p.unit for p in m.parameters}) for name, m in law_models().items()
+        ]
+    if effect := definitions.get("EffectSpec"):
+        plain = [name for name in effect_ids() if "<" not in name]
+        families = sorted({name.partition(":")[0] for name in effect_ids() if "<" in name} | set(FLOORS))
+        pattern = rf"^({'|'.join(families)}):[A-Za-z_][A-Za-z0-9_ -]*$"
+        effect["properties"]["effect"] = {
+            "anyOf": [{"enum": plain}, {"type": "string", "pattern": pattern}, {"type": "null"}],
+            "default": None,
+            "description": effect["properties"]["effect"]["description"],
+        }
+        effect["allOf"] = [
+            _rule("effect", name, {p.name: p.unit for p in get_effect(name).parameters}, "^k_" * (name in FLOORS))
+            for name in plain
+        ]
+    if battery := definitions.get("BatterySpec"):
+        options = battery["properties"]["model"]["anyOf"]
+        battery["properties"]["model"]["anyOf"] = [
+            {"enum": ["constant_energy"]} if option == {"type": "string"} else option for option in options
+        ]
+
+
+def _enumerate(node: Schema, names: list[str]) -> None:
+    null = any(option.get("type") == "null" for option in node.pop("anyOf", ()))
+    for key in ("pattern", "type", "maxLength"):
+        node.pop(key, None)
+    node["enum"] = [*names, None] if null else names
+
+
+def _rule(key: str, name: str, parameters: dict[str, str], more: str = "") -> Schema:
+    """Where `key` is `name`, only its parameters, and those that match the pattern `more`."""
+    known: Schema = {p: {**_ANY, "description": f"[{unit}]"} for p, unit in parameters.items()}
+    inside: Schema = {"properties": known, "additionalProperties": False}
+    if more:
+        inside["patternProperties"] = {more: _ANY}
+    return {
+        "if": {"properties": {key: {"const": name}}, "required": [key]},
+        "then": {"properties": {"parameters": inside}},
+    }
+
+
+def add_names(definitions: dict[str, Schema], body: Schema, robot: RobotSpec) -> None:
+    """Enumerate the batteries, components, schemes, links and boards of one robot wherever a file names one."""
+    names = {
+        "battery": list(robot.batteries),
+        "component": list(robot.components),
+        "scheme": list(robot.schemes),
+        "idle_scheme": list(robot.schemes),
+        "relay": list(robot.switchboards),
+        "through": list(robot.links),
+    }
+    lists = {"batteries": list(robot.batteries), "requires": list(robot.components)}
+    keyed = {"initial_charge": list(robot.batteries), "sensors": list(robot.components)}
+    keyed |= {"default_sensors": list(robot.components), "required": list(robot.components)}
+    keyed |= {"optional": list(robot.components)}
+    for definition in (body, *definitions.values()):
+        for key, node in definition.get("properties", {}).items():
+            options = [node, *node.get("anyOf", ())] if isinstance(node, dict) else []
+            for option in options:
+                if key in names and option.get("type") == "string":
+                    option["enum"] = names[key]
+                elif key in lists and option.get("type") == "array":
+                    option["items"] = {"enum": lists[key]}
+                elif key in keyed and option.get("type") == "object":
+                    option["propertyNames"] = {"enum": keyed[key]}

@@ -8,7 +8,7 @@ from pydantic_core import PydanticCustomError, core_schema
 
 from missionsim.errors import did_you_mean
 from missionsim.inputs.base import Identifier, Model, Name, Sensors, wrong
-from missionsim.inputs.schemes import BehaviourSpec
+from missionsim.inputs.robot import BehaviourSpec
 from missionsim.inputs.tree import as_written
 from missionsim.inputs.values import (
     Angle,

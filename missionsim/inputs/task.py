@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
-from missionsim.inputs.activities import Reserve, reserve_of
 from missionsim.inputs.base import FileModel, Identifier, Model, Name, Sensors, Text, wrong
 from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.inputs.mission import Reserve, reserve_of
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.segments import DefaultSpec
 from missionsim.inputs.values import Angle, Chance, Duration, Fraction, Mass, Parameter, Period, Speed

@@ -28,8 +28,6 @@ _STR, _INT, _FLOAT, _BOOL, _NULL = (f"tag:yaml.org,2002:{kind}" for kind in ("st
 _CORE_TAGS = {_STR, _INT, _FLOAT, _BOOL, _NULL, "tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"}
 _CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 
-type_names = {str: "text", int: "number", float: "number", bool: "true/false", type(None): "nothing"}
-
 Path_ = tuple[str | int, ...]
 
 
@@ -44,6 +42,9 @@ class Node:
     children: dict[str, Node] | list[Node] | None = None
     keys: dict[str, tuple[int, int]] = field(default_factory=dict)
     size: int = 1
+    start: int = 0
+    end: int = 0
+    """Of JSON: the part of the text that it stands in, for edits in place."""
 
 
 @dataclass(slots=True)
@@ -171,41 +172,42 @@ def read_document(path: str | Path, *, name: str | None = None) -> Document:
     InputError
         Missing, too large, not UTF-8, not YAML, duplicate keys, tags, too deep or too many values.
     """
-    shown = name or str(path)
-    if Path(path).is_fifo():  # opening it would wait for a writer
-        raise InputError(Fault(shown, 0, 0, "cannot read this file: is a pipe"))
-    try:
-        with open(path, "rb") as handle:
-            raw = handle.read(MAX_BYTES + 1)
-    except OSError as problem:
-        reason = (
-            "is a folder" if isinstance(problem, IsADirectoryError) else (problem.strerror or "cannot be read").lower()
-        )
-        raise InputError(Fault(shown, 0, 0, f"cannot read this file: {reason}")) from None
-    if len(raw) > MAX_BYTES:
-        raise InputError(
-            Fault(
-                shown,
-                0,
-                0,
-                "file too large for YAML",
-                got=f"more than {MAX_BYTES // 10**6} MB",
-                allowed=f"at most {MAX_BYTES // 10**6} MB",
-            )
-        )
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError as problem:
-        line = raw.count(b"\n", 0, problem.start) + 1
-        column = problem.start - (raw.rfind(b"\n", 0, problem.start) + 1) + 1
-        raise InputError(
-            Fault(shown, line, column, "not UTF-8 text", got=f"byte 0x{raw[problem.start]:02x}", allowed="UTF-8")
-        ) from None
     import hashlib
 
-    document = parse_document(text, name=shown)
+    shown = name or str(path)
+    raw = read_bytes(path, shown, MAX_BYTES)
+    document = parse_document(decoded(raw, "utf-8-sig", shown), name=shown)
     document.sha256 = hashlib.sha256(raw).hexdigest()
     return document
+
+
+def read_bytes(path: str | Path, name: str, most: int) -> bytes:
+    """What a file holds; InputError where it cannot be read, or is larger than `most` bytes."""
+    if Path(path).is_fifo():  # opening it would wait for a writer
+        raise InputError.single("cannot read this file: is a pipe", file=name)
+    try:
+        with open(path, "rb") as handle:
+            raw = handle.read(most + 1)
+    except OSError as problem:
+        reason = "is a folder" if isinstance(problem, IsADirectoryError) else str(problem.strerror or problem).lower()
+        raise InputError.single(f"cannot read this file: {reason}", file=name) from None
+    if len(raw) > most:
+        size = f"{most // 10**6} MB"
+        raise InputError.single("file too large", file=name, got=f"more than {size}", allowed=f"at most {size}")
+    return raw
+
+
+def decoded(raw: bytes, encoding: str, name: str) -> str:
+    """Bytes as text; InputError at the first that is none."""
+    try:
+        return raw.decode(encoding)
+    except LookupError:
+        raise InputError(Fault(name, 1, 1, "an encoding that is not known", got=encoding, allowed="UTF-8")) from None
+    except UnicodeError as problem:
+        at = getattr(problem, "start", 0)
+        line, column = raw.count(b"\n", 0, at) + 1, at - (raw.rfind(b"\n", 0, at) + 1) + 1
+        message, got = f"not {encoding.removesuffix('-sig').upper()} text", f"byte 0x{raw[at]:02x}"
+        raise InputError(Fault(name, line, column, message, got=got, allowed="UTF-8")) from None
 
 
 def parse_document(text: str, *, name: str = "text") -> Document:

@@ -1,9 +1,10 @@
-"""Measured logs: read, checked, told what is wrong with them, frozen as `LogTable` in glossary columns."""
+"""Measured logs: read, checked, told what is wrong with them, frozen as `LogTable` (a `missionsim.runs.run.Run`)."""
 
 from missionsim.logs.blocks import iter_blocks
 from missionsim.logs.read import check_log, describe, find_logs, read_log, read_logs
 from missionsim.logs.remarks import Remark
-from missionsim.logs.table import LogTable, row_durations
+from missionsim.runs.run import Run as LogTable
+from missionsim.runs.run import row_durations
 
 __all__ = [
     "LogTable",

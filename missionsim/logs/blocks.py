@@ -14,8 +14,8 @@ from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
 from missionsim.logs.read import PathLike, make_log, read_log
 from missionsim.logs.readers import table_reader
-from missionsim.logs.table import LogTable
 from missionsim.logs.times import TimeAxis
+from missionsim.runs.run import Run
 
 if TYPE_CHECKING:
     from missionsim.inputs import RobotSpec
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 def iter_blocks(
     path: PathLike, *, rows: int = 500_000, columns: Sequence[str] | None = None, robot: RobotSpec | None = None
-) -> Iterator[LogTable]:
-    """Read a long log in blocks, in bounded memory: each block is a `LogTable`, together they are the whole log.
+) -> Iterator[Run]:
+    """Read a long log in blocks, in bounded memory: each block is a `Run`, together they are the whole log.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def iter_blocks(
 
     Yields
     ------
-    LogTable
+    Run
         Time, durations and energy differences at the edges take the neighbouring rows into account. Checks of units
         and clocks look at the first block only.
 
@@ -74,7 +74,7 @@ _EDGE = 64
 
 def _block(
     path: Path, before: RawTable | None, current: RawTable, after: RawTable | None, robot: RobotSpec | None
-) -> LogTable:
+) -> Run:
     parts = [current]
     lead = 0
     if before is not None:

@@ -1,4 +1,4 @@
-"""Logs in: find the format, read, check, repair what is safe, and freeze as `LogTable`."""
+"""Logs in: find the format, read, check, repair what is safe, and freeze as `Run`."""
 
 from __future__ import annotations
 
@@ -17,14 +17,13 @@ from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs import suspect
 from missionsim.logs.clean import Rows, fill_missing, order_time
-from missionsim.logs.clock import clock_delay
-from missionsim.logs.obstacles import check_obstacles
+from missionsim.logs.obstacles import check_obstacles, clock_delay
 from missionsim.logs.power import battery_power, measured_batteries, missing_columns
 from missionsim.logs.raw import RawTable
 from missionsim.logs.readers import Options, log_suffixes, not_there, table_reader
 from missionsim.logs.remarks import Remark, merge
-from missionsim.logs.table import LogTable, row_durations
 from missionsim.logs.times import TimeAxis
+from missionsim.runs.run import Run, row_durations
 
 if TYPE_CHECKING:
     from missionsim.inputs import RobotSpec
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 PathLike = str | os.PathLike[str]
 
 
-def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> LogTable:
+def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> Run:
     """Read one measured log (CSV or Parquet) and check it.
 
     Parameters
@@ -44,7 +43,7 @@ def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> LogTable:
 
     Returns
     -------
-    LogTable
+    Run
         With `remarks` that say what was wrong and what was done.
 
     Raises
@@ -58,11 +57,8 @@ def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> LogTable:
 
 
 def read_logs(
-    paths: Iterable[PathLike] | PathLike,
-    *,
-    robot: RobotSpec | None = None,
-    each: Callable[[LogTable], LogTable] | None = None,
-) -> list[LogTable]:
+    paths: Iterable[PathLike] | PathLike, *, robot: RobotSpec | None = None, each: Callable[[Run], Run] | None = None
+) -> list[Run]:
     """Read several logs; a folder stands for every ``.csv`` and ``.parquet`` in it, by name.
 
     Runs of the same name (from two folders) get the folder's name in front. Files of the same content are one run, and
@@ -73,7 +69,7 @@ def read_logs(
     missionsim.errors.InputError
         With the faults of all files at once.
     """
-    logs: list[LogTable] = []
+    logs: list[Run] = []
     faults: list[Fault] = []
     for path, twins in distinct_logs(paths).items():
         try:
@@ -179,7 +175,7 @@ def make_log(
     robot: RobotSpec | None = None,
     own: tuple[int, int] | None = None,
     statistics: bool = True,
-) -> LogTable:
+) -> Run:
     """Check, repair and freeze a table whose columns already have glossary names.
 
     Parameters
@@ -241,7 +237,7 @@ def _freeze(
     robot: RobotSpec | None,
     own: tuple[int, int] | None,
     statistics: bool,
-) -> LogTable:
+) -> Run:
     repeated = dict(held)
     if statistics:
         batteries, components = (tuple(robot.batteries), tuple(robot.components)) if robot is not None else ((), ())
@@ -284,7 +280,7 @@ def _freeze(
     for name, data in rows.columns.items():
         if isinstance(data, Labels):
             rows.columns[name] = data.compact()
-    log = LogTable(run, rows.columns, rows.dt, power, fresh, kinds, rows.raw.file, tuple(rows.remarks))
+    log = Run(run, rows.columns, rows.dt, power, fresh, kinds, rows.raw.file, tuple(rows.remarks))
     if own is not None:
         inside = np.flatnonzero((rows.row >= own[0]) & (rows.row < own[1]))
         together = len(inside) and inside[-1] - inside[0] == len(inside) - 1
@@ -347,12 +343,12 @@ def check_log(path: PathLike, *, robot: RobotSpec | None = None) -> list[Fault]:
     return [remark.fault(str(path)) for remark in merge(remarks) if remark.severity != "note"]
 
 
-def describe(logs: Sequence[LogTable], *, notes: bool = False) -> list[str]:
+def describe(logs: Sequence[Run], *, notes: bool = False) -> list[str]:
     """The remarks of several logs in words, one line each, the same remark of many runs joined.
 
     Parameters
     ----------
-    logs : sequence of LogTable
+    logs : sequence of Run
     notes : bool
         Whether to tell the harmless ones too.
     """

@@ -12,15 +12,15 @@ from missionsim.files import atomic_write, csv_cell
 from missionsim.labels import Labels
 
 if TYPE_CHECKING:
-    from missionsim.logs.table import LogTable
+    from missionsim.runs.run import Run
 
 
-def write_log(log: LogTable, path: Path, metadata: Mapping[str, str] | None = None) -> None:
+def write_log(log: Run, path: Path, metadata: Mapping[str, str] | None = None) -> None:
     """Write a log; the suffix decides between ``.parquet`` and ``.csv``.
 
     Parameters
     ----------
-    log : LogTable
+    log : Run
     path : Path
         Replaced if it exists.
     metadata : mapping, optional
@@ -45,7 +45,7 @@ def write_log(log: LogTable, path: Path, metadata: Mapping[str, str] | None = No
             _csv(log, temporary)
 
 
-def _parquet(log: LogTable, path: Path, metadata: Mapping[str, str]) -> None:
+def _parquet(log: Run, path: Path, metadata: Mapping[str, str]) -> None:
     import pyarrow as pa
     import pyarrow.parquet as parquet
 
@@ -61,7 +61,7 @@ def _parquet(log: LogTable, path: Path, metadata: Mapping[str, str]) -> None:
     parquet.write_table(table, path)
 
 
-def _csv(log: LogTable, path: Path) -> None:
+def _csv(log: Run, path: Path) -> None:
     columns = [
         Labels(data.codes, tuple(map(csv_cell, data.names))).texts() if isinstance(data, Labels) else data.tolist()
         for data in log.columns.values()

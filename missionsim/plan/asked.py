@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.errors import Fault, InputError
-from missionsim.expressions import Place
-from missionsim.inputs.activities import AnchorSpec
-from missionsim.inputs.mission import MissionSpec
+from missionsim.inputs.mission import AnchorSpec, MissionSpec
 from missionsim.inputs.values import Parameter
 from missionsim.plan.draws import Odd, least
 from missionsim.plan.legs import Activity, Limits, Pace, Recharge, Settings, Trigger
@@ -216,8 +214,7 @@ class Asked:
         end = self._trigger(spec.until)
         every = None if spec.every is None else self.number(spec.every)
         duration = None if spec.duration is None else self.number(spec.duration)
-        document = self.mission.document
-        place = Place() if document is None else document.place(("activities", key, "every"))
+        place = self.mission.document.place(("activities", key, "every"))
         return Activity(spec.component, spec.units, begin, end, every, duration, key, place)
 
     def _trigger(self, anchor: AnchorSpec | None) -> Trigger | None:

@@ -304,7 +304,10 @@ class _Builder(Asked):
             del plain.legs[before:]
             seconds = np.array([leg.distance_m / leg.speed_m_s for leg in legs])
             model = self.mission.remembered("power model", lambda: build_power_model(self.robot))
-            costs = seconds if least_of == "time" else seconds * steady_power_w(self.robot, model, legs) / 3600.0
+            if least_of == "time":
+                costs = seconds
+            else:
+                costs = seconds * np.sum(list(steady_power_w(self.robot, model, legs).values()), axis=0) / 3600.0
             sums = np.diff(np.concatenate([[0.0], np.concatenate([[0.0], np.cumsum(costs)])[ends]]))
             self._costs[key] = {(w.edge, w.begin): c for w, c in zip(ways, sums.tolist(), strict=True)}
         table = self._costs[key]

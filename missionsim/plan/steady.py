@@ -39,8 +39,8 @@ def closure(infos: Mapping[str, Requiring], sensors: Sequence[tuple[str, int]]) 
     return known
 
 
-def steady_power_w(robot: RobotSpec, model: PowerModel, legs: Sequence[Leg]) -> NDArray[np.float64]:
-    """Power of all batteries together while legs are driven at their speed, shape (legs,), W.
+def steady_power_w(robot: RobotSpec, model: PowerModel, legs: Sequence[Leg]) -> dict[str, NDArray[np.float64]]:
+    """Power of each battery while legs are driven at their speed, shape (legs,), W.
 
     Without accelerations, activities and what fades with time.
     """
@@ -67,8 +67,5 @@ def steady_power_w(robot: RobotSpec, model: PowerModel, legs: Sequence[Leg]) -> 
         cov[f"on_{name}"] = np.array([float(units.get(name, 0)) for units in on])
         cov[f"starting_{name}"] = zero
         cov[f"on_time_{name}_s"] = zero + LONG_AGO_S
-    total = zero.copy()
-    for terms in model.evaluate(cov).values():
-        for power in terms.values():
-            total = total + power
-    return total
+    powers = model.evaluate(cov)
+    return {battery: np.asarray(sum(powers.get(battery, {}).values(), zero)) for battery in robot.batteries}

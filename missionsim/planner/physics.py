@@ -12,8 +12,7 @@ from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.recorder import Row, timeline
 from missionsim.engine.simulate import RunSetup
 from missionsim.errors import InputError
-from missionsim.inputs.activities import PolicySpec
-from missionsim.inputs.mission import MissionBehaviour, MissionSpec
+from missionsim.inputs.mission import MissionBehaviour, MissionSpec, PolicySpec
 from missionsim.inputs.power import build_power_model
 from missionsim.inputs.segments import WaitSegment
 from missionsim.inputs.task import TaskSpec

@@ -38,7 +38,7 @@ def mission_text(answer: Answer, target: str | os.PathLike[str] | None) -> str:
     if task.initial_charge:
         charges = {name: charge.value for name, charge in task.initial_charge.items()}
         lines.append(f"initial_charge: {flow(charges)}")
-    data = task.document.data if task.document is not None else {}
+    data = task.document.data
     if data.get("defaults"):
         lines.append(f"defaults: {flow(data['defaults'])}")
     reserve = {name: task.reserve_of(name) for name in task.robot.batteries}

@@ -11,7 +11,7 @@ from missionsim.effects import base_terms
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.effects.motion_models import get_motion_model
 from missionsim.labels import Labels
-from missionsim.logs.table import LogTable, row_durations
+from missionsim.logs import LogTable, row_durations
 
 
 def friction_model(c2: float = 6.25, c3: float = 9.79, moving: float = 3.66, standing: float = 2.67) -> PowerModel:

@@ -16,11 +16,10 @@ import yaml
 from missionsim.cli.app import run_command
 from missionsim.errors import InputError
 from missionsim.exchange.formats import import_site
-from missionsim.exchange.nav2 import export_costs
+from missionsim.exchange.nav2 import export_costs, steady_power
 from missionsim.exchange.qgc import plan_of
 from missionsim.exchange.rmf_fleet import export_fleet, read_fleet
 from missionsim.exchange.site import SiteOptions, write_site
-from missionsim.exchange.steady import steady_power
 from missionsim.exchange.vda5050 import VERSIONS, order_of
 from missionsim.inputs.loading import load_mission, load_robot, robot_from_text
 from missionsim.inputs.mission import MissionSpec

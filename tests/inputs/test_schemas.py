@@ -13,8 +13,7 @@ import pytest
 from missionsim.errors import InputError
 from missionsim.inputs import units
 from missionsim.inputs.loading import load_robot
-from missionsim.inputs.schema_names import key_words, unit_pattern
-from missionsim.inputs.schemas import SCHEMA_FOLDER, schema, schema_kinds, schema_text
+from missionsim.inputs.schemas import SCHEMA_FOLDER, key_words, schema, schema_kinds, schema_text, unit_pattern
 from missionsim.inputs.tree import parse_document
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -15,7 +15,7 @@ from missionsim.errors import InputError
 from missionsim.importer import transform
 from missionsim.importer.fields import fields_of
 from missionsim.importer.mapping import import_source
-from missionsim.importer.timeline import Signal, merge_signals
+from missionsim.importer.transform import Signal, merge_signals
 from missionsim.inputs.loading import load_map
 from missionsim.logs import LogTable
 from tests.logs.bag_writers import amps, battery_volts, speed, write_bag, write_ulog

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from missionsim.errors import InputError
 from missionsim.files import install_hint
 from missionsim.labels import Labels
-from missionsim.logs.formats.mcapjson import read_json_mcap
+from missionsim.logs.formats.jsonlines import read_json_mcap
 from missionsim.logs.raw import ColumnData, numbers_in
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 from missionsim.logs.remarks import Remark
