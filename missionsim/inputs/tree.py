@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ class Node:
     children: dict[str, Node] | list[Node] | None = None
     keys: dict[str, tuple[int, int]] = field(default_factory=dict)
     size: int = 1
+    _: KW_ONLY
     start: int = 0
     end: int = 0
     """Of JSON: the part of the text that it stands in, for edits in place."""
