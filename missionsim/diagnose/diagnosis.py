@@ -16,7 +16,7 @@ from missionsim.diagnose.heldout import KINDS, Models
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
 from missionsim.diagnose.proposed import depends_on, proposed_laws, without_stand_ins
-from missionsim.diagnose.split import Split, choose_split
+from missionsim.diagnose.split import Split, choose_split, stretches
 from missionsim.diagnose.subject import Subject, priors_of
 from missionsim.diagnose.waterfall import noted
 from missionsim.effects.model import PowerModel
@@ -29,8 +29,8 @@ from missionsim.identify.settings import ALPHA, MOST_PASSES, SAME_SIZE, Settings
 from missionsim.identify.verdict import decide
 from missionsim.logs import describe
 from missionsim.runs.admit import admit, unchanging
-from missionsim.runs.coarse import Bounded
 from missionsim.runs.covariates import logged_name
+from missionsim.runs.run import Bounded
 
 if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
@@ -174,6 +174,7 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
     own, batteries = subject.own.get(battery, ()), subject.model.batteries
     measured = [log for log in split.train if battery in log.power_w]
     train, left_out = with_same_causes(measured, batteries, own)
+    train, thinned = stretches(train)
     features = _features(subject, [steady_speed(log) for log in train], battery)
     features = replace(features, prior_sd=priors_of(subject, features, split.train))
     if all(float(np.ptp(run.measured_w)) == 0.0 for run in features.runs):
@@ -198,7 +199,7 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
             found = identify(features.runs, features.candidates, features.prior_sd, settings)
     except ValueError as error:
         raise InputError.single(f"battery '{battery}': {error}") from error
-    remarks = [left_out] if left_out else []
+    remarks = [told for told in (left_out, thinned) if told]
     needed = [features.effects[effect.effect] for effect in found.effects]
     held = [_renamed(log, {t.run for t in train}) for log in split.heldout if battery in log.power_w]
     for log in list(held):
@@ -324,7 +325,7 @@ def diagnose_battery(
             shifted=models.shifted(found.effects),
             execution=execution,
             runs=tuple(run.run for run in features.runs),
-            seconds=float(sum(np.sum(run.dt_s) for run in features.runs)),
+            seconds=sum(log.duration_s for log in split.train if log.run in {run.run for run in features.runs}),
             where=_where(subject, split, battery),
             series=series,
             clock=found.choice.model.clock,
@@ -366,7 +367,7 @@ def _series(seen: Examined, powers: Mapping[str, PowerModel]) -> tuple[RunSeries
     source = seen.found.choice.model.source
     clock = replace(seen.models.clock, run_delay_s=tuple(0.0 for _ in source.runs))
     design = source.design(clock)
-    rows = [seen.models.averaged(powers[kind], source, clock) for kind in KINDS]
+    rows = [seen.models.averaged(powers[kind], source, clock) for kind in (KINDS[0], KINDS[-1])]
     return tuple(
         RunSeries(name, design.time_s[part], design.y[part], *(power[part] for power in rows))
         for name, part in zip(design.names, design.runs, strict=True)

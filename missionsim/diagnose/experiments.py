@@ -11,10 +11,10 @@ from missionsim.diagnose.features import Features, effect_columns
 from missionsim.diagnose.manoeuvres import Manoeuvre, Site, library, script, shortened
 from missionsim.effects.covariates import derive
 from missionsim.effects.model import PowerModel
-from missionsim.identify.choice import Choice
 from missionsim.identify.data import RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.findings import Experiment, Finding, Unexplained
+from missionsim.identify.forward import Choice
 from missionsim.identify.gram import Gram, make_gram
 from missionsim.identify.model import Model
 from missionsim.identify.search import Constraints, single_gains

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.diagnose.numbers import watts
 from missionsim.identify.findings import Structure
 from missionsim.identify.identification import Identification
 from missionsim.identify.model import prediction
@@ -137,3 +136,9 @@ def standing_out(
         return None
     bias_w = float(np.average(error_w[here], weights=seconds[here]))
     return Leftover(MOTIONS[kind], bias_w, float(shares[kind]), time_share)
+
+
+def watts(power_w: float) -> str:
+    """Two significant digits with a sign, never as a power of ten."""
+    digits = 1 - math.floor(math.log10(abs(power_w))) if power_w and math.isfinite(power_w) else 0
+    return f"{round(power_w, digits):+.{max(digits, 0)}f}".replace("-", "−")

@@ -15,8 +15,8 @@ from missionsim.expressions import compile_expression
 from missionsim.identify.findings import Estimate, Finding, Judged, Unexplained
 from missionsim.identify.identification import Identification
 from missionsim.identify.proposed import Proposal
+from missionsim.laws.grammar import unit_of
 from missionsim.laws.proposal import Z95, propose
-from missionsim.laws.units import unit_of
 from missionsim.runs.run import Run
 
 _SHORT = {

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from missionsim.effects.covariates import derive
 from missionsim.errors import InputError, did_you_mean
 from missionsim.expressions import compile_expression
+from missionsim.runs.run import Bounded, Run
 
 FEWEST_RUNS = 4
 """With fewer runs none is held out unless the user says so."""
+MOST_LEARNT = 100_000
+"""Rows of all fitted runs together from which on stretches of them are learnt from, spread evenly over all: what they
+show is surer by then than the form of any effect, and time and memory stay bounded."""
+STRETCH_S = 600.0
+"""Length of such a stretch [s]: many times the correlation of the noise, and several manoeuvres."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +106,8 @@ def _last(logs: tuple[Any, ...], fraction: float) -> Split:
 def _files(logs: tuple[Any, ...], parts: list[str]) -> Split:
     from missionsim.logs import read_logs
 
-    held = tuple(read_logs(parts))
+    bounded = Bounded()
+    held = tuple(bounded.all(read_logs(parts, each=bounded))[0])
     same = {log.sha256 for log in held if log.sha256} & {log.sha256 for log in logs}
     train = tuple(log for log in logs if not (log.sha256 and log.sha256 in same))
     if not train:
@@ -139,3 +147,33 @@ def _condition(logs: tuple[Any, ...], text: str) -> Split:
         which = "no run" if not held else "every run"
         raise InputError.single(f"--holdout: {which} meets the condition at least half of the time", got=text)
     return Split(tuple(train), tuple(held), f"the {len(held)} runs with {text}", shifted=True)
+
+
+def stretches(runs: Sequence[Run]) -> tuple[list[Run], str]:
+    """What is learnt from runs: all their rows, or of very long ones stretches spread over all; and in words which.
+
+    Clocks of memory and rates go on through what is left out.
+    """
+    rows = sum(run.rows for run in runs)
+    part = MOST_LEARNT / max(rows, 1)
+    if part >= 1.0:
+        return list(runs), ""
+    kept = [_stretches_of(run, part, number) for number, run in enumerate(runs)]
+    learnt = sum(run.rows for run in kept)
+    return kept, f"effects are looked for in {learnt:,} of {rows:,} rows, in stretches spread evenly over all runs"
+
+
+def _stretches_of(run: Run, part: float, number: int) -> Run:
+    step = run.duration_s / max(run.rows, 1)
+    count = max(1, round(part * run.duration_s / STRETCH_S))
+    length = max(2, round(part * run.rows / count))
+    room = run.rows / count - length
+    if room < 1.0 or step <= 0.0:
+        return run
+    # where a stretch lies in its part of the run differs from run to run: the golden section never repeats
+    shift = math.modf(0.618034 * (number + 0.5))[0] * room
+    keep = np.zeros(run.rows, dtype=bool)
+    for begin in np.arange(count) * (run.rows / count) + shift:
+        keep[int(begin) : int(begin) + length] = True
+    derived = derive(run.columns, run.time_s, run.dt_s)
+    return replace(run, columns=derived).rows_where(keep)

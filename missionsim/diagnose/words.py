@@ -6,7 +6,7 @@ import math
 
 from missionsim.diagnose import sentences
 from missionsim.diagnose.execution import TOLD
-from missionsim.diagnose.numbers import watts
+from missionsim.diagnose.leftover import watts
 from missionsim.diagnose.waterfall import worse_of
 from missionsim.identify.findings import BatteryDiagnosis, Experiment, Finding, HeldOut, Judged
 from missionsim.identify.proposed import Proposal

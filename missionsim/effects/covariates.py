@@ -68,7 +68,7 @@ def derive(columns: Mapping[str, Any], time_s: NDArray[np.float64], dt_s: NDArra
     Returns
     -------
     dict
-        `columns` with ``accel_m_s2`` (if not logged), ``moving_time_s``, ``starts``, ``starts_per_s`` and
+        `columns` with what they lack of ``accel_m_s2``, ``moving_time_s``, ``starts``, ``starts_per_s`` and
         ``on_time_<component>_s`` for each ``on_<component>``.
     """
     cov: dict[str, Any] = dict(columns)
@@ -76,10 +76,12 @@ def derive(columns: Mapping[str, Any], time_s: NDArray[np.float64], dt_s: NDArra
         if "accel_m_s2" not in cov:
             cov["accel_m_s2"] = acceleration(np.asarray(cov["speed_m_s"], dtype=float), time_s)
         moving = np.asarray(is_moving(cov))
-        cov["moving_time_s"] = elapsed(moving, dt_s, reset=False)
-        starts = np.concatenate([[False], moving[1:] & ~moving[:-1]])
-        cov["starts"] = starts.astype(float)
-        cov["starts_per_s"] = starts / np.maximum(dt_s, 1e-9)
+        if "moving_time_s" not in cov:
+            cov["moving_time_s"] = elapsed(moving, dt_s, reset=False)
+        if "starts" not in cov:
+            starts = np.concatenate([[False], moving[1:] & ~moving[:-1]])
+            cov["starts"] = starts.astype(float)
+            cov["starts_per_s"] = starts / np.maximum(dt_s, 1e-9)
     for name in [name for name in columns if name.startswith("on_") and not name.startswith("on_time_")]:
         clock = f"on_time_{name[3:]}_s"
         if clock not in cov:

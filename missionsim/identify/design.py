@@ -38,8 +38,6 @@ class Column:
     """Mean |power| for coefficient 1; the column is divided by it and multiplied by the mean measured power."""
     mix: tuple[tuple[str, float], ...] = ()
     """After a refit of the shape: grid columns and weights that stand for the column in other runs."""
-    exact: str = ""
-    """Name under which other runs may hold the column at the refitted shape itself; then `mix` is not needed."""
     shape: tuple[tuple[str, float], ...] = ()
     """The refitted shape parameters."""
 
@@ -379,8 +377,6 @@ def make_source(
 
 def _raw_column(run: RunData, column: Column) -> Array:
     zero = np.zeros_like(run.base_w)
-    if column.exact in run.columns:
-        return run.columns[column.exact]
     if not column.mix:
         return run.columns.get(column.name, zero)
     return np.asarray(sum((w * run.columns.get(name, zero) for name, w in column.mix), start=zero))

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from missionsim.identify.choice import Choice
 from missionsim.identify.data import Array, Candidate
 from missionsim.identify.evidence import Evidence
 from missionsim.identify.findings import Estimate, Finding
+from missionsim.identify.forward import Choice
 from missionsim.identify.identifiability import Pair, rivals
 from missionsim.identify.model import Model
 from missionsim.identify.residual import ramps

@@ -10,11 +10,49 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.identify.proposed import Proposal
-from missionsim.identify.structure import Structure as Structure
-from missionsim.identify.structure import Unexplained as Unexplained
 
 if TYPE_CHECKING:
     from missionsim.identify.align import Clock
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Something that remains in the residual and depends on a covariate (or is periodic, or a level).
+
+    Attributes
+    ----------
+    covariate : str
+        Empty where it depends on nothing.
+    p_value, gain_nats : float
+    size_share : float
+        Its mean size as share of the mean power.
+    shape : str
+        In words.
+    times : str
+        Covariate that its curve is multiplied by, if any.
+    """
+
+    covariate: str
+    p_value: float
+    gain_nats: float
+    size_share: float
+    shape: str
+    times: str = ""
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """All that remains."""
+
+    share_of_residual: float
+    depends_on: tuple[str, ...]
+    shape: str
+    structures: tuple[Structure, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's fields."""
+        return {"share_of_residual": self.share_of_residual, "depends_on": list(self.depends_on), "shape": self.shape}
+
 
 SCHEMA = "missionsim.diagnosis/1"
 
@@ -30,7 +68,7 @@ class Estimate:
 
     def to_json(self) -> dict[str, Any]:
         """Value, ends of the interval and unit."""
-        return {"value": self.value, "low": self.low, "high": self.high, "unit": self.unit}
+        return vars(self).copy()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +122,7 @@ class Finding:
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields, and ours beside them."""
-        data = {
+        data: dict[str, Any] = {
             "effect": self.effect,
             "parameters": {name: estimate.to_json() for name, estimate in self.parameters.items()},
             "energy_share": self.energy_share,
@@ -98,11 +136,7 @@ class Finding:
             "separation_nats": self.separation_nats,
             "absorbed_share": self.absorbed,
         }
-        if self.scheme:
-            data["scheme"] = self.scheme
-        if self.remark:
-            data["remark"] = self.remark
-        return data
+        return data | {name: text for name in ("scheme", "remark") if (text := getattr(self, name))}
 
 
 @dataclass(frozen=True)
@@ -131,12 +165,7 @@ class Judged:
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields."""
-        return {
-            "effect": self.effect,
-            "accepted": self.accepted,
-            "reason": self.reason,
-            "smallest_detectable_share": self.smallest_detectable_share,
-        }
+        return {name: value for name, value in vars(self).items() if name not in ("open", "doubtful_share")}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,14 +197,8 @@ class Recalibrated:
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields, and the new value with its standard deviation."""
-        return {
-            "parameter": self.parameter,
-            "shift_pct": self.shift_pct,
-            "shift_in_prior_sd": self.shift_in_prior_sd,
-            "value": self.value,
-            "sd": self.sd,
-            "unit": self.unit,
-        }
+        told = ("parameter", "shift_pct", "shift_in_prior_sd", "value", "sd", "unit")
+        return {name: getattr(self, name) for name in told}
 
 
 @dataclass(frozen=True)
@@ -206,15 +229,9 @@ class Experiment:
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields, and ours beside them."""
-        return {
-            "separates": list(self.separates),
-            "do": self.do,
-            "expected_power": self.expected_power,
-            "separation_now_nats": self.separation_now,
-            "separation_after_nats": self.separation_after,
-            "minutes": self.minutes,
-            "manoeuvre": [dict(part) for part in self.manoeuvre],
-        }
+        nats = {name: f"{name}_nats" for name in ("separation_now", "separation_after")}
+        told = {nats.get(name, name): value for name, value in vars(self).items()}
+        return told | {"separates": list(self.separates), "manoeuvre": [dict(part) for part in self.manoeuvre]}
 
 
 @dataclass(frozen=True)
@@ -241,13 +258,7 @@ class HeldOut:
 
     def to_json(self) -> dict[str, Any]:
         """All fields."""
-        return {
-            "how": self.how,
-            "runs": list(self.runs),
-            "shifted": self.shifted,
-            "energy_error_pct": dict(self.energy_error_pct),
-            "power_rmse_w": dict(self.power_rmse_w),
-        }
+        return {**vars(self), "runs": list(self.runs)}
 
 
 @dataclass(frozen=True)
@@ -268,7 +279,6 @@ class RunSeries:
     time_s: NDArray[np.float64]
     measured_w: NDArray[np.float64]
     nominal_w: NDArray[np.float64]
-    recalibrated_w: NDArray[np.float64]
     fitted_w: NDArray[np.float64]
 
 
@@ -282,10 +292,8 @@ class Findings:
         See `missionsim.identify.verdict.decide`, which sets it.
     effects : tuple of Finding
         Most important first.
-    delay_s, lag_s : float
-        Of the meter behind the motion, found and applied.
-    clock_at_edge : bool
-        Whether they lie at the edge of what is searched.
+    delay_s, lag_s, clock_at_edge
+        Of the meter behind the motion, found and applied; whether they lie at the edge of what is searched.
     noise : mapping of str to float
         Standard deviation, correlation times and shares, differences between runs.
     confounding : mapping

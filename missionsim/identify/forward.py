@@ -8,7 +8,7 @@ zero unless prediction improves clearly and in most runs.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,7 +16,8 @@ from missionsim.identify.align import Clock
 from missionsim.identify.data import Array, Candidate
 from missionsim.identify.design import Layout, Source
 from missionsim.identify.evidence import Evidence
-from missionsim.identify.predictive import LeastSquares, Left
+from missionsim.identify.model import Model
+from missionsim.identify.predictive import LeastSquares, Left, sober_clock
 from missionsim.identify.settings import (
     FAMILY_LEVEL,
     INDEPENDENT_S,
@@ -30,7 +31,6 @@ from missionsim.identify.settings import (
     UNCLEAR,
     Settings,
 )
-from missionsim.identify.sober_clock import sober_clock
 
 LOGGED = "logged_power"
 
@@ -112,6 +112,18 @@ class Forward:
         for trial in self.trials.values():
             out[list(trial.columns)] = np.maximum(factor * np.sqrt(np.diag(trial.covariance)), settings.min_share)
         return out
+
+
+@dataclass
+class Choice:
+    """A fitted model, what spoke for each column in it, and what was tried and refused."""
+
+    model: Model
+    empty: Model
+    evidence: dict[int, Evidence]
+    refused: dict[int, Evidence] = field(default_factory=dict)
+    forward: Forward | None = None
+    """The selection by prediction, where the base was far from right."""
 
 
 def is_rough(squares: LeastSquares, mean_power_w: float) -> bool:

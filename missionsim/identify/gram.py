@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from missionsim.identify.data import Array
 from missionsim.identify.design import Design
-from missionsim.identify.noise import Noise, packed
+from missionsim.identify.noise import Noise, Packed, Shape, packed
 from missionsim.identify.settings import SHARE_PRIOR
-from missionsim.identify.whitening import Packed, Shape
 
 RANDOM_COUNT = 5
 CLOCK_IN_GRADIENT = (-4, -3)
@@ -115,13 +114,16 @@ class Gram:
         """[y, Phi] from all runs, shape (1+p, 1+p)."""
         return self.eliminated(self.per_run.sum(axis=0))
 
-    def evidence(self, chosen: Sequence[int], runs: NDArray[np.bool_] | None = None) -> float:
+    def _normal(self, chosen: Sequence[int], precision: float) -> tuple[Array, NDArray[np.intp], Array, Array]:
+        """All runs together, rows of base and chosen columns, their prior precisions, and their normal matrix."""
+        total = self.per_run.sum(axis=0)
+        index = np.r_[np.arange(1, 1 + self.q), 1 + self.q + np.asarray(chosen, dtype=int)].astype(np.intp)
+        priors = np.concatenate([self.prior_precision, np.full(len(chosen), precision)])
+        return total, index, priors, total[np.ix_(index, index)] + np.diag(priors)
+
+    def evidence(self, chosen: Sequence[int]) -> float:
         """Log evidence of a set of columns (up to a constant of the data), with priors on all coefficients."""
-        total = self.per_run.sum(axis=0) if runs is None else self.per_run[runs].sum(axis=0)
-        q = self.q
-        index = np.r_[np.arange(1, 1 + q), 1 + q + np.asarray(chosen, dtype=int)].astype(int)
-        precision = np.concatenate([self.prior_precision, np.full(len(chosen), SHARE_PRIOR)])
-        inner = total[np.ix_(index, index)] + np.diag(precision)
+        total, index, precision, inner = self._normal(chosen, SHARE_PRIOR)
         try:
             factor = np.linalg.cholesky(inner)
         except np.linalg.LinAlgError:  # rounding alone: the data are exact, and no noise is small enough for them
@@ -144,21 +146,9 @@ class Gram:
         inner = _steady(self.full[np.ix_(index, index)])
         return np.asarray(np.linalg.solve(inner, self.full[index, 0])), np.asarray(np.linalg.inv(inner))
 
-    def shifts(self, chosen: Sequence[int]) -> tuple[Array, Array]:
-        """Relative shifts of the base parameters and their posterior covariance, with the chosen columns in."""
-        total = self.per_run.sum(axis=0)
-        q = self.q
-        index = np.r_[np.arange(1, 1 + q), 1 + q + np.asarray(chosen, dtype=int)].astype(int)
-        precision = np.concatenate([self.prior_precision, np.full(len(chosen), 1e-9)])
-        inner = total[np.ix_(index, index)] + np.diag(precision)
-        return np.linalg.solve(inner, total[index, 0])[:q], np.linalg.inv(inner)[:q, :q]
-
     def joint(self, chosen: Sequence[int], count: int) -> tuple[Array, Array]:
         """Relative shifts of the first `count` base parameters, then shares, and their posterior covariance."""
-        total = self.per_run.sum(axis=0)
-        index = np.r_[np.arange(1, 1 + self.q), 1 + self.q + np.asarray(chosen, dtype=int)].astype(int)
-        precision = np.concatenate([self.prior_precision, np.full(len(chosen), 1e-9)])
-        inner = total[np.ix_(index, index)] + np.diag(precision)
+        total, index, _, inner = self._normal(chosen, 1e-9)
         keep = np.r_[np.arange(count), np.arange(self.q, len(index))].astype(int)
         return np.linalg.solve(inner, total[index, 0])[keep], np.linalg.inv(inner)[np.ix_(keep, keep)]
 
@@ -169,11 +159,6 @@ class Gram:
         index = 1 + np.asarray(chosen, dtype=int)
         cross = self.full[:, index]
         return np.asarray(self.full - cross @ np.linalg.solve(_steady(self.full[np.ix_(index, index)]), cross.T))
-
-    def correlation(self, a: int, b: int, chosen: Sequence[int]) -> float:
-        """Correlation of two columns after the other chosen ones are projected out, from -1 to 1."""
-        left = self.conditional([k for k in chosen if k not in (a, b)])
-        return float(left[1 + a, 1 + b] / np.sqrt(left[1 + a, 1 + a] * left[1 + b, 1 + b]))
 
 
 def _steady(matrix: Array) -> Array:

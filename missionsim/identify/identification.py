@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from missionsim.identify.choice import Choice
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.estimates import estimated
 from missionsim.identify.evidence import smallest_detectable
 from missionsim.identify.factor import instead_of_effects, level_difference
 from missionsim.identify.findings import Finding, Findings, Judged, Recalibrated, Structure, Unexplained
+from missionsim.identify.forward import Choice
 from missionsim.identify.identifiability import Pair, pairs
 from missionsim.identify.model import Model
 from missionsim.identify.profile import refit_shapes

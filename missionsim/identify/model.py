@@ -14,7 +14,7 @@ from missionsim.identify.align import Clock
 from missionsim.identify.data import Array
 from missionsim.identify.design import Design, Source
 from missionsim.identify.gram import Gram, eliminate_random, make_gram, project, random_effects, raw_blocks
-from missionsim.identify.noise import Noise, start_noise
+from missionsim.identify.noise import Noise, start_factor, start_noise
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.reml import fit_noise, on_rows
 from missionsim.identify.settings import (
@@ -26,7 +26,6 @@ from missionsim.identify.settings import (
     UNUSUAL_GAIN,
     USUAL_GAIN,
 )
-from missionsim.identify.whitening import start_factor
 
 
 @dataclass(frozen=True)

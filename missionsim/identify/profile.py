@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from missionsim.identify.choice import Choice
-from missionsim.identify.data import Array, Candidate, RunData
+from missionsim.identify.data import Array, Candidate
 from missionsim.identify.design import Column, Source
+from missionsim.identify.forward import Choice
 from missionsim.identify.model import Model, score, shares
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.rules import weigh
@@ -189,43 +189,10 @@ def _replaced(source: Source, column: int, candidate: Candidate, shape: Mapping[
         return source
     numbered = list(source.layout.columns)
     numbered[column] = replace(
-        numbered[column],
-        watts_per_unit=mean,
-        mix=_mix(candidate, shape),
-        exact=exact_name(candidate.effect),
-        shape=tuple(shape.items()),
+        numbered[column], watts_per_unit=mean, mix=_mix(candidate, shape), shape=tuple(shape.items())
     )
     layout = replace(source.layout, columns=tuple(numbered))
     return source.with_column(column, layout, rows)
-
-
-def exact_name(effect: str) -> str:
-    """Name of a column at the refitted shape of its effect."""
-    return f"{effect}|refitted"
-
-
-def at_shapes(
-    runs: Sequence[RunData], candidates: Sequence[Candidate], shapes: Mapping[str, Mapping[str, float]]
-) -> list[RunData]:
-    """Other runs with the columns at the shapes that were found.
-
-    Parameters
-    ----------
-    runs : sequence of RunData
-    candidates : sequence of Candidate
-        With `refit` evaluating these runs.
-    shapes : mapping
-        Effect -> shape parameters, as `Identification.shapes` has them.
-    """
-    out = [dict(run.columns) for run in runs]
-    for candidate in candidates:
-        found = shapes.get(candidate.effect)
-        if found is None or candidate.refit is None:
-            continue
-        raw = candidate.refit({name: found[name] for name in candidate.shape[0]})
-        for columns, values in zip(out, raw, strict=True):
-            columns[exact_name(candidate.effect)] = np.asarray(values, dtype=float)
-    return [replace(run, columns=columns) for run, columns in zip(runs, out, strict=True)]
 
 
 def _mix(candidate: Candidate, shape: Mapping[str, float]) -> tuple[tuple[str, float], ...]:

@@ -73,16 +73,7 @@ class Curve:
 
     def to_json(self) -> dict[str, Any]:
         """All fields."""
-        return {
-            "variable": self.variable,
-            "unit": self.unit,
-            "x": list(self.x),
-            "watts": list(self.watts),
-            "low": list(self.low),
-            "high": list(self.high),
-            "at": dict(self.at),
-            "usual": self.usual,
-        }
+        return {name: list(v) if isinstance(v, tuple) else v for name, v in vars(self).items()}
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,17 @@ import numpy as np
 from missionsim.identify.data import Array
 from missionsim.identify.design import Design
 from missionsim.identify.gram import Blocks, innovations, total_without_random
-from missionsim.identify.noise import Noise, edge_variance, for_rows, log_level, start_noise, without_outliers
+from missionsim.identify.noise import (
+    Noise,
+    Shape,
+    edge_variance,
+    for_rows,
+    log_level,
+    start_factor,
+    start_noise,
+    without_outliers,
+)
 from missionsim.identify.settings import HUBER, JITTER_SD_S, LAG_JITTER_SD_S2, LARGEST_GAIN, NOISE_SPLIT_S, SHARE_PRIOR
-from missionsim.identify.whitening import Shape, start_factor
 
 
 def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None, thorough: bool = True) -> Noise:

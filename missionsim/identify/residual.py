@@ -44,12 +44,9 @@ from missionsim.identify.settings import (
     USUAL_GAIN,
     Settings,
 )
+from missionsim.runs.covariates import known
 
-NOISY_FORM = {"slope_rad"}
-"""Noise and bias of an inclinometer on level floors bend the curve into a dead zone, however right the form is."""
-MAGNITUDE_OF = {"yaw_rate_rad_s", "speed_m_s", "lateral_speed_m_s"}
-ABOUT_RAMPS = {"accel_m_s2"}
-TIMES_SPEED = {"slope_rad", "payload_kg", "temp_ambient_c", "temp_motor_c"}
+SPEED = "speed_m_s"
 
 
 def ramps(model: Model) -> NDArray[np.bool_]:
@@ -109,7 +106,7 @@ def hats(values: Array, knots: Array) -> Array:
 
 def varies(model: Model, covariate: str) -> bool:
     """Whether the speed took several values away from ramps; at one cruise speed no form can be judged."""
-    if covariate != "speed_m_s":
+    if covariate != SPEED:
         return True
     raw = [np.abs(np.nan_to_num(run.covariates[covariate]))[None, :] for run in model.source.runs]
     speed = model.source.averaged(raw, model.clock)[0][~ramps(model)]
@@ -124,7 +121,7 @@ def curve_rows(model: Model, covariate: str, times: str = "") -> tuple[Array, Ar
     """Basis of a free curve over a covariate at the analysis rate (k, n), and its knots."""
     runs = model.source.runs
     raw = [np.nan_to_num(np.asarray(run.covariates[covariate], dtype=float)) for run in runs]
-    if covariate in MAGNITUDE_OF:
+    if known(covariate).magnitude or covariate == SPEED:
         raw = [np.abs(r) for r in raw]
     knots = knots_of(np.concatenate(raw))
     rows = [hats(r, knots) for r in raw]
@@ -136,7 +133,7 @@ def curve_rows(model: Model, covariate: str, times: str = "") -> tuple[Array, Ar
     # a stretch of the curve that only rows beside ramps support says nothing about its shape
     seconds = np.abs(averaged) @ (model.design.duration_s * ~ramps(model))
     limit = SUPPORT_S * (1.0 if not times else float(np.mean(np.abs(averaged))))
-    if covariate in ABOUT_RAMPS:
+    if known(covariate).ramps:
         return averaged, knots
     return averaged[seconds > limit], knots
 
@@ -182,10 +179,10 @@ def test_curve(model: Model, rows: Array, chosen: Sequence[int]) -> tuple[float,
 def dependences(model: Model, settings: Settings, chosen: Sequence[int]) -> list[Structure]:
     """Covariates on which the residual still depends, loudest first."""
     flat = steady(model)
-    names = [n for n in model.source.covariates if n not in ABOUT_RAMPS]
+    names = [n for n in model.source.covariates if not known(n).ramps]
     tests = [(n, "") for n in names]
-    if "speed_m_s" in names:
-        tests += [(n, "speed_m_s") for n in names if n in TIMES_SPEED]
+    if SPEED in names:
+        tests += [(n, SPEED) for n in names if known(n).multiplies_speed]
     out: dict[str, Structure] = {}
     for name, times in tests:
         rows, knots = curve_rows(model, name, times)
@@ -205,8 +202,7 @@ def dependences(model: Model, settings: Settings, chosen: Sequence[int]) -> list
         gain, p_value, values, size = best
         curve = (0.0, *values) if len(values) == len(knots) - 1 else tuple(values)
         shape = _words(name, times, knots, np.asarray(curve))
-        points = tuple(float(c) for c in curve)
-        found = Structure(name, p_value * len(tests), gain, size, shape, tuple(knots), points, times)
+        found = Structure(name, p_value * len(tests), gain, size, shape, times)
         if name not in out or out[name].gain_nats < gain:
             out[name] = found
     return sorted(out.values(), key=lambda s: -s.gain_nats)
@@ -297,12 +293,12 @@ def wrong_form(model: Model, column: int, covariate: str, settings: Settings) ->
     if covariate not in model.source.covariates:
         return None
     rest = [k for k in model.chosen if k != column]
-    times = "speed_m_s" if covariate in TIMES_SPEED and "speed_m_s" in model.source.covariates else ""
+    times = SPEED if known(covariate).multiplies_speed and SPEED in model.source.covariates else ""
     rows, knots = curve_rows(model, covariate, times)
     if rows.shape[0] < 2 or not varies(model, covariate):
         return None  # too few values of the covariate to judge a form
     judges = [(model, RAMP_FORM_RATIO)]
-    if covariate not in ABOUT_RAMPS:
+    if not known(covariate).ramps:
         judges.insert(0, (steady(model), settings.form_ratio))
     for judge, ratio in judges:
         beyond, p_value, values = test_curve(judge, rows, model.chosen)
@@ -315,17 +311,15 @@ def wrong_form(model: Model, column: int, covariate: str, settings: Settings) ->
         own, _, _ = test_curve(judge, model.design.phi[[column]], rest)
         free, _, _ = test_curve(judge, np.vstack([rows, model.design.phi[column]]), rest)
         # five free values follow slow noise by some 10 nats; a small effect is not unnamed by that
-        sure = p_value < FORM_SURE and beyond > FORM_NATS and covariate not in NOISY_FORM
+        sure = p_value < FORM_SURE and beyond > FORM_NATS and not known(covariate).noisy_form
         if own < GROSS * free or (own < ratio * free and sure):
             break
     else:
         return None
     curve = (0.0, *values) if len(values) == len(knots) - 1 else tuple(values)
     size = float(np.mean(np.abs(values @ rows))) / model.design.layout.mean_power_w
-    structure = Structure(covariate, p_value, beyond, size, "", tuple(knots), tuple(float(c) for c in curve))
-    return replace(
-        structure, shape=f"{covariate}: form not right ({_words(covariate, times, knots, np.asarray(curve))})"
-    )
+    words = f"{covariate}: form not right ({_words(covariate, times, knots, np.asarray(curve))})"
+    return Structure(covariate, p_value, beyond, size, words)
 
 
 def stands_without(model: Model, column: int, structure: Structure) -> bool:

@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from missionsim.identify.choice import Choice
 from missionsim.identify.data import Candidate
 from missionsim.identify.design import Source
 from missionsim.identify.evidence import Evidence, at_a_glance, nats_needed, tails
-from missionsim.identify.forward import Forward, forward
+from missionsim.identify.forward import Choice, Forward, forward
 from missionsim.identify.gram import make_gram
 from missionsim.identify.model import Model, fit_model, log_likelihood
 from missionsim.identify.noise import bounded_noise, without_outliers

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from missionsim.identify.gram import project
+from missionsim.identify.gram import Gram, project
 from missionsim.identify.model import Model
 
 if TYPE_CHECKING:
@@ -110,8 +110,6 @@ class LeftOut:
 
 def left_out(model: Model) -> LeftOut:
     """Each run predicted from the others, without the last column of a model and with it."""
-    from missionsim.identify.gram import Gram
-
     design, gram = model.design, model.gram
     count = len(design.runs)
     q = len(design.layout.parameters)
@@ -122,11 +120,9 @@ def left_out(model: Model) -> LeftOut:
         seconds = design.duration_s[rows]
         measured = float(np.sum(design.y[rows] * seconds))
         for i, chosen in enumerate((model.chosen[:-1], model.chosen)):
-            shifts, _ = part.shifts(chosen)
-            power = design.base[rows] + shifts[:q] @ design.gradient[:q, rows]
-            if chosen:
-                power = power + part.coefficients(chosen)[0] @ design.phi[list(chosen)][:, rows]
-            error = power - design.y[rows]
+            value, _ = part.joint(chosen, q)
+            power = value[:q] @ design.gradient[:q, rows] + value[q:] @ design.phi[list(chosen)][:, rows]
+            error = design.base[rows] + power - design.y[rows]
             square[i, j] = np.average(error**2, weights=seconds)
             energy[i, j] = 100.0 * abs(float(np.sum(error * seconds)) / measured)
         size[j] = float(np.sum(design.phi[-1, rows] ** 2))

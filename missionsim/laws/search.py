@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from missionsim.identify.data import Array
 from missionsim.identify.model import Model
-from missionsim.identify.noise import Noise
-from missionsim.identify.whitening import START_ROWS, Shape, arma_of, start_factor
+from missionsim.identify.noise import START_ROWS, Noise, Shape, arma_of, start_factor
 from missionsim.laws.adapter import Ground, evidence
 from missionsim.laws.gates import LEAST_SHARE, LeftOut, left_out
 from missionsim.laws.grammar import Grammar
@@ -174,7 +173,7 @@ class Sieve:
     def white(self, rows: Rows32, part: slice) -> Rows32:
         """Whitened rows (k, n of the stretch) of unit variance; `rows` are overwritten.
 
-        The recursive filter (`missionsim.identify.whitening`) as products of matrices, `BLOCK` rows at a time.
+        The recursive filter (`missionsim.identify.noise`) as products of matrices, `BLOCK` rows at a time.
         """
         inverse, diagonal, ratio, answer, echo = self.filter
         rows *= self.unscale[part]

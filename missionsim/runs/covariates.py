@@ -23,7 +23,7 @@ class Covariate:
     multiplies_speed : bool
         Whether its power is a force, so that an error grows with the speed.
     noisy_form : bool
-        Whether its noise bends the curve of a right effect.
+        Whether its noise bends the curve of a right effect, as that of an inclinometer on level floors does.
     ramps : bool
         Whether it acts beside changes of speed, which clocks and averaging blur.
     follows : str
@@ -84,6 +84,13 @@ _ALL = (
     Covariate("starts", "starts from rest", follows="speed_m_s", shown=False),
 )
 COVARIATES = {one.name: one for one in _ALL}
+
+
+def known(name: str) -> Covariate:
+    """What is known of a column; of one that is not listed, its name alone."""
+    return COVARIATES.get(name) or Covariate(name, name)
+
+
 ASSUMED = {one.name: one.assumed for one in _ALL if one.assumed}
 """Columns that count as nought where a log lacks them, and what that means."""
 # electrical quantities follow the load, so they can never be its cause; places and clocks of memory are no physics
@@ -113,5 +120,4 @@ def logged_name(name: str) -> str:
     """The column of a log that a covariate comes from."""
     if name.startswith("on_time_"):
         return f"on_{name.removeprefix('on_time_').removesuffix('_s')}"
-    known = COVARIATES.get(name)
-    return known.follows if known is not None and known.follows else name
+    return known(name).follows or name

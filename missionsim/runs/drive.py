@@ -326,7 +326,7 @@ class _Carry:
             columns.setdefault("moving", np.asarray(is_moving(columns)))
         cov = derive(columns, block.time_s, block.dt_s)
         cov["time_s"] = block.time_s - self._start_s
-        if "moving_time_s" in cov:
+        if "moving_time_s" in cov and "moving_time_s" not in block.columns:
             moving = (_moves(cov, 0), _moves(cov, -1))
             cov["moving_time_s"] = cov["moving_time_s"] + self._clocks.get("moving_time_s", 0.0)
             rest = 0.5 * float(block.dt_s[-1]) if moving[1] else 0.0

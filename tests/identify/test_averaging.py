@@ -13,9 +13,8 @@ from missionsim.identify.averaging import integral_curves
 from missionsim.identify.data import RunData
 from missionsim.identify.design import KEPT_CURVES, make_source
 from missionsim.identify.gram import eliminate_random, raw_blocks, total_without_random
-from missionsim.identify.noise import start_noise
+from missionsim.identify.noise import START_ROWS, Packed, arma_of, start_factor, start_noise
 from missionsim.identify.settings import Settings
-from missionsim.identify.whitening import START_ROWS, Packed, arma_of, start_factor
 
 from .world import library, make_runs, with_gap
 

@@ -18,9 +18,8 @@ from missionsim.identify.proposed import Curve, Law, Proposal
 from missionsim.inputs.edit import robot_text
 from missionsim.labels import Labels
 from missionsim.laws.factors import make_grammar
-from missionsim.laws.grammar import Grammar
+from missionsim.laws.grammar import Grammar, unit_of
 from missionsim.laws.proposal import evaluate
-from missionsim.laws.units import unit_of
 
 from .study import diagnose, held_by_band, judge
 from .world import LAWS, Made, make

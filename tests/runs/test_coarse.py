@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from missionsim.labels import Labels
-from missionsim.runs import coarse
-from missionsim.runs.coarse import Bounded, coarser
-from missionsim.runs.run import Run, row_durations
+from missionsim.runs import run as run_module
+from missionsim.runs.run import Bounded, Run, coarser, row_durations
 
 
 def run_of(rows: int = 6000, step_s: float = 0.1) -> Run:
@@ -50,7 +49,7 @@ def test_missing_values_do_not_count_and_slow_meters_stay() -> None:
 
 
 def test_few_rows_stay_and_many_are_averaged_in_every_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(coarse, "MOST_ROWS", 1500)
+    monkeypatch.setattr(run_module, "MOST_ROWS", 1500)
     few = Bounded()
     same, told = few.all([few(run_of(1000))])
     assert same[0].rows == 1000
