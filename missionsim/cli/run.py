@@ -46,13 +46,15 @@ def run(
         Also write power, watts by term, charge, scheme, components and pose over time into this MCAP file, with a
         layout for Foxglove and a map for import beside it.
     """
-    from missionsim.engine.simulate import simulate, with_provenance
+    from dataclasses import replace
+
+    from missionsim.engine.simulate import simulate
     from missionsim.inputs.loading import load_mission
     from missionsim.results.write import provenance, write_results
 
     spec = load_mission(mission, changes.pairs, changes.robot)
     to.warn(spec.warnings)
-    result = with_provenance(simulate(spec), provenance(spec, ["missionsim", *sys.argv[1:]]))
+    result = replace(simulate(spec), provenance=provenance(spec, ["missionsim", *sys.argv[1:]]))
     to.warn(result.warnings)
     written: list[Path] = []
     if out is not None:

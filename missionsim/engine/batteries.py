@@ -10,7 +10,6 @@ from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +17,7 @@ from numpy.typing import NDArray
 from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
-from missionsim.engine.curves import Curves
-from missionsim.engine.solve import adaptive_runge_kutta, root
+from missionsim.engine.curves import Curves, adaptive_runge_kutta, root
 
 Array = NDArray[np.float64]
 CHARGING, HELD = 1, 2
@@ -86,58 +84,6 @@ class Loads:
         """Energy [J] from the start of an interval for some seconds."""
         part = replace(self.line.part(interval, interval + 1), duration_s=np.array([seconds]))
         return float(sum(joules[0] for joules in integrate(self.model, part, self.values)[self.battery].values()))
-
-
-class Battery(Protocol):
-    """What the engine asks of a battery; the state is a fraction-like or energy-like number of its own."""
-
-    @property
-    def name(self) -> str:
-        """Of the robot file."""
-        ...
-
-    @property
-    def capacity_j(self) -> float:
-        """Energy when full [J]."""
-        ...
-
-    @property
-    def initial(self) -> float:
-        """State at the start."""
-        ...
-
-    @property
-    def taper(self) -> Taper:
-        """How charging slows down as the battery fills."""
-        ...
-
-    def after(self, state: float, loads: Loads) -> Array:
-        """State at the end of each interval, shape (n,)."""
-        ...
-
-    def charge_j(self, state: Array | float) -> Array:
-        """Energy left [J] of a state; negative is a deficit."""
-        ...
-
-    def state_of(self, fraction: float) -> float:
-        """State at a fraction of the capacity."""
-        ...
-
-    def fraction(self, state: float) -> float:
-        """Fraction of the capacity at a state: of energy, or of charge for an equivalent circuit."""
-        ...
-
-    def reach(self, state: float, loads: Loads, interval: int, level: float, horizon_s: float) -> float | None:
-        """Time within an interval [s] at which the state comes to `level`, or None if not before the horizon."""
-        ...
-
-    def empty_in(self, state: float, loads: Loads, interval: int) -> float | None:
-        """Time within an interval [s] at which the battery can give no more, or None."""
-        ...
-
-    def suspects(self, before: Array, after: Array, loads: Loads) -> NDArray[np.intp]:
-        """Intervals in which it might become empty, in order, from the states at their borders."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -364,6 +310,10 @@ class EquivalentCircuit:
 
             return root(at, t0, t1, before, after)
         return None
+
+
+Battery = ConstantEnergy | EquivalentCircuit
+"""What the engine asks of a battery; the state is a number of its own."""
 
 
 def _discharge(volts: Array | float, ohm: float, power_w: Array) -> Array:

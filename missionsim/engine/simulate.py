@@ -13,7 +13,6 @@ import numpy as np
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery, ConstantEnergy
-from missionsim.engine.battery_build import build_battery
 from missionsim.engine.components import ComponentInfo
 from missionsim.engine.driven import DrivenEdge, edges_driven
 from missionsim.engine.joining import distance_of, joined
@@ -21,6 +20,7 @@ from missionsim.engine.meter import Batch, Evaluating, alone
 from missionsim.engine.outcome import J_PER_WH, Alarm, BatteryResult, RunResult
 from missionsim.engine.remarks import doubts, never_on
 from missionsim.engine.reserve import home_energies
+from missionsim.engine.setup import build_battery, check_covariates, split_values
 from missionsim.engine.world import World
 from missionsim.errors import Fault, InputError
 from missionsim.inputs.battery import BatterySpec
@@ -29,7 +29,7 @@ from missionsim.inputs.power import build_power_model
 from missionsim.inputs.segments import DockSegment, RechargeSpec
 from missionsim.inputs.values import Parameter
 from missionsim.plan.build import legs_of, make_plan
-from missionsim.plan.homing import Homing, last_driven
+from missionsim.plan.homing import Homing
 from missionsim.plan.legs import Leg, Plan, Step
 from missionsim.plan.routes import routes_of
 from missionsim.plan.steps import group
@@ -42,8 +42,6 @@ MOST_RECHARGES = 500
 MOST_AUDIT_ERROR = 1e-9
 """Relative; rounding of a mission of 100,000 segments stays a thousand times below."""
 RESERVE_TOLERANCE = 1e-9
-_BODY = (("body_mass_kg", "body.mass"), ("regeneration", "body.regeneration"))
-"""Constants of the power model and where the robot file has them."""
 
 
 class AuditError(Exception):
@@ -228,45 +226,41 @@ class RunSetup:
             self.batteries,
             self.components,
             alarms=alarms,
-            detour=self._detour if alarms else None,
-            excursion=self._excursion if self.goes_on else None,
+            leave=self._leave,
+            goes_on=self.goes_on,
             values=self.drawn,
         )
         yield from world.run()
         return world
 
-    def _detour(self, leg: Leg, done_m: float, brake_m: float) -> Any:
-        index = next((i for i, item in enumerate(self.plan.legs) if item is leg), len(self.plan.legs) - 1)
-        driven = last_driven(self.plan.legs[: index + 1])[-1]
-        return self.homing.detour(leg, done_m, brake_m, len(self.plan.segments), driven)
-
-    def _excursion(
-        self, leg: Leg, done_m: float, brake_m: float, place: str, battery: str, segment: int
+    def _leave(
+        self, last: Leg | None, done_m: float, stands: bool, battery: str, segment: int
     ) -> tuple[list[Leg], tuple[Step, ...], bool] | None:
-        environment = self.mission.environment
-        if environment is None:
+        """The way to a dock, booked on a segment; where the robot goes on also charging there and the way back."""
+        environment, policy, like = self.mission.environment, self.mission.policy, last
+        if like is None:
+            like = next((leg for leg in self.plan.legs if leg.kind == "roll"), None)
+        if environment is None or like is None:
             return None
-        policy = self.mission.policy
-        chargers = {name: spec.charger for name, spec in environment.places.items() if spec.charger is not None}
-        docks = [
-            name
-            for name, charger in chargers.items()
-            if policy.dock in (None, name) and (not charger.batteries or battery in charger.batteries)
-        ]
-        index = next((i for i, item in enumerate(self.plan.legs) if item is leg), len(self.plan.legs) - 1)
-        driven = leg if leg.kind == "roll" else last_driven(self.plan.legs[: index + 1])[-1]
-        if driven is None:
-            return None
-        like = leg if leg.kind == "roll" else driven._replace(edge=None)
-        found = self.homing.excursion(like, done_m, brake_m, place, docks)
+        docks = self.homing.docks
+        if self.goes_on:
+            chargers = {name: spec.charger for name, spec in environment.places.items() if spec.charger is not None}
+            docks = tuple(
+                name
+                for name, charger in chargers.items()
+                if policy.dock in (None, name) and (not charger.batteries or battery in charger.batteries)
+            )
+        found = self.homing.excursion(last, done_m, like, docks, back=self.goes_on, stands=stands)
         if found is None:
             return None
-        out, dock, back, went_on = found
-        until = Parameter(1.0) if policy.recharge_until is None else policy.recharge_until
-        charge = DockSegment.model_construct(
-            kind="dock", recharge=RechargeSpec.model_construct(until=until, batteries=())
-        )
-        legs = [*out, *next(legs_of(self.mission, [(dock, charge)], self.numbers)), *back]
+        legs, dock, home, went_on = found
+        if self.goes_on:
+            until = Parameter(1.0) if policy.recharge_until is None else policy.recharge_until
+            charge = DockSegment.model_construct(
+                kind="dock", recharge=RechargeSpec.model_construct(until=until, batteries=())
+            )
+            legs += [*next(legs_of(self.mission, [(dock, charge)], self.numbers)), *home]
+        legs = legs or [Leg("stand", like.settings, place=dock)]
         legs = [
             item._replace(settings=item.settings._replace(segment=segment), first=False, last=False) for item in legs
         ]
@@ -399,56 +393,3 @@ def _wrong_terms(batches: list[Batch], battery: str, table: Mapping[TermKey, Any
         if abs(math.fsum(np.asarray(cells).tolist()) - booked) > MOST_AUDIT_ERROR * max(abs(booked), 1e-12):
             wrong.append(f"{key.component}/{key.name}" if key.component != key.name else key.name)
     return wrong
-
-
-def check_covariates(plan: Plan, model: PowerModel) -> None:
-    """Refuse a mission that does not say what the robot's effects need to know (temperature, processor load…).
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        With the effect, the column and a segment that lacks it.
-    """
-    keys = {
-        "temp_ambient_c": "temperature",
-        "cpu_load": "cpu_load",
-        "cpu_freq_hz": "cpu_frequency",
-        "access_point_distance_m": "access_point_distance",
-    }
-    wanted = {name: term.effect for term in model.terms for name in term.effect.needs if name in keys}
-    if not wanted:
-        return
-    faults: dict[str, Fault] = {}
-    for leg in plan.legs:
-        known = dict(leg.settings.extra)
-        for name, effect in wanted.items():
-            if name not in known and name not in faults:
-                segment = plan.segments[leg.settings.segment]
-                faults[name] = effect.place.fault(
-                    f"effect '{effect.id}' of the robot needs '{keys[name]}', which segment '{segment.name}' lacks",
-                    allowed=f"defaults: {{{keys[name]}: …}}, or a value on the segment",
-                )
-    if faults:
-        raise InputError(faults.values())
-
-
-def split_values(values: Mapping[str, Any], model: PowerModel) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Numbers of files by path, and parameters of the power model; a path into the robot file is both."""
-    if not values:
-        return {}, {}
-    numbers = {name: value for name, value in values.items() if "/" not in name}
-    drawn = {name: value for name, value in values.items() if "/" in name}
-    if any(name.startswith("robot.") for name in numbers):
-        for name, parameter in model.parameters.items():
-            path = f"robot.{parameter.path}"
-            if parameter.path and path in numbers:
-                drawn.setdefault(name, numbers[path] * parameter.times if parameter.times != 1.0 else numbers[path])
-        for name, path in [*_BODY, *{(term.link[0], term.link[0]) for term in model.terms if term.link[0]}]:
-            if f"robot.{path}" in numbers:
-                drawn.setdefault(name, numbers[f"robot.{path}"])
-    return numbers, drawn
-
-
-def with_provenance(result: RunResult, provenance: Mapping[str, Any]) -> RunResult:
-    """The same result with where it comes from."""
-    return replace(result, provenance=provenance)

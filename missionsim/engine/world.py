@@ -1,4 +1,4 @@
-"""One execution of a plan as SimPy processes: a driver, the components, the activities beside it, and alarms."""
+"""One execution of a plan as SimPy processes: the driver, chargers and alarms, beside components and activities."""
 
 from __future__ import annotations
 
@@ -9,51 +9,27 @@ from typing import Any, cast
 import simpy
 
 from missionsim.effects.model import PowerModel
+from missionsim.engine.activities import FOREVER_S, Activities
 from missionsim.engine.batteries import CHARGING, HELD, Battery
-from missionsim.engine.bursts import refuse_bursts, too_many_bursts
 from missionsim.engine.components import ComponentInfo, Switchboard
 from missionsim.engine.meter import Evaluating, Meter
 from missionsim.engine.outcome import Alarm
 from missionsim.engine.recorder import Recorder
-from missionsim.plan.legs import Activity, Gate, Leg, Phase, Plan, Recharge, SegmentInfo, Step, Trigger
+from missionsim.plan.legs import Gate, Leg, Phase, Plan, Recharge, SegmentInfo, Step
 from missionsim.plan.steps import group
 
-Detour = Callable[[Leg, float, float], tuple[list[Leg], tuple[Step, ...]] | None]
-"""``(leg, metres done on it, metres to brake) -> legs and steps home``, or None where there is no way."""
+Leave = Callable[[Leg | None, float, bool, str, int], tuple[list[Leg], tuple[Step, ...], bool] | None]
+"""``(leg driven last, metres on it, whether the robot stands, battery, segment)`` to legs and steps to a dock, and back
+where the robot goes on; and whether it comes back to the end of its edge (or to its beginning). None without a way."""
 
-Excursion = Callable[[Leg, float, float, str, str, int], tuple[list[Leg], tuple[Step, ...], bool] | None]
-"""``(leg, metres done, metres to brake, place, battery, segment)`` to legs and steps to a dock and back, and whether
-the robot comes back to the end of its edge (or to its beginning)."""
-
-FOREVER_S = 1e9
 SPAN_S, LONGEST_LOOK_S = 3600.0, 1e7
 """How far a charger looks ahead at first, and at most."""
 LONGEST_CHARGE_S = 30 * 86400.0
 """A charge level that is not reached in this time is not reached at all."""
-MOST_BURSTS = 500_000
-"""Bursts of all activities of one execution; more is a period or a duration with a wrong unit."""
 
 
 class ChargerTooWeak(Exception):
     """The asked charge level cannot be reached."""
-
-
-class Signals:
-    """Places reached and segments begun or ended, as events that processes may wait for."""
-
-    def __init__(self, env: simpy.Environment) -> None:
-        self._env = env
-        self._events: dict[tuple[str, str], simpy.Event] = {}
-
-    def wait(self, kind: str, name: str) -> simpy.Event:
-        """The next time that this happens."""
-        return self._events.setdefault((kind, name), self._env.event())
-
-    def fire(self, kind: str, name: str) -> None:
-        """It happens now."""
-        event = self._events.pop((kind, name), None)
-        if event is not None:
-            event.succeed()
 
 
 class World:
@@ -67,10 +43,10 @@ class World:
     components : sequence of ComponentInfo
     alarms : sequence of Alarm
         Instants, found by an earlier execution, at which a battery interrupts this one.
-    detour : callable, optional
-        Way home for alarms of kind ``reserve``.
-    excursion : callable, optional
-        In its place a way to a dock, which goes on afterwards where the robot stopped.
+    leave : callable, optional
+        Way to a dock for alarms of kind ``reserve``.
+    goes_on : bool
+        Whether the robot comes back from there and goes on where it stopped.
     values : mapping, optional
         Parameters that differ from the model's.
     """
@@ -83,8 +59,8 @@ class World:
         components: Sequence[ComponentInfo],
         *,
         alarms: Sequence[Alarm] = (),
-        detour: Detour | None = None,
-        excursion: Excursion | None = None,
+        leave: Leave | None = None,
+        goes_on: bool = False,
         values: Mapping[str, Any] | None = None,
     ) -> None:
         self.env = env = simpy.Environment()
@@ -94,19 +70,16 @@ class World:
         self.recorder = Recorder(env, [info.name for info in components], list(batteries))
         self.board = Switchboard(env, self.recorder, components)
         self.meter = Meter(model, self.recorder, self.legs, batteries, values, self.segments)
-        self.signals = Signals(env)
         self.docks: dict[str, simpy.Resource] = {}
         self.completed = False
         self.begun = 0
         self.interrupted: Alarm | None = None
         self.reason = ""
-        self._bursts_done = 0
         self._halt = env.event()
         self._ahead_s: float | None = None
         self._answered = env.event()
         self.ends_s: dict[int, float] = {}
-        self._detour = detour
-        self._excursion = excursion
+        self._leave, self._goes_on = leave, goes_on
         self._going_on: list[Step] = []
         self._at = 0
         self._left: tuple[int, float] | None = None
@@ -115,11 +88,7 @@ class World:
         self._ended: set[int] = set()
         self._passed: set[tuple[str, int]] = set()
         self._batteries = batteries
-        self._phases: tuple[Phase, ...] = ()
-        if any(activity.every_s is not None for activity in plan.activities):
-            refuse_bursts(plan, MOST_BURSTS)
-        for activity in plan.activities:
-            env.process(self._activity(activity))
+        self.activities = Activities(env, self.board, plan)
         self.driver = env.process(self._drive())
         if alarms:
             env.process(self._alarms(alarms))
@@ -149,10 +118,10 @@ class World:
 
     def _drive(self) -> Generator[simpy.Event, Any, None]:
         if self.plan.start:
-            self.signals.fire("place", self.plan.start)
-        steps: Iterable[Step] = self.plan.steps
+            self.activities.fire("place", self.plan.start)
+        steps: Sequence[Step] | None = self.plan.steps
         home = False
-        while True:
+        while steps is not None:
             try:
                 yield from self._execute(steps)
                 self.completed = not home and not self.reason
@@ -165,27 +134,22 @@ class World:
                 alarm = cast(Alarm, interrupt.cause)
                 self.interrupted = self.interrupted or alarm
                 self.reason = f"battery '{alarm.battery}' {'empty' if alarm.kind == 'empty' else 'at its reserve'}"
-                if alarm.kind == "reserve" and self._excursion is not None:
-                    found = self._to_dock_and_on(alarm.battery)
-                    if found is None:
-                        break
-                    steps = found
-                    self.reason, self.interrupted = "", None
-                    continue
-                way = self._way_home() if alarm.kind == "reserve" and not home else None
-                if way is None:
+                steps = self._to_dock(alarm.battery) if alarm.kind == "reserve" and not home else None
+                if steps is None:
                     self.recorder.close()
-                    break
-                steps, home = way, True
+                elif self._goes_on:
+                    self.reason, self.interrupted = "", None
+                else:
+                    home = True
         self._at_once(self._halt)
 
     def _execute(self, steps: Iterable[Step]) -> Generator[simpy.Event, Any, None]:
         env, recorder, legs, board = self.env, self.recorder, self.legs, self.board
-        signals = self.signals
+        fire = self.activities.fire
         self._going_on = list(steps)
         for at, step in enumerate(self._going_on):
             self._at = at
-            self._phases = phases = step.phases
+            phases = step.phases
             current = -1
             if (gate := legs[phases[0].leg].gate) is not None and self._shut(gate):
                 continue
@@ -196,7 +160,7 @@ class World:
                     if leg.first:
                         if leg.settings.segment < len(self.plan.segments):
                             self.begun = leg.settings.segment + 1
-                        signals.fire("begin", self.segments[leg.settings.segment].label)
+                        fire("begin", self.segments[leg.settings.segment].label)
                     sensors = leg.settings.sensors
                     board.hold("segment", sensors)
                     if i == 0 and (waits := board.waiting_for(sensors)):
@@ -211,9 +175,9 @@ class World:
                     yield env.timeout(phase.duration_s)
                 if i + 1 == len(phases) or phases[i + 1].leg != current:
                     if leg.place and leg.kind == "roll":
-                        signals.fire("place", leg.place)
+                        fire("place", leg.place)
                     if leg.last:
-                        signals.fire("end", self.segments[leg.settings.segment].label)
+                        fire("end", self.segments[leg.settings.segment].label)
                         self.ends_s[leg.settings.segment] = env.now
             recorder.rest(current)
 
@@ -226,91 +190,88 @@ class World:
                 self.rounds[gate.block] += 1
         return gate.block in self._ended
 
-    def _to_dock_and_on(self, battery: str) -> list[Step] | None:
-        """Steps to a dock, charging there, back, and what is left; None where that cannot be, with the reason."""
-        recorder, legs = self.recorder, self.legs
-        phase, at = recorder.phase, recorder.leg
+    def _to_dock(self, battery: str) -> list[Step] | None:
+        """Steps to a dock; where the robot goes on also charging there, back, and what is left.
+
+        None where that cannot be; where it was to go on, with the reason.
+        """
+        recorder, legs, at = self.recorder, self.legs, self.recorder.leg
         leg, elapsed = legs[at], recorder.phase_elapsed_s
-        step = self._going_on[self._at]
-        order = list(dict.fromkeys(p.leg for p in step.phases))
-        index = order.index(at) if at in order else 0
-        done, braking_s, speed = self._stopping(phase, leg)
+        done, braking_s, speed = self._stopping(recorder.phase, leg)
         recorder.close()
-        place = next((legs[i].place for i in range(at if leg.kind == "roll" else at + 1, -1, -1) if legs[i].place), "")
-        assert self._excursion is not None
-        found = self._excursion(
-            leg, done, 0.5 * speed * braking_s, place or self.plan.start, battery, len(self.segments)
-        )
+        last: Leg | None = leg
+        if leg.kind != "roll":
+            driven = (legs[row.leg] for row in reversed(recorder.rows))
+            last = next((one for one in driven if one.kind in ("roll", "slide")), None)
+            done = 0.0 if last is None else last.distance_m
+        done, stands, found = done + 0.5 * speed * braking_s, leg.kind != "roll", None
+        if self._leave is not None:
+            found = self._leave(last, done, stands, battery, len(self.segments))
+        why = f"battery '{battery}' at its reserve, and no way leads to a dock that charges it and back"
+        rest: list[Leg] = []
+        if found is not None and self._goes_on:
+            rest = self._rest(at, elapsed, found[2])
+            left = len(rest) + len(self._going_on) - self._at - 1, rest[0].duration_s if rest else 0.0
+            kind = self.segments[leg.settings.segment].kind
+            if kind == "recharge" or (self._left is not None and left >= self._left):
+                why = f"battery '{battery}' at its reserve again: charged, it does not get further"
+                found = None
+            self._left = left
         if found is None:
-            self.reason = f"battery '{battery}' at its reserve, and no way leads to a dock that charges it and back"
+            if self._goes_on:
+                self.reason = why
             recorder.rest(at)
             return None
-        way, steps, went_on = found
-        first = index
-        if leg.edge is not None and leg.kind == "roll":
-            same = [i for i in range(len(order)) if _same_edge(legs[order[i]], leg)]
-            first = max(i for i in same if i >= index) + 1 if went_on else min(i for i in same if i <= index)
-        rest = [_again(legs[i]) for i in order[first:]]
-        if leg.kind == "stand" and rest:
-            rest[0] = rest[0]._replace(duration_s=max(0.0, leg.duration_s - elapsed))
-        later = self._going_on[self._at + 1 :]
-        left = (len(rest) + len(later), rest[0].duration_s if rest else 0.0)
-        if self.segments[leg.settings.segment].kind == "recharge" or (self._left is not None and left >= self._left):
-            self.reason = f"battery '{battery}' at its reserve again: charged, it does not get further"
-            recorder.rest(at)
-            return None
-        self._left = left
-        brake = self._brake(leg, at, speed, braking_s)
-        self.segments.append(SegmentInfo("recharge", "recharge", label="recharge"))
-        base = len(legs)
+        way, steps, _ = found
+        made = self._brake(leg, at, speed, braking_s) + _moved(steps, len(legs))
         legs.extend(way)
-        made = [*brake, *_moved(steps, base)]
-        base = len(legs)
+        if not self._goes_on:
+            self.segments.append(SegmentInfo("return to dock", "return"))
+            return made
+        self.segments.append(SegmentInfo("recharge", "recharge", label="recharge"))
+        made += [*_moved(group(rest, self.plan.limits), len(legs)), *self._going_on[self._at + 1 :]]
         legs.extend(rest)
-        made += [*_moved(group(rest, self.plan.limits), base), *later]
         self.excursions.append([self.env.now, math.inf])
         return made
 
+    def _rest(self, at: int, elapsed_s: float, went_on: bool) -> list[Leg]:
+        """What is left of the step under way for a robot that comes back to it."""
+        legs, leg = self.legs, self.legs[at]
+        order = list(dict.fromkeys(phase.leg for phase in self._going_on[self._at].phases))
+        first = order.index(at) if at in order else 0
+        if leg.edge is not None and leg.kind == "roll":
+            same = [i for i in range(len(order)) if _same_edge(legs[order[i]], leg)]
+            first = max(i for i in same if i >= first) + 1 if went_on else min(i for i in same if i <= first)
+        rest = [_again(legs[i]) for i in order[first:]]
+        if leg.kind == "stand" and rest:
+            rest[0] = rest[0]._replace(duration_s=max(0.0, leg.duration_s - elapsed_s))
+        return rest
+
     def _stopping(self, phase: Phase, leg: Leg) -> tuple[float, float, float]:
         """Metres done on a leg under way, seconds that braking takes, and the speed now."""
-        recorder = self.recorder
-        done = _length(phase, recorder.phase_elapsed_s) if phase.moving else 0.0
-        for earlier in self._phases:
+        elapsed = self.recorder.phase_elapsed_s
+        done = _length(phase, elapsed) if phase.moving else 0.0
+        for earlier in self._going_on[self._at].phases:
             if earlier is phase:
                 break
             if earlier.leg == phase.leg:
                 done += _length(earlier, earlier.duration_s)
-        speed = abs(phase.speed_m_s + phase.accel_m_s2 * recorder.phase_elapsed_s)
+        speed = abs(phase.speed_m_s + phase.accel_m_s2 * elapsed)
         decel = None if leg.instant else self.plan.limits.decel_m_s2
         return done, speed / decel if phase.moving and leg.kind == "roll" and decel else 0.0, speed
 
-    def _brake(self, leg: Leg, at: int, speed: float, braking_s: float) -> tuple[Step, ...]:
+    def _brake(self, leg: Leg, at: int, speed: float, braking_s: float) -> list[Step]:
         """Braking to a standstill on a leg under way; without it the robot stands at once."""
         decel = self.plan.limits.decel_m_s2
         if not braking_s or not decel:
             self.recorder.rest(at)
-            return ()
-        self.legs.append(_plain(leg))
+            return []
         bend = leg.curvature_1_m
+        self.legs.append(Leg("roll", leg.settings, leg.distance_m, leg.speed_m_s, bend, instant=leg.instant))
         brake = Phase(
             braking_s, len(self.legs) - 1, speed, -decel, yaw_rad_s=speed * bend, yaw_rad_s2=-decel * bend, moving=True
         )
-        return (Step("roll", (brake,)),)
-
-    def _way_home(self) -> tuple[Step, ...] | None:
-        recorder = self.recorder
-        leg = self.legs[recorder.leg]
-        done, braking_s, speed = self._stopping(recorder.phase, leg)
-        recorder.close()
-        found = self._detour(leg, done, 0.5 * speed * braking_s) if self._detour else None
-        if found is None:
-            recorder.rest(recorder.leg)
-            return None
-        way, steps = found
-        base = len(self.legs)
-        self.segments.append(SegmentInfo("return to dock", "return"))
-        self.legs.extend(way)
-        return (*self._brake(leg, recorder.leg, speed, braking_s), *_moved(steps, base))
+        return [Step("roll", (brake,))]
 
     def _alarms(self, alarms: Sequence[Alarm]) -> Generator[simpy.Event, Any, None]:
         for alarm in alarms:
@@ -318,61 +279,6 @@ class World:
             if not self.driver.is_alive:
                 return
             self.driver.interrupt(alarm)
-
-    def _activity(self, activity: Activity) -> Generator[simpy.Event, Any, None]:
-        env, board = self.env, self.board
-        on = ((activity.component, activity.units),)
-        repeats = activity.begin is not None and activity.begin.time_s is None
-        while True:
-            if activity.begin is not None:
-                yield self._trigger(activity.begin, "begin")
-            stop = None if activity.end is None else self._trigger(activity.end, "end")
-            if activity.every_s is not None:
-                yield from self._bursts(activity, on, stop)
-            else:
-                board.hold(activity.key, on)
-                ends = [] if stop is None else [stop]
-                if activity.duration_s is not None:
-                    ends.append(env.timeout(activity.duration_s))
-                yield env.any_of(ends) if ends else env.event()
-                board.hold(activity.key, ())
-            if not repeats:
-                return
-
-    def _bursts(
-        self, activity: Activity, on: tuple[tuple[str, int], ...], stop: simpy.Event | None
-    ) -> Generator[simpy.Event, Any, None]:
-        env, hold, key = self.env, self.board.hold, activity.key
-        every, length = activity.every_s or FOREVER_S, activity.duration_s or 0.0
-        began, count = env.now, 0
-        if stop is not None:
-            process = env.active_process
-            if stop.callbacks is None or process is None:
-                return
-            stop.callbacks.append(lambda _: process.interrupt())
-        try:
-            while True:
-                self._count_burst(activity)
-                hold(key, on)
-                if length < every:
-                    yield env.timeout(length)
-                    hold(key, ())
-                count += 1
-                yield env.timeout(max(0.0, began + count * every - env.now))
-        except simpy.Interrupt:
-            hold(key, ())
-
-    def _count_burst(self, activity: Activity) -> None:
-        self._bursts_done += 1
-        if self._bursts_done > MOST_BURSTS:
-            raise too_many_bursts(activity, self.env.now, MOST_BURSTS)
-
-    def _trigger(self, trigger: Trigger, edge: str) -> simpy.Event:
-        if trigger.time_s is not None:
-            return self.env.timeout(max(0.0, trigger.time_s - self.env.now))
-        if trigger.place:
-            return self.signals.wait("place", trigger.place)
-        return self.signals.wait(edge, trigger.segment)
 
     def _goal(self, name: str, level: float) -> tuple[float, int, bool]:
         """To which state a battery is charged next, in which mode, and whether that is all; its taper has pieces."""
@@ -463,7 +369,3 @@ def _same_edge(leg: Leg, other: Leg) -> bool:
 def _again(leg: Leg) -> Leg:
     """A leg that is gone on with: neither its segment nor a round begins with it."""
     return leg._replace(first=False, gate=None if leg.gate is None else leg.gate._replace(first=False))
-
-
-def _plain(leg: Leg) -> Leg:
-    return Leg("roll", leg.settings, leg.distance_m, leg.speed_m_s, leg.curvature_1_m, instant=leg.instant)

@@ -6,9 +6,8 @@ import math
 from collections.abc import Sequence
 
 from missionsim.inputs.mission import MissionSpec
-from missionsim.plan.legs import Leg, Limits, OnEdge, Step
+from missionsim.plan.legs import Leg, Limits, OnEdge
 from missionsim.plan.routes import Routes, Way, along
-from missionsim.plan.steps import group
 
 
 class Homing:
@@ -29,6 +28,7 @@ class Homing:
     def __init__(self, mission: MissionSpec, limits: Limits, routes: Routes | None) -> None:
         self.limits = limits
         self.routes = routes
+        self._start = mission.start or ""
         self.docks: tuple[str, ...] = ()
         self._found: dict[str, list[Way] | None] = {}
         if routes is None or mission.environment is None:
@@ -51,86 +51,64 @@ class Homing:
         ways = self.ways(place)
         return None if ways is None else [_leg(like, way) for way in ways]
 
-    def from_edge(self, leg: Leg, done_m: float, brake_m: float) -> list[Leg] | None:
-        """Legs home from a point of an edge: on to its end or back, whichever is shorter in all.
+    def excursion(
+        self, last: Leg | None, done_m: float, like: Leg, docks: Sequence[str], *, back: bool, stands: bool
+    ) -> tuple[list[Leg], str, list[Leg], bool] | None:
+        """The way to the nearest of some docks, and back to where the robot left the plan.
+
+        From an edge under way it goes on to its end or back to its beginning, whichever is shorter in all; one that
+        stands comes back to the same place.
 
         Parameters
         ----------
-        leg : Leg
-            Under way.
+        last : Leg or None
+            The leg that is driven, or that was the last to be; None at the mission's start.
         done_m : float
-            Metres driven on it so far.
-        brake_m : float
-            Metres that it takes to stop.
-        """
-        if leg.kind != "roll" or leg.edge is None or leg.distance_m <= 0.0:
-            return self.from_place(leg.place, leg)
-        edge = leg.edge
-        here = min(edge.from_m + (edge.to_m - edge.from_m) * (done_m + brake_m) / leg.distance_m, edge.to_m)
-        if self.routes is None:
-            return None
-        ways = [way for place in (edge.begin, edge.end) for way in self.routes.ways[place] if way.edge == edge.edge]
-        options = [(way.end, way, way.length_m - here if way.end == edge.end else here) for way in ways]
-        best: list[Leg] | None = None
-        shortest = math.inf
-        for place, way, metres in options:
-            rest = self.ways(place)
-            if rest is not None and metres + _length(rest) < shortest:
-                shortest = metres + _length(rest)
-                first = [_leg(leg, way)._replace(distance_m=metres)] if metres > 0.0 else []
-                best = first + [_leg(leg, other) for other in rest]
-        return best
-
-    def detour(
-        self, leg: Leg, done_m: float, brake_m: float, segment: int, driven: Leg | None
-    ) -> tuple[list[Leg], tuple[Step, ...]] | None:
-        """Legs and steps home for the engine, booked on a segment of their own; None where there is no way."""
-        rolling = leg.kind == "roll"
-        way = self.from_edge(leg, done_m, brake_m) if rolling else self.from_place(leg.place, driven or leg)
-        if way is None:
-            return None
-        legs = [item._replace(settings=item.settings._replace(segment=segment)) for item in way]
-        if not legs:
-            still = leg.settings._replace(segment=segment)
-            legs = [Leg("stand", still, place=leg.place)]
-        legs[0] = legs[0]._replace(first=True)
-        legs[-1] = legs[-1]._replace(last=True)
-        return legs, group(legs, self.limits)
-
-    def excursion(
-        self, leg: Leg, done_m: float, brake_m: float, place: str, docks: Sequence[str]
-    ) -> tuple[list[Leg], str, list[Leg], bool] | None:
-        """The way to the nearest of some docks and back to where a leg begins or ends, whichever is shorter in all.
+            Metres on it when the robot stands.
+        like : Leg
+            How the ways are driven.
+        docks : sequence of str
+        back : bool
+            Whether the way back counts; there is none otherwise.
+        stands : bool
+            Whether the robot stands rather than drives.
 
         Returns
         -------
         tuple or None
-            Legs to the dock, the dock, legs back, and whether they lead to the end of the edge under way.
+            Legs to the dock, the dock, legs back, and whether they lead to the end of the edge under way. None where
+            the place is not known or no way leads there.
         """
         if self.routes is None:
             return None
-        starts: list[tuple[str, list[Leg], bool]] = []
-        if leg.kind == "roll" and leg.edge is not None and leg.distance_m > 0.0:
-            edge = leg.edge
-            here = min(edge.from_m + (edge.to_m - edge.from_m) * (done_m + brake_m) / leg.distance_m, edge.to_m)
-            ways = [*self.routes.ways[edge.begin], *self.routes.ways[edge.end]]
-            for way in (way for way in ways if way.edge == edge.edge):
+        starts: list[tuple[str, list[Leg], list[Leg], bool]] = []
+        if last is None:
+            starts.append((self._start, [], [], False))
+        elif last.kind == "roll" and last.edge is not None and last.distance_m > 0.0:
+            edge = last.edge
+            here = min(edge.from_m + (edge.to_m - edge.from_m) * done_m / last.distance_m, edge.to_m)
+            ways = [way for place in edge[:2] for way in self.routes.ways[place] if way.edge == edge.edge]
+            for way in ways:
                 on = way.end == edge.end
                 metres = way.length_m - here if on else here
-                starts.append((way.end, [_leg(leg, way)._replace(distance_m=metres)] if metres > 0.0 else [], on))
-        elif place:
-            starts.append((place, [], False))
+                first = [_leg(like, way)._replace(distance_m=metres)] if metres > 0.0 else []
+                again = [_leg(like, other)._replace(distance_m=metres) for other in ways if other.end != way.end]
+                if not (back and stands):  # it need not come back to the very place
+                    starts.append((way.end, first, [], on))
+                elif on and (again or not first):
+                    starts.append((way.end, first, again[:1] if first else [], on))
         best: tuple[list[Leg], str, list[Leg], bool] | None = None
         least = math.inf
-        for begin, first, on in starts:
+        for begin, first, again, on in starts:
             for dock in docks:
-                out, back = self.routes.shortest(begin, dock), self.routes.shortest(dock, begin)
-                if out is None or back is None:
+                out, home = self.routes.shortest(begin, dock), self.routes.shortest(dock, begin) if back else []
+                if out is None or home is None:
                     continue
-                length = _length(out) + _length(back) + math.fsum(item.distance_m for item in first)
+                length = _length(out) + _length(home) + math.fsum(leg.distance_m for leg in first)
                 if length < least:
                     least = length
-                    best = [*first, *(_leg(leg, way) for way in out)], dock, [_leg(leg, way) for way in back], on
+                    way_back = [*(_leg(like, way) for way in home), *again]
+                    best = [*first, *(_leg(like, way) for way in out)], dock, way_back, on
         return best
 
 

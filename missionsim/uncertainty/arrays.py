@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from missionsim.effects.integrate import SAMPLES, averaged
 from missionsim.effects.model import PowerModel
 from missionsim.engine.outcome import J_PER_WH
-from missionsim.engine.simulate import RESERVE_TOLERANCE, RunSetup, split_values
+from missionsim.engine.setup import split_values
+from missionsim.engine.simulate import RESERVE_TOLERANCE, RunSetup
 from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.build import plan_runs
 from missionsim.plan.legs import Plan

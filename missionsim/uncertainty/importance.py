@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.engine.simulate import simulate, split_values
+from missionsim.engine.setup import split_values
+from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError, MissionsimError
 from missionsim.plan.build import make_plan
 from missionsim.uncertainty.answers import LEVEL

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from missionsim.effects.model import PowerModel
 from missionsim.engine.meter import Evaluating, alone, together
 from missionsim.engine.outcome import RunResult
-from missionsim.engine.simulate import RunSetup, simulate, split_values
+from missionsim.engine.setup import split_values
+from missionsim.engine.simulate import RunSetup, simulate
 from missionsim.errors import MissionsimError
 from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.build import make_plan, plan_runs

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from missionsim.engine.batteries import EquivalentCircuit
-from missionsim.engine.curves import interpolants
-from missionsim.engine.solve import adaptive_runge_kutta, root
+from missionsim.engine.curves import adaptive_runge_kutta, interpolants, root
 from tests.engine.making import robot, run
 
 FLAT = {"kind": "equivalent_circuit", "open_circuit_voltage": [[0, 12.0], [1, 12.0]], "resistance": 0.1}

@@ -156,3 +156,19 @@ def test_capacity_and_resistance_over_temperature() -> None:
         run(wait, made, defaults={"temperature": degrees}).batteries["main"].internal_loss_wh for degrees in (0.0, 20.0)
     ]
     assert losses[0] == pytest.approx(3.0 * losses[1], rel=0.2)
+
+
+def test_from_where_it_stands_at_its_reserve() -> None:
+    """The last segment is standing at 'far': out from there and back there, the inspection to its end."""
+    result = continuing([{"drive": {"to": "far", "speed": 1.0}}, {"inspect": {"duration": "2 h"}}])
+    assert result.feasible
+    edges = edges_table(result)
+    begins, ends = list(edges["begin"]), list(edges["end"])
+    assert begins[1:] == ends[:-1]  # no way begins elsewhere than the last one ended
+    away = [i for i, segment in enumerate(result.segments) if segment.kind == "recharge"]
+    assert away
+    for i in away:
+        own = [row for row, segment in enumerate(edges["segment"]) if segment == i]
+        assert (begins[own[0]], ends[own[-1]]) == ("far", "far")
+    line = result.timeline
+    assert line.duration_s[line.segment == 1].sum() == pytest.approx(7200.0, rel=1e-9)

@@ -1,17 +1,22 @@
-"""From the battery of a robot file to the engine's battery."""
+"""What a run is set up from: numbers of the files or drawn ones, batteries, covariates that the model reads."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
+from missionsim.effects.model import PowerModel
 from missionsim.engine.batteries import Battery, ConstantEnergy, EquivalentCircuit
+from missionsim.errors import Fault, InputError
 from missionsim.inputs.battery import BatterySpec
 from missionsim.inputs.battery import EquivalentCircuit as CircuitSpec
 from missionsim.inputs.values import Parameter
+from missionsim.plan.legs import Plan
 
+_BODY = (("body_mass_kg", "body.mass"), ("regeneration", "body.regeneration"))
+"""Constants of the power model and where the robot file has them."""
 PIECES = 8
 """Of constant power in which a battery's charge is topped up at constant voltage."""
 
@@ -93,3 +98,51 @@ def _taper(spec: BatterySpec, number: Callable[[Parameter], float]) -> tuple[tup
     powers = np.linspace(1.0, end, PIECES + 1)
     parts = (powers[:-1] - powers[1:]) / np.log(powers[:-1] / powers[1:])
     return ((begin, 1.0), *zip(levels[1:].tolist(), parts.tolist(), strict=True))
+
+
+def check_covariates(plan: Plan, model: PowerModel) -> None:
+    """Refuse a mission that does not say what the robot's effects need to know (temperature, processor load…).
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        With the effect, the column and a segment that lacks it.
+    """
+    keys = {
+        "temp_ambient_c": "temperature",
+        "cpu_load": "cpu_load",
+        "cpu_freq_hz": "cpu_frequency",
+        "access_point_distance_m": "access_point_distance",
+    }
+    wanted = {name: term.effect for term in model.terms for name in term.effect.needs if name in keys}
+    if not wanted:
+        return
+    faults: dict[str, Fault] = {}
+    for leg in plan.legs:
+        known = dict(leg.settings.extra)
+        for name, effect in wanted.items():
+            if name not in known and name not in faults:
+                segment = plan.segments[leg.settings.segment]
+                faults[name] = effect.place.fault(
+                    f"effect '{effect.id}' of the robot needs '{keys[name]}', which segment '{segment.name}' lacks",
+                    allowed=f"defaults: {{{keys[name]}: …}}, or a value on the segment",
+                )
+    if faults:
+        raise InputError(faults.values())
+
+
+def split_values(values: Mapping[str, Any], model: PowerModel) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Numbers of files by path, and parameters of the power model; a path into the robot file is both."""
+    if not values:
+        return {}, {}
+    numbers = {name: value for name, value in values.items() if "/" not in name}
+    drawn = {name: value for name, value in values.items() if "/" in name}
+    if any(name.startswith("robot.") for name in numbers):
+        for name, parameter in model.parameters.items():
+            path = f"robot.{parameter.path}"
+            if parameter.path and path in numbers:
+                drawn.setdefault(name, numbers[path] * parameter.times if parameter.times != 1.0 else numbers[path])
+        for name, path in [*_BODY, *{(term.link[0], term.link[0]) for term in model.terms if term.link[0]}]:
+            if f"robot.{path}" in numbers:
+                drawn.setdefault(name, numbers[f"robot.{path}"])
+    return numbers, drawn
