@@ -70,7 +70,7 @@ def test_arrays_beside_the_same_by_hand(patrol: Prepared) -> None:
     ours = float("inf")
     seconds = dict.fromkeys([*peers, *few], float("inf"))
     ratios = [
-        least(lambda: arrays.block(SEED, 0, RUNS), 1) / least(lambda: forty.by_hand(RUNS, rng), 1) for _ in range(60)
+        least(lambda: arrays.block(SEED, 0, RUNS), 1) / least(lambda: forty.by_hand(RUNS, rng), 1) for _ in range(30)
     ]
     ratio = statistics.median(ratios)  # in turns of some milliseconds: what else the machine does meets both alike
     for _ in range(3):
@@ -113,9 +113,9 @@ def test_a_block_through_simpy_is_evaluated_together(root: Path, name: str, leas
         simulate_block(prepared.mission, prepared.model, prepared.sampler, SEED, first, count)
 
     gains = []
-    for _ in range(5):  # in turns
-        alone = least(lambda: [block(i, 1) for i in range(12)], 1) / 12  # type: ignore[func-returns-value]
-        together = least(lambda: block(0, 48), 1) / 48
+    for _ in range(3):  # in turns
+        alone = least(lambda: [block(i, 1) for i in range(8)], 1) / 8  # type: ignore[func-returns-value]
+        together = least(lambda: block(0, 40), 1) / 40
         gains.append(alone / together)
     gain = statistics.median(gains)
     print(f"\n{name}: {1 / together:,.0f} missions/s, {gain:.1f} times as many as one by one")

@@ -42,7 +42,7 @@ def test_start_up_within_three_times_the_bare_interpreter(root: Path, command: s
     bare_s, ours_s = math.inf, math.inf
     for turn in range(ROUNDS):
         bare_s, ours_s = min(bare_s, seconds(BARE, installed)), min(ours_s, seconds(ours, installed))
-        if ours_s < 2.9 * bare_s and turn >= 4:
+        if ours_s < 2.9 * bare_s and turn >= 2:
             break
     ratio = ours_s / bare_s
     print(f"{command}: {ratio:.2f} times the bare interpreter")

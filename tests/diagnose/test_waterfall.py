@@ -5,24 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from html import unescape
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from missionsim.diagnose import words
-from missionsim.diagnose.improve import Improved, Step, _why, improve
-from missionsim.diagnose.split import choose_split
+from missionsim.diagnose.improve import Improved, Step, _why
 from missionsim.diagnose.waterfall import energy_note, heldout_note, mean_variance, noise_floor, noted, worse_of
 from missionsim.identify.findings import Diagnosis, HeldOut, Unexplained
-from missionsim.identify.settings import Settings
-from missionsim.inputs.examples import shipped_robots
-from missionsim.logs import read_logs
 from missionsim.report.diagnosis_page import diagnosis_page
 from missionsim.report.improve_page import improve_page
 from tests.diagnose.test_words import BATTERY, HELD
 
-RAMPS = Path(__file__).parents[2] / "docs" / "examples" / "ramp_runs"
 WANDERS = Unexplained(0.1, (), "the residual wanders by 3.6 % of the power")
 
 
@@ -137,25 +131,3 @@ def test_the_noise_floor_is_what_runs_of_this_noise_show() -> None:
     energy_pct, rmse_w = noise_floor(BATTERY)
     assert energy_pct == pytest.approx(100.0 * np.mean(np.abs(total.mean(axis=1))) / power_w, rel=0.05)
     assert rmse_w == pytest.approx(np.sqrt(np.mean(total**2)), rel=0.02)
-
-
-def test_the_bar_of_an_added_effect_is_the_error_that_the_diagnosis_promised() -> None:
-    text = shipped_robots()["pioneer3dx"].read_text(encoding="utf-8")
-    split = choose_split(read_logs([RAMPS]), None)
-    done = improve(text, split, "robot", Settings(), lambda finding, _: finding.effect == "grade")
-    assert done.added == ("grade",)
-    assert done.first.heldout is not None
-    steps = {step.name: step for step in done.steps}
-    promised = done.first.heldout
-    assert steps["+ grade"].energy_error_pct == pytest.approx(promised.energy_error_pct["with_effects"], rel=1e-5)
-    assert steps["+ grade"].power_rmse_w == pytest.approx(promised.power_rmse_w["with_effects"], rel=1e-5)
-    for name, kind in (("before", "nominal"), ("recalibrated", "recalibrated")):
-        assert steps[name].energy_error_pct == promised.energy_error_pct[kind]
-        assert steps[name].power_rmse_w == promised.power_rmse_w[kind]
-    # the example that README shows: both errors fall on the two runs that were not used
-    assert len(promised.runs) == 2
-    assert steps["+ grade"].energy_error_pct < min(
-        steps["before"].energy_error_pct, steps["recalibrated"].energy_error_pct
-    )
-    assert steps["+ grade"].power_rmse_w < 0.6 * steps["recalibrated"].power_rmse_w
-    assert not energy_note(done)

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,17 +66,16 @@ def installed(tmp_path: Path) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(site)}
 
 
-def command(installed: dict[str, str], folder: Path, *arguments: str) -> dict[str, object]:
+def batteries(installed: dict[str, str], folder: Path, *commands: str) -> list[dict[str, Any]]:
+    """What commands, called one after the other in one process, say of the battery."""
+    code = "import sys; from missionsim.cli.app import run_command; " + (
+        "sys.exit(max(run_command([*words.split(), '--json', f'{i}.json']) for i, words in enumerate(sys.argv[1:])))"
+    )
     done = subprocess.run(
-        [sys.executable, "-m", "missionsim", *arguments, "--json", "-"],
-        capture_output=True,
-        text=True,
-        env=installed,
-        cwd=folder,
-        check=False,
+        [sys.executable, "-c", code, *commands], capture_output=True, text=True, env=installed, cwd=folder, check=False
     )
     assert done.returncode == 0, done.stderr
-    return dict(json.loads(done.stdout))
+    return [json.loads((folder / f"{i}.json").read_text())["batteries"]["robot"] for i in range(len(commands))]
 
 
 def test_all_three_from_another_package(installed: dict[str, str], tmp_path: Path) -> None:
@@ -83,8 +83,6 @@ def test_all_three_from_another_package(installed: dict[str, str], tmp_path: Pat
     (tmp_path / "dig.yaml").write_text(
         "kind: mission\nname: dig\nrobot: digger.yaml\nsegments:\n  - drive: {distance: 10 m, speed: 0.5 m/s}\n"
     )
-    run = command(installed, tmp_path, "run", "dig.yaml")
-    assert run["batteries"]["robot"]["energy_wh"] * 3600.0 == pytest.approx(20 * 10 + 8 * 20)  # type: ignore[index]
     (tmp_path / "logs").mkdir()
     rng = np.random.default_rng(3)
     for number in range(4):
@@ -95,11 +93,13 @@ def test_all_three_from_another_package(installed: dict[str, str], tmp_path: Pat
         table = np.column_stack([time, power, speed, wind])
         names = "time_s,power_robot_w,speed_m_s,wind_m_s"
         np.savetxt(tmp_path / "logs" / f"run_{number}.csv", table, "%.4f", ",", header=names, comments="")
-    found = command(installed, tmp_path, "diagnose", "--robot", "digger.yaml", "logs")["batteries"]["robot"]  # type: ignore[index]
+    run, found, compared = batteries(
+        installed, tmp_path, "run dig.yaml", "diagnose --robot digger.yaml logs", "compare --robot digger.yaml logs"
+    )
+    assert run["energy_wh"] * 3600.0 == pytest.approx(20 * 10 + 8 * 20)
     assert [effect["effect"] for effect in found["effects"]] == ["head_wind"]
     k = found["effects"][0]["parameters"]["k"]
     assert k["low"] < 1.5 < k["high"]
-    compared = command(installed, tmp_path, "compare", "--robot", "digger.yaml", "logs")["batteries"]["robot"]  # type: ignore[index]
     assert "wind_m_s" in {row["by"] for row in compared["where"]}
 
 

@@ -6,19 +6,22 @@ from pathlib import Path
 
 import pytest
 
-from missionsim.diagnose.diagnosis import diagnose
-from missionsim.diagnose.improve import improve
+from missionsim.diagnose.improve import Improved, improve
 from missionsim.diagnose.split import choose_split
-from missionsim.diagnose.subject import Subject
+from missionsim.identify.findings import Diagnosis
 from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
-from missionsim.inputs.loading import load_robot
 from missionsim.report.diagnosis_page import diagnosis_page
 from missionsim.report.improve_page import improve_page
 from tests.diagnose.logs import drive
 from tests.report.browser import run_in_page
 
-LOGS = [drive(seed, seconds=240.0, scrub_w_s_rad=3.0) for seed in range(5)]
+
+@pytest.fixture(scope="module")
+def done() -> Improved:
+    split = choose_split([drive(seed, seconds=240.0, scrub_w_s_rad=3.0) for seed in range(4)])
+    return improve(robot_text("pioneer3dx"), split, "robot", Settings(), lambda finding, diagnosis: True)
+
 
 SCRIPT = """
   var shown = Array.from(document.querySelectorAll(".chart")).filter(function (c) { return c.offsetParent; });
@@ -43,9 +46,8 @@ SCRIPT = """
 
 
 @pytest.mark.browser
-def test_diagnosis_page(tmp_path: Path) -> None:
-    result = diagnose(Subject.of(load_robot("pioneer3dx")), LOGS)
-    found = run_in_page(diagnosis_page(result), SCRIPT, tmp_path)
+def test_diagnosis_page(done: Improved, tmp_path: Path) -> None:
+    found = run_in_page(diagnosis_page(Diagnosis("pioneer3dx", {"robot": done.first})), SCRIPT, tmp_path)
     assert found["errors"] == []
     assert found["requests"] == 0
     assert found["drawn"] == found["shown"] >= 2
@@ -55,8 +57,7 @@ def test_diagnosis_page(tmp_path: Path) -> None:
 
 
 @pytest.mark.browser
-def test_improve_page_has_the_waterfall(tmp_path: Path) -> None:
-    done = improve(robot_text("pioneer3dx"), choose_split(LOGS), "robot", Settings(), lambda finding, diagnosis: True)
+def test_improve_page_has_the_waterfall(done: Improved, tmp_path: Path) -> None:
     assert done.added == ("turning_scrub",)
     found = run_in_page(
         improve_page("pioneer3dx", [done]),

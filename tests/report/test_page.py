@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from missionsim.compare import Comparison, compare
@@ -104,6 +104,7 @@ def test_cells() -> None:
     ]
 
 
+@settings(max_examples=40)
 @given(
     st.recursive(
         st.none() | st.floats() | st.integers(-9, 9) | st.text(max_size=5),

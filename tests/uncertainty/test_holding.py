@@ -95,14 +95,6 @@ def test_a_batch_of_other_code_or_python_is_not_resumed(
     assert f"the batch in this folder is another one, by its {key}" in capsys.readouterr().err
 
 
-def test_a_dead_scheduler_leaves_no_folder(tmp_path: Path) -> None:
-    pytest.importorskip("distributed")
-    out = tmp_path / "batch"
-    command = ["montecarlo", PATROL, "--runs", "20", "--quiet", "--out", str(out), "--scheduler", "tcp://127.0.0.1:9"]
-    assert run_command(command) == 2
-    assert not out.exists()
-
-
 def test_blocks_shrink_with_the_length_of_a_mission(tmp_path: Path) -> None:
     """Runs × (intervals and values) of a block are bounded, so that memory is."""
     for times, size in ((1, 50), (3000, 50), (40_000, 4)):

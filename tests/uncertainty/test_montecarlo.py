@@ -391,6 +391,7 @@ def test_no_scheduler_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     pytest.importorskip("distributed")
     assert batch(tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9") == 2
     assert "no Dask scheduler answers" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 DRAWN_EVERYWHERE = """kind: robot
