@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from missionsim.interface import plan as plan
     from missionsim.interface import run as run
     from missionsim.interface import whatif as whatif
-    from missionsim.results.tables import tables as tables
+    from missionsim.results.write import tables as tables
     from missionsim.results.write import write_results as write_results
 
 __version__ = "0.1.0"
@@ -40,7 +40,7 @@ _PUBLIC = {
     "load_environment": "missionsim.inputs.loading",
     "simulate": "missionsim.engine.simulate",
     "RunResult": "missionsim.engine.outcome",
-    "tables": "missionsim.results.tables",
+    "tables": "missionsim.results.write",
     "write_results": "missionsim.results.write",
     "compare_files": "missionsim.compare.core",
     "InputError": "missionsim.errors",

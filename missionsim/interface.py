@@ -135,7 +135,7 @@ def run(mission: PathLike, *, set: Values | None = None, robot: PathLike | None 
     """
     from missionsim.engine.simulate import simulate
     from missionsim.inputs.loading import load_mission
-    from missionsim.results.tables import tables
+    from missionsim.results.write import tables
 
     result = simulate(load_mission(mission, _pairs(set), robot))
     used = ", ".join(f"{name} {b.energy_wh:.3g} Wh" for name, b in result.batteries.items())

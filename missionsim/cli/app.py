@@ -9,8 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from missionsim.cli.parse import Call, build_app, plain_call, whole_call
-from missionsim.cli.targets import check_targets
+from missionsim.cli.parse import Call, build_app, check_targets, plain_call, whole_call
 from missionsim.errors import Fault, InputError, did_you_mean, visible
 
 EXIT_FINE, EXIT_NO, EXIT_INPUT, EXIT_OURS = 0, 1, 2, 3
@@ -22,22 +21,22 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "whatif": ("whatif:whatif", "Run alternatives of a mission and print one table of them."),
     "montecarlo": ("montecarlo:montecarlo", "Draw the uncertain values many times and run the mission with each draw."),
     "plan": ("plan:plan", "Plan a task: which order, way, speed and control scheme, and where to charge."),
-    "reach": ("reach:reach", "Which places a robot gets to and back from, and where it must turn back."),
+    "reach": ("plan:reach", "Which places a robot gets to and back from, and where it must turn back."),
     "reproduce": ("reproduce:reproduce", "Print every published figure of the four robots beside ours."),
     "calibrate": ("calibrate:calibrate", "Fit a base model to logs, or refit the parameters of a robot."),
     "compare": ("compare:compare", "Compare the model with measurements and see where it fails."),
     "diagnose": ("diagnose:diagnose", "Find which physical effect is missing, or say that the data cannot tell."),
-    "add-effect": ("add_effect:add_effect", "Fit an effect and write the robot file that has it."),
-    "improve": ("improve:improve", "Compare, diagnose, add and compare again until nothing is left to find."),
-    "effects": ("effects:app", "Show the library of effects."),
+    "add-effect": ("diagnose:add_effect", "Fit an effect and write the robot file that has it."),
+    "improve": ("diagnose:improve", "Compare, diagnose, add and compare again until nothing is left to find."),
+    "effects": ("shipped:effects_app", "Show the library of effects."),
     "import": ("import_:import_", "Turn a bag, MCAP, ULog or CSV of any layout into a log."),
-    "import-site": ("import_site:import_site", "Turn a map, route graph, track or order of another tool into a site."),
-    "import-robot": ("import_site:import_robot", "Turn a fleet config of Open-RMF into a robot file."),
-    "export": ("export:app", "Write our numbers and missions into the files of other tools."),
+    "import-site": ("exchange:import_site", "Turn a map, route graph, track or order of another tool into a site."),
+    "import-robot": ("exchange:import_robot", "Turn a fleet config of Open-RMF into a robot file."),
+    "export": ("exchange:app", "Write our numbers and missions into the files of other tools."),
     "validate": ("validate:validate", "Check YAML files and logs, all faults at once."),
-    "examples": ("examples:examples", "Write the missions, logs and maps that come with missionsim into a folder."),
-    "schema": ("schema:schema", "Write the JSON Schema of each kind of YAML file."),
-    "robots": ("robots:robots", "List the shipped robots."),
+    "examples": ("shipped:examples", "Write the missions, logs and maps that come with missionsim into a folder."),
+    "schema": ("shipped:schema", "Write the JSON Schema of each kind of YAML file."),
+    "robots": ("shipped:robots", "List the shipped robots."),
 }
 """Command → (function inside `missionsim.cli`, one line of help); the function is imported when it is called."""
 

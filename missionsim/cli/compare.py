@@ -65,7 +65,7 @@ def compare(
         write_text(report, compare_page(result, tolerance_pct=tolerance, footer=_footer()))
     if out is not None:
         from missionsim.report.compare_figures import write_figures
-        from missionsim.report.compare_tables import write_tables
+        from missionsim.report.compare_terminal import write_tables
 
         write_tables(result, out)
         write_figures(result, out)

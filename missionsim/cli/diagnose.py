@@ -1,16 +1,22 @@
-"""`missionsim diagnose`: which physical effect is missing, or what to drive to find out."""
+"""`missionsim diagnose`, `add-effect` and `improve`: which effect is missing, and the robot file that has it."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from missionsim.cli.options import TERMINAL, OutFile, Output, Search, tell_left_out
-from missionsim.report.terminal import console
+from missionsim.cli.options import TERMINAL, OutFile, Output, RobotFile, Search, tell_left_out
+from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
-    from missionsim.identify.findings import Diagnosis
+    from missionsim.diagnose.improve import Improved
+    from missionsim.diagnose.split import Split
+    from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding
+    from missionsim.identify.settings import Settings
+    from missionsim.inputs.robot import RobotSpec
+    from missionsim.logs import LogTable
 
 
 def diagnose(
@@ -92,3 +98,271 @@ def _footer() -> str:
     from missionsim import __version__
 
     return f"missionsim {__version__}, missionsim diagnose"
+
+
+def improve(
+    *logs: Path, search: Search, out: RobotFile, yes: bool = False, report: OutFile | None = None, to: Output = TERMINAL
+) -> int:
+    """Compare, diagnose, add what is missing and compare again, until nothing is left to find.
+
+    Asks before each step on a terminal. Never adds one of several effects that the logs cannot tell apart. Exits with
+    code 1 where the file predicts the held-out runs worse.
+
+    Parameters
+    ----------
+    logs
+        Log files or folders of them.
+    out
+        Robot file to write.
+    yes
+        Add every effect that was identified, without asking.
+    report
+        Write an interactive page to this HTML file.
+    """
+    from missionsim.diagnose.improve import improve as run_improve
+    from missionsim.errors import InputError
+    from missionsim.files import write_text
+    from missionsim.inputs.edit import for_folder, robot_text
+
+    search.check(logs)
+    if not yes and not sys.stdin.isatty():
+        raise InputError.single(
+            "improve asks before it adds an effect, and this is no terminal",
+            allowed="--yes to add every effect that was identified",
+        )
+    spec, split, tables, left_out = search.read(logs, to)
+    text = robot_text(search.robot)
+    wanted = [search.battery] if search.battery is not None else _batteries(spec, tables)
+    done: list[Improved] = []
+    skipped: dict[str, InputError] = {}
+    for name in wanted:
+        try:
+            result = run_improve(text, split, name, search.settings, _always if yes else _ask)
+        except InputError as error:
+            skipped[name] = error
+            continue
+        done.append(result)
+        text = result.text
+    if not done:
+        raise next(iter(skipped.values()))
+    write_text(out, for_folder(text, out.parent))
+    to.emit(_as_json(done, skipped, out, split.how) | {"left_out": left_out})
+    if report is not None:
+        from missionsim.report.improve_page import improve_page
+
+        write_text(report, improve_page(spec.name, done))
+    if to.text:
+        _print(done, skipped, out, report)
+    return 1 if left_out or any(one.worse for one in done) else 0
+
+
+def _batteries(spec: Any, tables: list[Any]) -> list[str]:
+    measured = list(dict.fromkeys(name for log in tables for name in log.power_w))
+    return [name for name in measured if name in spec.batteries] or measured
+
+
+def _always(finding: Finding, diagnosis: BatteryDiagnosis) -> bool:
+    return True
+
+
+def _ask(finding: Finding, diagnosis: BatteryDiagnosis) -> bool:
+    from rich.prompt import Confirm
+
+    from missionsim.diagnose import words
+
+    terminal = console(stderr=True)
+    terminal.print(words.found_line(finding))
+    if finding.heldout_rmse_before_w is not None and finding.heldout_rmse_after_w is not None:
+        terminal.print(
+            f"power error on held-out runs {finding.heldout_rmse_before_w:.3g} -> {finding.heldout_rmse_after_w:.3g} W"
+        )
+    return Confirm.ask(f"add {finding.effect} to battery {diagnosis.battery}?", default=True, console=terminal)
+
+
+def _as_json(done: list[Improved], skipped: dict[str, Any], out: Path, how: str) -> dict[str, Any]:
+    return {
+        "schema": "missionsim.improvement/1",
+        "robot_file": str(out),
+        "holdout": how,
+        "batteries": {
+            one.battery: {
+                "added": list(one.added),
+                "declined": list(one.declined),
+                "stopped": one.stopped,
+                "on_heldout_runs": one.heldout,
+                "steps": [
+                    {"name": s.name, "energy_error_pct": s.energy_error_pct, "power_rmse_w": s.power_rmse_w}
+                    for s in one.steps
+                ],
+                "worse": one.worse or None,
+                "first": one.first.to_json(),
+                "last": one.last.to_json(),
+            }
+            for one in done
+        },
+        "skipped": {name: " ".join(str(error).split()) for name, error in skipped.items()},
+    }
+
+
+def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Path | None) -> None:
+    from missionsim.diagnose.waterfall import energy_note, measured_note
+
+    terminal = console()
+    for one in done:
+        which = "held-out runs" if one.heldout else "fitted runs (none held out)"
+        most = max(step.power_rmse_w for step in one.steps) or 1.0
+        rows = [
+            (
+                step.name,
+                f"{step.energy_error_pct:.2f}",
+                f"{step.power_rmse_w:.3g}",
+                "█" * max(1, round(18 * step.power_rmse_w / most)),
+            )
+            for step in one.steps
+        ]
+        if one.worse:
+            terminal.print(one.worse, style="bold red")
+        terminal.print(
+            simple_table(
+                f"Battery {one.battery}: error on {which}", ["model", ">energy error, %", ">power RMSE, W", ""], rows
+            )
+        )
+        terminal.print(f"added: {', '.join(one.added) or 'nothing'}; {one.stopped}")
+        for note in (energy_note(one) if not one.worse else "", measured_note(one)):
+            if note:
+                terminal.print(note)
+    for name, error in skipped.items():
+        terminal.print(f"battery {name} was left as it is: {' '.join(str(error).split())}")
+    terminal.print(f"written: {out}")
+    if report is not None:
+        terminal.print(f"report written: {report}")
+
+
+def add_effect(
+    *logs: Path,
+    search: Search,
+    out: RobotFile,
+    effect: str | None = None,
+    formula: str | None = None,
+    force: bool = False,
+    keep_base: bool = False,
+    to: Output = TERMINAL,
+) -> int:
+    """Fit an effect to logs and write the robot file that has it, with its uncertainty and where it comes from.
+
+    Refuses with exit code 1 what the logs do not support; exit code 1 too where the file predicts the held-out runs
+    worse.
+
+    Parameters
+    ----------
+    logs
+        Log files or folders of them.
+    out
+        Robot file to write.
+    effect
+        Id in the library (missionsim effects), or the name of one of the robot file's candidates.
+    formula
+        In place of --effect, a law of your own over columns of the log, such as "k * abs(yaw_rate_rad_s) * payload_kg",
+        or the number of a form that diagnose proposes (1 is the first). Its k is fitted; the unit of k follows.
+    force
+        Write it even if the logs do not support it.
+    keep_base
+        Leave the base parameters as they are instead of writing the values that were fitted with the effect.
+    """
+    from missionsim.diagnose.adopt import NotSignificant, adopt
+    from missionsim.diagnose.words import heldout_line
+    from missionsim.errors import InputError
+    from missionsim.files import write_text
+    from missionsim.inputs.edit import for_folder, robot_text
+    from missionsim.inputs.loading import robot_from_text
+
+    search.check(logs)
+    if (effect is None) == (formula is None):
+        raise InputError.single(
+            "add-effect needs either --effect or --formula",
+            got="both" if effect else "neither",
+            allowed='--effect turning_scrub, or --formula 1, or --formula "k * abs(yaw_rate_rad_s) * payload_kg"',
+        )
+    spec, split, tables, left_out = search.read(logs, to)
+    chosen = search.battery or motors_battery(spec, tables)
+    text = robot_text(search.robot)
+    if formula is not None:
+        text, effect = _candidate(text, spec, split, chosen, formula, search.settings)
+        spec = robot_from_text(text)
+    assert effect is not None
+    told = {"schema": "missionsim.add_effect/1", "effect": effect, "battery": chosen}
+    try:
+        made = adopt(text, spec, split, effect, chosen, search.settings, force=force, recalibrate=not keep_base)
+    except NotSignificant as error:
+        to.emit(told | {"added": False, "reason": str(error)})
+        print(f"{error}\n    nothing was written; --force writes it all the same", file=sys.stderr)
+        return 1
+    write_text(out, for_folder(made.text, out.parent))
+    parameters = {name: estimate.to_json() for name, estimate in made.effect.parameters.items()}
+    to.emit(
+        told
+        | {
+            "added": True,
+            "significant": made.significant,
+            "reason": made.reason,
+            "parameters": parameters,
+            "energy_share": made.effect.energy_share,
+            "p_value": made.effect.p_value,
+            "indistinguishable_from": list(made.rivals),
+            "heldout": made.heldout and made.heldout.to_json(),
+            "worse": made.worse or None,
+            "left_out": left_out,
+            "robot_file": str(out),
+            "base": {name: {"value": value, "sd": sd} for name, (value, sd) in made.base.items()},
+        }
+    )
+    if made.worse:
+        print(made.worse, file=sys.stderr)
+    if made.rivals:
+        print(
+            f"warning: these logs cannot tell {effect} from {', '.join(made.rivals)}; missionsim diagnose says "
+            "what to drive to find out",
+            file=sys.stderr,
+        )
+    if to.text:
+        terminal = console()
+        found = ", ".join(
+            f"{name} = {p.value:.4g}{'' if p.unit in ('', '1') else ' ' + p.unit} (95 % {p.low:.4g} to {p.high:.4g})"
+            for name, p in made.effect.parameters.items()
+        )
+        terminal.print(
+            f"{effect} on battery {chosen}: {100 * made.effect.energy_share:.1f} % of the energy; {found}; "
+            f"p = {made.effect.p_value:.1g}"
+        )
+        if not made.significant:
+            terminal.print(f"forced: {made.reason}")
+        if made.base:
+            terminal.print("base: " + ", ".join(f"{n} = {v:.4g}" for n, (v, _) in made.base.items()))
+        if made.heldout is not None:
+            terminal.print("held out: " + heldout_line(made.heldout))
+        terminal.print(f"written: {out}")
+    return 1 if made.worse or left_out else 0
+
+
+def _candidate(
+    text: str, spec: RobotSpec, split: Split, battery: str, formula: str, settings: Settings
+) -> tuple[str, str]:
+    """The text of the robot with the formula as a candidate, and its name; a number means one of the forms proposed."""
+    from missionsim.diagnose.diagnosis import examine
+    from missionsim.diagnose.proposed import formula_of, proposed_laws, with_candidate
+    from missionsim.diagnose.split import Split
+    from missionsim.diagnose.subject import Subject
+
+    if formula.strip().isdigit():
+        seen = examine(Subject.of(spec), Split(split.train, (), split.how), battery, settings)
+        formula = formula_of(proposed_laws(seen.found, seen.features.covariates), formula)
+    return with_candidate(text, battery, formula)
+
+
+def motors_battery(spec: RobotSpec, tables: Sequence[LogTable]) -> str:
+    """The battery of the motors if it was measured, else the first that was."""
+    measured = list(dict.fromkeys(name for log in tables for name in log.power_w))
+    motion = spec.motion
+    if motion is not None and motion.battery in measured:
+        return motion.battery
+    return measured[0]

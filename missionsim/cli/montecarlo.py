@@ -194,9 +194,9 @@ def _batch(task: Task, prepared: Prepared, batch: Batch, out: Path, to: Output) 
             answer = batch_answer(task, prepared, engine, store, firsts, batch.sobol)
             write_text(out / "summary.json", to_json(answer))
         if batch.plot:
-            from missionsim.report.figures_montecarlo import write_figures
+            from missionsim.report.figures_run import write_batch_figures
 
-            write_figures(store, firsts, tuple(prepared.mission.robot.batteries), out)
+            write_batch_figures(store, firsts, tuple(prepared.mission.robot.batteries), out)
     except KeyboardInterrupt:
         kept = "nothing is kept without --out"
         if batch.out is not None:

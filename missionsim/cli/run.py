@@ -78,7 +78,7 @@ def run(
 
 def show(result: RunResult) -> None:
     """Print the summary of a run, at most 100 columns wide."""
-    from missionsim.results.tables import largest_consumers
+    from missionsim.results.write import largest_consumers
 
     terminal = console()
     verdict = "feasible" if result.feasible else f"NOT feasible: {result.reason}"

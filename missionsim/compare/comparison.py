@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.compare.accumulate import Series
 from missionsim.compare.behaviour import MissionGap
 from missionsim.compare.place import PlaceCell
-from missionsim.compare.recorder import Series
 from missionsim.compare.where import Dependence, Where, in_words, ranked
 from missionsim.effects.model import TermKey
 from missionsim.files import sha256
@@ -23,8 +23,45 @@ WHERE_IN_JSON = 200
 """Values listed in the JSON, those that explain most first."""
 
 
+class _Totals:
+    """Numbers that follow from the error of a run or of all runs."""
+
+    def _whole(self) -> RunError:
+        raise NotImplementedError
+
+    @property
+    def seconds(self) -> float:
+        """Time that the rows stand for [s]."""
+        return self._whole().seconds
+
+    @property
+    def energy_measured_wh(self) -> float:
+        """Energy that the battery delivered [Wh]."""
+        return self._whole().measured_j / 3600.0
+
+    @property
+    def energy_model_wh(self) -> float:
+        """Energy of the model driven by the log [Wh]."""
+        return self._whole().model_j / 3600.0
+
+    @property
+    def energy_error_pct(self) -> float:
+        """``100 (model − measured) / measured`` [%]; over several runs, errors of opposite sign cancel out."""
+        return self._whole().energy_error_pct
+
+    @property
+    def power_rmse_w(self) -> float:
+        """Root mean square of the power error, weighted by time [W]."""
+        return self._whole().power_rmse_w
+
+    @property
+    def power_bias_w(self) -> float:
+        """Mean of model minus measured power [W]."""
+        return self._whole().power_bias_w
+
+
 @dataclass(frozen=True)
-class RunComparison:
+class RunComparison(_Totals):
     """One battery over one run.
 
     Attributes
@@ -49,40 +86,13 @@ class RunComparison:
     series: Series = field(repr=False)
     by_term_wh: Mapping[TermKey, float] = field(repr=False)
 
+    def _whole(self) -> RunError:
+        return self.error
+
     @property
     def run(self) -> str:
         """Name of the run."""
         return self.error.run
-
-    @property
-    def seconds(self) -> float:
-        """Time that the rows stand for [s]."""
-        return self.error.seconds
-
-    @property
-    def energy_measured_wh(self) -> float:
-        """Energy that the battery delivered [Wh]."""
-        return self.error.measured_j / 3600.0
-
-    @property
-    def energy_model_wh(self) -> float:
-        """Energy of the model driven by the log [Wh]."""
-        return self.error.model_j / 3600.0
-
-    @property
-    def energy_error_pct(self) -> float:
-        """``100 (model − measured) / measured`` [%]."""
-        return self.error.energy_error_pct
-
-    @property
-    def power_rmse_w(self) -> float:
-        """Root mean square of the power error [W]."""
-        return self.error.power_rmse_w
-
-    @property
-    def power_bias_w(self) -> float:
-        """Mean of model minus measured power [W]."""
-        return self.error.power_bias_w
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields and ours beside them."""
@@ -107,7 +117,7 @@ def thousandfold(measured: float, model: float) -> str:
 
 
 @dataclass(frozen=True)
-class BatteryComparison:
+class BatteryComparison(_Totals):
     """One battery over all runs.
 
     Attributes
@@ -141,40 +151,13 @@ class BatteryComparison:
         """The errors of all runs."""
         return Errors(tuple(run.error for run in self.runs))
 
-    @property
-    def seconds(self) -> float:
-        """Time of all runs [s]."""
-        return self.errors.total.seconds
-
-    @property
-    def energy_measured_wh(self) -> float:
-        """Measured energy of all runs [Wh]."""
-        return self.errors.total.measured_j / 3600.0
-
-    @property
-    def energy_model_wh(self) -> float:
-        """Energy of the model driven by the logs [Wh]."""
-        return self.errors.total.model_j / 3600.0
-
-    @property
-    def energy_error_pct(self) -> float:
-        """``100 (model − measured) / measured`` over all runs [%]."""
-        return self.errors.energy_error_pct
+    def _whole(self) -> RunError:
+        return self.errors.total
 
     @property
     def run_energy_error_pct(self) -> float:
         """Mean over runs of the magnitude of the energy error [%], as `diagnose` and `improve` print it."""
         return self.errors.run_energy_error_pct
-
-    @property
-    def power_rmse_w(self) -> float:
-        """Root mean square of the power error, weighted by time [W]."""
-        return self.errors.power_rmse_w
-
-    @property
-    def power_bias_w(self) -> float:
-        """Mean of model minus measured power [W]."""
-        return self.errors.total.power_bias_w
 
     @property
     def by_component_wh(self) -> dict[str, float]:

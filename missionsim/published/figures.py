@@ -1,27 +1,37 @@
-"""Published figures as data, and the verdict on each when ours stands beside it."""
+"""Published figures as data, the verdict on each when ours stands beside it, and runs of the shipped missions."""
 
 from __future__ import annotations
 
 import csv
+import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from missionsim.inputs.examples import examples_folder
 from missionsim.inputs.tree import read_document
+
+if TYPE_CHECKING:
+    from missionsim.engine.outcome import RunResult
+    from missionsim.inputs.mission import MissionSpec
 
 DATA = Path(__file__).parent / "data"
 
 
 @dataclass(frozen=True)
 class Paper:
-    """What is said of a paper: its robot, title, how its reproduction reads, and its tables and pictures by name."""
+    """What is said of a paper: its robot, title, how its reproduction reads, and its tables and pictures by name.
+
+    `numbers` are the figures that stand in the robot file: key → place.
+    """
 
     robot: str
     title: str
     reading: str
+    numbers: Mapping[str, str]
     tables: Mapping[str, str]
     pictures: Mapping[str, str]
 
@@ -150,6 +160,23 @@ def load_figures(paper: str) -> dict[str, Figure]:
     return {row["key"]: Figure(paper=paper, printed=row.pop("value"), **row) for row in load_table(paper)}
 
 
+def numbers_of_robot(paper: str) -> dict[str, Ours]:
+    """The figures that stand in the paper's robot file, by key."""
+    from missionsim.inputs import load_robot
+
+    robot = load_robot(ABOUT[paper].robot)
+
+    def at(part: Any, steps: list[str]) -> float:
+        for step in steps:
+            if isinstance(part, Mapping):
+                part = part[step]
+            else:
+                part = part[int(step)] if isinstance(part, Sequence) else getattr(part, step)
+        return float(part)
+
+    return {key: Ours(at(robot, place.split("."))) for key, place in ABOUT[paper].numbers.items()}
+
+
 def load_table(name: str) -> list[dict[str, str]]:
     """A data table of the package (configurations, not figures), as rows of text."""
     with open(DATA / f"{name}.csv", newline="", encoding="utf-8") as handle:
@@ -189,3 +216,22 @@ def judge_all(paper: str, ours: Mapping[str, Ours]) -> list[Item]:
     if unknown:
         raise KeyError(f"no such figures in {paper}: {sorted(unknown)}")
     return [judge(figure, ours.get(key)) for key, figure in figures.items()]
+
+
+Overrides = tuple[tuple[str, str], ...]
+
+
+@functools.lru_cache(maxsize=256)
+def mission(name: str, overrides: Overrides = ()) -> MissionSpec:
+    """A shipped mission by ``robot/name``, with values set as on the command line."""
+    from missionsim.inputs import load_mission
+
+    return load_mission(examples_folder() / "missions" / f"{name}.yaml", overrides=overrides)
+
+
+@functools.lru_cache(maxsize=256)
+def run(name: str, overrides: Overrides = ()) -> RunResult:
+    """The simulation of a shipped mission."""
+    from missionsim.engine.simulate import simulate
+
+    return simulate(mission(name, overrides))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,7 @@ from missionsim.inputs import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import mecanum
 from missionsim.published import fits
-from missionsim.published.figures import Figure, Ours, load_figures
-from missionsim.published.locate import mission, run
+from missionsim.published.figures import Figure, Ours, load_figures, mission, run
 
 PAPER = "hou2019"
 START = "mecanum4/start_straight"
@@ -25,10 +25,7 @@ MOTION_TERMS = ("wheel_friction", "roller_friction", "copper_loss", "kinetic", "
 def ours() -> dict[str, Ours]:
     """What we compute for each figure, by key."""
     figures = load_figures(PAPER)
-    result: dict[str, Ours] = {}
-    for part in (_tables(figures), _constants(figures), _accuracy(figures), _directions(figures), _inputs()):
-        result.update(part)
-    return result
+    return dict(chain(_tables(figures), _constants(figures), _accuracy(figures), _directions(figures), _inputs()))
 
 
 def start_powers(times_s: Array) -> dict[str, Array]:
@@ -162,9 +159,6 @@ def _ratio() -> float:
 
 
 def _inputs() -> Iterator[tuple[str, Ours]]:
-    robot = load_robot("mecanum4")
-    for key in ("speed.max", "speed.max3"):
-        yield key, Ours(float(robot.body.max_speed))
     line = run(START).timeline
     ramp = np.asarray(line.duration_s)[np.asarray(line.columns["accel_m_s2"]) > 0.0]
     yield "time.max", Ours(float(np.sum(ramp)), "simulated start")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,7 @@ from missionsim.inputs import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import motion
 from missionsim.published import patrol
-from missionsim.published.figures import Figure, Ours, load_figures, load_table
-from missionsim.published.locate import mission, run
+from missionsim.published.figures import Figure, Ours, load_figures, load_table, mission, run
 
 PAPER = "jaiem2021"
 SCHEMES = {
@@ -40,18 +40,17 @@ def ours() -> dict[str, Ours]:
     robot = load_robot("pioneer3dx")
     model = build_power_model(robot)
     rows = [table4_row(model, row) for row in load_table("jaiem2021_table4_rows")]
-    result: dict[str, Ours] = {}
-    for part in (
-        _inputs(robot),
-        _equations(model),
-        _table1(robot),
-        _table4(rows),
-        _ranges(rows),
-        _table5(figures),
-        patrol.figures(),
-    ):
-        result.update(part)
-    return result
+    return dict(
+        chain(
+            _inputs(robot),
+            _equations(model),
+            _table1(robot),
+            _table4(rows),
+            _ranges(rows),
+            _table5(figures),
+            patrol.figures(),
+        )
+    )
 
 
 def table4_row(model: PowerModel, row: Row) -> dict[str, float]:
@@ -101,50 +100,9 @@ def _table4(rows: list[dict[str, float]]) -> Iterator[tuple[str, Ours]]:
 
 
 def _inputs(robot: Any) -> Iterator[tuple[str, Ours]]:
-    motion_of = {name: p.value for name, p in robot.motion.parameters.items()}
-    parts = robot.components
-    kinect, laser = (float(parts[name].loads[0].power) for name in ("kinect", "laser"))
-    law = parts["sonar"].loads[0].law
-    boards = robot.switchboards
-    yield "mass", Ours(float(robot.body.mass))
-    yield "laser_count", Ours(float(parts["laser"].units))
+    laser, boards = robot.components["laser"], robot.switchboards
     yield "switch_channels", Ours(float(len(boards["switchboard1"].power) - 1), "relays of switchboard 1")
-    for key, name in (
-        ("eq7.C2", "c2"),
-        ("eq8.c2", "c2"),
-        ("eq10.c2", "c2"),
-        ("eq7.C3", "c3"),
-        ("eq8.c3", "c3"),
-        ("eq7.C4", "c4"),
-        ("eq8.c4", "c4"),
-        ("eq10.c4", "c4"),
-        ("eq8.rest", "standing"),
-        ("sec311.controller", "standing"),
-        ("table2.Controller1", "standing"),
-    ):
-        yield key, Ours(motion_of[name])
-    for key, value in (
-        ("sec311.kinect", kinect),
-        ("table2.Kinect", kinect),
-        ("sec311.laser", laser),
-        ("table2.Laser", laser),
-        ("sec311.two_lasers", parts["laser"].units * laser),
-    ):
-        yield key, Ours(value)
-    yield "vexp", Ours(float(robot.body.max_speed))
-    yield "eq12.p2", Ours(float(law.parameters["p2"]))
-    yield "eq12.p1", Ours(float(law.parameters["p1"]))
-    yield "sonar.rate", Ours(float(law.rate))
-    for key, name in (
-        ("laser", "laser"),
-        ("kinect", "kinect"),
-        ("controller", "robot_controller"),
-        ("wattmeter", "wattmeter"),
-    ):
-        yield f"table3.{key}", Ours(float(parts[name].loads[-1].power))
-    for relays, power in enumerate(boards["switchboard1"].power):
-        yield f"table3.switch{relays}", Ours(float(power))
-    yield "screen", Ours(float(parts["screen"].loads[0].power))
+    yield "sec311.two_lasers", Ours(laser.units * float(laser.loads[0].power))
     speeds = {row["scheme"]: float(row["speed_m_s"]) for row in load_table("jaiem2021_table4_rows")}
     yield "speed.rvt", Ours(speeds["rotational_visual_tracking"])
     yield "speed.others", Ours(speeds["forward_motion"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,7 @@ import numpy as np
 from missionsim.inputs import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import khepera
-from missionsim.published.figures import Figure, Ours, load_figures
-from missionsim.published.locate import Overrides, mission, run
+from missionsim.published.figures import Figure, Ours, Overrides, load_figures, mission, run
 
 PAPER = "parasuraman2012"
 TASK_A = {"wifi": "khepera3/task_a_wifi", "bluetooth": "khepera3/task_a_bluetooth"}
@@ -24,10 +24,7 @@ def ours() -> dict[str, Ours]:
     """What we compute for each figure, by key."""
     figures = load_figures(PAPER)
     robot = load_robot("khepera3")
-    result: dict[str, Ours] = {}
-    for part in (_inputs(robot, figures), _tasks(figures), _savings(figures), _margin(figures)):
-        result.update(part)
-    return result
+    return dict(chain(_inputs(robot, figures), _tasks(figures), _savings(figures), _margin(figures)))
 
 
 def motion_power(speed_m_s: float, payload_kg: float = 0.0) -> float:
@@ -83,16 +80,9 @@ def identified_components(noise_w: float = 0.0, seed: int = 0) -> dict[str, floa
 
 
 def _inputs(robot: Any, figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]]:
-    parameters = robot.motion.parameters
     battery = robot.batteries["robot"]
-    yield "table1.khepera.mass", Ours(float(robot.body.mass))
     yield "capacity", Ours(float(battery.capacity_c) / 3.6, "charge of the robot file")
-    yield "infrared", Ours(float(robot.components["infrared"].units))
-    yield "ultrasonic", Ours(float(robot.components["ultrasonic"].units))
     yield "comp", Ours(identified_components()["korebot"], "found by the sequence of operations on the simulated robot")
-    yield "eq15.cv", Ours(float(parameters["per_speed"]))
-    yield "eq15.cm", Ours(float(parameters["per_payload"]))
-    yield "eq15.ci", Ours(float(parameters["constant"]))
     rate = figures["sampling.rate"].value
     yield "sampling.rate", Ours(rate, "rate of the simulated records")
     yield "sampling.step", Ours(1000.0 / rate)

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.physics import f64, motion
-from missionsim.published.figures import Ours, load_figures
-from missionsim.published.locate import mission, run
+from missionsim.published.figures import Ours, load_figures, mission, run
 
 Array = NDArray[np.float64]
 PLAN, DRIVEN = "pioneer3dx/valve_patrol", "pioneer3dx/valve_patrol_as_driven"

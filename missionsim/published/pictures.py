@@ -10,8 +10,7 @@ import numpy as np
 
 from missionsim.files import atomic_write
 from missionsim.published import fits, hou2019, parasuraman2012, patrol, rover2025
-from missionsim.published.figures import ABOUT, load_figures
-from missionsim.published.locate import run
+from missionsim.published.figures import ABOUT, load_figures, run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

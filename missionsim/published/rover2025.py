@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +11,7 @@ from numpy.typing import NDArray
 from missionsim.control import PowerPredictor
 from missionsim.inputs import load_robot
 from missionsim.physics import motion
-from missionsim.published.figures import Figure, Ours, load_figures
-from missionsim.published.locate import mission
+from missionsim.published.figures import Figure, Ours, load_figures, mission
 
 PAPER = "rover2025"
 Array = NDArray[np.float64]
@@ -24,10 +24,7 @@ COMPLEXITIES = ("field", "orchard", "slalom")
 def ours() -> dict[str, Ours]:
     """What we compute for each figure, by key."""
     figures = load_figures(PAPER)
-    result: dict[str, Ours] = {}
-    for part in (_inputs(figures), _optima(figures)):
-        result.update(part)
-    return result
+    return dict(chain(_inputs(figures), _optima(figures)))
 
 
 def predictor(values: Mapping[str, float] | None = None) -> PowerPredictor:
@@ -103,28 +100,12 @@ def service_limit(robot: PowerPredictor, freq_hz: float, complexity: float, top_
 
 
 def _inputs(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
-    robot = load_robot("rover_tx2")
-    assert robot.motion is not None
-    names = {
-        "Cr": "rolling_coefficient",
-        "Cv": "viscous_coefficient",
-        "Cd": "drag_coefficient",
-        "Af": "frontal_area",
-        "ρ": "air_density",
-        "rho": "air_density",
-    }
-    yield "table1.m", Ours(float(robot.body.mass or 0.0))
-    for key in figures:
-        name = names.get(key.removeprefix("table1."))
-        if key.startswith("table1.") and name:
-            yield key, Ours(float(robot.motion.parameters[name]))
     cpu = predictor()._cpu()
     yield "batches", Ours(cpu["batch_rate"])
     yield "freq.max", Ours(cpu["high_freq"] / 1e9)
     clocks = predictor().clocks() / 1e9
     yield "freq.min", Ours(float(clocks[int(np.argmin(np.abs(clocks - figures["freq.min"].value)))]))
     yield "environments", Ours(float(len(complexity_of_tracks())))
-    yield "fig6.speed.max", Ours(float(robot.body.max_speed))
     yield "fig6.speed.min", Ours(figures["fig6.speed.min"].value)
 
 

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from missionsim.compare import BatteryComparison, Comparison, Dependence, RunComparison
 from missionsim.compare.place import PlaceCell
 from missionsim.files import atomic_write
-from missionsim.report.downsample import literal, shared_indices
-from missionsim.report.traces import MEASURED, MODEL, RESIDUAL
+from missionsim.report.traces import MEASURED, MODEL, RESIDUAL, literal, shared_indices
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

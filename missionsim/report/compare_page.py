@@ -9,10 +9,22 @@ import numpy as np
 from missionsim.compare import BatteryComparison, Comparison, Dependence, RunComparison
 from missionsim.compare.behaviour import PARTS
 from missionsim.compare.where import in_words
-from missionsim.report.blocks import Block, Bullets, Chart, Choice, Details, Paragraph, Section, Table, Tiles, Verdict
 from missionsim.report.compare_figures import DIVERGING, error_map
-from missionsim.report.downsample import shared_indices
-from missionsim.report.page import format_cell, label, page
+from missionsim.report.page import (
+    Block,
+    Bullets,
+    Chart,
+    Choice,
+    Details,
+    Paragraph,
+    Section,
+    Table,
+    Tiles,
+    Verdict,
+    format_cell,
+    label,
+    page,
+)
 from missionsim.report.traces import (
     MARGIN,
     MEASURED,
@@ -27,6 +39,7 @@ from missionsim.report.traces import (
     line,
     one_of,
     over_time,
+    shared_indices,
 )
 
 TOTAL_POINTS = 120_000

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from missionsim.diagnose import sentences, words
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
-from missionsim.report.blocks import (
+from missionsim.report.page import (
     Block,
     Bullets,
     Chart,
@@ -20,9 +20,10 @@ from missionsim.report.blocks import (
     Tiles,
     Tone,
     Verdict,
+    format_cell,
+    label,
+    page,
 )
-from missionsim.report.downsample import shared_indices
-from missionsim.report.page import format_cell, label, page
 from missionsim.report.traces import (
     FITTED,
     MARGIN,
@@ -37,6 +38,7 @@ from missionsim.report.traces import (
     line,
     one_of,
     over_time,
+    shared_indices,
 )
 
 TONES: dict[str, Tone] = {

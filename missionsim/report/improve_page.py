@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from missionsim.diagnose.improve import Improved
 from missionsim.diagnose.waterfall import energy_note, measured_note
 from missionsim.identify.findings import Diagnosis
-from missionsim.report.blocks import Block, Chart, Section, Table, Tiles, Tone, Verdict
 from missionsim.report.diagnosis_page import diagnosis_sections
-from missionsim.report.page import COLOURS, format_cell, label, page
+from missionsim.report.page import COLOURS, Block, Chart, Section, Table, Tiles, Tone, Verdict, format_cell, label, page
 from missionsim.report.traces import RESIDUAL, Trace, axis, line
 
 

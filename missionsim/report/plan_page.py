@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from missionsim.planner.answer import Answer
-from missionsim.report.blocks import Block, Bullets, Chart, Section, Table, Tiles, Verdict
-from missionsim.report.page import COLOURS, page
+from missionsim.report.page import COLOURS, Block, Bullets, Chart, Section, Table, Tiles, Verdict, page
 from missionsim.report.site_map import map_of_plan, site_chart
 from missionsim.report.traces import axis
 

@@ -16,7 +16,7 @@ from missionsim.files import atomic_write
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.planner.answer import Answer
 from missionsim.planner.reach import Reached
-from missionsim.report.blocks import Chart
+from missionsim.report.page import Chart
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -76,8 +76,17 @@ class WhatIf:
             if not isinstance(result, RunResult):
                 why = "; ".join(fault.message + (f" ({fault.got})" if fault.got else "") for fault in result)
                 nothing = dict.fromkeys(("robot", "duration_s", "difference_s", "distance_m"))
-                rows.append({"name": alternative.name, "title": alternative.title, "set": dict(alternative.set),
-                             "feasible": False, "reason": f"impossible: {why}", **nothing, "batteries": batteries})
+                rows.append(
+                    {
+                        "name": alternative.name,
+                        "title": alternative.title,
+                        "set": dict(alternative.set),
+                        "feasible": False,
+                        "reason": f"impossible: {why}",
+                        **nothing,
+                        "batteries": batteries,
+                    }
+                )
                 continue
             for name in self.batteries:
                 now, before = result.batteries.get(name), base.batteries.get(name)
@@ -100,26 +109,52 @@ class WhatIf:
                         term: terms.get(term, 0.0) - old.get(term, 0.0) for term in dict.fromkeys([*old, *terms])
                     },
                 }
-            rows.append({
-                "name": alternative.name, "title": alternative.title,
-                "set": dict(alternative.set), "robot": result.robot,
-                "feasible": result.feasible, "reason": result.reason or None,
-                "duration_s": result.duration_s, "difference_s": result.duration_s - base.duration_s,
-                "distance_m": result.distance_m, "batteries": batteries,
-            })
+            rows.append(
+                {
+                    "name": alternative.name,
+                    "title": alternative.title,
+                    "set": dict(alternative.set),
+                    "robot": result.robot,
+                    "feasible": result.feasible,
+                    "reason": result.reason or None,
+                    "duration_s": result.duration_s,
+                    "difference_s": result.duration_s - base.duration_s,
+                    "distance_m": result.distance_m,
+                    "batteries": batteries,
+                }
+            )
         return rows
 
     def to_json(self) -> dict[str, Any]:
         """Schema ``missionsim.whatif/1``; the first of the alternatives is the baseline."""
-        return {"schema": SCHEMA, "mission": self.mission, "baseline": self.alternatives[0].name,
-                "alternatives": self.rows()}
+        return {
+            "schema": SCHEMA,
+            "mission": self.mission,
+            "baseline": self.alternatives[0].name,
+            "alternatives": self.rows(),
+        }
 
     def table(self) -> dict[str, list[Any]]:
         """One tidy table: a row an alternative, battery and term; `term` is ``total`` for the sum."""
-        table: dict[str, list[Any]] = {name: [] for name in (
-            "alternative", "set", "robot", "feasible", "reason", "duration_s", "difference_s", "battery", "term",
-            "energy_wh", "difference_wh", "charge_left_wh", "margin_wh", "deficit_wh",
-        )}
+        table: dict[str, list[Any]] = {
+            name: []
+            for name in (
+                "alternative",
+                "set",
+                "robot",
+                "feasible",
+                "reason",
+                "duration_s",
+                "difference_s",
+                "battery",
+                "term",
+                "energy_wh",
+                "difference_wh",
+                "charge_left_wh",
+                "margin_wh",
+                "deficit_wh",
+            )
+        }
         for row in self.rows():
             setting = "; ".join(f"{path}={value}" for path, value in row["set"].items())
             if not row["batteries"]:
@@ -129,9 +164,22 @@ class WhatIf:
                 cells = [("total", b["energy_wh"], b["difference_wh"])]
                 cells += [(term, b["by_term_wh"].get(term, 0.0), d) for term, d in b["difference_by_term_wh"].items()]
                 for term, energy, difference in cells:
-                    values = (row["name"], setting, row["robot"], row["feasible"], row["reason"] or "",
-                              row["duration_s"], row["difference_s"], battery, term, energy, difference,
-                              b["charge_left_wh"], b["margin_wh"], b["deficit_wh"])
+                    values = (
+                        row["name"],
+                        setting,
+                        row["robot"],
+                        row["feasible"],
+                        row["reason"] or "",
+                        row["duration_s"],
+                        row["difference_s"],
+                        battery,
+                        term,
+                        energy,
+                        difference,
+                        b["charge_left_wh"],
+                        b["margin_wh"],
+                        b["deficit_wh"],
+                    )
                     for column, value in zip(table.values(), values, strict=True):
                         column.append(value)
         return table
@@ -156,8 +204,9 @@ def varied(vary: Iterable[tuple[str, Sequence[Any]]], base: Sequence[tuple[str, 
     for _, values in pairs:
         count *= len(values)
     if count > MOST_ALTERNATIVES:
-        raise InputError.single(f"{count} alternatives", got=", ".join(path for path, _ in pairs),
-                                allowed=f"at most {MOST_ALTERNATIVES}")
+        raise InputError.single(
+            f"{count} alternatives", got=", ".join(path for path, _ in pairs), allowed=f"at most {MOST_ALTERNATIVES}"
+        )
     made = []
     for combination in itertools.product(*(values for _, values in pairs)):
         chosen = tuple(zip((path for path, _ in pairs), combination, strict=True))
@@ -187,9 +236,7 @@ def from_study(path: str | os.PathLike[str]) -> tuple[Path, list[Alternative]]:
         own = _robot(spec.robot, folder) if spec.robot is not None else robot
         made.append(Alternative(str(name), (*base, *spec.set.items()), own, spec.title))
     if study.vary:
-        made += [
-            Alternative(item.name, item.set, robot) for item in varied(study.vary.items(), base)
-        ]
+        made += [Alternative(item.name, item.set, robot) for item in varied(study.vary.items(), base)]
     return folder / study.mission, made
 
 
@@ -257,7 +304,7 @@ def _run_part(mission: str | os.PathLike[str], alternatives: Sequence[Alternativ
 
 
 def _try(mission: str | os.PathLike[str], alternative: Alternative, models: dict[int, PowerModel]) -> _Tried:
-    """Result (its totals by segment), faults and warnings of an alternative; `models` are those of robots without change.
+    """Result (its totals by segment), faults and warnings of an alternative; `models` are of robots without change.
 
     A robot that no alternative changes is remembered, so that its identity stays its own.
     """

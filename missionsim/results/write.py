@@ -1,4 +1,4 @@
-"""Results as files: CSV or Parquet tables, JSON summary and provenance; each written whole or not at all."""
+"""Results as tidy tables and as files: tables, summary, provenance."""
 
 from __future__ import annotations
 
@@ -11,12 +11,180 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
+from missionsim.effects.covariates import Labels
 from missionsim.engine.outcome import RunResult
 from missionsim.files import atomic_write, csv_cell, write_text
-from missionsim.results.tables import Table, tables
 
 if TYPE_CHECKING:
     from missionsim.inputs.mission import MissionSpec
+
+Table = Mapping[str, Sequence[Any]]
+"""Column name → values."""
+
+
+def tables(result: RunResult) -> dict[str, Table]:
+    """All tables of a run.
+
+    Parameters
+    ----------
+    result : RunResult
+
+    Returns
+    -------
+    dict
+        ``intervals`` (time, covariates, mean power of each term and charge), ``segments``, ``energy`` (segment ×
+        component × term, cells that add up to the drain), ``summary`` (one row a battery), ``edges`` (one row an edge
+        of the map driven).
+    """
+    made: dict[str, Table] = {
+        "intervals": intervals_table(result),
+        "segments": segments_table(result),
+        "energy": energy_table(result),
+        "summary": summary_table(result),
+    }
+    return made | {"edges": edges_table(result)} if result.edges_driven() else made
+
+
+def intervals_table(result: RunResult) -> dict[str, Sequence[Any]]:
+    """One row an interval: start, length, segment, covariates at its start, mean powers [W], charge at its end [Wh]."""
+    line = result.timeline
+    names = np.array([segment.name for segment in result.segments] or [""], dtype=object)
+    table: dict[str, Sequence[Any]] = {
+        "start_s": line.start_s.tolist(),
+        "duration_s": line.duration_s.tolist(),
+        "segment": line.segment.tolist(),
+        "segment_name": names[line.segment].tolist() if len(line) else [],
+    }
+    for name, column in line.columns.items():
+        if name.startswith("starting_") and not np.any(column):
+            continue
+        table[name] = column.texts().tolist() if isinstance(column, Labels) else np.asarray(column).tolist()
+    for battery, components in result.energy_j.items():
+        table[f"power_{battery}_w"] = result.power_w(battery).tolist()
+        for component, terms in components.items():
+            for term, joules in terms.items():
+                label = component if term == component else f"{component}_{term}"
+                table[f"power_{battery}_{label}_w"] = (joules / line.duration_s).tolist()
+        table[f"charge_{battery}_wh"] = np.asarray(result.charge_wh[battery]).tolist()
+    return table
+
+
+def segments_table(result: RunResult) -> dict[str, Sequence[Any]]:
+    """One row a segment: time, distance, energy and charge of each battery, and what coming home from its end takes.
+
+    `reserve_<battery>_wh` is the charge at the end less the energy home (Parasuraman 2012, Eq. 13); energy home and
+    reserve are None where no way home is known.
+    """
+    line = result.timeline
+    count = len(result.segments)
+    duration = np.bincount(line.segment, weights=line.duration_s, minlength=count)
+    rates, cov = line.rates, line.columns
+    distance: Any = np.zeros(count)
+    if "speed_m_s" in cov:
+        ahead = cov["speed_m_s"] * line.duration_s + 0.5 * rates["speed_m_s"] * line.duration_s**2
+        aside = cov["lateral_speed_m_s"] * line.duration_s + 0.5 * rates["lateral_speed_m_s"] * line.duration_s**2
+        distance = np.bincount(line.segment, weights=np.hypot(ahead, aside), minlength=count)
+    passed = result.places_passed()
+    end = [result.segment_end_s.get(i) for i in range(count)]
+    table: dict[str, Sequence[Any]] = {
+        "segment": list(range(count)),
+        "segment_name": [segment.name for segment in result.segments],
+        "kind": [segment.kind for segment in result.segments],
+        "line": [segment.line for segment in result.segments],
+        "way": [" → ".join(passed.get(i, ())) for i in range(count)],
+        "end_s": end,
+        "duration_s": duration.tolist(),
+        "distance_m": distance.tolist(),
+    }
+    home = result.home_energy()
+    for battery in result.batteries:
+        charge = _charge_at(result, battery, end)
+        homes = [entry.get(battery) for entry in home]
+        table[f"energy_{battery}_wh"] = result.by_segment_wh(battery).tolist()
+        table[f"charge_{battery}_wh"] = charge
+        table[f"home_{battery}_wh"] = homes
+        table[f"reserve_{battery}_wh"] = [
+            None if left is None or way is None else left - way for left, way in zip(charge, homes, strict=True)
+        ]
+    return table
+
+
+def energy_table(result: RunResult) -> dict[str, Sequence[Any]]:
+    """One row a cell: segment × battery × component × term, with its energy [Wh]; the cells add up to the drain."""
+    table: dict[str, list[Any]] = {
+        "segment": [],
+        "segment_name": [],
+        "battery": [],
+        "component": [],
+        "term": [],
+        "energy_wh": [],
+    }
+    for battery in result.batteries:
+        for key, cells in result.cells_wh(battery).items():
+            for index, energy in enumerate(cells.tolist()):
+                row = (index, result.segments[index].name, battery, key.component, key.name, energy)
+                for column, value in zip(table.values(), row, strict=True):
+                    column.append(value)
+    return {**table}
+
+
+def summary_table(result: RunResult) -> dict[str, Sequence[Any]]:
+    """One row a battery."""
+    rows = [vars(battery) for battery in result.batteries.values()]
+    table: dict[str, Sequence[Any]] = {
+        "mission": [result.mission] * len(rows),
+        "robot": [result.robot] * len(rows),
+        "feasible": [result.feasible] * len(rows),
+        "duration_s": [result.duration_s] * len(rows),
+        "distance_m": [result.distance_m] * len(rows),
+    }
+    for name in rows[0] if rows else ():
+        table["battery" if name == "name" else name] = [row[name] for row in rows]
+    return table
+
+
+def edges_table(result: RunResult) -> dict[str, Sequence[Any]]:
+    """One row an edge of the map driven: from where to where, when, energy and charge at its end of each battery."""
+    edges = result.edges_driven()
+    keys = ("segment", "name", "edge", "begin", "end", "length_m", "begin_s", "end_s")
+    table: dict[str, Sequence[Any]] = {key: [getattr(edge, key) for edge in edges] for key in keys}
+    for battery in result.batteries:
+        table[f"energy_{battery}_wh"] = [edge.energy_wh[battery] for edge in edges]
+        table[f"charge_{battery}_wh"] = [edge.charge_wh[battery] for edge in edges]
+    return table
+
+
+def _charge_at(result: RunResult, battery: str, times: Sequence[float | None]) -> list[float | None]:
+    """Charge at the ends of segments [Wh]; None for those that did not end."""
+    line = result.timeline
+    charge = np.asarray(result.charge_wh[battery])
+    if len(charge) != len(line):
+        return [None] * len(times)
+    ends = line.start_s + line.duration_s
+    initial = result.batteries[battery].initial_wh
+    found: list[float | None] = []
+    for time in times:
+        if time is None:
+            found.append(None)
+            continue
+        index = int(np.searchsorted(ends, time + 1e-9 * max(1.0, abs(time)), side="right")) - 1
+        found.append(float(charge[index]) if index >= 0 else initial)
+    return found
+
+
+def largest_consumers(result: RunResult, count: int = 3) -> list[tuple[str, str, float, float]]:
+    """The largest consumers of all batteries: battery, component, energy [Wh] and share of all energy."""
+    rows = [
+        (battery, component, energy)
+        for battery in result.batteries
+        for component, energy in result.by_component_wh(battery).items()
+    ]
+    total = sum(battery.energy_wh for battery in result.batteries.values())
+    rows.sort(key=lambda row: -row[2])
+    return [(b, c, energy, energy / total if total else 0.0) for b, c, energy in rows[:count]]
+
 
 Format = Literal["csv", "parquet"]
 
@@ -83,7 +251,8 @@ def provenance(mission: MissionSpec, command: Sequence[str] = ()) -> dict[str, A
     return {
         "files": {
             kind: {"name": spec.name, "path": _tidy(spec.path), "sha256": spec.sha256}
-            for kind, spec in files.items() if spec is not None
+            for kind, spec in files.items()
+            if spec is not None
         },
         "set": dict(mission.overrides),
         "versions": versions,

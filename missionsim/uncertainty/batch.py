@@ -26,11 +26,10 @@ from missionsim.inputs.power import build_power_model
 from missionsim.plan.build import make_plan
 from missionsim.uncertainty.answers import proportion_interval
 from missionsim.uncertainty.arrays import ArrayMission
-from missionsim.uncertainty.draws import Sampler, make_sampler
+from missionsim.uncertainty.draws import Sampler, make_sampler, run_generator
 from missionsim.uncertainty.qualify import compile_arrays
 from missionsim.uncertainty.single import simulate_block
 from missionsim.uncertainty.store import BlockStore
-from missionsim.uncertainty.streams import run_generator
 from missionsim.workers import interrupts_held, process_pool
 
 if TYPE_CHECKING:

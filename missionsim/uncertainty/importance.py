@@ -14,8 +14,8 @@ from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError, MissionsimError
 from missionsim.plan.build import make_plan
 from missionsim.uncertainty.answers import LEVEL
+from missionsim.uncertainty.draws import run_generator
 from missionsim.uncertainty.single import left_to_chance
-from missionsim.uncertainty.streams import run_generator
 
 if TYPE_CHECKING:
     from missionsim.uncertainty.batch import Prepared

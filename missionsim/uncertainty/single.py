@@ -17,8 +17,7 @@ from missionsim.errors import MissionsimError
 from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.build import make_plan, plan_runs
 from missionsim.plan.legs import Plan
-from missionsim.uncertainty.draws import Draws, Sampler
-from missionsim.uncertainty.streams import run_generator
+from missionsim.uncertainty.draws import Draws, Sampler, run_generator
 
 PROGRESS_POINTS = 21
 """Charge of each battery is kept at so many instants, evenly over a run's duration."""

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from missionsim.compare.accumulate import MAX_BUCKETS, Series
 from missionsim.compare.axes import LabelAxis, NumberAxis
 from missionsim.compare.place import PlaceGrid
-from missionsim.compare.recorder import MAX_BUCKETS, Series
 from missionsim.labels import Labels
 
 KEYS = ("seconds", "gap", "square")

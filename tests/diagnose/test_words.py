@@ -21,8 +21,8 @@ from missionsim.identify.findings import (
     Unexplained,
     Where,
 )
-from missionsim.report.blocks import Chart
 from missionsim.report.diagnosis_page import diagnosis_page, diagnosis_sections
+from missionsim.report.page import Chart
 
 GRADE = Finding(
     effect="grade",

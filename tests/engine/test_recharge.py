@@ -9,7 +9,7 @@ import pytest
 
 from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError
-from missionsim.results.tables import edges_table
+from missionsim.results.write import edges_table
 from tests.engine.making import load, robot, run
 
 SITE: dict[str, Any] = {

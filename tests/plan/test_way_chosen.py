@@ -10,7 +10,7 @@ import pytest
 
 from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError
-from missionsim.results.tables import edges_table, segments_table
+from missionsim.results.write import edges_table, segments_table
 from tests.engine.making import load, run
 
 # over the hill 60 m, around it 80 m level, on a fast road of 100 m

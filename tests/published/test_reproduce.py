@@ -20,8 +20,18 @@ from missionsim.inputs import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import khepera
 from missionsim.published import fits, hou2019, jaiem2021, parasuraman2012, patrol, rover2025
-from missionsim.published.figures import ABOUT, AGREES, CALIBRATED, CONTRADICTS, DIFFERS, PAPERS, Item, load_figures
-from missionsim.published.locate import mission, run
+from missionsim.published.figures import (
+    ABOUT,
+    AGREES,
+    CALIBRATED,
+    CONTRADICTS,
+    DIFFERS,
+    PAPERS,
+    Item,
+    load_figures,
+    mission,
+    run,
+)
 from missionsim.published.reproduce import files, reproduce_paper, side_tables
 
 

@@ -203,8 +203,8 @@ def study(each: int, seed: int, only: Sequence[str], keep: Path | None) -> dict[
     import scipy.signal
     import scipy.stats
 
+    import missionsim.cli.exchange
     import missionsim.cli.import_
-    import missionsim.cli.import_site
     import missionsim.cli.validate
     import missionsim.importer.mapping
     import missionsim.logs.read

@@ -12,10 +12,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from missionsim.compare import Comparison, compare
-from missionsim.report.blocks import Bullets, Chart, Choice, Details, Paragraph, Section, Table, Tiles, Verdict
 from missionsim.report.compare_page import compare_page
-from missionsim.report.downsample import min_max_indices, shared_indices
-from missionsim.report.page import format_cell, label, page, plain
+from missionsim.report.page import (
+    Bullets,
+    Chart,
+    Choice,
+    Details,
+    Paragraph,
+    Section,
+    Table,
+    Tiles,
+    Verdict,
+    format_cell,
+    label,
+    page,
+    plain,
+)
+from missionsim.report.traces import min_max_indices, shared_indices
 from tests.compare.worlds import drive, friction_model, log_of, true_power
 from tests.report.browser import print_to_pdf, run_in_page
 

@@ -14,9 +14,9 @@ import pytest
 from missionsim.cli.app import run_command
 from missionsim.engine.simulate import simulate
 from missionsim.files import sha256
-from missionsim.results import tables, write_results
-from missionsim.results.tables import largest_consumers
 from missionsim.inputs.loading import load_mission
+from missionsim.results import tables, write_results
+from missionsim.results.write import largest_consumers
 
 CONTRACT = {
     "energy_wh",

@@ -13,8 +13,8 @@ from missionsim.cli.app import run_command
 from missionsim.cli.whatif import split_values
 from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError
-from missionsim.results.whatif import Alternative, run_alternatives, varied
 from missionsim.inputs.loading import load_mission
+from missionsim.results.whatif import Alternative, run_alternatives, varied
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from missionsim.inputs.distributions import Distribution
-from missionsim.uncertainty.draws import Sampler, UncertainValue
-from missionsim.uncertainty.streams import CHUNK, Streams, run_generator
+from missionsim.uncertainty.draws import CHUNK, Sampler, Streams, UncertainValue, run_generator
 
 
 @given(st.integers(0, 2**40), st.text(max_size=20), st.integers(0, 10_000), st.integers(1, 50), st.integers(0, 49))

@@ -1,0 +1,213 @@
+"""What comes with missionsim: the library of effects, robots, schemas and examples, listed or written into a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from cyclopts import App
+
+from missionsim.cli.options import TERMINAL, OutFolder, Output
+from missionsim.report.terminal import console, simple_table, titled
+
+effects_app = App(
+    name="effects", help="The library of effects: equation, parameters, units, source.", help_format="plaintext"
+)
+
+
+def log_columns(names: Sequence[str]) -> tuple[list[str], list[str]]:
+    """What a log must have for covariates of an effect, and which of them follow from that (clocks, acceleration)."""
+    columns: list[str] = []
+    derived: list[str] = []
+    for name in names:
+        if name.startswith("on_time_"):
+            source = f"on_{name.removeprefix('on_time_').removesuffix('_s')}"
+        else:
+            source = "speed_m_s" if name in ("moving_time_s", "starts", "starts_per_s", "accel_m_s2") else name
+        columns.append(source)
+        if source != name:
+            derived.append(name)
+    return list(dict.fromkeys(columns)), derived
+
+
+def _describe(id: str) -> dict[str, Any]:
+    from missionsim.effects.library import get_effect
+
+    family, _, name = id.partition(":")
+    effect = get_effect(f"{family}:{name.strip('<>')}" if name else id, surfaces=("<surface>",))
+    needs, derived = log_columns(effect.needs)
+    if name.startswith("<"):
+        needs, derived = ([text.replace(name.strip("<>"), name) for text in texts] for texts in (needs, derived))
+    return {
+        "id": id,
+        "equation": effect.equation,
+        "meaning": effect.meaning,
+        "parameters": [
+            {"name": p.name, "unit": p.unit, "low": p.low, "high": p.high, "default": p.default, "meaning": p.meaning}
+            for p in effect.parameters
+        ],
+        "needs": needs,
+        "derived": derived,
+        "kind": "execution" if effect.execution else "power",
+        "source": effect.source,
+    }
+
+
+def _needed(described: dict[str, Any]) -> str:
+    return ", ".join([*(["a mission"] if described["kind"] == "execution" else []), *described["needs"]])
+
+
+@effects_app.default
+def list_effects(*, to: Output = TERMINAL) -> int:
+    """List every effect of the library.
+
+    Parameters
+    ----------
+    """
+    from missionsim.effects.library import effect_ids
+
+    described = [_describe(id) for id in effect_ids()]
+    to.emit({"schema": "missionsim.effects/1", "effects": described})
+    if to.text:
+        rows = [(d["id"], d["equation"], _needed(d) or "–") for d in described]
+        console().print(simple_table("Library of effects", ["effect", "power it adds", "needs in the log"], rows))
+        console().print(
+            "Acceleration, starts and clocks (moving time, time switched on) follow from those columns.\n"
+            "missionsim effects show ID tells parameters, units and source of one."
+        )
+    return 0
+
+
+@effects_app.command
+def show(id: str, *, to: Output = TERMINAL) -> int:
+    """Show one effect in full.
+
+    Parameters
+    ----------
+    id
+        Name of the effect, such as grade or component_power:kinect.
+    """
+    described = _describe(id)
+    to.emit({"schema": "missionsim.effect/1", **described})
+    if to.text:
+        terminal = console()
+        terminal.print(titled(id, f"  {described['meaning']}"))
+        terminal.print(f"power   {described['equation']}")
+        from_them = f"; derived from them: {', '.join(described['derived'])}" if described["derived"] else ""
+        terminal.print(f"needs   {_needed(described) or 'nothing beside the power'}{from_them}")
+        terminal.print(f"source  {described['source']}")
+        rows = [(p["name"], p["unit"], f"{p['low']:g} … {p['high']:g}", p["meaning"]) for p in described["parameters"]]
+        terminal.print(simple_table("parameters", ["name", "unit", "range", "meaning"], rows))
+    return 0
+
+
+def robots(*, to: Output = TERMINAL) -> int:
+    """List the shipped robots with their batteries, components and control schemes.
+
+    Parameters
+    ----------
+    """
+    from missionsim.inputs import load_robot, shipped_robots
+
+    described: list[dict[str, Any]] = []
+    for name, path in shipped_robots().items():
+        robot = load_robot(name)
+        described.append(
+            {
+                "name": robot.name,
+                "title": robot.title,
+                "path": str(path),
+                "sha256": robot.sha256,
+                "drive": robot.body.drive,
+                "max_speed_m_s": robot.body.max_speed.value,
+                "batteries": {key: {"capacity_wh": battery.capacity_wh} for key, battery in robot.batteries.items()},
+                "components": {
+                    key: {"units": item.units, "always_on": item.always_on} for key, item in robot.components.items()
+                },
+                "schemes": {key: list(item.navigation) for key, item in robot.schemes.items()},
+                "motion_model": robot.motion.model if robot.motion is not None else None,
+                "sources": robot.sources,
+            }
+        )
+    to.emit({"schema": "missionsim.robots/1", "robots": described})
+    if to.text:
+        rows = []
+        for item in described:
+            batteries = "\n".join(f"{key} {value['capacity_wh']:.4g} Wh" for key, value in item["batteries"].items())
+            switched = [
+                key + (f" ×{value['units']}" if value["units"] > 1 else "")
+                for key, value in item["components"].items()
+                if not value["always_on"]
+            ]
+            rows.append(
+                (item["name"], item["title"], batteries, ", ".join(switched) or "–", "\n".join(item["schemes"]) or "–")
+            )
+        columns = ["robot", "what it is", "batteries", "components that switch", "control schemes"]
+        console().print(simple_table("Shipped robots", columns, rows))
+    return 0
+
+
+def schema(*kind: str, robot: str | None = None, out: OutFolder | None = None, to: Output = TERMINAL) -> int:
+    """Write the JSON Schema of each kind of YAML file.
+
+    An editor checks and completes a file whose first line is
+    `# yaml-language-server: $schema=PATH/robot.schema.json`.
+
+    Parameters
+    ----------
+    kind
+        Kinds to write: robot, environment, mission, study, map, task. All of them by default.
+    robot
+        Shipped robot or robot file: the schemas then know its batteries, components and schemes and no others.
+    out
+        Folder for the files, made if need be. Without it, the schema of one kind goes to standard output.
+    """
+    from missionsim.errors import InputError
+    from missionsim.files import write_text
+    from missionsim.inputs.loading import load_robot
+    from missionsim.inputs.schemas import schema as make
+    from missionsim.inputs.schemas import schema_kinds, schema_text
+
+    spec = None if robot is None else load_robot(robot)
+    kinds = kind or schema_kinds()
+    made = {name: make(name, spec) for name in kinds}
+    to.emit({"schema": "missionsim.schemas/1", "kinds": made})
+    if out is not None:
+        if out.exists() and not out.is_dir():
+            raise InputError.single("--out must be a folder", got=str(out), allowed="a folder")
+        for name in kinds:
+            write_text(out / f"{name}.schema.json", schema_text(name, spec))
+            if to.text:
+                console().print(str(out / f"{name}.schema.json"), soft_wrap=True)
+    elif to.json is None and len(kinds) == 1:
+        print(schema_text(kinds[0], spec), end="")
+    elif to.text:
+        console().print("Kinds of YAML files: " + ", ".join(kinds))
+        console().print("missionsim schema --out DIR writes a JSON Schema for each, missionsim schema KIND prints one.")
+    return 0
+
+
+def examples(*, out: OutFolder | None = None, to: Output = TERMINAL) -> int:
+    """Write the missions, environments, example logs, maps, sites and pages that come with missionsim.
+
+    The commands of README and of the pages run in that folder.
+
+    Parameters
+    ----------
+    out
+        Folder for the files, made if need be; files with another content are not overwritten. Without it, the files
+        are listed.
+    """
+    from missionsim.inputs.examples import example_files, write_examples
+
+    names = list(example_files()) if out is None else write_examples(out)
+    to.emit({"schema": "missionsim.examples/1", "out": out, "files": names})
+    if to.text:
+        if out is None:
+            for name in names:
+                console().print(str(name), soft_wrap=True)
+        else:
+            terminal = console()
+            terminal.print(f"{len(names)} files in {out}; try this there:", soft_wrap=True)
+            terminal.print("  missionsim run missions/pioneer3dx/valve_patrol.yaml")
+    return 0
