@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
 RESUMABLE = 130
 MOST_RUNS, MOST_WORKERS = 10**9, 1024
+SCHEDULER_WAIT_S = 10
 
 
 @Parameter(name="*")
@@ -218,43 +221,38 @@ def _tell_damaged(damaged: list[int]) -> None:
         )
 
 
-class _executor:
+@contextmanager
+def _executor(address: str | None) -> Iterator[Any]:
     """A Dask client for the address of a scheduler, or nothing."""
+    if address is None:
+        yield None
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        from missionsim.files import install_hint
 
-    def __init__(self, address: str | None) -> None:
-        self.address = address
-        self.client: Any = None
+        raise InputError.single(
+            "--scheduler needs the extra 'dask'", got="no package 'distributed'", allowed=install_hint("dask")
+        ) from None
+    import logging
 
-    def __enter__(self) -> Any:
-        if self.address is None:
-            return None
-        try:
-            from distributed import Client
-        except ImportError:
-            from missionsim.files import install_hint
-
-            raise InputError.single(
-                "--scheduler needs the extra 'dask'", got="no package 'distributed'", allowed=install_hint("dask")
-            ) from None
-        import logging
-
-        for name in [*logging.root.manager.loggerDict, "asyncio"]:
-            if name.startswith(("distributed", "tornado", "asyncio")):  # what matters is told here
-                logging.getLogger(name).setLevel(logging.CRITICAL)
-        try:
-            self.client = Client(self.address, timeout=10)  # type: ignore[no-untyped-call]
-        except (OSError, TimeoutError, ValueError) as error:
-            raise InputError.single(
-                "no Dask scheduler answers at this address",
-                got=self.address,
-                allowed="an address such as tcp://localhost:8786",
-                hint=str(error)[:80],
-            ) from error
-        return self.client
-
-    def __exit__(self, *_: object) -> None:
-        if self.client is not None:
-            self.client.close()
+    for name in [*logging.root.manager.loggerDict, "asyncio"]:
+        if name.startswith(("distributed", "tornado", "asyncio")):  # what matters is told here
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        client = Client(address, timeout=SCHEDULER_WAIT_S)  # type: ignore[no-untyped-call]
+    except (OSError, TimeoutError, ValueError) as error:
+        raise InputError.single(
+            "no Dask scheduler answers at this address",
+            got=address,
+            allowed="an address such as tcp://localhost:8786",
+            hint=str(error)[:80],
+        ) from error
+    try:
+        yield client
+    finally:
+        client.close()
 
 
 def _print(answer: dict[str, Any], prepared: Prepared) -> None:

@@ -47,18 +47,3 @@ def test_start_up_within_three_times_the_bare_interpreter(root: Path, command: s
     ratio = ours_s / bare_s
     print(f"{command}: {ratio:.2f} times the bare interpreter")
     assert ratio < 3.0
-
-
-@pytest.mark.parametrize("command", ["validate", "run"])
-def test_slow_libraries_are_not_loaded(root: Path, command: str) -> None:
-    code = (
-        "import sys; from missionsim.cli.app import run_command; code = run_command(sys.argv[1:]);"
-        "slow = ('pandas', 'scipy', 'matplotlib', 'plotly', 'sklearn', 'networkx', 'pint', 'cyclopts');"
-        "print([name for name in slow if name in sys.modules]);"
-        "sys.exit(code)"
-    )
-    mission = str(root / "missions" / "pioneer3dx" / "valve_patrol.yaml")
-    result = subprocess.run(
-        [sys.executable, "-c", code, command, mission, "--quiet"], check=True, capture_output=True, text=True
-    )
-    assert result.stdout.splitlines()[-1] == "[]"

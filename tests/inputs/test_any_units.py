@@ -87,17 +87,20 @@ def test_an_empirical_file_is_a_plain_file_beside_its_yaml(tmp_path: Path) -> No
     (tmp_path / "inner" / "values.csv").write_text("w\n10\n12\n")
     os.mkfifo(tmp_path / "inner" / "pipe")
     given = "c4: {value: 11, distribution: {kind: empirical, file: FILE, column: w}}"
-    robot = tmp_path / "inner" / "cart.yaml"
-    for file, code in (("values.csv", 0), ("pipe", 2), ("/dev/zero", 2), ("/dev/stdin", 2), ("../secret.csv", 2)):
-        robot.write_text(ROBOT.replace("c4: {value: 11 W, sd: 0.5 W}", given.replace("FILE", file)))
-        done = subprocess.run(
-            [sys.executable, "-m", "missionsim", "validate", str(robot)],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            stdin=subprocess.PIPE,
-            input=None,
-            check=False,
-        )
-        assert done.returncode == code, (file, done.stderr)
-        assert "password" not in done.stderr
+    refused = ("pipe", "/dev/zero", "/dev/stdin", "../secret.csv")
+    robots = []
+    for number, file in enumerate(("values.csv", *refused)):
+        robots.append(tmp_path / "inner" / f"cart_{number}.yaml")
+        robots[-1].write_text(ROBOT.replace("c4: {value: 11 W, sd: 0.5 W}", given.replace("FILE", file)))
+    done = subprocess.run(
+        [sys.executable, "-m", "missionsim", "validate", *map(str, robots)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        stdin=subprocess.PIPE,
+        input=None,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert [str(robot) in done.stderr for robot in robots] == [False, True, True, True, True]
+    assert "password" not in done.stderr

@@ -17,7 +17,7 @@ from missionsim.effects.library import all_effects, effect_ids, execution_effect
 from missionsim.effects.motion_models import get_motion_model, motion_model_ids
 
 ROOT = Path(__file__).resolve().parents[2]
-SLOW = ("pandas", "scipy", "matplotlib", "plotly", "sklearn", "pyarrow")
+SLOW = ("pandas", "scipy", "matplotlib", "plotly", "sklearn", "pyarrow", "networkx", "pint")
 
 
 def loaded_by(code: str) -> set[str]:
@@ -53,6 +53,7 @@ def test_import_loads_nothing_slow() -> None:
 def test_quick_commands_load_nothing_slow(arguments: list[str]) -> None:
     modules = loaded_by(f"from missionsim.cli.app import run_command\nassert run_command({arguments!r}) == 0")
     assert modules.isdisjoint(SLOW)
+    assert arguments == ["--help"] or "cyclopts" not in modules
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -171,17 +169,6 @@ def test_python_interface_equals_the_command(patrol: Path, tmp_path: Path) -> No
     assert len(missionsim.__all__) <= 20
     for name in missionsim.__all__:
         assert getattr(missionsim, name) is not None
-
-
-def test_import_is_light(patrol: Path) -> None:
-    heavy = "('pandas', 'scipy', 'matplotlib', 'plotly', 'sklearn', 'networkx', 'pyarrow')"
-    code = (
-        f"import sys, missionsim; assert not [m for m in {heavy} if m in sys.modules]\n"
-        "from missionsim.cli.app import run_command\n"
-        f"assert run_command(['run', {str(patrol)!r}]) == 0\n"
-        f"assert not [m for m in {heavy} if m in sys.modules], [m for m in {heavy} if m in sys.modules]\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
 def test_energy_by_control_scheme_adds_up() -> None:

@@ -387,8 +387,11 @@ def test_a_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path,
     assert files(tmp_path / "there") == whole
 
 
-def test_no_scheduler_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_scheduler_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("distributed")
+    monkeypatch.setattr("missionsim.cli.montecarlo.SCHEDULER_WAIT_S", 1)
     assert batch(tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9") == 2
     assert "no Dask scheduler answers" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
