@@ -241,7 +241,7 @@ def _executor(address: str | None) -> Iterator[Any]:
         if name.startswith(("distributed", "tornado", "asyncio")):  # what matters is told here
             logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        client = Client(address, timeout=SCHEDULER_WAIT_S)  # type: ignore[no-untyped-call]
+        client = Client(address, timeout=SCHEDULER_WAIT_S)
     except (OSError, TimeoutError, ValueError) as error:
         raise InputError.single(
             "no Dask scheduler answers at this address",

@@ -314,7 +314,7 @@ def wait_for(futures: Iterable[Any]) -> tuple[set[Any], set[Any]]:
     if listed and not isinstance(listed[0], Future):
         from distributed import wait as cluster_wait
 
-        found = cluster_wait(listed, return_when="FIRST_COMPLETED")  # type: ignore[no-untyped-call]
+        found = cluster_wait(listed, return_when="FIRST_COMPLETED")
         return set(found.done), set(found.not_done)
     found_local = wait(listed, return_when=FIRST)
     return set(found_local.done), set(found_local.not_done)

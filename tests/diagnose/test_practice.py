@@ -15,15 +15,14 @@ def diagnosis(shared: Path, case: str) -> BatteryDiagnosis:
     return diagnose_files("pioneer3dx", [folder / "train"], holdout=[folder / "heldout"]).batteries["robot"]
 
 
-@pytest.mark.parametrize("effect", ["turning_scrub", "payload"])
-def test_the_right_name_first_and_the_heldout_error_falls(shared: Path, effect: str) -> None:
-    found = diagnosis(shared, f"{effect}-5pct")
-    assert found.effects[0].effect == effect
+def test_the_right_name_first_and_the_heldout_error_falls(shared: Path) -> None:
+    found = diagnosis(shared, "payload-5pct")
+    assert found.effects[0].effect == "payload"
     assert found.heldout is not None
     assert found.heldout.power_rmse_w["with_effects"] < 0.8 * found.heldout.power_rmse_w["nominal"]
 
 
-@pytest.mark.parametrize("case", ["a", "b"])
+@pytest.mark.parametrize("case", ["a", pytest.param("b", marks=pytest.mark.study)])
 def test_confounded_names_both_and_proposes_to_vary_one(shared: Path, case: str) -> None:
     found = diagnosis(shared, f"confounded-carpet-payload-{case}")
     assert found.verdict == "ambiguous"
