@@ -100,7 +100,7 @@ class PowerPredictor:
         slope_rad: ArrayLike = 0.0,
         payload_kg: ArrayLike = 0.0,
         accel_m_s2: ArrayLike = 0.0,
-        **more: Any,
+        **more: ArrayLike | str,
     ) -> Array:
         """Power of the battery (W) for settings that broadcast; more covariates by their glossary names."""
         cov: dict[str, Any] = {

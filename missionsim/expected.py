@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import InputError, did_you_mean
 from missionsim.runs.motion import distances
+
+if TYPE_CHECKING:
+    from missionsim.inputs.mission import MissionSpec
 
 Array = NDArray[np.float64]
 
@@ -37,7 +40,7 @@ class ExpectedRun:
             raise ValueError("an expected run needs n ≥ 1 durations, distances and energies, and n + 1 ways home")
 
 
-def expected_run(mission: Any, battery: str) -> ExpectedRun:
+def expected_run(mission: MissionSpec, battery: str) -> ExpectedRun:
     """Simulate a mission and give what one battery should see, with the way home from each moment.
 
     With an environment the way home is the shortest to the dock, as the engine finds it at the end of each segment,

@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import json
+import math
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 
 @contextlib.contextmanager
@@ -63,6 +64,23 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def to_json(data: object, ascii: bool = False) -> str:
+    """JSON text of a result, ending with a line feed: NumPy values as numbers and lists, nan and inf as null."""
+    return json.dumps(_plain(data), indent=2, ensure_ascii=ascii, allow_nan=False) + "\n"
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [_plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def sha256(path: str | os.PathLike[str]) -> str:
     """SHA-256 of a file's bytes, as 64 hexadecimal digits."""
     with open(path, "rb") as handle:
@@ -75,7 +93,7 @@ def _umask() -> int:
     return mask
 
 
-def csv_cell(value: Any) -> Any:
+def csv_cell(value: object) -> object:
     """A value for a CSV table; a text that a spreadsheet would compute (``=``, ``@`` …) begins with an apostrophe."""
     if not isinstance(value, str) or value[:1] not in ("=", "+", "-", "@", "\t", "\r"):
         return value
@@ -88,7 +106,6 @@ def csv_cell(value: Any) -> Any:
 
 def install_hint(extra: str) -> str:
     """The command that adds an extra to this installation: from its folder where it is one, else from the registry."""
-    import json
     from importlib.metadata import PackageNotFoundError, distribution
 
     try:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 PathLike = str | os.PathLike[str]
 Logs = PathLike | Sequence[PathLike]
-Values = Mapping[str, Any]
+Values = Mapping[str, object]
 _ROWS = 20
 
 
@@ -147,7 +147,7 @@ def run(mission: PathLike, *, set: Values | None = None, robot: PathLike | None 
 
 def whatif(
     mission: PathLike,
-    vary: Mapping[str, Sequence[Any]],
+    vary: Mapping[str, Sequence[object]],
     *,
     set: Values | None = None,
     robot: PathLike | None = None,
@@ -182,7 +182,7 @@ def monte_carlo(
     workers: int = 1,
     engine: str = "auto",
     sobol: int | None = None,
-) -> Answer[Mapping[str, Any]]:
+) -> Answer[Mapping[str, object]]:
     """Draw the uncertain values many times; see ``missionsim montecarlo``. The table has one row a run."""
     import tempfile
 
@@ -229,16 +229,19 @@ def diagnose(
     holdout: str | Sequence[str | Path] | None = None,
     mission: PathLike | None = None,
     battery: str | None = None,
-    **settings: Any,
+    alpha: float = 0.002,
+    align: bool = True,
 ) -> Answer[Diagnosis]:
     """Find which physical effect is missing; see ``missionsim diagnose``.
 
-    `settings` are ``alpha`` (family-wise rate of false alarms) and ``align`` (find the delay of the meter).
+    `alpha` is the family-wise rate of false alarms; `align` finds the delay of the meter.
     """
     from missionsim.diagnose.diagnosis import diagnose_files
 
     where = None if mission is None else Path(mission)
-    found = diagnose_files(str(robot), _paths(logs), holdout=holdout, mission=where, battery=battery, **settings)
+    found = diagnose_files(
+        str(robot), _paths(logs), holdout=holdout, mission=where, battery=battery, alpha=alpha, align=align
+    )
     data = found.to_json()["batteries"]
     told = [f"{n}: {b['verdict']} {' '.join(e['effect'] for e in b['effects'])}".strip() for n, b in data.items()]
 

@@ -26,7 +26,7 @@ class Labels:
     names: tuple[str, ...]
 
     @classmethod
-    def of(cls, texts: Iterable[Any]) -> Labels:
+    def of(cls, texts: Iterable[object]) -> Labels:
         """Labels of a sequence of texts; None, NaN and empty texts are missing."""
         known: dict[str, int] = {}
         codes = [

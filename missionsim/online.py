@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from missionsim.errors import InputError
 from missionsim.expected import ExpectedRun, expected_run
 from missionsim.glossary import STILL_SPEED_M_S
 from missionsim.inputs.mission import reserve_of
+
+if TYPE_CHECKING:
+    from missionsim.inputs.mission import MissionSpec
 
 Array = NDArray[np.float64]
 ARRIVED_SHARE, ARRIVED_M = 0.05, 0.05
@@ -119,7 +122,7 @@ class OnlinePredictor:
         self._find_runs()
 
     @classmethod
-    def from_mission(cls, mission: Any, battery: str | None = None, **options: float) -> OnlinePredictor:
+    def from_mission(cls, mission: MissionSpec, battery: str | None = None, **options: float) -> OnlinePredictor:
         """A predictor for one battery of a mission (see `expected_run`)."""
         name = battery or next(iter(mission.robot.batteries))
         expected = expected_run(mission, name)

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 
 from missionsim.cli.parse import Call, build_app, check_targets, plain_call, whole_call
-from missionsim.errors import Fault, InputError, did_you_mean, visible
+from missionsim.errors import InputError, did_you_mean, visible
 
 EXIT_FINE, EXIT_NO, EXIT_INPUT, EXIT_OURS = 0, 1, 2, 3
 EXIT_INTERRUPTED, EXIT_PIPE = 130, 141
@@ -81,10 +81,9 @@ def run_command(arguments: Sequence[str]) -> int:
             stream.reconfigure(errors="missionsim")
     word = next(iter(arguments), "")
     if word and not word.startswith("-") and word not in COMMANDS:
+        hint = did_you_mean(word, COMMANDS)
         print(
-            Fault(
-                "", 0, 0, f"there is no command '{word}'", "", word, ", ".join(COMMANDS), did_you_mean(word, COMMANDS)
-            ),
+            InputError.single(f"there is no command '{word}'", got=word, allowed=", ".join(COMMANDS), hint=hint),
             file=sys.stderr,
         )
         return EXIT_INPUT

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json as encoder
-import math
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -12,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from missionsim.errors import InputError, visible
-from missionsim.files import write_text
+from missionsim.files import to_json, write_text
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -192,26 +190,6 @@ SHARED = (Output, Changes, Search)
 """Groups of options; their fields are options of the commands that take one."""
 TERMINAL = Output()
 AS_FILED = Changes()
-
-
-def plain(value: object) -> object:
-    """A value as JSON knows it: NumPy scalars and arrays become numbers and lists, nan and inf become null."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, set, frozenset)):
-        return [plain(item) for item in value]
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def to_json(data: object, ascii: bool = False) -> str:
-    """JSON text of a result, ending with a line feed."""
-    return encoder.dumps(plain(data), indent=2, ensure_ascii=ascii, allow_nan=False) + "\n"
 
 
 def tell_left_out(told: Sequence[str]) -> None:

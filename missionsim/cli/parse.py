@@ -336,4 +336,4 @@ def _problem(path: Path, is_file: bool, is_folder: bool) -> str:
 def check_picture(path: Path | None) -> None:
     """Refuse a picture that is neither PNG nor SVG."""
     if path is not None and path.suffix.lower() not in (".png", ".svg"):
-        raise InputError(Fault("", 0, 0, "--plot is a picture", "", f"'{path}'", "a name that ends in .png or .svg"))
+        raise InputError.single("--plot is a picture", got=f"'{path}'", allowed="a name that ends in .png or .svg")

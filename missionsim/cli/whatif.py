@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, Output
 from missionsim.cli.run import clock
-from missionsim.errors import Fault, InputError
+from missionsim.errors import InputError
 from missionsim.report.terminal import console, simple_table, titled
 
 if TYPE_CHECKING:
@@ -56,15 +56,10 @@ def whatif(
     from missionsim.results.whatif import BASELINE, Alternative, from_study, run_alternatives, varied
 
     if (vary is None) == (study is None):
-        raise InputError(
-            Fault(
-                "",
-                0,
-                0,
-                "whatif needs either --vary or --study",
-                got="both" if vary else "neither",
-                allowed="--vary defaults.speed=0.3,0.5, or --study STUDY.yaml",
-            )
+        raise InputError.single(
+            "whatif needs either --vary or --study",
+            got="both" if vary else "neither",
+            allowed="--vary defaults.speed=0.3,0.5, or --study STUDY.yaml",
         )
     base, robot = changes.pairs, changes.robot
     if study is not None:
@@ -75,7 +70,7 @@ def whatif(
         ]
     else:
         if mission is None:
-            raise InputError(Fault("", 0, 0, "whatif needs a mission", allowed="whatif MISSION.yaml --vary …"))
+            raise InputError.single("whatif needs a mission", allowed="whatif MISSION.yaml --vary …")
         path = mission
         pairs = [(name, split_values(text)) for name, text in map(split_assignment, vary or ())]
         alternatives = [
@@ -83,11 +78,9 @@ def whatif(
             *(Alternative(a.name, a.set, robot) for a in varied(pairs, base)),
         ]
     if montecarlo and montecarlo < 2:
-        raise InputError(
-            Fault("", 0, 0, "--montecarlo needs at least 2 runs", got=str(montecarlo), allowed="such as 500")
-        )
+        raise InputError.single("--montecarlo needs at least 2 runs", got=montecarlo, allowed="such as 500")
     if not 1 <= workers <= 1024:
-        raise InputError(Fault("", 0, 0, "--workers cannot be used so", got=str(workers), allowed="1 to 1024"))
+        raise InputError.single("--workers cannot be used so", got=workers, allowed="1 to 1024")
     with to.progress() as bar:
         task = bar.add_task("alternatives", total=len(alternatives))
         found = run_alternatives(path, alternatives, lambda: bar.advance(task), workers)
@@ -189,7 +182,7 @@ def split_values(text: str) -> list[str]:
             current += letter
     values.append(current.strip())
     if not all(values):
-        raise InputError(Fault("", 0, 0, "an empty value among those to vary", got=text, allowed="path=v1,v2"))
+        raise InputError.single("an empty value among those to vary", got=text, allowed="path=v1,v2")
     return values
 
 

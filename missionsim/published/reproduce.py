@@ -6,7 +6,7 @@ import csv
 import importlib
 import io
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,7 @@ def side_tables(paper: str) -> Tables:
     return {name: TABLES[name]() for name in ABOUT[paper].tables}
 
 
-def to_json(items: Iterable[Item], tables: dict[str, Tables] | None = None) -> dict[str, Any]:
+def to_json(items: Iterable[Item], tables: dict[str, Tables] | None = None) -> dict[str, object]:
     """The contract's JSON, and beside the items the other tables by paper."""
     return {"schema": SCHEMA, "items": [item.to_json() for item in items], "tables": tables or {}}
 
@@ -75,7 +75,7 @@ def items_csv(items: Iterable[Item]) -> str:
     return _csv(COLUMNS, rows)
 
 
-def rows_csv(rows: Sequence[dict[str, Any]]) -> str:
+def rows_csv(rows: Sequence[Mapping[str, object]]) -> str:
     """A table of dictionaries as CSV text."""
     return _csv(list(rows[0]), [[_cell(value) for value in row.values()] for row in rows])
 
@@ -141,7 +141,7 @@ def write(out: Path, items: dict[str, list[Item]], tables: dict[str, Tables], pi
     return written
 
 
-def page(items: dict[str, list[Item]], tables: dict[str, dict[str, list[dict[str, Any]]]]) -> str:
+def page(items: dict[str, list[Item]], tables: dict[str, Tables]) -> str:
     """The page for some papers."""
 
     parts = [HEAD]

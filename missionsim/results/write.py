@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
-import math
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -15,7 +13,7 @@ import numpy as np
 
 from missionsim.effects.covariates import Labels
 from missionsim.engine.outcome import RunResult
-from missionsim.files import atomic_write, csv_cell, write_text
+from missionsim.files import atomic_write, csv_cell, to_json, write_text
 
 if TYPE_CHECKING:
     from missionsim.inputs.mission import MissionSpec
@@ -209,7 +207,7 @@ def write_results(result: RunResult, folder: str | Path, format: Format = "csv")
     written = [write_table(table, folder / f"{name}.{format}") for name, table in tables(result).items()]
     for name, data in (("run", result.summary()), ("provenance", dict(result.provenance))):
         path = folder / f"{name}.json"
-        write_text(path, json.dumps(_plain(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+        write_text(path, to_json(data))
         written.append(path)
     return written
 
@@ -268,13 +266,3 @@ def _tidy(path: Path) -> str:
 
 def _cells(values: Sequence[Any]) -> list[Any]:
     return ["" if value is None or value != value else csv_cell(value) for value in values]
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value.tolist() if hasattr(value, "tolist") else value

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from missionsim.cli.options import to_json
 from missionsim.diagnose import words
+from missionsim.files import to_json
 from missionsim.identify.findings import (
     BatteryDiagnosis,
     Diagnosis,

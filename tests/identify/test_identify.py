@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from missionsim import interface
 from missionsim.cli.options import FALSE_ALARM_RATE
 from missionsim.identify.data import Candidate
 from missionsim.identify.design import make_source
@@ -192,4 +194,5 @@ def test_what_three_runs_show_is_named():
 
 
 def test_the_command_line_has_the_level_of_the_method():
-    assert Settings().alpha == FALSE_ALARM_RATE
+    told = inspect.signature(interface.diagnose).parameters["alpha"].default
+    assert Settings().alpha == FALSE_ALARM_RATE == told
