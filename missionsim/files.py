@@ -11,6 +11,9 @@ import os
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 @contextlib.contextmanager
@@ -93,7 +96,7 @@ def _umask() -> int:
     return mask
 
 
-def csv_cell(value: object) -> object:
+def csv_cell(value: T) -> T | str:
     """A value for a CSV table; a text that a spreadsheet would compute (``=``, ``@`` …) begins with an apostrophe."""
     if not isinstance(value, str) or value[:1] not in ("=", "+", "-", "@", "\t", "\r"):
         return value

@@ -54,17 +54,13 @@ def skid_logs(folder: Path, runs: int = 8) -> None:
         np.savetxt(folder / f"run_{number:02d}.csv", rows, "%.4f", ",", header=header, comments="")
 
 
-@pytest.fixture(scope="module", params=["ramp_runs", "skid"])
-def answers(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """JSON of all commands on the same logs."""
-    folder = tmp_path_factory.mktemp(str(request.param))
-    if request.param == "skid":
-        (folder / "skid.yaml").write_text(BASE, encoding="utf-8")
-        skid_logs(folder / "logs")
-        robot, logs = str(folder / "skid.yaml"), sorted((folder / "logs").iterdir())
-    else:
-        robot = "pioneer3dx"
-        logs = sorted((Path(__file__).parents[2] / "docs" / "examples" / "ramp_runs").glob("*.csv"))[:6]
+    folder = tmp_path_factory.mktemp("skid")
+    (folder / "skid.yaml").write_text(BASE, encoding="utf-8")
+    skid_logs(folder / "logs")
+    robot, logs = str(folder / "skid.yaml"), sorted((folder / "logs").iterdir())
     found: dict[str, Any] = {}
 
     def ask(name: str, *arguments: object) -> None:
