@@ -143,7 +143,7 @@ def ratio(a: float, b: float) -> float:
 PARTS = ("path_stretch", "speed_tracking", "dwell", "other")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SchemeGap:
     """Plan and log of one control scheme; totals over all runs, ratios as means over runs.
 
@@ -297,13 +297,13 @@ def _scheme_gap(
         wh[battery] = {part: (at[i + 1] - at[i]) / 3600.0 for i, part in enumerate(PARTS)}
     drives = plan.distance_m > 0.0
     return SchemeGap(
-        name,
-        mean_ratio(stretch(plan, driven)) if drives else None,
-        mean_ratio(tracking(plan, driven)) if drives else None,
-        done.standing_s - runs * plan.standing_s,
-        runs * plan.distance_m,
-        done.distance_m,
-        runs * plan.seconds,
-        done.seconds,
-        wh,
+        scheme=name,
+        path_stretch=mean_ratio(stretch(plan, driven)) if drives else None,
+        speed_tracking=mean_ratio(tracking(plan, driven)) if drives else None,
+        dwell_s=done.standing_s - runs * plan.standing_s,
+        planned_m=runs * plan.distance_m,
+        driven_m=done.distance_m,
+        planned_s=runs * plan.seconds,
+        driven_s=done.seconds,
+        wh=wh,
     )

@@ -116,7 +116,7 @@ def thousandfold(measured: float, model: float) -> str:
     return "1,000 times" if 300 < ratio < 3000 else "1/1,000" if 300 < 1 / ratio < 3000 else ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BatteryComparison(_Totals):
     """One battery over all runs.
 

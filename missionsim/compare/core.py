@@ -297,15 +297,15 @@ def _battery(
     measured, predicted = (np.sum([curve[i] for curve in curves], axis=0) for i in (0, 1))
     curve = error_curve(measured, predicted)
     return BatteryComparison(
-        battery,
-        tuple(_run(battery, one, error_curve(*own)) for one, own in zip(found.values(), curves, strict=True)),
-        error_statistics(curve),
-        error_statistics(error_curve(measured, predicted, "predicted"), "predicted"),
-        grid,
-        curve,
-        tuple(dependences(sums, battery)),
-        tuple(sums.places.cells(battery)),
-        None if plan is None else _mission(battery, sums, model, plan, segments, found, batteries),
+        battery=battery,
+        runs=tuple(_run(battery, one, error_curve(*own)) for one, own in zip(found.values(), curves, strict=True)),
+        error_statistics=error_statistics(curve),
+        error_statistics_predicted=error_statistics(error_curve(measured, predicted, "predicted"), "predicted"),
+        progress=grid,
+        error_curve_pct=curve,
+        dependences=tuple(dependences(sums, battery)),
+        places=tuple(sums.places.cells(battery)),
+        mission=None if plan is None else _mission(battery, sums, model, plan, segments, found, batteries),
     )
 
 

@@ -19,7 +19,7 @@ CHART_BINS = 40
 CHART_THIN_SHARE = 0.0005
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Where:
     """Error within one value or range of one covariate.
 
@@ -143,12 +143,12 @@ def _dependence(by: str, title: str, unit: str, bins: list[Bin], fine: list[Bin]
     weight = sum(weights)
     values = tuple(
         Where(
-            by,
-            title,
-            unit,
-            one.value,
-            one.low,
-            one.high,
+            by=by,
+            title=title,
+            unit=unit,
+            value=one.value,
+            low=one.low,
+            high=one.high,
             share_of_gap=abs(one.gap_j) / sizes if sizes > 0.0 else 0.0,
             share_of_squared_error=one.square_w2s / square if square > 0.0 else 0.0,
             gap_wh=one.gap_j / 3600.0,

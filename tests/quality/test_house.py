@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "missionsim"
-RULED = ("cli", "effects", "exchange", "inputs", "published", "report")
+RULED = ("cli", "compare", "effects", "exchange", "inputs", "published", "report", "results", "uncertainty")
 """Rooms that keep the rules; what lies beside the rooms is one more, called ``""``."""
 MOST_LINES, MOST_POSITIONAL = 400, 8
 ANY = {"cli": 0, "effects": 15, "exchange": 2, "inputs": 25, "published": 0, "report": 0, "": 4}
