@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.uncertainty.selection import Moments, Parts, moments, order_statistics
 from missionsim.uncertainty.single import drawn_columns
 from missionsim.uncertainty.store import BlockStore
 
+Array = NDArray[np.float64]
 KEPT_TIMES = 100_000
 """Of so many failures at a place, the first ones, the time is known."""
 KEPT_REASONS = 1000
@@ -38,7 +38,7 @@ def failures(store: BlockStore, firsts: list[int], total: int) -> dict[str, Any]
         frequent first.
     """
     counts: Counter[tuple[str, str]] = Counter()
-    times: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
+    times: dict[tuple[str, str], list[Array]] = {}
     reasons: Counter[str] = Counter()
     for part in store.tables(("failed_segment", "failed_battery", "failed_at_s", "message"), firsts):
         failed = np.flatnonzero(part["failed_battery"] != "")
@@ -116,53 +116,41 @@ def quantile_ranks(count: int, q: float, level: float = LEVEL) -> tuple[int, int
     return int(binom.ppf(tail, count, q)) - 1, int(binom.ppf(1.0 - tail, count, q))
 
 
-def quantiles(
-    parts: Parts, asked: Mapping[str, float], known: Moments
-) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
-    """Quantiles (Hyndman and Fan 1996, type 7) of a column and their 95 % intervals, exact, in bounded memory."""
-    last = known.count - 1
-    bounds = {name: quantile_ranks(known.count, q) for name, q in asked.items()}
-    needed = [rank for pair in bounds.values() for rank in pair if 0 <= rank <= last]
-    needed += [rank for q in asked.values() for rank in (math.floor(q * last), math.ceil(q * last))]
-    at = order_statistics(parts, needed, known)
-    at[-1], at[known.count] = -math.inf, math.inf
-    found = {}
-    for name, q in asked.items():
-        below, above = at[math.floor(q * last)], at[math.ceil(q * last)]
-        found[name] = below + (above - below) * (q * last - math.floor(q * last))
-    return found, {name: (at[low], at[high]) for name, (low, high) in bounds.items()}
-
-
-def describe(parts: Parts) -> dict[str, Any]:
+def describe(column: Array) -> dict[str, Any]:
     """Mean, standard deviation and quantiles of a column with their 95 % intervals; failed runs (NaN) left out.
+
+    Quantiles are those of Hyndman and Fan 1996, type 7.
 
     Parameters
     ----------
-    parts : callable
-        Gives the column part by part, each time it is called.
+    column : ndarray, shape (runs,)
     """
-    known = moments(parts)
-    if not known.count:
+    ordered = np.sort(column[np.isfinite(column)])
+    count = len(ordered)
+    if not count:
         return {"mean": None, "sd": None, **dict.fromkeys(QUANTILES)}
     from scipy.stats import t
 
-    half = (
-        float(t.ppf(0.5 + 0.5 * LEVEL, known.count - 1)) * known.sd / math.sqrt(known.count)
-        if known.count > 1
-        else math.inf
-    )
-    found, intervals = quantiles(parts, QUANTILES, known)
+    mean = float(ordered.mean())
+    sd = float(ordered.std(ddof=1)) if ordered[0] < ordered[-1] else 0.0
+    half = float(t.ppf(0.5 + 0.5 * LEVEL, count - 1)) * sd / math.sqrt(count) if count > 1 else math.inf
+    ranks = {name: quantile_ranks(count, q) for name, q in QUANTILES.items()}
     return {
-        "mean": known.mean,
-        "sd": known.sd,
-        "mean_interval": [_finite(known.mean - half), _finite(known.mean + half)],
-        **found,
-        "intervals": {name: [_finite(low), _finite(high)] for name, (low, high) in intervals.items()},
+        "mean": mean,
+        "sd": sd,
+        "mean_interval": [_finite(mean - half), _finite(mean + half)],
+        **dict(zip(QUANTILES, np.quantile(ordered, [*QUANTILES.values()]).tolist(), strict=True)),
+        "intervals": {name: [_at(ordered, low), _at(ordered, high)] for name, (low, high) in ranks.items()},
     }
 
 
+def _at(ordered: Array, rank: int) -> float | None:
+    """The number at a rank; None beyond the sample."""
+    return float(ordered[rank]) if 0 <= rank < len(ordered) else None
+
+
 def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) -> dict[str, Any]:
-    """The answers of a batch, in memory that does not grow with the number of runs.
+    """The answers of a batch; one column of it is in memory at a time, 8 bytes a run.
 
     Parameters
     ----------
@@ -178,7 +166,6 @@ def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) 
         of the contract's JSON.
         Importance is found from the first `IMPORTANCE_RUNS` runs.
     """
-    columns = store.columns_of(firsts)
     total = good = limited = 0
     for table in store.tables(("feasible", "speed_limited"), firsts):
         total, good = total + len(table["feasible"]), good + int(np.count_nonzero(table["feasible"]))
@@ -188,7 +175,7 @@ def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) 
         "runs": total,
         "p_feasible": _proportion(good, total),
         "speed_limited_share": limited / total if total else None,
-        "duration_s": describe(columns("duration_s")),
+        "duration_s": describe(store.column("duration_s", firsts)),
         "batteries": {},
         "failures": failures(store, firsts, total),
     }
@@ -196,10 +183,10 @@ def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) 
     for battery in batteries:
         prefix = f"component_{battery}_"
         answer["batteries"][battery] = {
-            "energy_wh": describe(columns(f"energy_{battery}_wh")),
-            "margin_wh": describe(columns(f"margin_{battery}_wh")),
+            "energy_wh": describe(store.column(f"energy_{battery}_wh", firsts)),
+            "margin_wh": describe(store.column(f"margin_{battery}_wh", firsts)),
             "p_reserve": _proportion(_with_reserve(store, firsts, battery), total),
-            "capacity_needed_wh": capacity_needed(columns(f"needed_{battery}_wh")),
+            "capacity_needed_wh": capacity_needed(store.column(f"needed_{battery}_wh", firsts)),
             "by_component_wh": {
                 name[len(prefix) : -len("_wh")]: value for name, value in mean.items() if name.startswith(prefix)
             },
@@ -217,11 +204,13 @@ def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) 
 
 
 def _means(store: BlockStore, firsts: list[int], names: list[str]) -> dict[str, float | None]:
-    known = {name: Moments() for name in names}
+    total, count = dict.fromkeys(names, 0.0), dict.fromkeys(names, 0)
     for part in store.tables(names, firsts) if names else ():
         for name, values in part.items():
-            known[name].add(values)
-    return {name: found.mean if found.count else None for name, found in known.items()}
+            known = values[np.isfinite(values)]
+            total[name] += float(known.sum())
+            count[name] += len(known)
+    return {name: total[name] / count[name] if count[name] else None for name in names}
 
 
 def _with_reserve(store: BlockStore, firsts: list[int], battery: str) -> int:
@@ -238,35 +227,31 @@ def _proportion(good: int, total: int) -> dict[str, Any]:
     return {"value": good / total if total else None, "low": low, "high": high}
 
 
-def capacity_needed(parts: Parts, share: float = 0.99) -> dict[str, Any]:
+def capacity_needed(column: Array, share: float = 0.99) -> dict[str, Any]:
     """Energy that suffices for `share` of the runs, without any reserve, with its 95 % interval [Wh].
 
     The need of a run that fails, or that not even a bottomless battery brings to its end, is not known (NaN) and counts
     as above all others: where the quantile would be one of these, it is not given.
     """
-    known = moments(parts)
-    total = sum(len(part) for part in parts())
+    ordered = np.sort(column[np.isfinite(column)])
+    total = len(column)
     at = share * (total - 1)
     low, high = quantile_ranks(total, share) if total else (-1, 0)
-    ranks = [math.floor(at), math.ceil(at), low, high] if total else []
-    found = order_statistics(parts, [rank for rank in ranks if 0 <= rank < known.count], known)
     value = None
-    if total and ranks[1] in found:
-        below, above = found[ranks[0]], found[ranks[1]]
-        value = below + (above - below) * (at - ranks[0])
+    if total and math.ceil(at) < len(ordered):
+        below, above = float(ordered[math.floor(at)]), float(ordered[math.ceil(at)])
+        value = below + (above - below) * (at - math.floor(at))
     return {
         "share": share,
         "value": value,
-        "low": None if value is None else found.get(low),
-        "high": None if value is None else found.get(high),
-        "runs_without": total - known.count,
+        "low": None if value is None else _at(ordered, low),
+        "high": None if value is None else _at(ordered, high),
+        "runs_without": total - len(ordered),
     }
 
 
 def rank_importance(
-    drawn: Mapping[str, NDArray[np.float64]],
-    energies: Mapping[str, NDArray[np.float64]],
-    margins: Mapping[str, NDArray[np.float64]] | None = None,
+    drawn: Mapping[str, Array], energies: Mapping[str, Array], margins: Mapping[str, Array] | None = None
 ) -> list[dict[str, Any]]:
     """Which values matter: first-order index from the sample itself, and Spearman's rank correlation.
 
@@ -323,12 +308,12 @@ def rank_importance(
     return sorted(found, key=lambda row: (place[row["battery"]], -weight(row)))
 
 
-def _varies(values: NDArray[np.float64]) -> bool:
+def _varies(values: Array) -> bool:
     """Whether numbers differ by more than rounding."""
     return bool(np.ptp(values) > 1e-12 * np.abs(values).max())
 
 
-def _ranks(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp], int]:
+def _ranks(values: Array) -> tuple[Array, NDArray[np.intp], int]:
     """Ranks, those of equal values their mean; the least ranks of equal values; and how many are distinct."""
     order = np.argsort(values, kind="stable")
     ordered = values[order]

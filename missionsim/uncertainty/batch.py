@@ -183,7 +183,7 @@ def run_batch(
         advance(count)
         counted.append(first)
         if until is not None:
-            feasible = next(iter(store.parts("feasible", [first])))
+            feasible = store.column("feasible", [first])
             good, total = good + int(feasible.sum()), total + count
             low, high = proportion_interval(good, total)
             if high - low <= until:

@@ -18,8 +18,6 @@ from missionsim.files import atomic_write, write_text
 
 BATCH_FILE = "batch.json"
 LOCK_FILE = ".lock"
-KEPT_NUMBERS = 4_000_000
-"""A column of at most so many numbers is read once and kept while it is described."""
 
 
 @dataclass(frozen=True)
@@ -102,13 +100,8 @@ class BlockStore:
 
     def column(self, name: str, firsts: list[int] | None = None) -> NDArray[Any]:
         """One column of all blocks, in order of runs; shape (runs,) or (runs, points)."""
-        parts = list(self.parts(name, firsts))
+        parts = [table[name] for table in self.tables((name,), firsts)]
         return np.concatenate(parts) if parts else np.zeros(0)
-
-    def parts(self, name: str, firsts: list[int] | None = None) -> Iterator[NDArray[Any]]:
-        """One column, block by block."""
-        for table in self.tables((name,), firsts):
-            yield table[name]
 
     def tables(self, names: Sequence[str], firsts: list[int] | None = None) -> Iterator[dict[str, NDArray[Any]]]:
         """Some columns, block by block."""
@@ -135,32 +128,6 @@ class BlockStore:
             if length >= count:
                 break
         return {name: np.concatenate(parts) if parts else np.zeros(0) for name, parts in found.items()}
-
-    def columns_of(self, firsts: list[int] | None) -> Callable[[str], Callable[[], Iterator[NDArray[Any]]]]:
-        """Readers of columns by name; what was read last is kept where it is small."""
-
-        def reader(name: str) -> Callable[[], Iterator[NDArray[Any]]]:
-            kept: list[NDArray[Any]] = []
-
-            def parts() -> Iterator[NDArray[Any]]:
-                if kept:
-                    yield from kept
-                    return
-                found: list[NDArray[Any]] = []
-                length = 0
-                for part in self.parts(name, firsts):
-                    length += len(part)
-                    if length <= KEPT_NUMBERS:
-                        found.append(part)
-                    else:
-                        found.clear()
-                    yield part
-                if length <= KEPT_NUMBERS:
-                    kept.extend(found)
-
-            return parts
-
-        return reader
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:

@@ -50,14 +50,14 @@ def test_intervals_of_batches_hold_the_truth(prepared: Prepared) -> None:
     columns = ("energy_robot_wh", "needed_robot_wh", "feasible")
     # the truth: a batch so large that its own error is a thirtieth of the intervals that are judged
     large = blocks(prepared, 10**6, 400_000, *columns)
-    truth = describe(lambda: [large["energy_robot_wh"]])
-    capacity, chance = capacity_needed(lambda: [large["needed_robot_wh"]])["value"], float(large["feasible"].mean())
+    truth = describe(large["energy_robot_wh"])
+    capacity, chance = capacity_needed(large["needed_robot_wh"])["value"], float(large["feasible"].mean())
     assert 0.5 < chance < 0.99
     held: dict[str, list[bool]] = {}
     for seed in range(REPETITIONS):
         found = blocks(prepared, seed, RUNS, *columns)
-        energy = describe(lambda found=found: [found["energy_robot_wh"]])  # type: ignore[misc]
-        needed = capacity_needed(lambda found=found: [found["needed_robot_wh"]])  # type: ignore[misc]
+        energy = describe(found["energy_robot_wh"])
+        needed = capacity_needed(found["needed_robot_wh"])
         intervals = {
             "probability": (*proportion_interval(int(found["feasible"].sum()), RUNS), chance),
             "mean": (*energy["mean_interval"], truth["mean"]),

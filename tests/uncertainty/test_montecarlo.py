@@ -308,11 +308,11 @@ def test_capacity_needed_is_that_of_the_whole_mission_also_where_runs_are_cut_sh
 
 def test_capacity_needed_is_not_given_where_too_many_runs_have_no_end() -> None:
     needs = np.arange(1000.0)
-    assert capacity_needed(lambda: [needs])["value"] == pytest.approx(989.01)
+    assert capacity_needed(needs)["value"] == pytest.approx(989.01)
     needs[::200] = np.nan  # 5 of 1000: they count as above all others
-    assert capacity_needed(lambda: [needs])["value"] > 990.0
+    assert capacity_needed(needs)["value"] > 990.0
     needs[::50] = np.nan
-    assert capacity_needed(lambda: [needs])["value"] is None
+    assert capacity_needed(needs)["value"] is None
 
 
 @pytest.mark.parametrize(
