@@ -20,6 +20,11 @@ from missionsim.workers import interrupts_held, process_pool
 SCHEMA = "missionsim.whatif/1"
 BASELINE = "baseline"
 MOST_ALTERNATIVES = 100_000
+COLUMNS = (
+    *("alternative", "set", "robot", "feasible", "reason", "duration_s", "difference_s", "battery", "term"),
+    *("energy_wh", "difference_wh", "charge_left_wh", "margin_wh", "deficit_wh"),
+)
+"""Of the table."""
 
 
 @dataclass(frozen=True)
@@ -73,20 +78,12 @@ class WhatIf:
         rows = []
         for alternative, result in zip(self.alternatives, self.results, strict=True):
             batteries: dict[str, Any] = {}
+            own = {"name": alternative.name, "title": alternative.title, "set": dict(alternative.set)}
             if not isinstance(result, RunResult):
                 why = "; ".join(fault.message + (f" ({fault.got})" if fault.got else "") for fault in result)
                 nothing = dict.fromkeys(("robot", "duration_s", "difference_s", "distance_m"))
-                rows.append(
-                    {
-                        "name": alternative.name,
-                        "title": alternative.title,
-                        "set": dict(alternative.set),
-                        "feasible": False,
-                        "reason": f"impossible: {why}",
-                        **nothing,
-                        "batteries": batteries,
-                    }
-                )
+                told = {"feasible": False, "reason": f"impossible: {why}", **nothing}
+                rows.append({**own, **told, "batteries": batteries})
                 continue
             for name in self.batteries:
                 now, before = result.batteries.get(name), base.batteries.get(name)
@@ -98,22 +95,19 @@ class WhatIf:
                     "energy_wh": energy,
                     "difference_wh": energy - reference,
                     "difference_pct": 100.0 * (energy - reference) / reference if reference else None,
-                    "charge_left_wh": now.charge_left_wh if now else None,
-                    "charge_left_fraction": now.charge_left_fraction if now else None,
-                    "reserve_wh": now.reserve_wh if now else None,
+                    **{
+                        key: getattr(now, key, None) for key in ("charge_left_wh", "charge_left_fraction", "reserve_wh")
+                    },
                     "margin_wh": now.charge_left_wh - now.reserve_required_wh if now else None,
-                    "empty_at_s": now.empty_at_s if now else None,
-                    "deficit_wh": now.deficit_wh if now else None,
+                    **{key: getattr(now, key, None) for key in ("empty_at_s", "deficit_wh")},
                     "by_term_wh": terms,
                     "difference_by_term_wh": {
                         term: terms.get(term, 0.0) - old.get(term, 0.0) for term in dict.fromkeys([*old, *terms])
                     },
                 }
             rows.append(
-                {
-                    "name": alternative.name,
-                    "title": alternative.title,
-                    "set": dict(alternative.set),
+                own
+                | {
                     "robot": result.robot,
                     "feasible": result.feasible,
                     "reason": result.reason or None,
@@ -136,53 +130,20 @@ class WhatIf:
 
     def table(self) -> dict[str, list[Any]]:
         """One tidy table: a row an alternative, battery and term; `term` is ``total`` for the sum."""
-        table: dict[str, list[Any]] = {
-            name: []
-            for name in (
-                "alternative",
-                "set",
-                "robot",
-                "feasible",
-                "reason",
-                "duration_s",
-                "difference_s",
-                "battery",
-                "term",
-                "energy_wh",
-                "difference_wh",
-                "charge_left_wh",
-                "margin_wh",
-                "deficit_wh",
-            )
-        }
+        rows: list[dict[str, Any]] = []
         for row in self.rows():
             setting = "; ".join(f"{path}={value}" for path, value in row["set"].items())
+            own = {**row, "alternative": row["name"], "set": setting, "reason": row["reason"] or ""}
             if not row["batteries"]:
-                for name, column in table.items():
-                    column.append({**row, "alternative": row["name"], "set": setting}.get(name))
+                rows.append(own)
             for battery, b in row["batteries"].items():
-                cells = [("total", b["energy_wh"], b["difference_wh"])]
-                cells += [(term, b["by_term_wh"].get(term, 0.0), d) for term, d in b["difference_by_term_wh"].items()]
-                for term, energy, difference in cells:
-                    values = (
-                        row["name"],
-                        setting,
-                        row["robot"],
-                        row["feasible"],
-                        row["reason"] or "",
-                        row["duration_s"],
-                        row["difference_s"],
-                        battery,
-                        term,
-                        energy,
-                        difference,
-                        b["charge_left_wh"],
-                        b["margin_wh"],
-                        b["deficit_wh"],
-                    )
-                    for column, value in zip(table.values(), values, strict=True):
-                        column.append(value)
-        return table
+                terms = {"total": (b["energy_wh"], b["difference_wh"])}
+                terms |= {term: (b["by_term_wh"].get(term, 0.0), d) for term, d in b["difference_by_term_wh"].items()}
+                rows += [
+                    {**own, **b, "battery": battery, "term": term, "energy_wh": energy, "difference_wh": difference}
+                    for term, (energy, difference) in terms.items()
+                ]
+        return {name: [row.get(name) for row in rows] for name in COLUMNS}
 
 
 def varied(vary: Iterable[tuple[str, Sequence[Any]]], base: Sequence[tuple[str, Any]] = ()) -> list[Alternative]:
