@@ -99,14 +99,7 @@ def _as_json(fits: list[ModelFit], remarks: list[str], out: Path) -> dict[str, A
         "batteries": {
             fit.battery: {
                 "parameters": {
-                    p.name: {
-                        "value": p.value,
-                        "sd": p.sd,
-                        "low": p.low,
-                        "high": p.high,
-                        "before": p.before,
-                        "unit": p.unit,
-                    }
+                    p.name: {key: getattr(p, key) for key in ("value", "sd", "low", "high", "before", "unit")}
                     for p in fit.parameters.values()
                 },
                 "rmse_before_w": fit.before.power_rmse_w,

@@ -144,15 +144,8 @@ def _summary(log: LogTable, target: Path) -> dict[str, Any]:
         },
         "columns": list(log.columns),
         "remarks": [
-            {
-                "kind": r.kind,
-                "column": r.column,
-                "message": r.message,
-                "action": r.action,
-                "severity": r.severity,
-                "line": r.line,
-                "rows": r.count,
-            }
+            {key: getattr(r, key) for key in ("kind", "column", "message", "action", "severity", "line")}
+            | {"rows": r.count}
             for r in log.remarks
         ],
     }

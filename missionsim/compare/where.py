@@ -19,6 +19,12 @@ CHART_BINS = 40
 CHART_THIN_SHARE = 0.0005
 
 
+IN_JSON = (
+    *("by", "value", "share_of_gap", "bias_w", "seconds", "low", "high", "unit", "gap_wh", "share_of_squared_error"),
+    "explains",
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Where:
     """Error within one value or range of one covariate.
@@ -59,19 +65,7 @@ class Where:
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields and ours beside them."""
-        return {
-            "by": self.by,
-            "value": self.value,
-            "share_of_gap": self.share_of_gap,
-            "bias_w": self.bias_w,
-            "seconds": self.seconds,
-            "low": self.low,
-            "high": self.high,
-            "unit": self.unit,
-            "gap_wh": self.gap_wh,
-            "share_of_squared_error": self.share_of_squared_error,
-            "explains": self.explains,
-        }
+        return {name: getattr(self, name) for name in IN_JSON}
 
     @property
     def phrase(self) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from missionsim.effects.model import PowerModel
-from missionsim.engine.outcome import RunResult
+from missionsim.engine.outcome import BatteryResult, RunResult
 from missionsim.engine.simulate import simulate
 from missionsim.errors import Fault, InputError
 from missionsim.inputs.loading import load_mission, load_study, remembered
@@ -95,11 +95,9 @@ class WhatIf:
                     "energy_wh": energy,
                     "difference_wh": energy - reference,
                     "difference_pct": 100.0 * (energy - reference) / reference if reference else None,
-                    **{
-                        key: getattr(now, key, None) for key in ("charge_left_wh", "charge_left_fraction", "reserve_wh")
-                    },
+                    **_given(now, "charge_left_wh", "charge_left_fraction", "reserve_wh"),
                     "margin_wh": now.charge_left_wh - now.reserve_required_wh if now else None,
-                    **{key: getattr(now, key, None) for key in ("empty_at_s", "deficit_wh")},
+                    **_given(now, "empty_at_s", "deficit_wh"),
                     "by_term_wh": terms,
                     "difference_by_term_wh": {
                         term: terms.get(term, 0.0) - old.get(term, 0.0) for term in dict.fromkeys([*old, *terms])
@@ -144,6 +142,10 @@ class WhatIf:
                     for term, (energy, difference) in terms.items()
                 ]
         return {name: [row.get(name) for row in rows] for name in COLUMNS}
+
+
+def _given(battery: BatteryResult | None, *names: str) -> dict[str, Any]:
+    return {name: getattr(battery, name, None) for name in names}
 
 
 def varied(vary: Iterable[tuple[str, Sequence[Any]]], base: Sequence[tuple[str, Any]] = ()) -> list[Alternative]:
