@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.control import PowerPredictor
-from missionsim.inputs import load_robot
 from missionsim.physics import motion
 from missionsim.published.figures import Figure, Ours, load_figures, mission
 
