@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from missionsim.effects.base import ParameterSpec
 from missionsim.errors import Fault, InputError, did_you_mean
@@ -20,12 +20,9 @@ def check_robot(robot: RobotSpec, document: Document) -> list[Fault]:
     components = check.raw_keys("components")
     for name, battery in robot.batteries.items():
         if battery.initial_charge.value <= battery.reserve.value and battery.reserve.value > 0:
+            got, allowed = f"{battery.initial_charge.value:g}", f"more than {battery.reserve.value:g}"
             check.add(
-                ("batteries", name, "initial_charge"),
-                "starts at or below its reserve",
-                got=f"{battery.initial_charge.value:g}",
-                allowed=f"more than {battery.reserve.value:g}",
-                warning=True,
+                ("batteries", name, "initial_charge"), "starts at or below its reserve", got, allowed, warning=True
             )
     for name, link in robot.links.items():
         check.known(("links", name, "battery"), link.battery, batteries, "battery")
@@ -38,7 +35,7 @@ def check_robot(robot: RobotSpec, document: Document) -> list[Fault]:
     if robot.processor is not None:
         check.known(("processor", "battery"), robot.processor.battery, batteries, "battery")
     for name, scheme in robot.schemes.items():
-        _scheme(check, robot, name, scheme, components)
+        _scheme(check, robot, name, scheme)
     if robot.idle_scheme is not None:
         check.known(("idle_scheme",), robot.idle_scheme, check.raw_keys("schemes"), "control scheme")
     _motion(check, robot, batteries)
@@ -56,12 +53,8 @@ def _component(
         if load.through is not None and check.known((*at, "through"), load.through, check.raw_keys("links"), "link"):
             link = robot.links.get(load.through)
             if link is not None and link.battery != load.battery and link.battery in batteries:
-                check.add(
-                    (*at, "battery"),
-                    f"link '{load.through}' is fed by another battery",
-                    got=load.battery,
-                    allowed=link.battery,
-                )
+                message = f"link '{load.through}' is fed by another battery"
+                check.add((*at, "battery"), message, load.battery, link.battery)
         if load.law is not None:
             _law(check, (*at, "law"), load.law)
     if component.relay is not None:
@@ -73,7 +66,7 @@ def _component(
 def _law(check: Checker, where: Where, law: LawSpec) -> None:
     if law.power is not None:
         own = [*law.parameters, *(["rate"] if law.rate is not None else [])]
-        check.formula((*where, "power"), law.power, own)
+        check.formulas({(*where, "power"): law.power}, own)
         return
     from missionsim.effects.law_models import law_models
 
@@ -84,34 +77,22 @@ def _law(check: Checker, where: Where, law: LawSpec) -> None:
 
 def _circles(check: Checker, robot: RobotSpec) -> None:
     """Requirements that lead back to their component."""
-    state: dict[str, int] = {}
-    for start in robot.components:
-        stack: list[tuple[str, int]] = [(start, 0)]
-        trail = [start]
-        if state.get(start):
-            continue
-        state[start] = 1
-        while stack:
-            name, index = stack.pop()
-            needs = robot.components[name].requires if name in robot.components else ()
-            if index < len(needs):
-                stack.append((name, index + 1))
-                other = needs[index]
-                if state.get(other) == 1 and other in trail:
-                    circle = [*trail[trail.index(other) :], other]
-                    check.add(
-                        ("components", name, "requires", index),
-                        "components require each other in a circle",
-                        got=" → ".join(circle),
-                        allowed="requirements without a circle",
-                    )
-                elif not state.get(other) and other in robot.components:
-                    state[other] = 1
-                    trail.append(other)
-                    stack.append((other, 0))
-            else:
-                state[name] = 2
-                trail.pop()
+    trail: list[str] = []
+    done: set[str] = set()
+    waiting: list[Iterator[tuple[int, str]]] = [iter(enumerate(robot.components))]
+    while waiting:
+        index, name = next(waiting[-1], (0, ""))
+        if not name:
+            waiting.pop()
+            done |= {trail.pop()} if trail else set()
+        elif name in trail:
+            circle = " → ".join([*trail[trail.index(name) :], name])
+            where = ("components", trail[-1], "requires", index)
+            message = "components require each other in a circle"
+            check.add(where, message, circle, "requirements without a circle")
+        elif name in robot.components and name not in done:
+            trail.append(name)
+            waiting.append(iter(enumerate(robot.components[name].requires)))
 
 
 def _relays(check: Checker, robot: RobotSpec) -> None:
@@ -119,59 +100,41 @@ def _relays(check: Checker, robot: RobotSpec) -> None:
         fed = [key for key, component in robot.components.items() if component.relay == name]
         count = sum(robot.components[key].units for key in fed)
         if count > len(board.power) - 1:
-            check.add(
-                ("switchboards", name, "power"),
-                f"switchboard has power for {len(board.power) - 1} relays only",
-                got=f"{count} units: {', '.join(fed)}",
-                allowed=f"{count + 1} powers, for 0 to {count} relays",
-            )
+            message = f"switchboard has power for {len(board.power) - 1} relays only"
+            allowed = f"{count + 1} powers, for 0 to {count} relays"
+            check.add(("switchboards", name, "power"), message, f"{count} units: {', '.join(fed)}", allowed)
 
 
-def _scheme(check: Checker, robot: RobotSpec, name: str, scheme: SchemeSpec, components: list[str]) -> None:
+def _scheme(check: Checker, robot: RobotSpec, name: str, scheme: SchemeSpec) -> None:
     where: tuple[str | int, ...] = ("schemes", name)
 
-    def sensors(at: Where, given: Mapping[str, int], what: str) -> None:
+    def sensors(at: Where, given: Mapping[str, int], missing: str = "") -> None:
         for sensor, count in given.items():
-            message = f"the scheme requires '{sensor}', which the robot does not have" if what == "required" else ""
-            if not check.known((*at, sensor), sensor, components, "component", key=True, message=message):
-                continue
-            spec = robot.components.get(sensor)
-            if spec is not None and count > spec.units:
-                check.add(
-                    (*at, sensor),
-                    f"more units of '{sensor}' than the robot has",
-                    got=str(count),
-                    allowed=f"0 to {spec.units}",
-                )
+            check.units((*at, sensor), sensor, count, robot, message=missing.format(sensor) if missing else "")
 
     for at, rules in [
         ((*where, "sensors"), scheme.sensors),
         *(((*where, "navigation", key), rules) for key, rules in scheme.navigation.items()),
     ]:
-        sensors((*at, "required"), rules.required, "required")
-        sensors((*at, "optional"), rules.optional, "optional")
-    sensors((*where, "default_sensors"), scheme.default_sensors, "default")
+        missing = "the scheme requires '{}', which the robot does not have"
+        sensors((*at, "required"), rules.required, missing)
+        sensors((*at, "optional"), rules.optional)
+    sensors((*where, "default_sensors"), scheme.default_sensors)
     if scheme.default_navigation is not None:
         check.known((*where, "default_navigation"), scheme.default_navigation, scheme.navigation, "navigation")
     if scheme.processor and robot.processor is None and "processor" not in check.raw_keys():
-        check.add(
-            (*where, "processor"),
+        message, allowed = (
             "the robot has no processor that this table could be for",
-            allowed="processor: {battery: …} in the robot",
-            key=True,
+            "processor: {battery: …} in the robot",
         )
+        check.add((*where, "processor"), message, "", allowed, key=True)
     if scheme.motion and scheme.image_analysis:
-        check.add(
-            (*where, "image_analysis"),
-            "image analysis is done standing",
-            got="motion: true",
-            allowed="motion: false",
-            key=True,
-        )
+        message = "image analysis is done standing"
+        check.add((*where, "image_analysis"), message, "motion: true", "motion: false", key=True)
     seen: dict[tuple[str | None, tuple[tuple[str, int], ...]], int] = {}
     for index, row in enumerate(scheme.processor):
         at = (*where, "processor", index)
-        sensors((*at, "sensors"), row.sensors, "row")
+        sensors((*at, "sensors"), row.sensors)
         if row.navigation is not None:
             check.known((*at, "navigation"), row.navigation, scheme.navigation, "navigation of this scheme")
         label = (row.navigation, tuple(sorted((key, count) for key, count in row.sensors.items() if count)))
@@ -216,30 +179,16 @@ def _parameters(
         spec = known[name]
         # a plain number ("1") is in the parameter's own unit
         if parameter.unit not in ("", "1", spec.unit) and not same_dimension(parameter.unit, spec.unit):
-            check.add(
-                at,
-                f"wrong unit of {name}",
-                got=f"a number in {parameter.unit}",
-                allowed="a plain number" if spec.unit == "1" else f"a number in {spec.unit}",
-            )
-            continue
-        low, high = spec.low, spec.high
-        if not low <= parameter.value <= high:
-            check.add(
-                at,
-                f"impossible value of {name}",
-                got=f"{parameter.value:g} {spec.unit}",
-                allowed=f"{low:g} to {high:g}" if high < float("inf") else f"at least {low:g}",
-            )
+            allowed = "a plain number" if spec.unit == "1" else f"a number in {spec.unit}"
+            check.add(at, f"wrong unit of {name}", f"a number in {parameter.unit}", allowed)
+        elif not spec.low <= parameter.value <= spec.high:
+            allowed = f"{spec.low:g} to {spec.high:g}" if spec.high < float("inf") else f"at least {spec.low:g}"
+            check.add(at, f"impossible value of {name}", f"{parameter.value:g} {spec.unit}", allowed)
     present = check.raw_keys(*where, "parameters")
     for name, spec in known.items():
         if name not in given and name not in present and spec.required:
-            check.add(
-                (*where, "parameters"),
-                f"parameter '{name}' of {what} is missing",
-                key=True,
-                allowed=f"{name}: {spec.meaning}, {spec.unit}",
-            )
+            message, allowed = f"parameter '{name}' of {what} is missing", f"{name}: {spec.meaning}, {spec.unit}"
+            check.add((*where, "parameters"), message, "", allowed, key=True)
 
 
 def _effects(check: Checker, robot: RobotSpec, batteries: list[str], components: list[str]) -> None:
@@ -249,23 +198,16 @@ def _effects(check: Checker, robot: RobotSpec, batteries: list[str], components:
         check.known((*where, "battery"), effect.battery, batteries, "battery")
         label = f"{effect.battery}/{effect.name or effect.effect}"
         if label in seen:
-            check.add(
-                where,
-                f"effect '{effect.name or effect.effect}' given twice on this battery; the first is item {seen[label]}",
-                allowed="a 'name' of its own for each",
-            )
+            twice = f"effect '{effect.name or effect.effect}' given twice on this battery"
+            check.add(where, f"{twice}; the first is item {seen[label]}", "", "a 'name' of its own for each")
         seen.setdefault(label, index)
         of_mass = effect.effect in ("grade", "acceleration", "copper_loss")
         if of_mass and robot.body.mass is None and not effect.candidate:
-            check.add(
-                (*where, "effect"),
-                f"'{effect.effect}' needs the robot's mass, which counts as 1 kg here",
-                got="no body.mass",
-                allowed="body: {mass: …}, unless k was fitted without it",
-                warning=True,
-            )
+            message = f"'{effect.effect}' needs the robot's mass, which counts as 1 kg here"
+            allowed = "body: {mass: …}, unless k was fitted without it"
+            check.add((*where, "effect"), message, "no body.mass", allowed, warning=True)
         if effect.power is not None:
-            check.formula((*where, "power"), effect.power, effect.parameters)
+            check.formulas({(*where, "power"): effect.power}, effect.parameters)
         else:
             _library_effect(check, where, effect, components)
 
@@ -280,14 +222,9 @@ def _library_effect(check: Checker, where: Where, effect: EffectSpec, components
         found = get_effect(identifier, surfaces)
     except InputError:
         ids = effect_ids()
-        families = [item.partition(":")[0] for item in ids]
-        check.add(
-            (*where, "effect"),
-            f"no effect '{identifier}' in the library",
-            got=f"'{identifier}'",
-            allowed=", ".join(ids),
-            hint=did_you_mean(family, families),
-        )
+        hint = did_you_mean(family, [item.partition(":")[0] for item in ids])
+        message = f"no effect '{identifier}' in the library"
+        check.add((*where, "effect"), message, f"'{identifier}'", ", ".join(ids), hint)
         return
     if colon and family.startswith("component_"):
         check.known((*where, "effect"), of, components, "component")

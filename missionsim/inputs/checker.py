@@ -30,20 +30,17 @@ class Checker:
         self,
         where: Where,
         message: str,
-        *,
         got: str = "",
         allowed: str = "",
         hint: str = "",
+        *,
         key: bool = False,
         warning: bool = False,
     ) -> None:
         """One fault at a path of the file, unless that place was told to be faulty already."""
-        if self.faulty(where):
-            return
-        severity = "warning" if warning else "error"
-        self.faults.append(
-            self.document.fault(where, message, got=got, allowed=allowed, hint=hint, key=key, severity=severity)
-        )
+        if not self.faulty(where):
+            told = {"got": got, "allowed": allowed, "hint": hint, "severity": "warning" if warning else "error"}
+            self.faults.append(self.document.fault(where, message, key=key, **told))
 
     def faulty(self, where: Where) -> bool:
         """Whether a fault was told at this path or above it."""
@@ -63,29 +60,32 @@ class Checker:
         if name in options:
             return True
         shown = ", ".join(options[:_SHOWN]) + (f" and {len(options) - _SHOWN} more" if len(options) > _SHOWN else "")
-        self.add(
-            where,
-            message or f"no {what} '{name}'",
-            got=as_written(name),
-            allowed=shown or f"there is no {what} here",
-            hint=did_you_mean(name, options),
-            key=key,
-        )
+        allowed, hint = shown or f"there is no {what} here", did_you_mean(name, options)
+        self.add(where, message or f"no {what} '{name}'", as_written(name), allowed, hint, key=key)
         return False
 
-    def units(self, where: Where, name: str, count: int, robot: RobotSpec, least: int = 0) -> bool:
+    def keys(self, where: Where, given: object, names: Iterable[str], what: str) -> None:
+        """Faults for the keys of a mapping that are none of `names`."""
+        for name in given if isinstance(given, Mapping) else ():
+            self.known((*where, name), name, names, what, key=True)
+
+    def units(self, where: Where, name: str, count: int, robot: RobotSpec, least: int = 0, message: str = "") -> bool:
         """Whether a robot has a component, and as many units of it."""
         known = Checker(robot.document).raw_keys("components")
         key = where[-1] == name
-        if not self.known(where, name, known, "component", key=key):
+        if not self.known(where, name, known, "component", key=key, message=message):
             return False
         spec = robot.components.get(name)
         if spec is not None and count > spec.units:
             at = where if key else (*where[:-1], "units")
-            allowed = f"{least} to {spec.units}"
-            self.add(at, f"more units of '{name}' than the robot has", got=str(count), allowed=allowed)
+            self.add(at, f"more units of '{name}' than the robot has", str(count), f"{least} to {spec.units}")
             return False
         return spec is not None
+
+    def given(self, where: Where, key: str) -> bool:
+        """Whether a key stands in the file, also with a value that is at fault."""
+        children = self.document.node(where).children
+        return isinstance(children, dict) and key in children
 
     def raw_keys(self, *where: str | int) -> list[str]:
         """Keys of a mapping as the file has them, also those whose values are at fault."""
@@ -97,12 +97,8 @@ class Checker:
                 return []
         return [str(key) for key in data] if isinstance(data, dict) else []
 
-    def formula(self, where: Where, text: str, own: Iterable[str]) -> None:
-        """A formula that can be read, names what there is and uses all its parameters."""
-        self.formulas({tuple(where): text}, own)
-
     def formulas(self, texts: Mapping[tuple[str | int, ...], str], own: Iterable[str]) -> None:
-        """Formulas, by their paths, with parameters in common; see `formula`."""
+        """Formulas, by their paths, that can be read, name what there is and together use all their parameters."""
         parameters = list(own)
         used: set[str] = set()
         for where, text in texts.items():
@@ -135,12 +131,7 @@ class Checker:
                 continue
             hint = did_you_mean(name, known, 0.8)
             if hint:
-                self.add(
-                    where,
-                    f"formula names '{name}', which is no column of the glossary",
-                    got=text[:80],
-                    allowed="a parameter, a glossary column, or a further column of your logs",
-                    hint=hint,
-                    warning=True,
-                )
+                message = f"formula names '{name}', which is no column of the glossary"
+                allowed = "a parameter, a glossary column, or a further column of your logs"
+                self.add(where, message, text[:80], allowed, hint, warning=True)
         return expression.names

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
@@ -148,6 +148,28 @@ class EnvironmentSpec(FileModel):
             return None
         return math.hypot(ends[1][0] - ends[0][0], ends[1][1] - ends[0][1])
 
+    @property
+    def chargers(self) -> tuple[str, ...]:
+        """Places with a charger."""
+        return tuple(name for name, place in self.places.items() if place.charger is not None)
+
+    def reached(self, start: str, shut: Container[str | None] = (), *, against: bool = False) -> set[str]:
+        """Places that open ways lead to from a place; `against` their direction, the places that lead to it.
+
+        Edges whose names are in `shut` are left out.
+        """
+        ways: dict[str, set[str]] = {}
+        for _, edge, begin, end in self.open_ways():
+            if edge.name not in shut:
+                begin, end = (end, begin) if against else (begin, end)
+                ways.setdefault(begin, set()).add(end)
+        found, waiting = {start}, [start]
+        while waiting:
+            new = ways.get(waiting.pop(), set()) - found
+            found |= new
+            waiting += new
+        return found
+
     def graph(self) -> Any:
         """Directed networkx multigraph: nodes with `spec`, edges with `spec`, `length_m`, `slope_rad`, `reverse`."""
         import networkx
@@ -176,30 +198,17 @@ class EnvironmentSpec(FileModel):
             if check.touched("places", edge.from_) or check.touched("places", edge.to):
                 continue
             if edge.from_ == edge.to:
-                check.add((*where, "to"), "an edge from a place to itself", got=edge.to, allowed="another place")
+                check.add((*where, "to"), "an edge from a place to itself", edge.to, "another place")
                 continue
             straight = self.straight_m(edge.from_, edge.to)
-            raw = check.document.node(where).children
-            has_length = isinstance(raw, dict) and "length" in raw
-            if straight is None and edge.length is None and not has_length:
-                check.add(
-                    where,
-                    "edge without a length, and its places have no coordinates",
-                    got=f"{edge.from_} to {edge.to}",
-                    allowed="length: 16 m, or x and y for both places",
-                )
-            elif straight is not None and edge.length is None and straight == 0.0 and not has_length:
-                check.add(
-                    where,
-                    "edge of length 0",
-                    got=f"{edge.from_} and {edge.to} at the same point",
-                    allowed="length: 16 m",
-                )
-            elif straight is not None and edge.length is not None and edge.length.value < straight * (1 - _ROUNDING):
-                check.add(
-                    (*where, "length"),
-                    "shorter than the straight line between its places",
-                    got=f"{edge.length.value:g} m",
-                    allowed=f"at least {straight:.3f} m",
-                )
+            if edge.length is not None:
+                if straight is not None and edge.length.value < straight * (1 - _ROUNDING):
+                    message, allowed = "shorter than the straight line between its places", f"at least {straight:.3f} m"
+                    check.add((*where, "length"), message, f"{edge.length.value:g} m", allowed)
+            elif straight is None and not check.given(where, "length"):
+                message = "edge without a length, and its places have no coordinates"
+                check.add(where, message, f"{edge.from_} to {edge.to}", "length: 16 m, or x and y for both places")
+            elif straight == 0.0 and not check.given(where, "length"):
+                got = f"{edge.from_} and {edge.to} at the same point"
+                check.add(where, "edge of length 0", got, "length: 16 m")
         return check.faults
