@@ -83,11 +83,19 @@ class Issue(ValueError):
 
 
 class Issues(list[Issue]):
-    """What is wrong with one quantity."""
+    """What is wrong with one quantity; as a context, an issue that is raised is one more."""
 
     def tell(self, message: str, got: str, allowed: str, hint: str = "", at: tuple[str | int, ...] = ()) -> None:
         """One more thing that is wrong."""
         self.append(Issue(message, got, allowed, hint, at))
+
+    def __enter__(self) -> Issues:
+        return self
+
+    def __exit__(self, kind: object, issue: BaseException | None, traceback: object) -> bool:
+        if isinstance(issue, Issue):
+            self.append(issue)
+        return isinstance(issue, Issue)
 
 
 def parameters(model: object) -> list[tuple[str, Parameter]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -70,56 +71,40 @@ class UncertainReader:
         for key in raw:
             if key not in _KEYS:
                 issues.tell(f"unknown key '{key}'", str(key), ", ".join(_KEYS), did_you_mean(str(key), _KEYS), (key,))
-        texts = {}
-        for key in ("unit", "status", "source", "note"):
-            text = raw.get(key, "")
+        texts = {key: raw.get(key, "") for key in ("unit", "status", "source", "note")}
+        for key, text in texts.items():
             if not isinstance(text, str):
                 issues.tell(f"{key} must be text", as_written(text), "text", at=(key,))
-                text = ""
-            texts[key] = text
-        if texts["status"] and texts["status"] not in STATUSES:
-            issues.tell(
-                "unknown status",
-                as_written(texts["status"]),
-                ", ".join(STATUSES),
-                did_you_mean(texts["status"], STATUSES),
-                ("status",),
-            )
-        given: dict[str, float | None] = {"value": None, "low": None, "high": None, "sd": None}
+                texts[key] = ""
+        if (status := texts["status"]) and status not in STATUSES:
+            hint = did_you_mean(status, STATUSES)
+            issues.tell("unknown status", as_written(status), ", ".join(STATUSES), hint, ("status",))
+        given: dict[str, float | None] = dict.fromkeys(("value", "low", "high", "sd"))
         unit = texts["unit"]
         if unit and self.dimension:
-            issues.tell(
-                "unit belongs beside the number", as_written(unit), units.allowed_text(self.dimension), at=("unit",)
-            )
-        failed = False
+            allowed = units.allowed_text(self.dimension)
+            issues.tell("unit belongs beside the number", as_written(unit), allowed, at=("unit",))
+        before = len(issues)
         for key in ("value", "low", "high"):
-            if key in raw:
-                try:
+            with issues:
+                if key in raw:
                     given[key], found = self._number(raw[key], (key,), texts["unit"])
                     self._alike(key, raw[key], found, unit)
                     unit = unit or found
-                except Issue as issue:
-                    issues.append(issue)
-                    failed = True
-        if "sd" in raw and not failed:
-            try:
+        distribution = None
+        with issues:
+            if "sd" in raw and len(issues) == before:
                 given["sd"] = self._spread(raw["sd"], given["value"], ("sd",), texts["unit"])
                 if isinstance(raw["sd"], str) and not raw["sd"].rstrip().endswith("%"):
                     self._alike("sd", raw["sd"], self._number(raw["sd"], ("sd",))[1], unit)
-            except Issue as issue:
-                issues.append(issue)
-                failed = True
-        distribution = None
-        if "distribution" in raw and not failed:
+        if "distribution" in raw and len(issues) == before:
             distribution = self._distribution(raw["distribution"], given["value"], issues, folder)
-            failed = distribution is None
-        if failed:
+        if len(issues) > before:
             return None
         value, low, high, sd = given["value"], given["low"], given["high"], given["sd"]
         if low is not None and high is not None and low > high:
-            issues.tell(
-                "low above high", f"{as_written(raw['low'])} > {as_written(raw['high'])}", "low <= high", at=("low",)
-            )
+            got = f"{as_written(raw['low'])} > {as_written(raw['high'])}"
+            issues.tell("low above high", got, "low <= high", at=("low",))
             return None
         if value is None and distribution is not None:
             value = distribution.mean
@@ -128,29 +113,15 @@ class UncertainReader:
         if value is None:
             issues.tell("no value", as_written(raw), "value, low and high, or a distribution")
             return None
-        outside = (low is not None and value < low) or (high is not None and value > high)
-        if outside:
-            issues.tell(
-                "value outside its own low and high",
-                as_written(raw.get("value")),
-                f"{as_written(raw.get('low'))} to {as_written(raw.get('high'))}",
-                at=("value",),
-            )
-        if distribution is None:
-            distribution = self._implied(value, sd, low, high)
-        spread = sd if sd is not None else distribution.sd if distribution is not None else None
-        default = units.DIMENSIONS[self.dimension].si if self.dimension else ""
-        return Parameter(
-            value,
-            spread,
-            low,
-            high,
-            distribution,
-            texts["status"],
-            texts["source"],
-            unit or default or "1",
-            note=texts["note"],
-        )
+        if (low is not None and value < low) or (high is not None and value > high):
+            allowed = f"{as_written(raw.get('low'))} to {as_written(raw.get('high'))}"
+            issues.tell("value outside its own low and high", as_written(raw.get("value")), allowed, at=("value",))
+        distribution = distribution or self._implied(value, sd, low, high)
+        if sd is None and distribution is not None:
+            sd = distribution.sd
+        unit = unit or (units.DIMENSIONS[self.dimension].si if self.dimension else "1")
+        told = (texts["status"], texts["source"], unit)
+        return Parameter(value, sd, low, high, distribution, *told, note=texts["note"])
 
     def _implied(self, value: float, sd: float | None, low: float | None, high: float | None) -> Distribution | None:
         """Distribution of value with sd and/or low and high: (truncated) normal, or uniform."""
@@ -174,33 +145,25 @@ class UncertainReader:
             hint = did_you_mean(kind, KINDS) if isinstance(kind, str) else ""
             issues.tell("unknown kind of distribution", as_written(kind), ", ".join(KINDS), hint, (*where, "kind"))
             return None
-        needs = _NEEDS[kind]
-        before = len(issues)
+        needs, before = _NEEDS[kind], len(issues)
         for key in raw:
             if key != "kind" and key not in needs:
-                issues.tell(
-                    f"unknown key '{key}' of {_a(kind)} distribution",
-                    str(key),
-                    ", ".join(("kind", *needs)),
-                    did_you_mean(str(key), needs),
-                    (*where, key),
-                )
+                message, allowed = f"unknown key '{key}' of {_a(kind)} distribution", ", ".join(("kind", *needs))
+                issues.tell(message, str(key), allowed, did_you_mean(str(key), needs), (*where, key))
         if kind in ("discrete", "empirical"):
-            return self._from_values(raw, kind, issues, where, folder, before)
+            with issues:
+                found = self._from_values(raw, kind, where, folder)
+                return found if len(issues) == before else None
+            return None
         numbers: dict[str, float | None] = {}
-        for key in (key for key in needs if key != "sd"):
-            try:
-                if key in raw:
+        for key in sorted(needs, key="sd".__eq__):  # a relative sd needs the mean
+            with issues:
+                if key in raw and key == "sd":
+                    numbers[key] = self._spread(raw[key], numbers.get("mean"), (*where, key))
+                elif key in raw:
                     numbers[key] = self._number(raw[key], (*where, key))[0]
                 elif key in ("mean", "mode"):
                     numbers[key] = value
-            except Issue as issue:
-                issues.append(issue)
-        if "sd" in needs and "sd" in raw:
-            try:
-                numbers["sd"] = self._spread(raw["sd"], numbers.get("mean"), (*where, "sd"))
-            except Issue as issue:
-                issues.append(issue)
         if len(issues) > before:
             return None
         optional = ("low", "high") if kind == "truncated_normal" else ()
@@ -216,9 +179,7 @@ class UncertainReader:
             issues.tell("mode outside low and high", as_written(mode), "low <= mode <= high", at=where)
         elif kind == "lognormal" and (mean is None or mean <= 0):
             issues.tell("a lognormal distribution needs a mean above 0", as_written(mean), "> 0", at=where)
-        if len(issues) > before:
-            return None
-        return Distribution(kind, mean, numbers.get("sd"), low, high, mode)
+        return Distribution(kind, mean, numbers.get("sd"), low, high, mode) if len(issues) == before else None
 
     def _value(
         self, raw: Mapping[str, Any], rows: list[int] | None, index: int, item: Any, where: tuple[str | int, ...]
@@ -234,53 +195,27 @@ class UncertainReader:
             raise Issue(message, str(told["got"]), str(told["allowed"]), str(told["hint"]), where) from None
 
     def _from_values(
-        self,
-        raw: Mapping[str, Any],
-        kind: str,
-        issues: Issues,
-        where: tuple[str | int, ...],
-        folder: Path | None,
-        before: int,
-    ) -> Distribution | None:
+        self, raw: Mapping[str, Any], kind: str, where: tuple[str | int, ...], folder: Path | None
+    ) -> Distribution:
         source: Any = raw.get("values")
         rows: list[int] | None = None
-        try:
-            if kind == "empirical" and ("file" in raw or "column" in raw):
-                if source is not None:
-                    raise Issue("values and file together", as_written(raw), "one of them", at=where)
-                source, rows = _read_column(raw.get("file"), raw.get("column"), folder, where)
-            if not isinstance(source, (list, tuple)) or not source:
-                raise Issue(
-                    f"{_a(kind)} distribution needs values",
-                    as_written(source),
-                    "a list of numbers",
-                    at=(*where, "values"),
-                )
-            if len(source) > _MAX_EMPIRICAL:
-                raise Issue("too many values", str(len(source)), f"at most {_MAX_EMPIRICAL}", at=where)
-            values = tuple(self._value(raw, rows, index, item, where) for index, item in enumerate(source))
-            weights = raw.get("weights", [1.0] * len(values)) if kind == "discrete" else [1.0] * len(values)
-            good = (
-                isinstance(weights, (list, tuple))
-                and len(weights) == len(values)
-                and all(
-                    isinstance(item, (int, float)) and not isinstance(item, bool) and 0 <= item < 1e300
-                    for item in weights
-                )
-            )
-            total = math.fsum(weights) if good else 0.0
-            if not good or total <= 0:
-                raise Issue(
-                    "weights do not fit the values",
-                    as_written(weights),
-                    f"{len(values)} numbers of 0 or more",
-                    at=(*where, "weights"),
-                )
-        except Issue as issue:
-            issues.append(issue)
-            return None
-        if len(issues) > before:
-            return None
+        if kind == "empirical" and ("file" in raw or "column" in raw):
+            if source is not None:
+                raise Issue("values and file together", as_written(raw), "one of them", at=where)
+            source, rows = _read_column(raw.get("file"), raw.get("column"), folder, where)
+        if not isinstance(source, (list, tuple)) or not source:
+            message = f"{_a(kind)} distribution needs values"
+            raise Issue(message, as_written(source), "a list of numbers", at=(*where, "values"))
+        if len(source) > _MAX_EMPIRICAL:
+            raise Issue("too many values", str(len(source)), f"at most {_MAX_EMPIRICAL}", at=where)
+        values = tuple(self._value(raw, rows, index, item, where) for index, item in enumerate(source))
+        weights = raw.get("weights", [1.0] * len(values)) if kind == "discrete" else [1.0] * len(values)
+        good = isinstance(weights, (list, tuple)) and len(weights) == len(values)
+        good = good and all(type(item) in (int, float) and 0 <= item < 1e300 for item in weights)
+        total = math.fsum(weights) if good else 0.0
+        if total <= 0:
+            allowed = f"{len(values)} numbers of 0 or more"
+            raise Issue("weights do not fit the values", as_written(weights), allowed, at=(*where, "weights"))
         return Distribution(kind, values=values, weights=tuple(float(item) / total for item in weights))
 
 
@@ -293,12 +228,8 @@ def _read_column(
 ) -> tuple[list[Any], list[int]]:
     """Texts of a column of a CSV file, and their lines."""
     if not isinstance(file, str) or not isinstance(column, str):
-        raise Issue(
-            "an empirical distribution needs file and column",
-            "",
-            "{kind: empirical, file: values.csv, column: power_w}",
-            at=where,
-        )
+        allowed = "{kind: empirical, file: values.csv, column: power_w}"
+        raise Issue("an empirical distribution needs file and column", "", allowed, at=where)
     home = (folder or Path()).resolve()
     path = (home / file).resolve()
     try:
@@ -309,24 +240,13 @@ def _read_column(
             reader = csv.DictReader(handle)
             names = list(reader.fieldnames or ())
             if column not in names:
-                raise Issue(
-                    f"no column '{column}' in {file}",
-                    column,
-                    ", ".join(names[:12]),
-                    did_you_mean(column, names),
-                    (*where, "column"),
-                )
-            result: list[Any] = []
-            rows: list[int] = []
-            for row in reader:
-                if row[column] not in (None, ""):
-                    result.append(row[column])
-                    rows.append(reader.line_num)
-                if len(result) > _MAX_EMPIRICAL:
-                    break
-            if not result:
+                hint = did_you_mean(column, names)
+                raise Issue(f"no column '{column}' in {file}", column, ", ".join(names[:12]), hint, (*where, "column"))
+            filled = ((row[column], reader.line_num) for row in reader if row[column] not in (None, ""))
+            found = list(itertools.islice(filled, _MAX_EMPIRICAL + 1))
+            if not found:
                 raise Issue(f"no numbers in column '{column}' of {file}", "", "one number a line", at=where)
-            return result, rows
+            return [text for text, _ in found], [line for _, line in found]
     except (OSError, UnicodeDecodeError, csv.Error, ValueError) as problem:
         if isinstance(problem, Issue):
             raise
