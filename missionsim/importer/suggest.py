@@ -80,12 +80,11 @@ class Draft:
 
     def all_of(self, role: str) -> list[Guess]:
         """Every field that may be of a role, also where another role fits better."""
-        wanted = next(one for one in ROLES if one.name == role)
-        return [guess for one in self.fields.values() if (guess := guess_role(one, wanted)) is not None]
+        return [guess for one in self.fields.values() if (guess := guess_role(one, ROLES[role])) is not None]
 
     def values(self, name: str, unit: str = "") -> Floats:
         """Numbers of a field in the glossary's unit."""
-        return np.asarray(self.fields[name].values, dtype=np.float64) * (UNITS[unit][2] if unit else 1.0)
+        return np.asarray(self.fields[name].values, dtype=np.float64) * (UNITS[unit][1] if unit else 1.0)
 
     def ref(self, name: str, alias: str) -> str:
         """How a formula names a field: itself, or a short name in `signals`."""

@@ -111,7 +111,7 @@ def _from_way(draft: Draft) -> None:
     for guess in draft.best("distance", 0.5):
         values = draft.values(guess.field)
         if (np.diff(values[np.isfinite(values)]) >= 0).mean() > 0.99 and np.ptp(values[np.isfinite(values)]) > 0:
-            factor = UNITS[guess.unit][2] if guess.unit else 1.0
+            factor = UNITS[guess.unit][1] if guess.unit else 1.0
             ref = draft.ref(guess.field, "way") + (f" * {factor:g}" if factor != 1.0 else "")
             told = replace(guess, unit="", sure="likely", why=f"rate of '{guess.field}', without its sign")
             draft.columns["speed_m_s"] = (f"{{differentiate: {ref}, average: 1 s}}", told)
@@ -129,7 +129,7 @@ def _wheels(draft: Draft, left: Guess, right: Guess) -> None:
     refs = [draft.ref(left.field, "wheel_left"), draft.ref(right.field, "wheel_right")]
     mean = 0.5 * (draft.values(left.field, left.unit) + draft.values(right.field, right.unit))
     guess = replace(left, role="speed", unit="", sure="a guess", why="the mean of both wheels")
-    half = UNITS[left.unit][2] / 2 if left.unit == right.unit != "" else 0.5
+    half = UNITS[left.unit][1] / 2 if left.unit == right.unit != "" else 0.5
     both = f"({refs[0]} + {refs[1]}) * {half:.10g}" if half != 0.5 else f"({refs[0]} + {refs[1]}) / 2"
     radius = _radius(draft, mean)
     if radius is None:
@@ -249,7 +249,7 @@ def suggest_others(draft: Draft) -> None:
         consumer = re.search(r"\b(heat\w*|air ?con\w*|motors?|cpu|load|charger|servo\w*|fan|pump)\b", words)
         if guess.field in used or not consumer or re.search("request|max|min", words) or not np.ptp(known):
             continue
-        factor = UNITS[guess.unit][2] if guess.unit else 1.0
+        factor = UNITS[guess.unit][1] if guess.unit else 1.0
         ref = draft.ref(guess.field, identifier(words.replace(" ", "_")))
         why = "a consumer of its own, for an effect of yours"
         formula = ref if factor == 1.0 else f"{ref} * {factor:g}"

@@ -60,7 +60,7 @@ DIMENSIONS: dict[str, Dimension] = {
 
 _FACTORS: dict[str, dict[str, float]] = {
     "length": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "in": 0.0254},
-    "speed": {"m/s": 1.0, "km/h": 1 / 3.6, "cm/s": 1e-2, "mm/s": 1e-3, "m/min": 1 / 60},
+    "speed": {"m/s": 1.0, "km/h": 1 / 3.6, "cm/s": 1e-2, "mm/s": 1e-3, "m/min": 1 / 60, "mph": 0.44704},
     "acceleration": {"m/s^2": 1.0, "m/s2": 1.0, "m/s²": 1.0, "m/s**2": 1.0, "cm/s^2": 1e-2},
     "angle": {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180, "mrad": 1e-3, "turn": 2 * math.pi},
     "yaw rate": {"rad/s": 1.0, "deg/s": math.pi / 180, "°/s": math.pi / 180, "rpm": math.pi / 30},
@@ -69,8 +69,8 @@ _FACTORS: dict[str, dict[str, float]] = {
     "power": {"W": 1.0, "mW": 1e-3, "kW": 1e3, "uW": 1e-6, "µW": 1e-6, "J/s": 1.0, "hp": 745.6998715822702},
     "energy": {"J": 1.0, "kJ": 1e3, "MJ": 1e6, "Wh": 3600.0, "mWh": 3.6, "kWh": 3.6e6, "W h": 3600.0, "W s": 1.0},
     "charge": {"C": 1.0, "Ah": 3600.0, "mAh": 3.6, "A h": 3600.0, "A s": 1.0},
-    "voltage": {"V": 1.0, "mV": 1e-3, "kV": 1e3},
-    "current": {"A": 1.0, "mA": 1e-3},
+    "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3},
+    "current": {"A": 1.0, "mA": 1e-3, "uA": 1e-6},
     "resistance": {"ohm": 1.0, "mohm": 1e-3, "Ω": 1.0, "mΩ": 1e-3, "Ohm": 1.0},
     "duration": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86400.0, "hours": 3600.0, "minutes": 60.0},
     "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "GHz": 1e9, "1/s": 1.0},
@@ -78,6 +78,8 @@ _FACTORS: dict[str, dict[str, float]] = {
     "fraction": {"": 1.0, "%": 0.01},
     "number": {"": 1.0, "%": 0.01},
 }
+_FACTORS["energy"] |= {"mJ": 1e-3, "uWh": 3.6e-3}
+_FACTORS["duration"] |= {"us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 _PLAIN = {name: _FACTORS[name].get("" if item.plain == "1" else item.plain, 1.0) for name, item in DIMENSIONS.items()}
 _DIMENSION_OF = {unit: name for name, table in reversed(_FACTORS.items()) for unit in table if unit}
 
