@@ -57,7 +57,7 @@ class Mapper:
             raise InputError(self.faults)
 
     def _fault(
-        self, path: tuple[str | int, ...], message: str, *, got: str = "", allowed: str = "", hint: str = ""
+        self, path: tuple[str | int, ...], message: str, got: str = "", allowed: str = "", hint: str = ""
     ) -> None:
         self.faults.append(self.spec.document.fault(path, message, got=got, allowed=allowed, hint=hint))
 
@@ -73,23 +73,15 @@ class Mapper:
         known = list(known)
         for name in names:
             if name not in known:
-                self._fault(
-                    path,
-                    f"'{name}' is not a column of the source",
-                    got=name,
-                    allowed=", ".join(known)[:300],
-                    hint=did_you_mean(name, known),
-                )
+                allowed, hint = ", ".join(known)[:300], did_you_mean(name, known)
+                self._fault(path, f"'{name}' is not a column of the source", name, allowed, hint)
 
     def _needs(self, name: str) -> set[str]:
         """Helpers and result columns that a helper or column reads; a source column of the same name comes first."""
         formulas = [self.let[name]] if name in self.let else list(self.columns[name].values())
         read = set().union(*(formula.expression.names for formula in formulas)) if formulas else set()
-        inner = {
-            n
-            for n in read
-            if (n in self.let or n in self.columns) and n not in self.raw.columns and n not in self.constants
-        }
+        made = {*self.let, *self.columns} - {*self.raw.columns, *self.constants}
+        inner = {name for name in read if name in made}
         column = self.spec.columns.get(name) if name not in self.let else None
         if column is not None and name != "time_s" and (column.differentiate is not None or column.average is not None):
             inner |= {"time_s"}
@@ -142,12 +134,8 @@ class Mapper:
             data = formula.expression.evaluate(values)
         except (TypeError, ValueError, InputError) as error:
             text = [name for name in formula.expression.names if isinstance(values.get(name), Labels)]
-            self._fault(
-                formula.path,
-                "the formula cannot be computed" + (f": {', '.join(text)} holds text" if text else ""),
-                got=formula.expression.source,
-                allowed="" if text else str(error)[:100],
-            )
+            told = "the formula cannot be computed" + (f": {', '.join(text)} holds text" if text else "")
+            self._fault(formula.path, told, formula.expression.source, "" if text else str(error)[:100])
             raise InputError(self.faults) from None
         if isinstance(data, Labels):
             return data
@@ -198,7 +186,7 @@ class Mapper:
         try:
             found = read_stamps(parts, "time_s", column.zone, any(name in self.raw.local for name in names))
         except TimeError as error:
-            self._fault(("columns", "time_s"), str(error), got=", ".join(map(str, names)))
+            self._fault(("columns", "time_s"), str(error), ", ".join(map(str, names)))
             raise InputError(self.faults) from None
         self.remarks += [remark for remark in found.remarks if remark not in self.remarks]
         return found.seconds
@@ -224,18 +212,14 @@ class Mapper:
             return to_glossary(data, column.unit, name)
         except InputError as error:
             fault = error.faults[0]
-            self._fault(("columns", name, "unit"), fault.message, got=fault.got, allowed=fault.allowed, hint=fault.hint)
+            self._fault(("columns", name, "unit"), fault.message, fault.got, fault.allowed, fault.hint)
             raise InputError(self.faults) from None
 
     def _from_file_name(self, name: str, words: tuple[str, ...], rows: int) -> Labels:
         found = [word for word in words if word.lower() in self.stem.lower()]
         if len(found) != 1:
-            self._fault(
-                ("columns", name, "file_name"),
-                f"the file's name holds {' and '.join(found) or 'none'} of the words",
-                got=self.stem,
-                allowed="exactly one of " + ", ".join(words),
-            )
+            told = f"the file's name holds {' and '.join(found) or 'none'} of the words"
+            self._fault(("columns", name, "file_name"), told, self.stem, "exactly one of " + ", ".join(words))
             raise InputError(self.faults)
         return Labels(np.zeros(rows, dtype=np.int64), (found[0],))
 
@@ -243,13 +227,9 @@ class Mapper:
         labels = data if isinstance(data, Labels) else Labels.of("" if np.isnan(v) else f"{v:g}" for v in data)
         unknown = [word for word in labels.names if word not in table]
         if unknown:
-            self._fault(
-                ("columns", name, "values"),
-                f"'{unknown[0]}' has no value",
-                got=", ".join(unknown[:10]),
-                allowed=", ".join(map(str, table)),
-                hint=did_you_mean(unknown[0], [str(key) for key in table]),
-            )
+            allowed, hint = ", ".join(map(str, table)), did_you_mean(unknown[0], [str(key) for key in table])
+            told = f"'{unknown[0]}' has no value"
+            self._fault(("columns", name, "values"), told, ", ".join(unknown[:10]), allowed, hint)
             raise InputError(self.faults)
         given = [table[word] for word in labels.names]
         if all(isinstance(item, (int, float)) for item in given) and not _is_text_column(name):

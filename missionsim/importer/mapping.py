@@ -86,17 +86,8 @@ def _logs(mapper: Mapper, part: Part) -> list[Run]:
         keep = np.nan_to_num(np.asarray(mapper.run(mapper.keep, values, len(number)))) != 0
         if not keep.all():
             left = int((~keep).sum())
-            remarks.append(
-                Remark(
-                    "keep",
-                    "",
-                    f"{left} of {len(keep)} rows do not meet '{mapper.spec.keep}'",
-                    "left out, as the map asks",
-                    "note",
-                    0,
-                    left,
-                )
-            )
+            told = f"{left} of {len(keep)} rows do not meet '{mapper.spec.keep}'"
+            remarks.append(Remark("keep", "", told, "left out, as the map asks", "note", 0, left))
         result, number = {name: data[keep] for name, data in result.items()}, number[keep]
         source = {name: data[keep] for name, data in source.items()}
     logs = []
@@ -104,16 +95,8 @@ def _logs(mapper: Mapper, part: Part) -> list[Run]:
         chosen = _which(rows, len(number))
         run = {key: data[chosen] for key, data in result.items()}
         signals = {key: data[chosen] for key, data in source.items()}
-        logs.append(
-            _finish(
-                mapper,
-                name,
-                run,
-                signals,
-                number[chosen],
-                [*mapper.raw.remarks, *mapper.remarks, *part.remarks, *remarks, *more],
-            )
-        )
+        told = [*mapper.raw.remarks, *mapper.remarks, *part.remarks, *remarks, *more]
+        logs.append(_finish(mapper, name, run, signals, number[chosen], told))
     return logs
 
 
@@ -124,13 +107,10 @@ def _which(rows: NDArray[np.int64], count: int) -> NDArray[np.int64] | slice:
 
 def _words_that_are_columns(mapper: Mapper) -> list[Remark]:
     """Remarks on `text: name` where the source has a column of that name, which was perhaps meant."""
+    told = "'{}' is this very word in every row, although the source has a column of that name"
+    action = "as the map says; for the column write {}: {}"
     return [
-        Remark(
-            "name",
-            name,
-            f"'{column.text}' is this very word in every row, although the source has a column of that name",
-            f"as the map says; for the column write {name}: {column.text}",
-        )
+        Remark("name", name, told.format(column.text), action.format(name, column.text))
         for name, column in mapper.spec.columns.items()
         if column.text is not None and column.text in mapper.raw.columns
     ]
@@ -148,17 +128,9 @@ def _finish(
     if len(time) > 1 and (np.diff(time) < 0).any():
         order = np.argsort(time, kind="stable")
         count = int((np.diff(time) < 0).sum())
-        remarks.append(
-            Remark(
-                "time_backwards",
-                "time_s",
-                f"time runs backwards in {count} places",
-                "the rows were sorted by time",
-                "warning",
-                mapper.raw.line(int(number[int(np.argmax(np.diff(time) < 0)) + 1])),
-                count,
-            )
-        )
+        line = mapper.raw.line(int(number[int(np.argmax(np.diff(time) < 0)) + 1]))
+        told, action = f"time runs backwards in {count} places", "the rows were sorted by time"
+        remarks.append(Remark("time_backwards", "time_s", told, action, "warning", line, count))
         run = {key: data[order] for key, data in run.items()}
         source = {key: data[order] for key, data in source.items()}
         time, number = time[order], number[order]
@@ -189,26 +161,17 @@ def _one_row_a_refresh(
     start, stop, row = transform.refresh_times([values[name] for name in mapper.spec.refresh], time)
     held = {name: row for name in run if name != "time_s" and mapper.is_held(name)}
     if not len(start):
-        raise InputError.single(
-            f"{' and '.join(mapper.spec.refresh)} never changes, so there is no refresh", file=mapper.raw.file
-        )
+        told = f"{' and '.join(mapper.spec.refresh)} never changes, so there is no refresh"
+        raise InputError.single(told, file=mapper.raw.file)
     late = max((lags[name] for name in held if name in lags), default=0.0)
     short = transform.average_windows(run, time, start - late, stop - late, held)
     short["time_s"] = np.asarray(short["time_s"]) - (start[0] - late)
     usual = float(np.median(stop - start))
-    remarks.append(
-        Remark(
-            "repeated",
-            "",
-            f"{len(time)} rows, {len(short['time_s'])} refreshes of {', '.join(mapper.spec.refresh)} "
-            f"(every {usual:.3g} s)",
-            "one row for each refresh, the rest averaged over the time before it"
-            + (f", {late:g} s earlier (lag)" if late else ""),
-            "note",
-            0,
-            len(time) - len(short["time_s"]),
-        )
-    )
+    count, names = len(short["time_s"]), ", ".join(mapper.spec.refresh)
+    told = f"{len(time)} rows, {count} refreshes of {names} (every {usual:.3g} s)"
+    action = "one row for each refresh, the rest averaged over the time before it"
+    action += f", {late:g} s earlier (lag)" if late else ""
+    remarks.append(Remark("repeated", "", told, action, "note", 0, len(time) - count))
     return short
 
 

@@ -99,24 +99,10 @@ def split_at_gaps(
     shortest = float(runs.shortest) if runs.shortest is not None else 0.0
     long = [piece for piece in pieces if len(piece) >= 2 and time_s[piece[-1]] - time_s[piece[0]] >= shortest]
     left = sum(len(piece) for piece in pieces) - sum(len(piece) for piece in long)
-    remarks = []
-    if left:
-        remarks.append(
-            Remark(
-                "gap",
-                "",
-                f"{len(pieces) - len(long)} pieces of {name} ({left} rows) are too short",
-                "left out",
-                "note",
-                0,
-                left,
-            )
-        )
-    named = (
-        _numbered(Part(name, np.arange(len(time_s))), long)
-        if len(pieces) > 1
-        else [Part(name, piece) for piece in long]
-    )
+    told = f"{len(pieces) - len(long)} pieces of {name} ({left} rows) are too short"
+    remarks = [Remark("gap", "", told, "left out", "note", 0, left)] if left else []
+    whole = Part(name, np.arange(len(time_s)))
+    named = _numbered(whole, long) if len(pieces) > 1 else [Part(name, piece) for piece in long]
     return [(part.name, part.rows, remarks if index == 0 else []) for index, part in enumerate(named)]
 
 

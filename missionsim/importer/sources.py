@@ -61,11 +61,8 @@ def find_files(given: Sequence[Path]) -> list[Path]:
         if not path.exists() and glob.has_magic(str(path)):
             inside = [Path(name) for name in sorted(glob.glob(str(path)))]
         elif path.is_dir() and not _is_source(path):
-            inside = sorted(
-                p
-                for p in path.iterdir()
-                if not p.name.startswith(".") and (p.suffix.lower() in source_suffixes() or _is_source(p))
-            )
+            shown = [p for p in path.iterdir() if not p.name.startswith(".")]
+            inside = sorted(p for p in shown if p.suffix.lower() in source_suffixes() or _is_source(p))
         elif path.exists():
             inside = [path]
         else:
@@ -203,11 +200,8 @@ def column_name(field: str, names: Sequence[str]) -> str | None:
 def _from_messages(path: Path, reader: Reader, spec: MapSpec) -> RawTable:
     assert reader.recording is not None
     if not spec.signals:
-        raise InputError.single(
-            f"a map for a {reader.title} needs signals",
-            file=str(spec.path),
-            allowed="signals: {volts: /battery_state.voltage}",
-        )
+        told, allowed = f"a map for a {reader.title} needs signals", "signals: {volts: /battery_state.voltage}"
+        raise InputError.single(told, file=str(spec.path), allowed=allowed)
     fields = {alias: signal.field.strip() for alias, signal in spec.signals.items()}
     found = reader.recording(path, Options(fields=set(fields.values()), clock=spec.stamp))
     raw = _merged(fields, found.topics, spec, path, reader)
@@ -322,12 +316,8 @@ def _one_clock(topics: Sequence[Topic], clocks: dict[str, str], source: Source, 
     words = {"utc": "UTC", "local": "local time", "day": "time of day", "own": "seconds of its own"}
     told = ", ".join(f"{alias}: {words[kind]}" for alias, kind in clocks.items())
     if "own" in kinds and len(kinds) > 1:
-        raise InputError.single(
-            "these files have no clock in common",
-            file=str(source.path),
-            got=told,
-            allowed="times of day or dates in all of them, or seconds from one start in all",
-        )
+        allowed = "times of day or dates in all of them, or seconds from one start in all"
+        raise InputError.single("these files have no clock in common", file=str(source.path), got=told, allowed=allowed)
     if kinds == {"own"} and len(clocks) > 1:
         action = "taken as counted from one start"
         remarks.append(Remark("clock", "", "the files have no clock but seconds of their own", action, "warning"))
@@ -336,13 +326,8 @@ def _one_clock(topics: Sequence[Topic], clocks: dict[str, str], source: Source, 
         late = max(spans, key=lambda name: spans[name][0])
         apart = begin - end
         zone = "a zone (zone: Europe/Berlin) for the file with local time" if {"utc", "local"} <= kinds else ""
-        raise InputError.single(
-            f"the files do not overlap: {late} begins {apart:.6g} s after another one ends",
-            file=str(source.path),
-            got=told,
-            allowed="files of one run",
-            hint=zone,
-        )
+        message = f"the files do not overlap: {late} begins {apart:.6g} s after another one ends"
+        raise InputError.single(message, file=str(source.path), got=told, allowed="files of one run", hint=zone)
     if {"utc", "local"} <= kinds:
         action = "taken as UTC, as they overlap so; zone: says otherwise"
         remarks.append(Remark("clock", "", f"local times without a zone beside UTC ({told})", action, "warning"))

@@ -276,9 +276,9 @@ class _MissionCheck:
             if not check.units(at, sensor, count, robot) or scheme is None or segment is None or not count:
                 continue
             under = mission.navigation_of(segment)
-            _, allowed = scheme.sensor_rules(under)
-            if sensor in robot.sensor_names and count > allowed.get(sensor, 0):
-                text = ", ".join(f"{key} up to {most}" for key, most in allowed.items()) or "no sensors"
+            _, used = scheme.sensor_rules(under)
+            if sensor in robot.sensor_names and count > used.get(sensor, 0):
+                text = ", ".join(f"{key} up to {most}" for key, most in used.items()) or "no sensors"
                 message = (
                     f"control scheme '{name}'{f' with {under}' if under else ''} does not use {count} of '{sensor}'"
                 )

@@ -98,16 +98,9 @@ def _check_order(before: RawTable, current: RawTable) -> None:
     if ends is None or starts is None or isinstance(ends, Labels) or isinstance(starts, Labels):
         return
     if np.nanmax(ends) > np.nanmax(starts):
-        raise InputError(
-            Fault(
-                current.file,
-                current.line(0),
-                0,
-                f"time runs backwards, from {np.nanmax(ends):.6g} s to {starts[0]:.6g} s",
-                "time_s",
-                allowed="increasing times, one run a file",
-            )
-        )
+        told = f"time runs backwards, from {np.nanmax(ends):.6g} s to {starts[0]:.6g} s"
+        allowed = "increasing times, one run a file"
+        raise InputError(Fault(current.file, current.line(0), 0, told, "time_s", allowed=allowed))
 
 
 def _cut(raw: RawTable, part: slice) -> RawTable:

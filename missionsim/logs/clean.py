@@ -19,6 +19,7 @@ Bools = NDArray[np.bool_]
 _SLOW_QUANTITIES = ("temp_ambient_c", "temp_motor_c", "payload_kg", "access_point_distance_m", "cpu_freq_hz")
 _SPARSE = 0.5
 """A column missing in more than this share of rows comes from a slower topic written without repeats."""
+_FILLED = "filled where neighbours are near"
 _OUTLIER_SHARE = 0.05
 """Fewer values than this share out of range are single bad readings; more are a wrong unit."""
 _OUTLANDISH = 1e9
@@ -79,9 +80,8 @@ def order_time(rows: Rows) -> None:
     finite = np.isfinite(rows.time)
     if not finite.all():
         bad = int((~finite).sum())
-        rows.remark(
-            "missing", "time_s", f"{bad} rows have no time", "they were left out", "error", int(np.argmin(finite)), bad
-        )
+        told = f"{bad} rows have no time"
+        rows.remark("missing", "time_s", told, "they were left out", "error", int(np.argmin(finite)), bad)
         rows.take(finite)
     if len(rows.time) < 2:
         raise InputError(Fault(file, 0, 0, f"the log has {len(rows.time)} rows with a time", allowed="at least two"))
@@ -104,28 +104,13 @@ def _sort(rows: Rows, step: Floats, back: Bools) -> None:
     if jump > max(_REORDER_S, 20 * typical):
         worst = int(np.argmin(step)) + 1
         line = rows.raw.line(int(rows.row[worst]))
-        raise InputError(
-            Fault(
-                rows.raw.file,
-                line,
-                0,
-                f"time runs backwards by {jump:.6g} s, from {rows.time[worst - 1]:.6g} s to {rows.time[worst]:.6g} s",
-                "time_s",
-                f"{rows.time[worst]:.6g} after {rows.time[worst - 1]:.6g}"
-                + (f", {count} such places" if count > 1 else ""),
-                "increasing times, one run a file",
-                "two runs in one file are split by a map with runs: {restart: true}",
-            )
-        )
-    rows.remark(
-        "time_backwards",
-        "time_s",
-        f"time runs backwards in {count} places, by up to {jump:.3g} s",
-        "the rows were sorted by time",
-        "error",
-        at,
-        count,
-    )
+        before, after = (f"{rows.time[row]:.6g}" for row in (worst - 1, worst))
+        told = f"time runs backwards by {jump:.6g} s, from {before} s to {after} s"
+        got = f"{after} after {before}" + (f", {count} such places" if count > 1 else "")
+        hint = "two runs in one file are split by a map with runs: {restart: true}"
+        raise InputError(Fault(rows.raw.file, line, 0, told, "time_s", got, "increasing times, one run a file", hint))
+    told = f"time runs backwards in {count} places, by up to {jump:.3g} s"
+    rows.remark("time_backwards", "time_s", told, "the rows were sorted by time", "error", at, count)
     rows.take(np.argsort(rows.time, kind="stable"))
 
 
@@ -148,16 +133,9 @@ def _merge_duplicates(rows: Rows) -> None:
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = total / number
         merged[name] = np.where(np.diff(np.r_[starts, len(data)]) == 1, data[starts], mean)
-    at = int(np.argmin(first))
-    rows.remark(
-        "duplicate",
-        "time_s",
-        f"{extra} rows repeat the time of the row before" + ("" if same else ", with other values"),
-        "one row was kept for each time" + ("" if same else ", with the mean of the values"),
-        "warning" if same else "error",
-        at,
-        extra,
-    )
+    told = f"{extra} rows repeat the time of the row before" + ("" if same else ", with other values")
+    action = "one row was kept for each time" + ("" if same else ", with the mean of the values")
+    rows.remark("duplicate", "time_s", told, action, "warning" if same else "error", int(np.argmin(first)), extra)
     rows.columns, rows.row = merged, rows.row[starts]
 
 
@@ -168,16 +146,10 @@ def _gaps(rows: Rows) -> None:
     if wide.any():
         longest = int(np.argmax(step))
         count = int(wide.sum())
-        rows.remark(
-            "gap",
-            "time_s",
-            f"{count} gap{'s' if count > 1 else ''}, the longest {step[longest]:.3g} s after "
-            f"{rows.time[longest]:.6g} s (usual step {typical:.3g} s)",
-            "the rows on both sides stand for the time between them (diagnose leaves it out)",
-            "warning",
-            longest + 1,
-            count,
-        )
+        told = f"{count} gap{'s' if count > 1 else ''}, the longest {step[longest]:.3g} s after"
+        told += f" {rows.time[longest]:.6g} s (usual step {typical:.3g} s)"
+        action = "the rows on both sides stand for the time between them (diagnose leaves it out)"
+        rows.remark("gap", "time_s", told, action, "warning", longest + 1, count)
 
 
 def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:
@@ -200,29 +172,16 @@ def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:
         if name == "time_s":
             continue
         if isinstance(data, Labels):
-            gone = int((data.codes < 0).sum())
-            if gone:
-                rows.remark(
-                    "missing",
-                    name,
-                    f"{gone} rows have no text",
-                    "they count as a name of their own",
-                    "note",
-                    int(np.argmax(data.codes < 0)),
-                    gone,
-                )
+            if gone := int((data.codes < 0).sum()):
+                told, at = f"{gone} rows have no text", int(np.argmax(data.codes < 0))
+                rows.remark("missing", name, told, "they count as a name of their own", "note", at, gone)
             continue
         known = _known(rows, name, data)
         if known is None:
             continue
         if not known.any():
-            rows.remark(
-                "missing",
-                name,
-                "no row has a value",
-                "the column was left out",
-                "warning" if name not in required else "error",
-            )
+            severity = "warning" if name not in required else "error"
+            rows.remark("missing", name, "no row has a value", "the column was left out", severity)
             del rows.columns[name]
             continue
         if known.mean() <= 1 - _SPARSE:
@@ -244,16 +203,10 @@ def _known(rows: Rows, name: str, data: Floats) -> Bools | None:
     known = np.isfinite(data)
     gone = int((~known).sum())
     if gone and known.any():
-        action = "held from a slower topic" if known.mean() <= 1 - _SPARSE else "filled where neighbours are near"
-        rows.remark(
-            "missing",
-            name,
-            f"{gone} of {len(data)} values are missing",
-            action,
-            "note" if known.mean() <= 1 - _SPARSE else "warning",
-            int(np.argmin(known)),
-            gone,
-        )
+        slower = known.mean() <= 1 - _SPARSE
+        action, severity = ("held from a slower topic", "note") if slower else (_FILLED, "warning")
+        told = f"{gone} of {len(data)} values are missing"
+        rows.remark("missing", name, told, action, severity, int(np.argmin(known)), gone)
     with np.errstate(invalid="ignore"):
         out = known & ((data < limits[0]) | (data > limits[1]))
     count = int(out.sum())
@@ -263,15 +216,9 @@ def _known(rows: Rows, name: str, data: Floats) -> Bools | None:
         wild = bool(np.any(np.abs(data[out]) > beyond))
         single = wild or count < _OUTLIER_SHARE * len(data)
         unit = found[0].unit if found is not None else ""
-        rows.remark(
-            "range",
-            name,
-            f"{count} values outside {limits[0]:g} … {limits[1]:g} {unit}, first {data[at]:.6g}",
-            "they count as missing" if single else "left as they are: a wrong unit? (a map converts it)",
-            "error",
-            at,
-            count,
-        )
+        told = f"{count} values outside {limits[0]:g} … {limits[1]:g} {unit}, first {data[at]:.6g}"
+        action = "they count as missing" if single else "left as they are: a wrong unit? (a map converts it)"
+        rows.remark("range", name, told, action, "error", at, count)
         if single:
             known &= ~out
     return known if not known.all() else None
@@ -303,15 +250,8 @@ def _leave_out(rows: Rows, held: dict[str, Bools]) -> None:
     for name in [name for name, data in rows.columns.items() if not isinstance(data, Labels) and name not in measured]:
         holes = int(np.isnan(np.asarray(rows.columns[name])).sum())
         if holes > 0.2 * n:
-            rows.remark(
-                "missing",
-                name,
-                f"{holes} of {n} rows have no value near",
-                "the column was left out",
-                "warning",
-                None,
-                holes,
-            )
+            told = f"{holes} of {n} rows have no value near"
+            rows.remark("missing", name, told, "the column was left out", count=holes)
             del rows.columns[name]
     whole = np.ones(n, dtype=bool)
     for data in rows.columns.values():
@@ -319,15 +259,8 @@ def _leave_out(rows: Rows, held: dict[str, Bools]) -> None:
             whole &= ~np.isnan(data)
     if not whole.all():
         count = int((~whole).sum())
-        rows.remark(
-            "missing",
-            "",
-            f"{count} of {n} rows lack a value with no other near",
-            "these rows were left out",
-            "warning",
-            int(np.argmin(whole)),
-            count,
-        )
+        told = f"{count} of {n} rows lack a value with no other near"
+        rows.remark("missing", "", told, "these rows were left out", "warning", int(np.argmin(whole)), count)
         rows.take(whole)
         for name in held:
             held[name] = held[name][whole]

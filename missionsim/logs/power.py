@@ -28,15 +28,9 @@ def measured_batteries(names: Iterable[str]) -> dict[str, str]:
         found = column_of(name)
         if found is not None and "<battery>" in found[0].name:
             kinds.setdefault(found[1], set()).add(found[0].name.split("_")[0])
-    chosen: dict[str, str] = {}
-    for battery, have in kinds.items():
-        if "power" in have:
-            chosen[battery] = "power"
-        elif {"voltage", "current"} <= have:
-            chosen[battery] = "voltage*current"
-        elif "energy" in have:
-            chosen[battery] = "energy"
-    return chosen
+    ways = (("power", {"power"}), ("voltage*current", {"voltage", "current"}), ("energy", {"energy"}))
+    found = {battery: next((way for way, needs in ways if needs <= have), "") for battery, have in kinds.items()}
+    return {battery: way for battery, way in found.items() if way}
 
 
 def measures(name: str) -> bool:
@@ -52,52 +46,21 @@ def missing_columns(names: Iterable[str], file: str, header_line: Callable[[], i
     known = [column.name.replace("<battery>", "robot") for column in COLUMNS if "<component>" not in column.name]
     if "time_s" not in names:
         near = did_you_mean("time_s", [name for name in names if column_of(name) is None], 0.4)
-        faults.append(
-            Fault(
-                file,
-                header_line(),
-                0,
-                "the column 'time_s' is missing",
-                "time_s",
-                ", ".join(names)[:200],
-                "time in seconds from the start of the run",
-                f"rename '{near}' or use a map" if near else "",
-            )
-        )
+        allowed, hint = "time in seconds from the start of the run", f"rename '{near}' or use a map" if near else ""
+        told = ("the column 'time_s' is missing", "time_s", ", ".join(names)[:200], allowed, hint)
+        faults.append(Fault(file, header_line(), 0, *told))
     if not measured_batteries(names):
         allowed = "power_<battery>_w, or voltage_<battery>_v and current_<battery>_a, or energy_<battery>_wh"
-        hint = _half_a_pair(names)
-        if not hint:
-            for name in names:
-                if column_of(name) is None and name.startswith(
-                    ("power", "volt", "curr", "energy", "battery", "watt", "p_")
-                ):
-                    near = did_you_mean(name, known, 0.5)
-                    hint = f"'{name}' as {near or 'power_robot_w'} (rename it, or use a map)"
-                    break
-        faults.append(
-            Fault(
-                file,
-                header_line(),
-                0,
-                "no battery is measured",
-                "power_<battery>_w",
-                ", ".join(names)[:200],
-                allowed,
-                hint,
-            )
-        )
+        half = {"voltage_<battery>_v": "current_{}_a", "current_<battery>_a": "voltage_{}_v"}
+        of = {name: found for name in names if (found := column_of(name)) is not None}
+        hints = [f"'{half[c.name].format(b)}' beside '{name}'" for name, (c, b) in of.items() if c.name in half]
+        alike = ("power", "volt", "curr", "energy", "battery", "watt", "p_")
+        if not hints and (name := next((name for name in names if name not in of and name.startswith(alike)), "")):
+            near = did_you_mean(name, known, 0.5)
+            hints = [f"'{name}' as {near or 'power_robot_w'} (rename it, or use a map)"]
+        told = ("no battery is measured", "power_<battery>_w", ", ".join(names)[:200], allowed, *hints[:1])
+        faults.append(Fault(file, header_line(), 0, *told))
     return faults
-
-
-def _half_a_pair(names: list[str]) -> str:
-    for name in names:
-        found = column_of(name)
-        if found and found[0].name == "voltage_<battery>_v":
-            return f"'current_{found[1]}_a' beside '{name}'"
-        if found and found[0].name == "current_<battery>_a":
-            return f"'voltage_{found[1]}_v' beside '{name}'"
-    return ""
 
 
 @dataclass(frozen=True)
@@ -177,13 +140,8 @@ def power_from_energy(energy_wh: Floats, time_s: Floats) -> tuple[Floats, Bools 
     n = len(time_s)
     moved = np.flatnonzero(np.diff(energy_wh) != 0.0) + 1
     if n < 3 or len(moved) >= 0.8 * (n - 1):
-        if n == 2:
-            slope = (energy_wh[1] - energy_wh[0]) / (time_s[1] - time_s[0])
-            return np.full(2, slope * 3600.0), None
-        inner = (energy_wh[2:] - energy_wh[:-2]) / (time_s[2:] - time_s[:-2])
-        first = (energy_wh[1] - energy_wh[0]) / (time_s[1] - time_s[0])
-        last = (energy_wh[-1] - energy_wh[-2]) / (time_s[-1] - time_s[-2])
-        return np.r_[first, inner, last] * 3600.0, None
+        after, before = np.minimum(np.arange(n) + 1, n - 1), np.maximum(np.arange(n) - 1, 0)
+        return (energy_wh[after] - energy_wh[before]) / (time_s[after] - time_s[before]) * 3600.0, None
     if not len(moved):
         return np.zeros(n), None
     edges = np.r_[0, moved]

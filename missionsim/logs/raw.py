@@ -108,9 +108,8 @@ def _column(data: Any, name: str, raw: RawTable) -> ColumnData:
     if number and wanted_kind(name) != "text":
         return _floats(data)
     if not (number or _is_text(kind)) and not pa.types.is_temporal(kind):
-        raw.remarks.append(
-            Remark("format", name, f"holds {kind}, neither numbers nor text", "the column was left out", "error")
-        )
+        told = f"holds {kind}, neither numbers nor text"
+        raw.remarks.append(Remark("format", name, told, "the column was left out", "error"))
         return np.full(len(data), np.nan)
     labels = _labels(data)
     return labels if wanted_kind(name) == "text" else _maybe_numbers(labels, name, raw)
@@ -178,17 +177,9 @@ def _maybe_numbers(labels: Labels, name: str, raw: RawTable) -> ColumnData:
     if bad.sum() > (1 - _MOSTLY_NUMBERS) * written.sum():
         return labels
     row = int(np.argmax(bad))
-    raw.remarks.append(
-        Remark(
-            "format",
-            name,
-            f"{int(bad.sum())} of {len(numbers)} cells are not numbers, first '{labels.names[labels.codes[row]][:40]}'",
-            "read as missing",
-            "warning",
-            raw.line(row),
-            int(bad.sum()),
-        )
-    )
+    first, count = labels.names[labels.codes[row]][:40], int(bad.sum())
+    told = f"{count} of {len(numbers)} cells are not numbers, first '{first}'"
+    raw.remarks.append(Remark("format", name, told, "read as missing", "warning", raw.line(row), count))
     return numbers
 
 

@@ -17,7 +17,7 @@ from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs import suspect
 from missionsim.logs.clean import Rows, fill_missing, order_time
-from missionsim.logs.obstacles import check_obstacles, clock_delay
+from missionsim.logs.obstacles import check_clock, check_obstacles
 from missionsim.logs.power import battery_power, measured_batteries, missing_columns
 from missionsim.logs.raw import RawTable
 from missionsim.logs.readers import Options, log_suffixes, not_there, table_reader
@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from missionsim.inputs import RobotSpec
 
 PathLike = str | os.PathLike[str]
+_SOURCES = {
+    "power": ("power_{}_w",), "voltage*current": ("voltage_{}_v", "current_{}_a"), "energy": ("energy_{}_wh",),
+}  # fmt: skip
+_ELECTRIC = ("power_", "voltage_", "current_", "energy_")
 
 
 def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> Run:
@@ -134,15 +138,8 @@ def _files(paths: Iterable[PathLike] | PathLike) -> list[Path]:
                 p for p in item.iterdir() if p.suffix.lower() in log_suffixes() and not p.name.startswith(".")
             )
             if not inside:
-                faults.append(
-                    Fault(
-                        str(item),
-                        0,
-                        0,
-                        "the folder holds no log",
-                        allowed="files named " + ", ".join(f"*{suffix}" for suffix in log_suffixes()),
-                    )
-                )
+                allowed = "files named " + ", ".join(f"*{suffix}" for suffix in log_suffixes())
+                faults.append(Fault(str(item), 0, 0, "the folder holds no log", allowed=allowed))
             files.update(dict.fromkeys(inside))
         elif item.exists():
             files[item] = None
@@ -204,28 +201,12 @@ def make_log(
         rows = Rows(raw, dict(raw.columns), np.arange(raw.rows), list(raw.remarks))
         order_time(rows)
         rows.dt = row_durations(rows.time)
-        kinds = measured_batteries(rows.columns)
-        held = fill_missing(
-            rows, {name for name in rows.columns if name.startswith(("power_", "voltage_", "current_", "energy_"))}
-        )
+        held = fill_missing(rows, {name for name in rows.columns if name.startswith(_ELECTRIC)})
         kinds = measured_batteries(rows.columns)
         if not kinds or len(rows.row) < 2:
-            told = [
-                remark
-                for remark in rows.remarks
-                if remark.column.startswith(("power_", "voltage_", "current_", "energy_"))
-            ]
-            raise InputError(
-                Fault(
-                    raw.file,
-                    0,
-                    0,
-                    "no battery has values in two rows or more",
-                    "power_<battery>_w",
-                    "; ".join(f"{remark.column}: {remark.message}" for remark in told),
-                    "numbers in watts, or in volts and amperes, or in watt-hours",
-                )
-            )
+            got = "; ".join(f"{r.column}: {r.message}" for r in rows.remarks if r.column.startswith(_ELECTRIC))
+            message, allowed = "no battery has values in two rows or more", "numbers in watts, or in volts and amperes"
+            raise InputError(Fault(raw.file, 0, 0, message, "power_<battery>_w", got, f"{allowed}, or in watt-hours"))
         return _freeze(rows, run, kinds, held, robot, own, statistics)
 
 
@@ -253,29 +234,19 @@ def _freeze(
     power, fresh = {}, {}
     for battery, kind in kinds.items():
         power[battery], mask = battery_power(rows.columns, battery, kind)
-        names = {
-            "power": ["power_{}_w"],
-            "voltage*current": ["voltage_{}_v", "current_{}_a"],
-            "energy": ["energy_{}_wh"],
-        }[kind]
-        masks = [repeated[name.format(battery)] for name in names if name.format(battery) in repeated]
+        names = [name.format(battery) for name in _SOURCES[kind]]
+        masks = [repeated[name] for name in names if name in repeated]
         if kind == "energy" and mask is not None:
-            rows.remark(
-                "repeated",
-                f"energy_{battery}_wh",
-                f"the counter moves in {int(mask.sum())} of {len(mask)} rows",
-                "power is its increment over the time since it moved before",
-                "note",
-                None,
-                int((~mask).sum()),
-            )
+            told = f"the counter moves in {int(mask.sum())} of {len(mask)} rows"
+            action = "power is its increment over the time since it moved before"
+            rows.remark("repeated", f"energy_{battery}_wh", told, action, "note", count=int((~mask).sum()))
         if masks and (len(masks) == len(names) or kind == "power"):
             mask = np.logical_or.reduce(masks)
         fresh[battery] = mask
         if statistics:
             suspect.check_dead_meter(rows, battery, power[battery])
     if statistics and "speed_m_s" in rows.columns:
-        _clock(rows, power)
+        check_clock(rows, power)
     assert rows.dt is not None
     for name, data in rows.columns.items():
         if isinstance(data, Labels):
@@ -286,45 +257,6 @@ def _freeze(
         together = len(inside) and inside[-1] - inside[0] == len(inside) - 1
         log = log.rows_where(slice(inside[0], inside[-1] + 1) if together else np.isin(np.arange(log.rows), inside))
     return log
-
-
-def _clock(rows: Rows, power: dict[str, NDArray[np.float64]]) -> None:
-    part = slice(0, 200_000)
-    yaw = rows.columns.get("yaw_rate_rad_s")
-    for battery, watt in power.items():
-        found = clock_delay(
-            rows.time[part],
-            watt[part],
-            np.asarray(rows.columns["speed_m_s"])[part],
-            None if yaw is None else np.asarray(yaw)[part],
-        )
-        if found is None:
-            continue
-        gain = found.correlation**2 - found.correlation_at_zero**2
-        smoother = found.correlation_smoothed**2 - found.correlation**2
-        if found.smoothing_s >= max(1.0, 2.0 * found.resolution_s) and smoother > _SMOOTHED and found.correlation > 0.4:
-            rows.remark(
-                "obstacle",
-                f"power_{battery}_w",
-                f"power follows the motion as if it were smoothed over about {found.smoothing_s:g} s "
-                f"(correlation {found.correlation_smoothed:.2f}, {found.correlation:.2f} without)",
-                "left as it is; short effects such as starts cannot be seen in it: log the meter's raw values",
-            )
-        elif found.correlation > _CLEAR and gain > _GAIN and abs(found.delay_s) >= max(0.15, 0.5 * found.resolution_s):
-            later = "later" if found.delay_s > 0 else "earlier"
-            rows.remark(
-                "clock",
-                f"power_{battery}_w",
-                f"power changes about {abs(found.delay_s):.2g} s {later} than the motion "
-                f"(correlation {found.correlation:.2f}, at no shift {found.correlation_at_zero:.2f})",
-                "left as it is; the diagnosis aligns the clocks, a map can shift them (lag)",
-                "note",
-            )
-
-
-_CLEAR, _GAIN, _SMOOTHED = 0.5, 0.08, 0.08
-"""Least correlation, and least further share of the variance that a shift or a smoothing has to explain to be told.
-Chosen on the measured logs of a car, two robots and a simulated one: no shift is told where the clocks agree."""
 
 
 def check_log(path: PathLike, *, robot: RobotSpec | None = None) -> list[Fault]:

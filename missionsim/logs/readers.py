@@ -163,7 +163,7 @@ def reader_of(path: Path) -> Reader:
         for reader in registry().values():
             if reader.folder and (path / reader.folder).exists():
                 return reader
-        raise InputError(Fault(str(path), 0, 0, "this is a folder, not a log"))
+        raise InputError.single("this is a folder, not a log", file=str(path))
     if path.exists() and not path.is_file():  # opening a pipe would wait for a writer; a device may never end
         raise InputError(Fault(str(path), 0, 0, "this is a pipe or a device, not a file", allowed="a file"))
     try:
@@ -181,17 +181,9 @@ def reader_of(path: Path) -> Reader:
         if suffix in (*reader.suffixes, *reader.loose):
             named = reader
     if named is not None and named.begins:
-        raise InputError(
-            Fault(
-                str(path),
-                0,
-                0,
-                f"this is no {named.title}, whatever its name says: it does not begin as one (damaged or compressed?)",
-                "",
-                "" if head else "an empty file",
-                f"a whole {named.title}; a table needs another suffix",
-            )
-        )
+        told = f"this is no {named.title}, whatever its name says: it does not begin as one (damaged or compressed?)"
+        allowed = f"a whole {named.title}; a table needs another suffix"
+        raise InputError.single(told, file=str(path), got="" if head else "an empty file", allowed=allowed)
     return named or registry()["csv"]
 
 
@@ -211,14 +203,7 @@ def table_reader(path: Path) -> Reader:
     """
     reader = reader_of(path)
     if reader.table is None:
-        raise InputError(
-            Fault(
-                str(path),
-                0,
-                0,
-                f"this is a {reader.title}, not a table",
-                allowed="CSV or Parquet",
-                hint="missionsim import FILE --suggest --out MAP.yaml; then import FILE --map MAP.yaml --out LOG",
-            )
-        )
+        hint = "missionsim import FILE --suggest --out MAP.yaml; then import FILE --map MAP.yaml --out LOG"
+        told = f"this is a {reader.title}, not a table"
+        raise InputError.single(told, file=str(path), allowed="CSV or Parquet", hint=hint)
     return reader

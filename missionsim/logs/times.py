@@ -343,17 +343,9 @@ def _clock_changes(seconds: Floats, name: str, remarks: list[Remark]) -> Floats:
     result = seconds.copy()
     result[known] = values + shift
     way = "back" if back.any() else "forward"
-    remarks.append(
-        Remark(
-            "clock",
-            name,
-            f"local time jumps {way} by one hour at night: the clocks were changed",
-            "the hour was put right; with the zone (zone: Europe/Berlin in a map) it need not be guessed",
-            "warning",
-            0,
-            int(back.sum() + forward.sum()),
-        )
-    )
+    told = f"local time jumps {way} by one hour at night: the clocks were changed"
+    action = "the hour was put right; with the zone (zone: Europe/Berlin in a map) it need not be guessed"
+    remarks.append(Remark("clock", name, told, action, "warning", 0, int(back.sum() + forward.sum())))
     return result
 
 

@@ -32,12 +32,8 @@ def write_log(log: Run, path: Path, metadata: Mapping[str, str] | None = None) -
         Another suffix.
     """
     if path.suffix not in (".csv", ".parquet"):
-        raise InputError.single(
-            "a log is written as CSV or Parquet",
-            file=str(path),
-            got=path.suffix or "no suffix",
-            allowed=".csv, .parquet",
-        )
+        got, told = path.suffix or "no suffix", "a log is written as CSV or Parquet"
+        raise InputError.single(told, file=str(path), got=got, allowed=".csv, .parquet")
     with atomic_write(path) as temporary:
         if path.suffix == ".parquet":
             _parquet(log, temporary, metadata or {})

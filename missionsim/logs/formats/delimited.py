@@ -295,14 +295,8 @@ def _line_faults(line: str, number: int, file: str, dialect: Dialect, typed: boo
         return
     if len(cells) != len(dialect.names):
         hint = "decimal commas? then separate the columns with semicolons" if len(cells) > len(dialect.names) else ""
-        yield Fault(
-            file,
-            number,
-            1,
-            f"{len(cells)} values where the header names {len(dialect.names)} columns",
-            got=line[:60],
-            hint=hint,
-        )
+        told = f"{len(cells)} values where the header names {len(dialect.names)} columns"
+        yield Fault(file, number, 1, told, got=line[:60], hint=hint)
         return
     if not typed:
         return
@@ -311,15 +305,8 @@ def _line_faults(line: str, number: int, file: str, dialect: Dialect, typed: boo
         if wanted_kind(name) != "number" or word in MISSING_WORDS or (name == "time_s" and is_stamp(word)):
             continue
         if not is_number(word.replace(",", ".") if dialect.decimal == "," else word) or "_" in word:
-            yield Fault(
-                file,
-                number,
-                field_position(line, dialect.delimiter, index),
-                "this is not a number",
-                name,
-                word[:40] or "''",
-                "a number, or nothing for a missing value",
-            )
+            at, allowed = field_position(line, dialect.delimiter, index), "a number, or nothing for a missing value"
+            yield Fault(file, number, at, "this is not a number", name, word[:40] or "''", allowed)
 
 
 def text_faults(path: Path, file: str) -> list[Fault]:

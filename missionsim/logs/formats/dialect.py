@@ -210,17 +210,9 @@ def sniff(
         note("numbers are written with a decimal comma")
     bare = bool(header) or headless or rows == skipped
     row = first if bare else (body[0] if body else "")
-    return Dialect(
-        names,
-        delimiter,
-        decimal,
-        encoding,
-        skipped if bare else rows,
-        '"' in text,
-        remarks,
-        tuple(cell.strip() for cell in next(csv.reader([row], delimiter=delimiter), [])),
-        headless,
-    )
+    line = skipped if bare else rows
+    first_cells = tuple(cells_of(row, delimiter))
+    return Dialect(names, delimiter, decimal, encoding, line, '"' in text, remarks, first_cells, headless)
 
 
 def _encoding(head: bytes, file: str, remarks: list[Remark]) -> str:
@@ -268,14 +260,9 @@ def _once(
     """Each name once: names that stand twice are numbered, columns without a name called by their position."""
     count = collections.Counter(name for name in names if name)
     twice = {name for name in count if count[name] > 1}
+    told = "the column '{}' stands twice in the header"
     if faults := [
-        Fault(
-            file,
-            number,
-            field_position(line, delimiter, index),
-            f"the column '{name}' stands twice in the header",
-            path=name,
-        )
+        Fault(file, number, field_position(line, delimiter, index), told.format(name), path=name)
         for index, name in enumerate(names)
         if typed and name in names[:index] and name and column_of(name) is not None
     ]:

@@ -22,12 +22,8 @@ def _open(path: Path, file: str) -> Iterator[Any]:
         with parquet.ParquetFile(str(path), memory_map=True) as handle:
             yield handle
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError, pa.ArrowTypeError, OSError) as error:
-        raise InputError.single(
-            "the Parquet file cannot be read",
-            file=file,
-            got=str(error).splitlines()[0][:160],
-            allowed="a whole Parquet file",
-        ) from None
+        got, allowed = str(error).splitlines()[0][:160], "a whole Parquet file"
+        raise InputError.single("the Parquet file cannot be read", file=file, got=got, allowed=allowed) from None
 
 
 def read_parquet(path: Path, options: Options) -> RawTable:
