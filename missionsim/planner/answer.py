@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.planner.bounds import Tour
 from missionsim.planner.core import Label, chain_of
 from missionsim.planner.pieces import Piece
-from missionsim.planner.tour import Site, Tour
+from missionsim.planner.tour import Site
 
 Array = NDArray[np.float64]
 SCHEMA = "missionsim.plan/1"

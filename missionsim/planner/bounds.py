@@ -1,18 +1,146 @@
-"""Bounds on the rest of a tour: shortest drives between stops, and dynamic programming over the visits left."""
+"""The graph of stops that the core searches, and bounds on the rest of each way through it."""
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.planner.core import Bounds
-from missionsim.planner.tour import Site, Tour
+from missionsim.planner.core import Bounds, Leaving
+from missionsim.planner.drives import Drive
+from missionsim.planner.tour import Charger, Site
 
 Array = NDArray[np.float64]
 LONGEST_S = 1e6
 HAIR = 2e-9
+
+
+class Tour:
+    """Network of the core: a node is a state of the order and a stop; resources are objective, time, Wh missing.
+
+    Parameters
+    ----------
+    site : Site
+    drives : callable
+        ``(payload, from stop, to stop) -> list of Drive``.
+    values : ndarray, optional
+        Value of each visit, where some may be left out: then one more resource is the value that is not made yet.
+    most_missed : float
+        Limit of that resource.
+    by_value : bool
+        The value that is not made is the objective, in place of that resource.
+    """
+
+    def __init__(
+        self,
+        site: Site,
+        drives: Callable[[float, int, int], list[Drive]],
+        values: Array | None = None,
+        most_missed: float = math.inf,
+        *,
+        by_value: bool = False,
+    ) -> None:
+        self.site = site
+        self.size = len(site.stops)
+        self.nodes = site.order.count * self.size
+        self.values = values
+        self.by_value = by_value
+        self.counted = values is not None and not by_value
+        self._drives = drives
+        self._known: dict[int, Leaving] = {}
+        self.chargers = [site.charger(number) for number in range(self.size)]
+        physics = site.physics
+        total = 0.0 if values is None else float(values.sum())
+        more = [total] if self.counted else []
+        self.first = np.array([total if by_value else 0.0, 0.0, *physics.missing_wh(), *more])
+        kept = physics.capacity_wh - physics.reserve_wh
+        self.limits = np.array([math.inf, site.deadline_s, *kept, *([most_missed] if self.counted else [])])
+
+    @property
+    def left(self) -> Array:
+        """Of each resource but the objective what a plan without charging may use."""
+        return np.asarray((self.limits - self.first)[1:])
+
+    def is_goal(self, node: int) -> bool:
+        """Whether the mission ends here."""
+        return node % self.size == self.site.goal
+
+    def leaving(self, node: int) -> Leaving:
+        """Drives to all stops that may come next."""
+        known = self._known.get(node)
+        if known is None:
+            known = self._known[node] = self._make(node)
+        return known
+
+    def refill(self, node: int) -> Charger | None:
+        """The charger of a dock."""
+        return self.chargers[node % self.size]
+
+    def opens(self, node: int) -> Callable[[Array], Array] | None:
+        """Waiting at a visit until its window opens."""
+        visit = self.site.stops[node % self.size].visit
+        window = None if visit is None else self.site.task.visits[visit].window
+        if window is None or window.from_.value <= 0.0:
+            return None
+        state = node // self.size
+        stand = float(self.site.standing(node % self.size, self.site.order.payload_kg(state))[0])
+        begin, waiting = window.from_.value + stand, self.waiting()
+
+        def wait(points: Array) -> Array:
+            kept = [points[0]]
+            for first, second in itertools.pairwise(points):
+                if first[1] < begin < second[1]:
+                    kept.append(first + (begin - first[1]) / (second[1] - first[1]) * (second - first))
+                kept.append(second)
+            made = np.array(kept)
+            return np.asarray(made + np.maximum(begin - made[:, 1:2], 0.0) * waiting)
+
+        return wait
+
+    def waiting(self) -> Array:
+        """What waiting for a second adds to the vector."""
+        return self._vector(self.site.waiting, 0.0)
+
+    def _make(self, node: int) -> Leaving:
+        state, stop = divmod(node, self.size)
+        site = self.site
+        nexts: list[tuple[int, int]] = []
+        if stop != site.goal:
+            nexts = [(1 + visit, after) for visit, after in site.order.after(state)]
+            nexts += [(site.goal, state)] if site.order.may_end(state) else []
+            nexts += [(dock, state) for dock in range(site.goal + 1, self.size) if dock != stop]
+        payload = site.order.payload_kg(state)
+        heads: list[int] = []
+        use: list[Array] = []
+        moves: list[Any] = []
+        for head, after in nexts:
+            for drive in self._drives(payload, stop, head):
+                use.append(self.arc_use(drive, head, after))
+                heads.append(after * self.size + head)
+                moves.append((head, drive, use[-1]))
+        return Leaving(np.array(heads, dtype=np.intp), np.array(use).reshape(len(heads), len(self.first)), moves)
+
+    def arc_use(self, drive: Drive, head: int, after: int) -> Array:
+        """What driving to a stop and what is done there add to the vector."""
+        visit = self.site.stops[head].visit
+        made = 0.0 if self.values is None or visit is None else float(self.values[visit])
+        return self._vector(drive.use + self.site.standing(head, self.site.order.payload_kg(after)), made)
+
+    def _vector(self, use: Array, made: float) -> Array:
+        objective = -made if self.by_value else float(self.site.objective(use))
+        return np.array([objective, *use, *([-made] if self.counted else [])])
+
+    def rest(self, prices: Array) -> Array:
+        """Least objective from each state and stop to the end, with prices on all resources but the objective."""
+        count = len(self.site.weights)
+        worth = None
+        if self.values is not None:
+            worth = self.values * (1.0 if self.by_value else float(prices[count]))
+        return rest_of(self.site, self.site.weights + prices[:count], worth)
 
 
 def matrix(site: Site, payload_kg: float, weights: Array) -> Array:
@@ -24,90 +152,92 @@ def matrix(site: Site, payload_kg: float, weights: Array) -> Array:
     return np.where(places[:, None] == places[None, :], 0.0, found)
 
 
-def rest_of(site: Site, weights: Array) -> Array:
+def rest_of(site: Site, weights: Array, worth: Array | None = None) -> Array:
     """Least weighted seconds and Wh from each state and stop to the end, shape (states, stops).
 
-    Charging is left out. Held and Karp (1962), backwards over the visits that are left.
+    Charging is left out; `worth` is taken off for each visit made. Held and Karp (1962), backwards over the visits
+    that are left.
     """
-    order, size = site.order, len(site.stops)
+    order, size, goal = site.order, len(site.stops), site.goal
+    apart = _by_load(site, weights)
+    which, ends = order.loads[1], order.ends
+    stands = np.zeros((len(order.loads[0]), len(site.task.visits)))
+    for _, visits, afters in order.steps:
+        for load, visit in set(zip(which[afters].tolist(), visits.tolist(), strict=True)):
+            stands[load, visit] = site.standing(1 + visit, float(order.loads[0][load])) @ weights
+            if worth is not None:
+                stands[load, visit] -= worth[visit]
     table = np.full((order.count, size), math.inf)
-    known: dict[float, Array] = {}
-    stands: dict[tuple[int, float], float] = {}
-    for state in order.states():
-        payload = order.payload_kg(state)
-        if payload < 0.0:
-            continue
-        if payload not in known:
-            known[payload] = matrix(site, payload, weights)
-        apart = known[payload]
-        best = np.full(size, math.inf)
-        for visit, after in order.after(state):
-            key = (visit, order.payload_kg(after))
-            if key not in stands:
-                stands[key] = float(site.standing(1 + visit, key[1]) @ weights)
-            there = stands[key]
-            np.minimum(best, apart[:, 1 + visit] + there + table[after, 1 + visit], out=best)
-        if order.may_end(state):
-            np.minimum(best, apart[:, site.goal], out=best)
-            best[site.goal] = 0.0
-        else:
-            best[site.goal] = math.inf
-        table[state] = best
+    table[ends] = apart[which[ends], :, goal]
+    table[ends, goal] = 0.0
+    for states, visits, afters in order.steps:
+        there = stands[which[afters], visits] + table[afters, 1 + visits]
+        through = apart[which[states], :, 1 + visits] + there[:, None]
+        begins = np.flatnonzero(np.diff(states, prepend=-1))
+        one = states[begins]
+        at_goal = table[one, goal]
+        table[one] = np.minimum(table[one], np.minimum.reduceat(through, begins, axis=0))
+        table[one, goal] = at_goal
     return table
+
+
+def _by_load(site: Site, weights: Array) -> Array:
+    """`matrix` for each load that may come up, shape (loads, stops, stops)."""
+    loads, which = site.order.loads
+    used = {int(which[0])}
+    for states, _, afters in site.order.steps:
+        used |= {*which[states].tolist(), *which[afters].tolist()}
+    made = np.full((len(loads), len(site.stops), len(site.stops)), math.inf)
+    for load in used:
+        made[load] = matrix(site, float(loads[load]), weights)
+    return made
 
 
 def to_docks(site: Site, weights: Array, served: NDArray[np.bool_]) -> Array:
     """Least weighted use from each state and stop to a dock that serves a battery, shape (states, stops)."""
-    order, size = site.order, len(site.stops)
-    found = np.full((order.count, size), math.inf)
     docks = [i for i, stop in enumerate(site.stops) if stop.charger is not None and served[i]]
     if not docks:
-        return found
-    known: dict[float, Array] = {}
-    for state in order.states():
-        payload = order.payload_kg(state)
-        if payload < 0.0:
-            continue
-        if payload not in known:
-            known[payload] = matrix(site, payload, weights)[:, docks].min(axis=1)
-        found[state] = known[payload]
+        return np.full((site.order.count, len(site.stops)), math.inf)
+    found = _by_load(site, weights)[:, :, docks].min(axis=2)[site.order.loads[1]]
     found[:, site.goal] = math.inf  # the mission ends there
-    return found
+    return np.asarray(found)
 
 
-def bounds_of(tour: Tour, multipliers: list[Array], *, objective: Array | None = None) -> Bounds:
+def bounds_of(tour: Tour, multipliers: list[Array]) -> Bounds:
     """What the search may know of the rest of each way.
 
     Parameters
     ----------
     tour : Tour
-    multipliers : list of ndarray, shape (1 + batteries,)
-        For the time and for each battery; the row of zeros is added.
-    objective : ndarray, optional
-        Weights of seconds and Wh in place of the task's.
+    multipliers : list of ndarray, shape (resources - 1,)
+        Prices on all but the objective; the row of zeros is added.
     """
     site = tour.site
     physics, task = site.physics, site.task
     count = len(physics.names)
-    base = site.weights if objective is None else objective
     reserve = np.maximum(physics.reserve_wh, 0.0)
-    most = np.array([math.inf, _horizon(site), *physics.capacity_wh])
-    if any(stop.charger is not None and stop.charger.levels is None for stop in site.stops):
+    most = tour.limits.copy()
+    if site.windowed:
+        most[1] = min(site.deadline_s, LONGEST_S)  # that windows end can be said of an end only
+    most[2 : 2 + count] = physics.capacity_wh
+    if any(charger is not None and charger.levels is None for charger in tour.chargers):
         # charged just as much as will do, a battery must not come out empty by rounding
-        most[2:] -= HAIR * physics.capacity_wh
+        most[2 : 2 + count] -= HAIR * physics.capacity_wh
     if task.within.reserve_throughout:
-        most[2:] -= reserve
+        most[2 : 2 + count] -= reserve
         reserve = np.zeros(count)
-    extra = tour.start().shape[1] - len(most)
-    most = np.concatenate([most, np.full(extra, math.inf)])
     least = np.zeros((tour.nodes, len(most)))
     unit = np.eye(1 + count)
     least[:, 1] = rest_of(site, unit[0]).ravel()
     for b in range(count):
         to_end = rest_of(site, unit[1 + b]) + reserve[b]
-        served = np.array([stop.charger is not None and bool(stop.charger.served[b]) for stop in site.stops])
+        served = np.array([charger is not None and bool(charger.served[b]) for charger in tour.chargers])
         least[:, 2 + b] = np.minimum(to_end, to_docks(site, unit[1 + b], served)).ravel()
     least[~np.isfinite(least[:, 1]), 0] = math.inf
+    if tour.counted and tour.values is not None:
+        made = np.repeat(-site.order.left(tour.values)[:, None], tour.size, axis=1)
+        made[:, site.goal] = 0.0
+        least[:, -1] = made.ravel()
     for i, visit in enumerate(task.visits):
         if visit.window is not None and visit.window.until is not None:
             for state in range(site.order.count):
@@ -115,27 +245,13 @@ def bounds_of(tour: Tour, multipliers: list[Array], *, objective: Array | None =
                 stand = float(site.standing(1 + i, max(0.0, site.order.payload_kg(state)))[0])
                 least[node, 1] = max(least[node, 1], most[1] - visit.window.until.value - stand)
     rows, rests, offsets = [], [], []
-    left = np.concatenate([[most[1]], most[2 : 2 + count] - reserve])  # limits of the vector itself
-    for multiplier in [np.zeros(1 + count), *multipliers]:
-        rows.append(np.concatenate([[1.0], multiplier, np.zeros(extra)]))
-        rests.append(rest_of(site, base + multiplier).ravel())
-        offsets.append(
-            float(np.sum(np.where(multiplier > 0.0, multiplier * np.where(multiplier > 0.0, left, 0.0), 0.0)))
-        )
-    rest = np.stack(rests, axis=1)
+    for multiplier in [np.zeros(len(most) - 1), *multipliers]:
+        priced = multiplier > 0.0
+        rows.append(np.concatenate([[1.0], multiplier]))
+        rests.append(tour.rest(multiplier).ravel())
+        offsets.append(float(multiplier[priced] @ tour.limits[1:][priced]))
     shear = None
     if site.windowed:
         shear = tour.waiting()
         shear[1] = 0.0
-    return Bounds(most, least, np.array(rows), rest, np.array(offsets), shear)
-
-
-def _horizon(site: Site) -> float:
-    """The deadline; where there is none but windows end, a time that is long enough."""
-    return min(site.deadline_s, LONGEST_S) if site.windowed else site.deadline_s
-
-
-def limits_left(site: Site) -> Array:
-    """Seconds and Wh of each battery that a plan without charging may use, shape (1 + batteries,)."""
-    physics = site.physics
-    return np.concatenate([[site.deadline_s], physics.initial_wh - physics.reserve_wh])
+    return Bounds(most, least, np.array(rows), np.stack(rests, axis=1), np.array(offsets), shear)

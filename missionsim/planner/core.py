@@ -12,7 +12,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -62,11 +62,10 @@ class Network(Protocol):
 class Label:
     """A way to a node: its points (one, or a chain of them), where it came from and by what."""
 
-    __slots__ = ("alive", "move", "node", "parent", "points")
+    __slots__ = ("move", "node", "parent", "points")
 
     def __init__(self, node: int, points: Array, parent: Label | None = None, move: Any = None) -> None:
         self.node, self.points, self.parent, self.move = node, points, parent, move
-        self.alive = True
 
 
 @dataclass(frozen=True)
@@ -127,62 +126,40 @@ class Outcome:
 
 
 class _Front:
-    """The labels of one node that none of the others dominates."""
+    """Labels of one node that are followed; taken in the order of their bounds, no later one dominates an earlier."""
 
-    __slots__ = ("chains", "count", "labels", "values")
+    __slots__ = ("chains", "count", "lows", "values")
 
     def __init__(self, resources: int) -> None:
         self.values = np.empty((8, resources))
-        self.labels: list[Label] = []
+        self.lows = np.empty((0, resources))
         self.count = 0
-        self.chains: list[tuple[Label, Array]] = []
+        self.chains: list[Array] = []
 
-    def add(self, label: Label, points: Array) -> bool:
-        """Add a label unless it is dominated, and drop those that it dominates; `points` are what is compared."""
-        single = len(points) == 1
-        if self.count:
-            known = self.values[: self.count]
-            if single:
-                if (known <= points[0] + EPSILON * (1.0 + np.abs(points[0]))).all(axis=1).any():
-                    return False
-            elif all((known <= point + EPSILON * (1.0 + np.abs(point))).all(axis=1).any() for point in points):
-                return False
-        if self.chains and any(_chain_dominates(chain, points) for _, chain in self.chains):
+    def add(self, points: Array) -> bool:
+        """Add the points of a label, unless it is dominated."""
+        limits = points + EPSILON * (1.0 + np.abs(points))
+        known = self.values[: self.count]
+        if self.count and all((known <= limit).all(axis=1).any() for limit in limits):
             return False
         if self.chains:
-            kept = []
-            for other, chain in self.chains:
-                if (points[0] <= chain + EPSILON).all() or (not single and _chain_dominates(points, chain)):
-                    other.alive = False
-                else:
-                    kept.append((other, chain))
-            self.chains = kept
-        if not single:
-            self.chains.append((label, points))
+            near = np.flatnonzero((self.lows <= limits.min(axis=0)).all(axis=1))
+            if any(_chain_dominates(self.chains[i], limits) for i in near.tolist()):
+                return False
+        if len(points) > 1:
+            self.chains.append(points)
+            self.lows = np.concatenate([self.lows, points.min(axis=0)[None, :]])
             return True
-        known = self.values[: self.count]
-        beaten = (points[0] <= known).all(axis=1)
-        if beaten.any():
-            stay = np.flatnonzero(~beaten)
-            for i in np.flatnonzero(beaten):
-                self.labels[i].alive = False
-            self.values[: stay.size] = known[stay]
-            self.labels = [self.labels[i] for i in stay]
-            self.count = int(stay.size)
         if self.count == len(self.values):
             self.values = np.concatenate([self.values, np.empty_like(self.values)])
         self.values[self.count] = points[0]
-        self.labels.append(label)
         self.count += 1
         return True
 
 
-def _chain_dominates(chain: Array, points: Array) -> bool:
-    """Whether every point is dominated by one on the chain: what a chain dominates is convex, so points suffice."""
-    if len(chain) == 1:
-        return bool((chain[0] <= points + EPSILON).all())
-    for point in points:
-        limit = point + EPSILON * (1.0 + np.abs(point))
+def _chain_dominates(chain: Array, limits: Array) -> bool:
+    """Whether each limit is kept by a point on the chain: what a chain dominates is convex, so these suffice."""
+    for limit in limits:
         for first, second in itertools.pairwise(chain):
             low, high = 0.0, 1.0
             step = second - first
@@ -232,8 +209,6 @@ def search(
     bounds: Bounds,
     *,
     best: float = math.inf,
-    gap: float = 0.0,
-    close: float = 0.0,
     most_labels: int | None = None,
     watch: Callable[[Outcome, int], bool] | None = None,
     every_goal: bool = False,
@@ -250,10 +225,6 @@ def search(
     best : float
         Objective of a way that is known already; ways whose bound is not below it are not followed.
         With `every_goal`, the bound from which on ways are left out.
-    gap : float
-        Stop as soon as the best way is proved to be within this of the optimum.
-    close : float
-        Stop as soon as the bound has come so near to the best way.
     most_labels : int, optional
         Stop after so many labels.
     watch : callable, optional
@@ -265,56 +236,68 @@ def search(
     -------
     Outcome
     """
-    limit = bounds.most
-    fronts: dict[int, _Front] = {}
     outcome = Outcome(objective=best)
-    slack = limit + EPSILON * (1.0 + np.abs(limit))
-    heap: list[tuple[float, int, Label]] = []
-    serial = 0
+    room = _room(bounds)
+    fronts: dict[int, _Front] = {}
+    heap: list[tuple[float, float, int, Label]] = []
+    serial = itertools.count()
+
+    def below() -> float:
+        return best + EPSILON if every_goal else outcome.objective
 
     def push(label: Label) -> None:
-        nonlocal serial
-        label.points = within(label.points, slack - bounds.least[label.node])
-        if not len(label.points):
-            return
-        value = float(bounds.of(label.node, label.points).min())
-        if value >= (best + EPSILON if every_goal else outcome.objective - gap):
-            return
-        front = fronts.get(label.node)
-        if front is None:
-            front = fronts[label.node] = _Front(label.points.shape[1])
-        if front.add(label, bounds.sheared(label.points)):
-            serial += 1
-            heapq.heappush(heap, (value, serial, label))
+        label.points = within(label.points, room[label.node])
+        if len(label.points):
+            value = float(bounds.of(label.node, label.points).min())
+            if value < below():
+                heapq.heappush(heap, (value, float(label.points[0].sum()), next(serial), label))
+
+    def late(label: Label) -> bool:
+        """Whether waiting at its node puts a label off; then it takes its turn again."""
+        wait = network.opens(label.node)
+        if wait is None or label.parent is None:
+            return False
+        waited = wait(label.points)
+        if np.array_equal(waited, label.points):
+            return False
+        label.points = waited
+        push(label)
+        return True
 
     for label in starts:
         push(label)
     try:
         while heap:
-            value, _, label = heapq.heappop(heap)
-            if not label.alive:
-                continue
+            value, _, _, label = heapq.heappop(heap)
             outcome.bound = max(outcome.bound, value)
-            if value >= outcome.objective - max(gap, close) and not every_goal:
-                if outcome.label is not None and value < outcome.objective - gap:
-                    return outcome
+            if value >= outcome.objective and not every_goal:
                 break
+            if late(label):
+                continue
+            # whatever dominates a label has no larger bound, so that it was taken before
+            front = fronts.setdefault(label.node, _Front(label.points.shape[1]))
+            if not front.add(bounds.sheared(label.points)):
+                continue
             outcome.labels += 1
             if most_labels is not None and outcome.labels > most_labels:
                 return outcome
-            if watch is not None and outcome.labels % 256 == 0 and watch(outcome, len(heap)):
+            if watch is not None and outcome.labels % 64 == 0 and watch(outcome, len(heap)):
+                outcome.interrupted = True
                 return outcome
-            node = label.node
-            if goal(node):
+            if goal(label.node):
                 outcome.runners_up.append(label)
                 cost = float(label.points[:, 0].min())
                 if cost < outcome.objective and not every_goal:
                     outcome.label, outcome.objective = label, cost
                 if not every_goal:
                     continue
-            _expand(network, label, bounds, slack, best + EPSILON if every_goal else outcome.objective - gap, push)
+            for value, new in expand(network, label, bounds, room, below()):
+                if math.isnan(value):
+                    push(new)
+                else:
+                    heapq.heappush(heap, (value, float(new.points[0].sum()), next(serial), new))
     except KeyboardInterrupt:
-        if outcome.label is None or every_goal:
+        if every_goal:
             raise
         outcome.interrupted = True
         return outcome
@@ -322,35 +305,83 @@ def search(
     return outcome
 
 
-def _expand(
-    network: Network, label: Label, bounds: Bounds, slack: Array, best: float, push: Callable[[Label], None]
-) -> None:
+def quick(
+    network: Network,
+    starts: Sequence[Label],
+    goal: Callable[[int], bool],
+    bounds: Bounds,
+    *,
+    best: float = math.inf,
+    watch: Callable[[Outcome, int], bool] | None = None,
+    width: int = 60,
+) -> Outcome:
+    """A good way to a goal without proof: step by step the labels of least bound, so many of them (beam search).
+
+    Parameters as those of `search`.
+    """
+    outcome = Outcome(objective=best)
+    room = _room(bounds)
+    layer = list(starts)
+    while layer:
+        ranked: list[tuple[float, int, Label]] = []
+        try:
+            for label in layer:
+                for value, new in expand(network, label, bounds, room, outcome.objective):
+                    wait = network.opens(new.node)
+                    if math.isnan(value) or wait is not None:
+                        new.points = within(new.points if wait is None else wait(new.points), room[new.node])
+                        value = float(bounds.of(new.node, new.points).min(initial=math.inf))
+                    ranked.append((value, len(ranked), new))
+        except KeyboardInterrupt:
+            outcome.interrupted = True
+            return outcome
+        layer = []
+        fronts: dict[int, _Front] = {}
+        for value, _, label in sorted(ranked, key=lambda item: item[0]):
+            if value >= outcome.objective or len(layer) >= width:
+                break
+            if goal(label.node):
+                outcome.label, outcome.objective = label, float(label.points[:, 0].min())
+                continue
+            front = fronts.setdefault(label.node, _Front(label.points.shape[1]))
+            if front.add(bounds.sheared(label.points)):
+                layer.append(label)
+        outcome.labels += len(layer)
+        if watch is not None and watch(outcome, len(layer)):
+            outcome.interrupted = True
+            break
+    return outcome
+
+
+def _room(bounds: Bounds) -> Array:
+    """The most that labels may have used at each node, shape (nodes, resources)."""
+    with np.errstate(invalid="ignore"):  # without a limit and without a way to a goal: nothing fits
+        return np.asarray(bounds.most + EPSILON * (1.0 + np.abs(bounds.most)) - bounds.least)
+
+
+def expand(network: Network, label: Label, bounds: Bounds, room: Array, below: float) -> Iterator[tuple[float, Label]]:
+    """Labels that follow from one, each with its bound; of chains (which have still to be cut) not a number."""
     node, points = label.node, label.points
     refill = network.refill(node)
     if refill is not None and not (isinstance(label.move, tuple) and label.move[0] == "refill"):
         for i, point in enumerate(points):
             for chain in refill.options(point):
-                push(Label(node, chain, label, ("refill", i)))
+                yield math.nan, Label(node, chain, label, ("refill", i))
     leaving = network.leaving(node)
     heads, use = leaving.heads, leaving.use
     if not len(heads):
         return
-    if len(points) == 1:
-        after = points[0] + use
-        fits = (after <= slack - bounds.least[heads]).all(axis=1)
-        picked = np.flatnonzero(fits)
-        if picked.size:
-            picked = picked[bounds.of(heads[picked], after[picked]) < best]
-        for i in picked.tolist():
-            head = int(heads[i])
-            moved = after[i : i + 1]
-            wait = network.opens(head)
-            push(Label(head, moved if wait is None else wait(moved), label, leaving.moves[i]))
+    if len(points) > 1:
+        for k, there in enumerate(heads.tolist()):
+            yield math.nan, Label(there, points + use[k], label, leaving.moves[k])
         return
-    for k, there in enumerate(heads.tolist()):
-        moved = points + use[k]
-        wait = network.opens(there)
-        push(Label(there, moved if wait is None else wait(moved), label, leaving.moves[k]))
+    after = points[0] + use
+    picked = np.flatnonzero((after <= room[heads]).all(axis=1))
+    if picked.size:
+        values = bounds.of(heads[picked], after[picked])
+        for i, value in zip(picked.tolist(), values.tolist(), strict=True):
+            if value < below:
+                yield value, Label(int(heads[i]), after[i : i + 1], label, leaving.moves[i])
 
 
 def chain_of(label: Label) -> list[Label]:
@@ -359,11 +390,3 @@ def chain_of(label: Label) -> list[Label]:
     while found[-1].parent is not None:
         found.append(found[-1].parent)
     return found[::-1]
-
-
-def plain_bounds(nodes: int, most: Array) -> Bounds:
-    """Bounds that know nothing of the rest of the way."""
-    resources = len(most)
-    weights = np.zeros((1, resources))
-    weights[0, 0] = 1.0
-    return Bounds(most, np.zeros((nodes, resources)), weights, np.zeros((nodes, 1)), np.zeros(1))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.errors import InputError
 from missionsim.planner.core import Bounds, Label, Leaving, chain_of, search
 from missionsim.planner.pieces import Piece, Road
 
@@ -114,14 +116,32 @@ class Drives:
         tails, heads = (ends[chosen].astype(np.int32) for ends in (road.tails, road.heads))
         return csr_array((weight, (heads, tails) if back else (tails, heads)), shape=(size, size)), chosen
 
-    @staticmethod
-    def _solve(graph: Any, nodes: NDArray[np.intp], *, paths: bool) -> tuple[Array, Any]:
-        from scipy.sparse.csgraph import bellman_ford, dijkstra
+    def _solve(self, graph: Any, nodes: NDArray[np.intp], *, paths: bool) -> tuple[Array, Any]:
+        from scipy.sparse.csgraph import NegativeCycleError, bellman_ford, dijkstra
 
         solve = bellman_ford if (graph.data < 0.0).any() else dijkstra
-        found = solve(graph, indices=nodes, return_predecessors=paths)
+        try:
+            found = solve(graph, indices=nodes, return_predecessors=paths)
+        except NegativeCycleError:
+            raise self._endless(graph) from None
         distance = found[0] if paths else found
         return np.asarray(distance).reshape(len(nodes), -1), found[1].reshape(len(nodes), -1) if paths else None
+
+    def _endless(self, graph: Any) -> InputError:
+        """Slopes that lead downhill all the way round."""
+        import networkx as nx
+
+        net = nx.from_scipy_sparse_array(graph, create_using=nx.DiGraph)
+        for source in net:
+            with suppress(nx.NetworkXError):
+                states = nx.find_negative_cycle(net, source)
+                places = list(dict.fromkeys(self.road.states[state].place for state in states))
+                break
+        return InputError.single(
+            "driving in a circle would charge a battery: the slopes of its edges do not close",
+            got=", ".join(places),
+            allowed="slopes by which a way round comes back to the height where it began",
+        )
 
     def _drive(self, arcs: list[int]) -> Drive:
         road = self.road
@@ -188,6 +208,6 @@ class Drives:
         self.complete = self.complete and outcome.labels <= most_labels
         found: dict[int, list[Drive]] = {int(target): [] for target in targets}
         for label in outcome.runners_up:
-            if label.alive and label.parent is not None:
+            if label.parent is not None:
                 found[label.node].append(self._drive([step.move for step in chain_of(label)[1:]]))
         return found

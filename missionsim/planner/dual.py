@@ -1,4 +1,4 @@
-"""A bound on every plan, by prices on time and charge (Lagrangian relaxation), and plans found on the way."""
+"""A bound on every plan, by prices on time, charge and value (Lagrangian relaxation), and plans found on the way."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.planner.bounds import limits_left, matrix, rest_of
-from missionsim.planner.core import Label
+from missionsim.planner.bounds import Tour, matrix
+from missionsim.planner.core import Label, chain_of
 from missionsim.planner.drives import Drive
-from missionsim.planner.tour import Site, Tour
 
 Array = NDArray[np.float64]
 ROUNDS = 40
@@ -25,8 +24,8 @@ class Prices:
 
     Attributes
     ----------
-    best : ndarray, shape (1 + batteries,)
-        Prices of a second and of a Wh of each battery that give the best bound.
+    best : ndarray, shape (resources - 1,)
+        Prices of a second, of a Wh of each battery (and of value not made) that give the best bound.
     bound : float
         Below which no plan's objective is.
     plan : Label or None
@@ -45,18 +44,22 @@ class Prices:
     impossible: bool = False
 
 
-def cheapest(site: Site, prices: Array) -> tuple[list[tuple[int, int]], Array] | None:
-    """The tour of least weighted use with prices on top, without charging and without limits.
+def cheapest(tour: Tour, prices: Array) -> tuple[list[tuple[int, int]], float] | None:
+    """The tour of least objective with prices on top, without charging and without limits.
 
     Returns
     -------
     tuple or None
-        Stops with the state after each, from the first after the start, and the table of the rest from each state.
+        Stops with the state after each, from the first after the start, and what the tour costs.
     """
-    weights = site.weights + prices
-    table = rest_of(site, weights)
+    site, table = tour.site, tour.rest(prices)
     if not math.isfinite(table[0, 0]):
         return None
+    count = len(site.weights)
+    weights = site.weights + prices[:count]
+    worth = np.zeros(len(site.task.visits))
+    if tour.values is not None:
+        worth = tour.values * (1.0 if tour.by_value else prices[count])
     order = site.order
     known: dict[float, Array] = {}
     here, state = 0, 0
@@ -68,19 +71,19 @@ def cheapest(site: Site, prices: Array) -> tuple[list[tuple[int, int]], Array] |
         apart = known[payload][here]
         options = []
         for visit, after in order.after(state):
-            there = float(site.standing(1 + visit, order.payload_kg(after)) @ weights)
+            there = float(site.standing(1 + visit, order.payload_kg(after)) @ weights) - worth[visit]
             options.append((apart[1 + visit] + there + table[after, 1 + visit], 1 + visit, after))
         if order.may_end(state):
             options.append((apart[site.goal], site.goal, state))
         _, here, state = min(options)
         steps.append((here, state))
-    return steps, table
+    return steps, float(table[0, 0])
 
 
 def tour_label(tour: Tour, steps: list[tuple[int, int]], weights: Array) -> Label:
     """The label of a tour whose drives are those of least weighted use."""
     site = tour.site
-    label = Label(0, tour.start())
+    label = Label(0, tour.first[None, :])
     stop, state = 0, 0
     for head, after in steps:
         payload = site.order.payload_kg(state)
@@ -104,58 +107,56 @@ def best_prices(tour: Tour) -> Prices:
     from scipy.optimize import linprog
 
     site = tour.site
-    count = 1 + len(site.physics.names)
-    left = limits_left(site)
-    chargers = [stop.charger for stop in site.stops if stop.charger is not None]
-    result = Prices(np.zeros(count))
-    highest = np.where(np.isfinite(left), _ceiling(site, left), 0.0)
-    prices = np.zeros(count)
+    left = tour.left
+    count = len(site.weights)
+    chargers = [charger for charger in tour.chargers if charger is not None]
+    result = Prices(np.zeros(len(left)))
+    scale = max(1e-6, float(site.weights.max()), 0.0 if tour.values is None else float(tour.values.max()))
+    # ten thousand times what a unit is worth: high enough for every price
+    highest = np.where(np.isfinite(left), 1e4 * scale, 0.0)
+    room = np.where(np.isfinite(left), left, 0.0)
+    prices = np.zeros(len(left))
     cuts: list[tuple[float, Array]] = []
     tried: list[tuple[float, Array]] = []
-    most = objective_at_most(site, left) if not chargers else math.inf
+    most = float(tour.first[0]) if tour.by_value else math.inf
+    if not chargers and not tour.by_value:
+        most = sum(w * limit for w, limit in zip(site.weights, left[:count], strict=True) if w > 0.0)
     for _ in range(ROUNDS):
-        found = cheapest(site, prices)
+        found = cheapest(tour, prices)
         if found is None:
             result.impossible = True
             break
-        steps, table = found
-        active = prices > 0.0
-        bound = float(table[0, 0] - prices[active] @ left[active])
+        bound = float(tour.first[0] + found[1] - prices @ room)
         tried.append((bound, prices))
         if bound > result.bound:
             result.bound, result.best = bound, prices
         if bound > most * (1.0 + 1e-9) + 1e-9:
             result.impossible = True
             break
-        label = tour_label(tour, steps, site.weights + prices)
-        use, objective = label.points[0][1 : 1 + count].copy(), float(label.points[0][0])
-        use[1:] -= tour.start()[0, 2 : 1 + count]
-        over = np.where(np.isfinite(left), use - np.where(np.isfinite(left), left, 0.0), -1.0)
-        if (
-            (over <= 1e-12 * (1.0 + np.abs(use))).all()
-            and objective < result.objective
-            and not (tour.valued or site.windowed)
-        ):
+        label = tour_label(tour, found[0], site.weights + prices[:count])
+        use, objective = label.points[0][1:] - tour.first[1:], float(label.points[0][0])
+        over = np.where(np.isfinite(left), use - room, 0.0)
+        kept = (over <= 1e-12 * (1.0 + np.abs(use))).all() and not site.windowed and _lasts(tour, label)
+        if kept and objective < result.objective:
             result.plan, result.objective = label, objective
-        cuts.append((objective, np.where(np.isfinite(left), over, 0.0)))
+        cuts.append((objective, over))
         # max θ with θ ≤ objective + prices · over for every tour so far
         lines = np.array([[*(-over), 1.0] for _, over in cuts])
         sides = np.array([objective for objective, _ in cuts])
         if chargers:
-            sold = np.array([[-1.0, *(np.maximum(charger.gain_w, 0.0) / 3600.0), 0.0] for charger in chargers])
+            rest = [0.0] * (len(left) - count + 1)
+            sold = np.array([[-1.0, *(np.maximum(c.gain_w, 0.0) / 3600.0), *rest] for c in chargers])
             lines, sides = np.concatenate([lines, sold]), np.concatenate([sides, [c.rate for c in chargers]])
         answer = linprog(
-            np.array([0.0] * count + [-1.0]),
+            np.array([0.0] * len(left) + [-1.0]),
             A_ub=lines,
             b_ub=sides,
             bounds=[*((0.0, high) for high in highest), (None, None)],
             method="highs",
         )
-        if not answer.success:
+        if not answer.success or -answer.fun - result.bound <= CLOSE * max(1.0, abs(result.bound)):
             break
-        if -answer.fun - result.bound <= CLOSE * max(1.0, abs(result.bound)):
-            break
-        prices = np.maximum(np.asarray(answer.x[:count]), 0.0)
+        prices = np.maximum(np.asarray(answer.x[: len(left)]), 0.0)
         if any(np.array_equal(prices, old) for _, old in tried):
             break
     near = sorted((bound, tuple(p)) for bound, p in tried)[-4:]
@@ -163,13 +164,10 @@ def best_prices(tour: Tour) -> Prices:
     return result
 
 
-def objective_at_most(site: Site, left: Array) -> float:
-    """Objective that no plan without charging is above, from its limits."""
-    weights = site.weights
-    return float(sum(weight * limit for weight, limit in zip(weights, left, strict=True) if weight > 0.0))
-
-
-def _ceiling(site: Site, left: Array) -> Array:
-    """Prices that are high enough: a hundred times the whole objective for all that there is of a resource."""
-    scale = max(1e-6, float(site.weights.max())) * 1e4
-    return np.full(len(left), scale)
+def _lasts(tour: Tour, label: Label) -> bool:
+    """Whether no battery runs low on the way."""
+    physics = tour.site.physics
+    most = physics.capacity_wh
+    if tour.site.task.within.reserve_throughout:
+        most = most - np.maximum(physics.reserve_wh, 0.0)
+    return all(bool((step.points[0][2 : 2 + len(most)] <= most * (1 + 1e-12)).all()) for step in chain_of(label))

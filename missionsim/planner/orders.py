@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.inputs.check_task import earlier_of
 from missionsim.inputs.task import TaskSpec
 
 MOST_FREE = 13
 """Visits in any order of which all subsets are gone through."""
+Ints = NDArray[np.intp]
 
 
 class Order:
     """The states of a task's visits.
 
-    In any order a state is the set of visits done, as bits; in a given order it is how many of them lie behind.
+    A state is the set of visits done, as bits; in a given order that leaves nothing out (or of more than `MOST_FREE`
+    visits) it is how many of them lie behind.
 
     Parameters
     ----------
@@ -26,14 +30,25 @@ class Order:
 
     def __init__(self, task: TaskSpec, sequence: tuple[int, ...] | None = None) -> None:
         self.visits = task.visits
+        count = len(self.visits)
         given = task.defaults.payload
         self.load_kg = 0.0 if given is None else given.value
         if sequence is None and task.order == "given":
-            sequence = tuple(range(len(self.visits)))
+            sequence = tuple(range(count))
+        changes = [visit.take_up is not None or visit.set_down is not None for visit in self.visits]
+        self._changes = any(changes)
+        earlier = earlier_of(self.visits)
+        self._optional = [visit.value is not None for visit in self.visits]
+        if sequence is not None and any(self._optional) and count <= MOST_FREE:
+            for rank, i in enumerate(sequence):
+                earlier[i] |= set(sequence[:rank])
+            sequence = None
+        elif sequence is not None:  # positions do not tell what was left out, and so not what is carried
+            self._optional = [free and not change for free, change in zip(self._optional, changes, strict=True)]
         self.sequence = sequence
-        self._changes = any(visit.take_up is not None or visit.set_down is not None for visit in self.visits)
-        self._earlier = [sum(1 << other for other in needs) for needs in earlier_of(self.visits)]
-        self._needed = sum(1 << i for i, visit in enumerate(self.visits) if visit.value is None)
+        self._earlier = [sum(1 << other for other in needs) for needs in earlier]
+        self._later = [sum(1 << i for i in range(count) if other in earlier[i]) for other in range(count)]
+        self._needed = sum(1 << i for i in range(count) if not self._optional[i])
         most = task.within.max_payload or task.robot.body.max_payload
         self._most_kg = None if most is None else most.value
 
@@ -41,10 +56,6 @@ class Order:
     def count(self) -> int:
         """How many states there are."""
         return len(self.visits) + 1 if self.sequence is not None else 1 << len(self.visits)
-
-    def states(self) -> Iterator[int]:
-        """All states, each after those that follow from it."""
-        return iter(range(self.count - 1, -1, -1))
 
     def payload_kg(self, state: int) -> float:
         """Load carried in a state."""
@@ -69,13 +80,36 @@ class Order:
         if self.sequence is not None:
             for position in range(state, len(self.sequence)):
                 found.append((self.sequence[position], position + 1))
-                if self.visits[self.sequence[position]].value is None:
+                if not self._optional[self.sequence[position]]:
                     break
         else:
             for i in range(len(self.visits)):
-                if not state >> i & 1 and self._earlier[i] & self._needed & ~state == 0:
+                if not state >> i & 1 and not self._earlier[i] & self._needed & ~state and not self._later[i] & state:
                     found.append((i, state | 1 << i))
         return [(i, after) for i, after in found if self._carries(after)]
+
+    @cached_property
+    def steps(self) -> list[tuple[Ints, Ints, Ints]]:
+        """All visits from all states: states, visits, states after; in parts, each after those that follow from it."""
+        parts: dict[int, list[tuple[int, int, int]]] = {}
+        for state in range(self.count):
+            level = state if self.sequence is not None else state.bit_count()
+            if self.payload_kg(state) >= 0.0:
+                parts.setdefault(level, []).extend((state, visit, after) for visit, after in self.after(state))
+        made = [np.array(parts[level], dtype=np.intp).reshape(-1, 3) for level in sorted(parts, reverse=True)]
+        return [(part[:, 0], part[:, 1], part[:, 2]) for part in made if len(part)]
+
+    @cached_property
+    def loads(self) -> tuple[NDArray[np.float64], Ints]:
+        """The loads that may be carried, and which of them in each state."""
+        carried = np.array([self.payload_kg(state) for state in range(self.count)])
+        loads, which = np.unique(carried, return_inverse=True)
+        return loads, np.ravel(which)
+
+    @cached_property
+    def ends(self) -> NDArray[np.bool_]:
+        """States in which nothing that must be done is left."""
+        return np.array([self.may_end(state) for state in range(self.count)])
 
     def _carries(self, state: int) -> bool:
         load = self.payload_kg(state)
@@ -84,5 +118,13 @@ class Order:
     def may_end(self, state: int) -> bool:
         """Whether nothing that must be done is left."""
         if self.sequence is not None:
-            return all(self.visits[i].value is not None for i in self.sequence[state:])
+            return all(self._optional[i] for i in self.sequence[state:])
         return self._needed & ~state == 0
+
+    def left(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Value that may still be made from each state, shape (states,)."""
+        if self.sequence is not None:
+            later = np.cumsum(values[list(self.sequence)][::-1])[::-1]
+            return np.append(later, 0.0)
+        bits = np.arange(self.count)[:, None] >> np.arange(len(values)) & 1
+        return np.asarray((1 - bits) @ values)

@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.inputs.task import TaskSpec
 from missionsim.planner.answer import Answer, answer_of
-from missionsim.planner.bounds import bounds_of
-from missionsim.planner.core import Label, Outcome, search
+from missionsim.planner.bounds import Tour, bounds_of
+from missionsim.planner.core import Label, Outcome, quick, search
 from missionsim.planner.drives import Drive
-from missionsim.planner.dual import Prices, best_prices
+from missionsim.planner.dual import best_prices
 from missionsim.planner.large import solve_large
 from missionsim.planner.orders import MOST_FREE
-from missionsim.planner.tour import Site, Tour, make_site
+from missionsim.planner.tour import Site, make_site
 
 Array = NDArray[np.float64]
 Watch = Callable[[str, float, float], bool]
@@ -60,6 +61,8 @@ class Fronts:
 MOST_GAP = 1e3
 PROVED = 1e-10
 """A plan whose objective is within this of the bound (relative) is the best."""
+SAME = 1e-10
+"""Sums of values that differ by less (relative to all) are the same."""
 FIRST_GAP = 0.002
 """Drives whose price is within this (relative to the bound) of the cheapest are tried first."""
 
@@ -80,58 +83,86 @@ def solve_site(site: Site, watch: Watch | None = None) -> Answer:
     """The best plan of a site; where visits may be left out, first as much value as can be."""
     if site.order.sequence is None and len(site.task.visits) > MOST_FREE:
         return solve_large(site, lambda one: solve_site(one, watch))
-    values = np.array([visit.value or 0.0 for visit in site.task.visits])
     if not any(visit.value is not None for visit in site.task.visits):
-        return _solve(site, None, math.inf, watch)
-    first = _solve(replace(site, weights=np.zeros_like(site.weights)), values, math.inf, watch, by_value=True)
-    if not first.feasible:
-        return first
-    return _solve(site, values, first.objective, watch)
+        return _solve(site, partial(Tour, site), watch)
+    values = np.array([visit.value or 0.0 for visit in site.task.visits])
+    first = replace(site, weights=np.zeros_like(site.weights))
+    most = _solve(first, partial(Tour, first, values=values, by_value=True), watch)
+    if not most.feasible:
+        return most
+    missed = most.objective + 1e-9 * float(values.sum())
+    best = _solve(site, partial(Tour, site, values=values, most_missed=missed), watch)
+    if not best.feasible:
+        use = np.array([most.duration_s, *most.energy_wh.values()])
+        best = replace(most, site=site, objective=float(site.objective(use)), bound=0.0)
+    if most.gap > 0.0:
+        best.extra["assumed"] = ["more value may be possible"]
+    return best
 
 
-def _solve(
-    site: Site, missed: Array | None, most_missed: float, watch: Watch | None, *, by_value: bool = False
-) -> Answer:
-    """The plan of least objective, or (`by_value`) the one that leaves out least value."""
-    tour = Tour(site, Fronts(site), missed, by_value=by_value)
-    prices = Prices(np.zeros(len(site.weights)), 0.0) if by_value else best_prices(tour)
+def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Answer:
+    """The plan of least objective of a network of stops, whose drives are still to be chosen."""
+    tour = network(Fronts(site))
+    prices = best_prices(tour)
     if prices.impossible:
         return Answer(site, False)
     best, objective = prices.plan, prices.objective
-    bound = prices.bound
+    sums = _sums(tour)
+    bound = _up(sums, prices.bound)
     scale = max(abs(bound), 1e-6)
     if best is not None and objective - bound <= PROVED * scale:
         return answer_of(tour, best, objective, objective)
-    gap = math.inf if by_value else min(objective - bound, FIRST_GAP * scale)
     stopped = False
-    bounds = bounds_of(tour, [] if by_value else [prices.best, *prices.others])
-    if missed is not None:
-        bounds.most[-1] = most_missed
+    bounds = bounds_of(tour, [prices.best, *prices.others])
+    gap = min(objective - prices.bound, FIRST_GAP * scale)
     while not stopped:
         gap = max(gap, 1e-9 * scale)
-        tour = Tour(site, Fronts(site, site.weights + prices.best, gap), missed, by_value=by_value)
+        tour = network(Fronts(site, site.weights + prices.best[: len(site.weights)], gap))
 
         def told(outcome: Outcome, waiting: int, low: float = bound, high: float = prices.bound + gap) -> bool:
-            nonlocal stopped
-            if watch is not None:
-                stopped = watch("search", outcome.objective, min(max(outcome.bound, low), high))
-            return stopped
+            return watch is not None and watch("search", outcome.objective, min(max(outcome.bound, low), high))
 
-        try:
-            outcome = search(tour, [Label(0, tour.start())], tour.is_goal, bounds, best=objective, watch=told)
-        except KeyboardInterrupt:
-            stopped = True
+        start = Label(0, tour.first[None, :])
+        for way in (quick, search):
+            try:
+                outcome = way(tour, [start], tour.is_goal, bounds, best=_below(sums, objective), watch=told)
+            except KeyboardInterrupt:
+                outcome = Outcome(interrupted=True)
+            if outcome.label is not None:
+                best, objective = outcome.label, outcome.objective
+            bound = max(bound, _up(sums, min(outcome.bound, prices.bound + gap)))
+            if stopped := outcome.interrupted:
+                break
+        needed = _below(sums, objective) - prices.bound
+        if needed <= gap or math.isinf(gap):
             break
-        stopped = stopped or outcome.interrupted
-        if outcome.label is not None:
-            best, objective = outcome.label, outcome.objective
-        bound = max(bound, min(outcome.bound, prices.bound + gap))
-        if objective <= prices.bound + gap or math.isinf(gap):
-            break
-        gap = min(max(4.0 * gap, 1e-6), objective - prices.bound)
+        gap = min(max(4.0 * gap, 1e-6), needed)
         if gap > MOST_GAP * scale:
             gap = math.inf
     if best is None:
         early = "the search was stopped before it found a plan; there may be one"
         return Answer(site, False, notes=[early] if stopped else [])
     return answer_of(tour, best, objective, bound)
+
+
+def _sums(tour: Tour) -> Array:
+    """What may be left out in all, where value is the objective and few visits have one; rising."""
+    if not tour.by_value or tour.values is None or np.count_nonzero(tour.values) > MOST_FREE:
+        return np.zeros(0)
+    found = np.zeros(1)
+    for value in tour.values[tour.values > 0.0]:
+        found = np.unique(np.concatenate([found, found + value]))
+    return found
+
+
+def _up(sums: Array, bound: float) -> float:
+    """A bound, raised to what may come up."""
+    return next((total for total in sums.tolist() if total >= bound - SAME * sums[-1]), bound)
+
+
+def _below(sums: Array, objective: float) -> float:
+    """The objective below which a plan would be better than one that is known."""
+    if not len(sums) or math.isinf(objective):
+        return objective
+    lower = sums[sums < objective - 2 * SAME * sums[-1]]
+    return float(lower[-1]) + 2 * SAME * float(sums[-1]) if len(lower) else 0.0

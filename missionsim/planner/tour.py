@@ -1,11 +1,9 @@
-"""The graph of stops: which visit comes next, by which drive, and where batteries are charged."""
+"""Stops of a task: what is done at each, what charging there does, and the roads between them."""
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,8 +16,7 @@ from missionsim.inputs.task import TaskSpec, VisitSpec
 from missionsim.inputs.values import Parameter
 from missionsim.plan.build import legs_of
 from missionsim.plan.legs import Leg
-from missionsim.planner.core import Leaving
-from missionsim.planner.drives import Drive, Drives
+from missionsim.planner.drives import Drives
 from missionsim.planner.orders import Order
 from missionsim.planner.physics import Physics
 from missionsim.planner.pieces import FREE, ROLLED, STOPPED, State, make_road, pieces_of
@@ -60,7 +57,7 @@ class Charger:
     served : ndarray of bool, shape (batteries,)
     capacity_wh : ndarray, shape (batteries,)
     rate : float
-        Objective for a second at the dock.
+        Objective for a second at the dock; by the weights of the `Site` that it is taken from (`Site.charger`).
     levels : tuple of float or None
         Fractions that may be charged to; None for any.
     tapers : tuple of (tuple of (level, gain))
@@ -71,7 +68,7 @@ class Charger:
     draw_w: Array
     served: NDArray[np.bool_]
     capacity_wh: Array
-    rate: float
+    rate: float = 0.0
     levels: tuple[float, ...] | None = None
     tapers: tuple[tuple[tuple[float, float], ...], ...] = ()
 
@@ -193,6 +190,13 @@ class Site:
             self._standing[key] = _standing(self.physics, legs)
         return self._standing[key]
 
+    def charger(self, number: int) -> Charger | None:
+        """What charging at a stop does, with the objective of this site."""
+        charger = self.stops[number].charger
+        if charger is None:
+            return None
+        return replace(charger, rate=float(self.objective(np.array([1.0, *(charger.draw_w / 3600.0)]))))
+
     def objective(self, use: Array) -> Array:
         """Weighted seconds and Wh."""
         return np.asarray(use @ self.weights)
@@ -279,7 +283,6 @@ def _charger(site: Site, leg: Leg) -> Charger:
     draw = physics.standing_wh(leg.settings, 3600.0)
     served = np.array([name in leg.recharge.batteries for name in physics.names])
     power = np.array([leg.recharge.power_w.get(name, 0.0) for name in physics.names])
-    rate = float(site.objective(np.array([1.0, *(draw / 3600.0)])))
     levels = site.task.choose.charge
     chosen = None if levels == "any" else tuple(sorted({level.value for level in levels}))
     gain = np.where(served, power - draw, -draw)
@@ -287,129 +290,4 @@ def _charger(site: Site, leg: Leg) -> Charger:
         tuple((upper, float(min(gain[b], part * power[b]))) for upper, part in battery.taper) if served[b] else ()
         for b, battery in enumerate(physics.setup.batteries.values())
     )
-    return Charger(gain, draw, served, physics.capacity_wh, rate, chosen, tapers)
-
-
-class Tour:
-    """Network of the core: a node is a state of the order and a stop; resources are objective, time, Wh missing.
-
-    Parameters
-    ----------
-    site : Site
-    drives : callable
-        ``(payload, from stop, to stop) -> list of Drive``.
-    missed : ndarray, optional
-        Value of each visit, where some may be left out: then one more resource counts what was left out.
-    by_value : bool
-        What was left out is the objective.
-    """
-
-    def __init__(
-        self,
-        site: Site,
-        drives: Callable[[float, int, int], list[Drive]],
-        missed: Array | None = None,
-        *,
-        by_value: bool = False,
-    ) -> None:
-        self.site = site
-        self.size = len(site.stops)
-        self.nodes = site.order.count * self.size
-        self._drives = drives
-        self._missed = missed
-        self._by_value = by_value
-        self._known: dict[int, Leaving] = {}
-        self._batteries = len(site.physics.names)
-
-    def start(self) -> Array:
-        """The vector at the start, shape (1, resources)."""
-        missing = self.site.physics.missing_wh()
-        extra = [] if self._missed is None else [0.0]
-        return np.array([[0.0, 0.0, *missing, *extra]])
-
-    def is_goal(self, node: int) -> bool:
-        """Whether the mission ends here."""
-        return node % self.size == self.site.goal
-
-    def leaving(self, node: int) -> Leaving:
-        """Drives to all stops that may come next."""
-        known = self._known.get(node)
-        if known is None:
-            known = self._known[node] = self._make(node)
-        return known
-
-    def refill(self, node: int) -> Charger | None:
-        """The charger of a dock."""
-        return self.site.stops[node % self.size].charger
-
-    def opens(self, node: int) -> Callable[[Array], Array] | None:
-        """Waiting at a visit until its window opens."""
-        visit = self.site.stops[node % self.size].visit
-        window = None if visit is None else self.site.task.visits[visit].window
-        if window is None or window.from_.value <= 0.0:
-            return None
-        state = node // self.size
-        stand = float(self.site.standing(node % self.size, self.site.order.payload_kg(state))[0])
-        begin, waiting = window.from_.value + stand, self.waiting()
-
-        def wait(points: Array) -> Array:
-            kept = [points[0]]
-            for first, second in itertools.pairwise(points):
-                if first[1] < begin < second[1]:
-                    kept.append(first + (begin - first[1]) / (second[1] - first[1]) * (second - first))
-                kept.append(second)
-            made = np.array(kept)
-            return np.asarray(made + np.maximum(begin - made[:, 1:2], 0.0) * waiting)
-
-        return wait
-
-    def waiting(self) -> Array:
-        """What waiting for a second adds to the vector."""
-        waiting = self.site.waiting
-        extra = [] if self._missed is None else [0.0]
-        return np.array([float(self.site.objective(waiting)), *waiting, *extra])
-
-    def nexts(self, state: int, stop: int) -> list[tuple[int, int]]:
-        """Stops that may come next and the state after each."""
-        site = self.site
-        if stop == site.goal:
-            return []
-        found = [(1 + visit, after) for visit, after in site.order.after(state)]
-        if site.order.may_end(state):
-            found.append((site.goal, state))
-        found += [(dock, state) for dock in range(site.goal + 1, self.size) if dock != stop]
-        return found
-
-    def _make(self, node: int) -> Leaving:
-        state, stop = divmod(node, self.size)
-        site = self.site
-        payload = site.order.payload_kg(state)
-        heads: list[int] = []
-        use: list[Array] = []
-        moves: list[Any] = []
-        for head, after in self.nexts(state, stop):
-            for drive in self._drives(payload, stop, head):
-                use.append(self.arc_use(drive, head, after))
-                heads.append(after * self.size + head)
-                moves.append((head, drive, use[-1]))
-        width = 2 + self._batteries + (self._missed is not None)
-        return Leaving(np.array(heads, dtype=np.intp), np.array(use).reshape(len(heads), width), moves)
-
-    @property
-    def valued(self) -> bool:
-        """Whether some visits may be left out."""
-        return self._missed is not None
-
-    def arc_use(self, drive: Drive, head: int, after: int) -> Array:
-        """What driving to a stop and what is done there add to the vector."""
-        site = self.site
-        total = drive.use + site.standing(head, site.order.payload_kg(after))
-        if self._missed is None:
-            return np.array([float(site.objective(total)), *total])
-        left_out = 0.0
-        if head == site.goal:
-            left_out = float(self._missed.sum() - self._missed[self._done(after)].sum())
-        return np.array([left_out if self._by_value else float(site.objective(total)), *total, left_out])
-
-    def _done(self, state: int) -> list[int]:
-        return self.site.order.done(state)
+    return Charger(gain, draw, served, physics.capacity_wh, levels=chosen, tapers=tapers)
