@@ -110,9 +110,7 @@ def _append(
     legs.extend(way)
     now, first = 0.0, True
     units = dict(world.board.closure(way[0].settings.sensors))
-    for name, component in world.board.components.items():
-        if component.info.always_on:
-            units[name] = component.info.units
+    units |= {name: info.units for name, info in world.board.infos.items() if info.always_on}
     on = [float(units.get(name, 0)) for name in world.recorder.components]
     width = len(on)
     state = states.setdefault((*on, *([0.0] * (2 * width))), len(states))
