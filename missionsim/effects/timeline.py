@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -94,33 +94,63 @@ class Timeline:
                 result |= np.asarray(rate) != 0.0
         return result
 
+    def way_m(self) -> float:
+        """Way driven in all intervals [m], forward and sideways."""
+        if not len(self):
+            return 0.0
+        time, rates = self.duration_s, self.rates
+        ahead = self.columns["speed_m_s"] * time + 0.5 * rates["speed_m_s"] * time**2
+        aside = self.columns["lateral_speed_m_s"] * time + 0.5 * rates["lateral_speed_m_s"] * time**2
+        return float(np.sum(np.hypot(ahead, aside)))
+
+    @staticmethod
+    def joined(lines: Sequence[Timeline]) -> Timeline:
+        """The intervals of several timelines with the same columns, one after the other."""
+
+        def stacked(parts: list[Any]) -> Any:
+            if isinstance(parts[0], Labels):
+                return Labels.of([text for part in parts for text in part.texts()])
+            return np.concatenate(parts)
+
+        first = lines[0]
+        return Timeline(
+            np.concatenate([line.start_s for line in lines]),
+            np.concatenate([line.duration_s for line in lines]),
+            Lazily(first.columns, lambda name: stacked([line.columns[name] for line in lines])),
+            Lazily(first.rates, lambda name: stacked([line.rates[name] for line in lines])),
+            np.concatenate([line.segment for line in lines]),
+            first.constants,
+        )
+
     def part(self, first: int, stop: int) -> Timeline:
         """Some intervals that follow each other."""
         cut = slice(first, stop)
         return Timeline(
             self.start_s[cut],
             self.duration_s[cut],
-            Lazily(self.columns, lambda value: value[cut]),
-            Lazily(self.rates, lambda rate: rate[cut]),
+            Lazily(self.columns, lambda name: self.columns[name][cut]),
+            Lazily(self.rates, lambda name: self.rates[name][cut]),
             self.segment[cut],
             self.constants,
         )
 
 
 class Lazily(Mapping[str, Any]):
-    """Values of another mapping, or of names, as a function of them; made when asked for: most columns never are."""
+    """Values by name, made when asked for: most columns never are."""
 
-    def __init__(self, of: Mapping[str, Any], make: Callable[[Any], Any]) -> None:
-        self._of, self._make = of, make
+    def __init__(self, names: Collection[str], make: Callable[[str], Any]) -> None:
+        self._names, self._make = names, make
 
     def __getitem__(self, name: str) -> Any:
-        return self._make(self._of[name])
+        if name not in self._names:
+            raise KeyError(name)
+        return self._make(name)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._of)
+        return iter(self._names)
 
     def __len__(self) -> int:
-        return len(self._of)
+        return len(self._names)
 
 
 def _is_clock(name: str) -> bool:

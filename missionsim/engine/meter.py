@@ -18,7 +18,7 @@ from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import CHARGING, HELD, Battery, Loads
-from missionsim.engine.outcome import Alarm
+from missionsim.engine.outcome import J_PER_WH, Alarm
 from missionsim.engine.recorder import Recorder, Row, timeline
 from missionsim.errors import InputError
 from missionsim.plan.legs import Leg, SegmentInfo
@@ -109,7 +109,7 @@ def _answers(model: PowerModel, components: Sequence[str], asked: Sequence[Asked
 class Batch:
     """Evaluated rows: timeline, energies [J] by battery and term, loads and states at interval ends by battery."""
 
-    timeline: Timeline
+    line: Timeline
     energies: Energies
     loads: dict[str, Loads]
     before: dict[str, float]
@@ -215,28 +215,47 @@ class Meter:
         found: list[Alarm] = []
         for name, battery in self.batteries.items():
             for batch in self.batches:
-                alarms = [_first_empty(battery, batch, name)]
-                if name in reserves:
-                    alarms.append(_first_reserve(battery, batch, name, reserves[name], after))
-                here = [alarm for alarm in alarms if alarm is not None]
-                if here:
+                if here := _alarms(battery, batch, name, reserves.get(name), after):
                     found.append(min(here))
                     break
         return min(found, default=None)
 
+    def table(self) -> tuple[Timeline, Energies, dict[str, Array]]:
+        """One table of all batches, and the charge [Wh] of each battery at the end of each interval."""
+        batches = self.batches
+        if not batches:
+            empty = np.zeros(0)
+            return (
+                Timeline(empty, empty, {}),
+                {name: {} for name in self.batteries},
+                dict.fromkeys(self.batteries, empty),
+            )
+        lines = [batch.line for batch in batches]
+        charge = {
+            name: battery.charge_j(_joined([batch.states[name] for batch in batches])) / J_PER_WH
+            for name, battery in self.batteries.items()
+        }
+        if len(batches) == 1:
+            return lines[0], batches[0].energies, charge
+        energies = {
+            name: {key: _joined([batch.energies[name][key] for batch in batches]) for key in terms}
+            for name, terms in batches[0].energies.items()
+        }
+        return Timeline.joined(lines), energies, charge
+
     def _loads(self, rows: Sequence[Row], answer: Evaluated) -> dict[str, Loads]:
-        nothing, modes = np.zeros(len(rows)), np.zeros((len(rows), len(self.batteries)), dtype=np.int64)
-        charges = any(any(row.charging) for row in rows)
-        if charges:
-            modes = np.array([row.charging for row in rows], dtype=np.int64)
+        nothing, alone = np.zeros(len(rows)), np.zeros(len(rows), dtype=np.int64)
+        charges = any(row.charging for row in rows)
         found = {}
         for i, name in enumerate(self.batteries):
-            power = np.array([_charger_power(self.legs[row.leg], name) for row in rows]) if charges else nothing
+            power, mode = nothing, alone
+            if charges:
+                power = np.array([_charger_power(self.legs[row.leg], name) for row in rows])
+                mode = np.array([row.charging[i] if row.charging else 0 for row in rows], dtype=np.int64)
             total = np.add.reduce(list(answer.energies[name].values())) if answer.energies[name] else nothing
             if not np.isfinite(total).all():
                 self._refuse_nan(answer)
-            mode = modes[:, i]
-            if (mode > HELD).any():  # the taper is of what goes into the battery
+            if charges and (mode > HELD).any():  # the taper is of what goes into the battery
                 parts = np.array([part for _, part in self.batteries[name].taper])[np.maximum(mode - HELD, 0)]
                 slowed = np.minimum(power, parts * power + total / answer.line.duration_s)
                 power, mode = np.where(mode > HELD, slowed, power), np.where(mode > HELD, CHARGING, mode)
@@ -244,30 +263,31 @@ class Meter:
         return found
 
 
+def _joined(parts: list[Array]) -> Array:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
 def _charger_power(leg: Leg, battery: str) -> float:
     return leg.recharge.power_w.get(battery, 0.0) if leg.recharge else 0.0
 
 
-def _first_empty(battery: Battery, batch: Batch, name: str) -> Alarm | None:
-    loads, states = batch.loads[name], batch.states[name]
+def _alarms(battery: Battery, batch: Batch, name: str, reserve: float | None, after_s: float) -> list[Alarm]:
+    """When a battery becomes empty in a batch, and when it comes to its reserve, no earlier than some time."""
+    loads, states, line = batch.loads[name], batch.states[name], batch.line
     before = np.concatenate([[batch.before[name]], states[:-1]])
-    for i in battery.suspects(before, states, loads):
-        time = battery.empty_in(float(before[i]), loads, int(i))
-        if time is not None:
-            return Alarm(float(batch.timeline.start_s[i]) + time, name, "empty", int(batch.timeline.segment[i]))
-    return None
-
-
-def _first_reserve(battery: Battery, batch: Batch, name: str, level: float, after_s: float) -> Alarm | None:
-    loads, states = batch.loads[name], batch.states[name]
-    before = np.concatenate([[batch.before[name]], states[:-1]])
-    late = batch.timeline.start_s >= after_s * (1.0 - 1e-12)
-    for i in np.flatnonzero((states < level) & (loads.charging == 0) & late):
-        time = (
-            0.0
-            if before[i] < level
-            else battery.reach(float(before[i]), loads, int(i), level, float(loads.duration_s[i]))
-        )
-        if time is not None:
-            return Alarm(float(batch.timeline.start_s[i]) + time, name, "reserve", int(batch.timeline.segment[i]))
-    return None
+    low = before[:0].astype(np.intp)
+    if reserve is not None and (below := states < reserve).any():
+        low = np.flatnonzero(below & (loads.charging == 0) & (line.start_s >= after_s * (1.0 - 1e-12)))
+    found = []
+    for kind, suspects in (("empty", battery.suspects(before, states, loads)), ("reserve", low)):
+        for i in suspects.tolist():
+            state, time = float(before[i]), None
+            if kind == "empty":
+                time = battery.empty_in(state, loads, i)
+            elif reserve is not None:
+                whole = float(loads.duration_s[i])
+                time = 0.0 if state < reserve else battery.reach(state, loads, i, reserve, whole)
+            if time is not None:
+                found.append(Alarm(float(line.start_s[i]) + time, name, kind, int(line.segment[i])))
+                break
+    return found

@@ -30,7 +30,7 @@ class Row(NamedTuple):
     moving_time_s: float
     start_from_rest: bool
     charging: tuple[int, ...]
-    """Per battery: 0 not at a charger, 1 charging, 2 held at its level by the charger."""
+    """Per battery: 0 not at a charger, 1 charging, 2 held at its level by the charger; empty without a charger."""
 
 
 class Recorder:
@@ -40,10 +40,9 @@ class Recorder:
     ----------
     env : simpy.Environment
     components : sequence of str
-    batteries : sequence of str
     """
 
-    def __init__(self, env: simpy.Environment, components: Sequence[str], batteries: Sequence[str]) -> None:
+    def __init__(self, env: simpy.Environment, components: Sequence[str]) -> None:
         self.env = env
         self.components = tuple(components)
         self.rows: list[Row] = []
@@ -56,7 +55,7 @@ class Recorder:
         self._state_index = -1
         self._moving_time_s = 0.0
         self._was_moving = False
-        self.charging: tuple[int, ...] = (0,) * len(batteries)
+        self.charging: tuple[int, ...] = ()
         self.changed: simpy.Event | None = None
 
     def close(self) -> None:

@@ -15,7 +15,6 @@ from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery, ConstantEnergy
 from missionsim.engine.components import ComponentInfo
 from missionsim.engine.driven import DrivenEdge, edges_driven
-from missionsim.engine.joining import distance_of, joined
 from missionsim.engine.meter import Batch, Evaluating, alone
 from missionsim.engine.outcome import J_PER_WH, Alarm, BatteryResult, RunResult
 from missionsim.engine.remarks import doubts, never_on
@@ -275,8 +274,7 @@ class RunSetup:
 
     def result(self, world: World, whole: World, alarms: list[Alarm], trace: bool) -> Evaluating[RunResult]:
         """The result of the last execution."""
-        batches = world.meter.batches
-        line, energies, charge = joined(batches, self.batteries)
+        line, energies, charge = world.meter.table()
         duration = float(world.env.now)
         home: dict[str, float | None] = dict.fromkeys(self.batteries)
         if self.mission.environment is not None:
@@ -306,7 +304,7 @@ class RunSetup:
             completed=world.completed,
             reason="; ".join(reasons),
             duration_s=duration,
-            distance_m=distance_of(line),
+            distance_m=line.way_m(),
             timeline=line,
             energies=energies,
             charge_wh=charge,
@@ -318,7 +316,7 @@ class RunSetup:
             never_on=off,
             segments_driven=world.begun,
             interrupted=world.interrupted,
-            dock_s=math.fsum(row.duration_s for row in world.recorder.rows if any(row.charging)),
+            dock_s=math.fsum(row.duration_s for row in world.recorder.rows if row.charging and any(row.charging)),
             driven=self._driven(world, line, energies, charge),
         )
 
@@ -347,9 +345,10 @@ class RunSetup:
         capacity = battery.capacity_j
         initial = float(battery.charge_j(battery.initial))
         left = float(battery.charge_j(meter.state[name]))
-        charged = math.fsum(float(np.sum(batch.loads[name].charged_j)) for batch in meter.batches)
+        loads = [batch.loads[name] for batch in meter.batches]
+        charged = math.fsum(float(np.sum(load.charged_j)) for load in loads if load.charging.any())
         # the meter adds all terms interval by interval, the table all intervals term by term
-        metered = sum(float(np.cumsum(batch.loads[name].energy_j)[-1]) for batch in meter.batches)
+        metered = sum(float(load.energy_j.cumsum()[-1]) for load in loads)
         scale = max(abs(used), abs(metered), 1e-12)
         audit = abs(used - metered) / scale
         loss = initial - left + charged - used

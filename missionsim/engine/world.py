@@ -67,7 +67,7 @@ class World:
         self.plan = plan
         self.legs: list[Leg] = list(plan.legs)
         self.segments: list[SegmentInfo] = list(plan.segments)
-        self.recorder = Recorder(env, [info.name for info in components], list(batteries))
+        self.recorder = Recorder(env, [info.name for info in components])
         self.board = Switchboard(env, self.recorder, components)
         self.meter = Meter(model, self.recorder, self.legs, batteries, values, self.segments)
         self.docks: dict[str, simpy.Resource] = {}
@@ -347,7 +347,7 @@ class World:
                         self._passed |= {(name, goals[name][1]) for name in reached}
             finally:
                 recorder.changed = None
-                recorder.charge((0,) * len(order))
+                recorder.charge(())
 
 
 def _length(phase: Phase, seconds: float) -> float:

@@ -92,15 +92,15 @@ def simulate_block(
     numbers, drawn = split_values(draws, model)
     plans: list[Plan | None] = [None] * count if chance else _plans(mission, numbers, count)
     made: list[Plan | None] = [None] * count
+    rows_of = {**numbers, **drawn}
+    each = list(zip(*(np.asarray(column).tolist() for column in rows_of.values()), strict=True)) or [()] * count
 
     def run(i: int) -> Evaluating[dict[str, Any]]:
-        values = {name: float(column[i]) for name, column in numbers.items()}
-        lots = run_generator(seed, "chance", int(own[i]))
-        made[i] = plan = plans[i] or make_plan(mission, values, lots)
-        setup = RunSetup(mission, plan, model, values, {name: float(column[i]) for name, column in drawn.items()})
-        setup.again = run_generator(seed, "chance", int(own[i])) if plan.gated else None
-        if chance:
-            setup.again = run_generator(seed, "chance", int(own[i]))
+        mine = dict(zip(rows_of, each[i], strict=True))
+        values = {name: mine[name] for name in numbers}
+        made[i] = plan = plans[i] or make_plan(mission, values, run_generator(seed, "chance", int(own[i])))
+        setup = RunSetup(mission, plan, model, values, {name: mine[name] for name in drawn})
+        setup.again = run_generator(seed, "chance", int(own[i])) if chance or plan.gated else None
         result = yield from setup.run(trace=False)
         made[i] = setup.plan
         return {**_row(result), "speed_limited": plan.limited}
@@ -167,7 +167,9 @@ def _row(result: RunResult) -> dict[str, Any]:
     }
     starts = np.asarray(result.timeline.start_s)
     ends = starts + np.asarray(result.timeline.duration_s)
-    grid = np.linspace(0.0, result.duration_s, PROGRESS_POINTS)
+    grid = np.arange(PROGRESS_POINTS) * (result.duration_s / (PROGRESS_POINTS - 1))
+    grid[-1] = result.duration_s
+    knots = np.concatenate([[0.0], ends])
     failed = []
     for name, battery in result.batteries.items():
         row[f"energy_{name}_wh"] = battery.energy_wh
@@ -177,7 +179,7 @@ def _row(result: RunResult) -> dict[str, Any]:
             row[f"component_{name}_{component}_wh"] = energy
         charge = np.concatenate([[battery.initial_wh], np.asarray(result.charge_wh[name])])
         row[f"needed_{name}_wh"] = np.nan if battery.needed_wh is None else battery.needed_wh
-        row[f"charge_{name}_wh"] = np.interp(grid, np.concatenate([[0.0], ends]), charge)
+        row[f"charge_{name}_wh"] = np.interp(grid, knots, charge)
         if battery.empty_at_s is not None:
             failed.append((battery.empty_at_s, battery.empty_in_segment, name))
     if failed:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from missionsim.engine import simulate as engine
+from missionsim.engine.meter import Meter
 from missionsim.engine.simulate import AuditError, simulate
 from tests.engine.making import load, run
 from tests.engine.test_batteries import FLAT, PLACES, simple
@@ -144,7 +144,7 @@ def test_a_battery_that_is_not_charged_ends_the_mission_at_the_dock() -> None:
 def test_an_audit_that_fails_ends_the_run_and_names_the_term(monkeypatch: pytest.MonkeyPatch) -> None:
     mission = load({"segments": [{"wait": {"duration": 60}}, {"drive": {"distance": 10, "speed": 1.0}}]})
     assert max(b.audit_relative_error for b in simulate(mission).batteries.values()) <= 1e-9
-    original = engine.joined
+    original = Meter.table
 
     def broken(*given: Any) -> Any:
         line, energies, charge = original(*given)
@@ -152,7 +152,7 @@ def test_an_audit_that_fails_ends_the_run_and_names_the_term(monkeypatch: pytest
         wrong = {**energies["aux"], key: energies["aux"][key] * (1.0 + 1e-6)}
         return line, {**energies, "aux": wrong}, charge
 
-    monkeypatch.setattr(engine, "joined", broken)
+    monkeypatch.setattr(Meter, "table", broken)
     with pytest.raises(AuditError, match=r"battery 'aux'.*boards"):
         simulate(mission)
 
@@ -162,13 +162,13 @@ def test_the_command_ends_with_code_3_where_the_audit_fails(
 ) -> None:
     from missionsim.cli.app import run_command
 
-    original = engine.joined
+    original = Meter.table
 
     def broken(*given: Any) -> Any:
         line, energies, charge = original(*given)
         lost = {name: {key: np.zeros_like(j) for key, j in terms.items()} for name, terms in energies.items()}
         return line, lost, charge
 
-    monkeypatch.setattr(engine, "joined", broken)
+    monkeypatch.setattr(Meter, "table", broken)
     assert run_command(["run", str(root / "missions/pioneer3dx/valve_patrol.yaml"), "--quiet"]) == 3
     assert "does not add up" in capsys.readouterr().err
