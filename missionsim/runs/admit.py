@@ -10,7 +10,9 @@ import numpy as np
 from missionsim.effects.covariates import is_moving
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
-from missionsim.runs.covariates import is_switch
+from missionsim.glossary import column_of
+from missionsim.labels import Labels
+from missionsim.runs.covariates import is_switch, may_be_cause
 from missionsim.runs.drive import Driven, drive
 from missionsim.runs.run import Run
 
@@ -18,11 +20,16 @@ LEVEL = 3.0
 """Measured over modelled energy, against the median of all runs, from which on a run has another unit (assumed)."""
 SUSPECT, EXPLAINED = 1.5, 1.25
 """The same from which on another unit of the speed is tried, and within which it explains the difference (assumed)."""
+ALIKE, ALONE = 4.0, 12.0
+"""Levels of runs differ among themselves, by floors or loads: one is looked at beyond so many times that, and odd
+without any known factor beyond so many (assumed)."""
 SPEEDS = {3.6: "km/h", 1000.0: "mm/s", 1.0 / 3.6: "m/s divided by 3.6"}
 FEWEST = 3
 FEWEST_LEVELS = 5
 OFFSET, SCATTER = 0.06, 6.0
 """An offset of one run is told from this part of the mean power on, and this many deviations of all runs (assumed)."""
+LOADS = ("cpu_load", "cpu_freq_hz")
+"""Columns of the glossary that may say why one run takes more than the others at rest and in motion alike."""
 COPY_SHARE = 0.003
 """Standard deviation of the difference of two logs, in parts of the mean power, below which they are one measurement.
 Noise of meters and drives is ten times as large."""
@@ -94,20 +101,29 @@ def _odd(runs: Sequence[Run], model: PowerModel) -> dict[str, str]:
         found |= _offset(driven, battery)
         ratios = np.array([_ratio(one, battery) for one in driven])
         usual = float(np.median(ratios))
-        for run, ratio in zip(own, ratios, strict=True):
-            off = ratio / usual
-            if not np.isfinite(off) or max(abs(off), 1.0 / max(abs(off), 1e-12)) < SUSPECT:
+        if not usual > 0.0:
+            continue
+        apart = np.abs(np.log(np.maximum(ratios / usual, 1e-12)))
+        middle = float(np.nanmedian(apart))
+        least = max(np.log(SUSPECT), ALIKE * middle)
+        for run, off, far in zip(own, ratios / usual, apart, strict=True):
+            if not np.isfinite(off) or far < least:
                 continue
             for factor, unit in SPEEDS.items():
-                if "speed_m_s" in run.columns and _near(
+                if _other_speeds(run, own, factor) and _near(
                     _ratio(drive(model, _slower(run, factor), battery), battery) / usual
                 ):
                     found[run.run] = f"speed_m_s is {factor:.3g} times too large ({unit}?)"
                     break
             else:
-                if off < 0.0 or max(off, 1.0 / off) > LEVEL:
+                if off < 0.0 or far > np.log(LEVEL):
                     found[run.run] = (
                         f"power_{battery}_w is {off:.3g} times the other runs against the model: another unit?"
+                    )
+                elif far > ALONE * middle:
+                    found[run.run] = (
+                        f"power_{battery}_w is {off:.3g} times the other runs against the model, which agree: "
+                        "another robot, unit or load?"
                     )
     # where most runs are odd it is the model that is
     return found if len(found) < 0.5 * len(runs) else {}
@@ -127,36 +143,76 @@ def _offset(runs: Sequence[Driven], battery: str) -> dict[str, str]:
     for i, own in enumerate(levels):
         for moving in (0, 1):
             apart = [
-                own[key] - float(np.median(others))
-                for key in own
+                (level - float(np.median(others)), rows)
+                for key, (level, rows) in own.items()
                 if key[0] == moving
-                and len(others := [other[key] for j, other in enumerate(levels) if j != i and key in other])
+                and len(others := [other[key][0] for j, other in enumerate(levels) if j != i and key in other])
                 >= (3 if moving else 1)
             ]
-            beside[i, moving] = np.mean(apart) if apart else np.nan
+            if apart:
+                beside[i, moving] = np.average([one[0] for one in apart], weights=[one[1] for one in apart])
     if np.isnan(beside[:, 1]).sum() > 0.5 * len(runs):
         return {}
-    mean = float(np.mean([abs(one.measured_w[battery].mean()) for one in runs]))
+    towards = np.array([_towards_rest(one, battery) for one in runs])
+    beside = np.column_stack([beside, towards - np.median(towards)])
     known = [np.abs(column[np.isfinite(column)]) for column in beside.T]
-    enough = [1.4826 * float(np.median(column)) for column in known if len(column) >= FEWEST_LEVELS - 1]
-    scatter = min(enough, default=np.inf)
-    least = max(OFFSET * mean, SCATTER * scatter)
+    scatter = [1.4826 * float(np.median(one)) if len(one) >= FEWEST_LEVELS - 1 else np.inf for one in known]
+    mean = float(np.mean([abs(one.measured_w[battery].mean()) for one in runs]))
     why = "an offset of its meter, or something on that is not logged?"
     return {
-        one.run.run: f"power_{battery}_w lies {in_motion:+.2g} W beside the other runs, at rest and in motion: {why}"
-        for one, (at_rest, in_motion) in zip(runs, beside, strict=True)
-        if abs(in_motion) > least and 0.5 < at_rest / in_motion < 2.0
+        one.run.run: f"power_{battery}_w lies {apart[1]:+.2g} W beside the other runs, at rest and in motion: {why}"
+        for one, apart in zip(runs, beside, strict=True)
+        if abs(apart[1]) > OFFSET * mean
+        and 0.5 < (apart[2] if np.isnan(apart[0]) else apart[0]) / apart[1] < 2.0
+        and bool((np.abs(apart) > SCATTER * np.array(scatter)).any())
+        and not _explained(one, runs, battery, float(apart[1]))
     }
 
 
-def _levels(driven: Driven, battery: str) -> dict[tuple[object, ...], float]:
-    """Median of measured less modelled power by rest or motion and by what is on, where there are rows enough."""
+def _levels(driven: Driven, battery: str) -> dict[tuple[object, ...], tuple[float, int]]:
+    """Median of measured less modelled power, and the rows, by rest or motion and by what is on."""
     cov, gap = driven.covariates, driven.measured_w[battery] - driven.model_w[battery]
     names = sorted(name for name in driven.run.columns if is_switch(name))
     states = np.column_stack([is_moving(cov) * np.ones(len(gap)), *(np.asarray(cov[name], float) for name in names)])
     kinds, which = np.unique(states, axis=0, return_inverse=True)
     groups = ((tuple(kind), gap[which.ravel() == i]) for i, kind in enumerate(kinds))
-    return {kind: float(np.median(rows)) for kind, rows in groups if len(rows) >= (15 if kind[0] else 5)}
+    return {kind: (float(np.median(rows)), len(rows)) for kind, rows in groups if len(rows) >= (15 if kind[0] else 5)}
+
+
+def _towards_rest(driven: Driven, battery: str) -> float:
+    """What a straight line through measured less modelled power over the speed comes to at rest."""
+    gap, speed = (
+        driven.measured_w[battery] - driven.model_w[battery],
+        np.abs(np.asarray(driven.covariates["speed_m_s"])),
+    )
+    return float(np.polyfit(speed, gap, 1)[1]) if np.ptp(speed) > 0.0 else float("nan")
+
+
+def _explained(driven: Driven, runs: Sequence[Driven], battery: str, offset: float) -> bool:
+    """Whether a load that is logged makes up half an offset, by its slope in other runs or as none of them has it."""
+    for name, data in driven.run.columns.items():
+        if isinstance(data, Labels) or not (name in LOADS or (column_of(name) is None and may_be_cause(name))):
+            continue
+        others = [one for one in runs if one is not driven and name in one.run.columns]
+        if len(others) < FEWEST:
+            continue
+        load = np.concatenate([one.run.number(name) - np.mean(one.run.number(name)) for one in others])
+        gaps = [one.measured_w[battery] - one.model_w[battery] for one in others]
+        gap = np.concatenate([one - one.mean() for one in gaps])
+        more = float(np.mean(data)) - float(np.median([np.mean(one.run.number(name)) for one in others]))
+        spread = float(load @ load)
+        if spread < len(load) * (0.1 * more) ** 2 or 0.5 < float(load @ gap) / spread * more / offset < 2.0:
+            return True
+    return False
+
+
+def _other_speeds(run: Run, runs: Sequence[Run], factor: float) -> bool:
+    """Whether a run's speeds are more like those of the others when they are divided by a factor."""
+    fast = {
+        one.run: float(np.quantile(np.abs(one.number("speed_m_s")), 0.95)) for one in runs if "speed_m_s" in one.columns
+    }
+    own, usual = fast.get(run.run, 0.0), float(np.median([*fast.values()])) if fast else 0.0
+    return own > 0.0 and usual > 0.0 and abs(np.log(own / factor / usual)) < abs(np.log(own / usual))
 
 
 def _slower(run: Run, factor: float) -> Run:

@@ -11,6 +11,7 @@ import argparse
 import contextlib
 import io
 import json
+import re
 import sys
 import tempfile
 from collections import Counter
@@ -98,7 +99,9 @@ def diagnosed(logs: dict[str, Log], folder: Path) -> tuple[dict[str, object], st
 
 def judge(found: dict[str, object], said: str, spoilt: str, hidden: str, share: float) -> set[str]:
     """``named`` (the spoilt run), ``wrong`` (an effect named that is not there), ``excluded`` (one that is there)."""
-    marks = {"named"} if spoilt in said else set()
+    # a run's name stands elsewhere too, where the error is looked at; only what is said of the fault counts
+    names = rf"^(LEFT OUT {spoilt}: |{spoilt} is .* in every row of all runs)"
+    marks = {"named"} if re.search(names, said, re.MULTILINE) else set()
     effects = [one for one in found.get("effects", []) if found.get("verdict") == "effects_found"]  # type: ignore[attr-defined]
     marks |= {f"wrong {one['effect']}" for one in effects if one["effect"] != hidden}
     for one in found.get("candidates", []) if hidden else []:  # type: ignore[attr-defined]

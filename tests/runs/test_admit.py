@@ -105,3 +105,27 @@ def test_a_switch_that_never_moves_is_told(runs: list[Run]) -> None:
     assert told_of == ["on_kinect is 0 in every row of all runs: what it draws cannot be told by them"]
     moved = replace(stuck[0], columns={**stuck[0].columns, "on_kinect": np.arange(len(stuck[0])) % 2.0})
     assert not [line for line in unchanging([moved, *stuck[1:]]) if line.startswith("on_kinect")]
+
+
+def driving(runs: list[Run]) -> list[Run]:
+    """The same runs without the rows at rest."""
+    return [run.rows_where(np.flatnonzero(np.abs(run.number("speed_m_s")) > 0.05)) for run in runs]
+
+
+def test_an_offset_is_named_without_rows_at_rest_too(runs: list[Run]) -> None:
+    odd = replace(runs[1], power_w={"robot": runs[1].power_w["robot"] - 2.0})
+    (line,) = told(driving([runs[0], odd, *runs[2:]]))
+    assert line.startswith("run_01: power_robot_w lies -")
+
+
+@pytest.mark.parametrize("elsewhere", [0.0, 1.0])
+def test_what_a_logged_load_explains_is_no_offset_of_a_meter(runs: list[Run], elsewhere: float) -> None:
+    """A heater that is on in one run alone, or now and then in all runs and always in one."""
+    rng = np.random.default_rng(2)
+    heated = []
+    for number, run in enumerate(runs):
+        heater = np.full(len(run), 4.0) if number == 4 else elsewhere * rng.choice([0.0, 4.0], len(run), p=[0.9, 0.1])
+        power = {"robot": run.power_w["robot"] + heater}
+        heated.append(replace(run, power_w=power, columns={**run.columns, "heater_w": heater}))
+    assert told(heated) == []
+    assert len(told([*heated[:4], replace(heated[4], columns=runs[4].columns)])) == 1
