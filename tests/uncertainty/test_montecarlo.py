@@ -148,12 +148,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return files(folder)
 
 
-def test_same_bytes_for_any_number_of_workers(tmp_path: Path, whole: dict[str, bytes]) -> None:
-    assert batch(tmp_path / "two", "--engine", "simpy", "--workers", "2") == 0
-    assert files(tmp_path / "two") == whole
-
-
-@pytest.mark.parametrize(("ending", "workers"), [(signal.SIGKILL, 2), (signal.SIGINT, 2), (signal.SIGINT, 1)])
+@pytest.mark.parametrize(("ending", "workers"), [(signal.SIGKILL, 2), (signal.SIGINT, 1)])
 def test_an_ended_batch_resumes_to_the_same_bytes(
     tmp_path: Path, whole: dict[str, bytes], ending: signal.Signals, workers: int
 ) -> None:
