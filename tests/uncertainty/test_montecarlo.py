@@ -148,7 +148,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return files(folder)
 
 
-@pytest.mark.parametrize(("ending", "workers"), [(signal.SIGKILL, 2), (signal.SIGINT, 1)])
+@pytest.mark.parametrize(("ending", "workers"), [(signal.SIGKILL, 2), (signal.SIGINT, 2)])
 def test_an_ended_batch_resumes_to_the_same_bytes(
     tmp_path: Path, whole: dict[str, bytes], ending: signal.Signals, workers: int
 ) -> None:
