@@ -14,6 +14,7 @@ from missionsim.errors import visible
 if TYPE_CHECKING:
     from missionsim.errors import Fault
     from missionsim.logs import LogTable
+    from missionsim.logs.write import LongRun
 
 
 def import_(
@@ -50,7 +51,6 @@ def import_(
     """
     from missionsim.errors import InputError
 
-    text = to.text
     if not sources:
         raise InputError.single("no file was given", allowed="missionsim import FILE…")
     if suggest:
@@ -63,12 +63,20 @@ def import_(
         return _list(sources, to)
     if out is None:
         raise InputError.single("--out is missing", allowed="--out LOG.parquet, or a folder for several runs")
-    from missionsim.importer.mapping import import_source, provenance
+    from missionsim.importer.mapping import import_long, import_source, provenance
     from missionsim.inputs.loading import load_map
     from missionsim.logs.write import write_log
 
     spec = load_map(map_)
     left_out: list[Fault] = []
+    target = out if out.suffix else out / f"{sources[0].stem}.parquet"
+    alone = len(sources) == 1 and target.suffix == ".parquet" and not target.is_dir()
+    if (
+        alone
+        and target.resolve() != sources[0].resolve()
+        and (long := import_long(sources[0], spec, target)) is not None
+    ):
+        return _told([long], [target], (), sources, map_, to)
     logs = import_source(sources, spec, None if strict else left_out)
     damaged = [log for log in logs if any(remark.kind == "damaged" for remark in log.remarks)]
     if strict and damaged:
@@ -77,6 +85,18 @@ def import_(
     _spare_sources(logs, targets)
     for log, target in zip(logs, targets, strict=True):
         write_log(log, target, provenance(log, spec))
+    _told(logs, targets, left_out, sources, map_, to)
+    return 1 if left_out or damaged else 0
+
+
+def _told(
+    logs: Sequence[LogTable | LongRun],
+    targets: Sequence[Path],
+    left_out: Sequence[Fault],
+    sources: Sequence[Path],
+    map_: Path,
+    to: Output,
+) -> int:
     to.emit(
         {
             "schema": "missionsim.import/1",
@@ -87,14 +107,14 @@ def import_(
             "left_out": [dataclasses.asdict(fault) for fault in left_out],
         }
     )
-    if text:
+    if to.text:
         _print(logs, targets)
     for fault in left_out if to.json != "-" else []:
         print(fault, file=sys.stderr)
-    if left_out and text:
+    if left_out and to.text:
         names = sorted({fault.file for fault in left_out})
         print(f"left out: {', '.join(names)} ({len(names)} of {len(names) + len({log.source for log in logs})} files)")
-    return 1 if left_out or damaged else 0
+    return 0
 
 
 def _targets(logs: list[LogTable], out: Path) -> list[Path]:
@@ -133,7 +153,7 @@ def _spare_sources(logs: list[LogTable], targets: list[Path]) -> None:
         raise InputError(faults)
 
 
-def _summary(log: LogTable, target: Path) -> dict[str, Any]:
+def _summary(log: LogTable | LongRun, target: Path) -> dict[str, Any]:
     return {
         "run": log.run,
         "file": str(target),
@@ -151,7 +171,7 @@ def _summary(log: LogTable, target: Path) -> dict[str, Any]:
     }
 
 
-def _print(logs: list[LogTable], targets: list[Path]) -> None:
+def _print(logs: Sequence[LogTable | LongRun], targets: Sequence[Path]) -> None:
     from missionsim.logs import describe
     from missionsim.report.terminal import console, simple_table
 

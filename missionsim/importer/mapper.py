@@ -38,6 +38,7 @@ class Mapper:
         self.constants = {name: float(number) for name, number in spec.constants.items()}
         self.faults: list[Fault] = []
         self.remarks: list[Remark] = []
+        self.clock = "own"
         offered = raw.names or tuple(raw.columns)
         known = {*offered, *self.constants, *spec.let, *spec.columns}
         self.let = {name: self._compile(text, ("let", name), known) for name, text in spec.let.items()}
@@ -189,6 +190,7 @@ class Mapper:
             self._fault(("columns", "time_s"), str(error), ", ".join(map(str, names)))
             raise InputError(self.faults) from None
         self.remarks += [remark for remark in found.remarks if remark not in self.remarks]
+        self.clock = found.kind
         return found.seconds
 
     def _numbers(self, name: str, parts: list[ColumnData]) -> list[Floats]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,16 @@ from missionsim.files import sha256
 from missionsim.importer import transform
 from missionsim.importer.mapper import Mapper
 from missionsim.importer.runs import Part, split_at_gaps, split_runs
-from missionsim.importer.sources import find_sources, read_source
-from missionsim.inputs.log_map import MapSpec
+from missionsim.importer.sources import find_sources, read_source, table_options, with_names
+from missionsim.inputs.log_map import MapSpec, RunsMap
+from missionsim.logs.blocks import checked_blocks
+from missionsim.logs.formats.delimited import iter_csv
 from missionsim.logs.raw import ColumnData, RawTable
 from missionsim.logs.read import PathLike, make_log
+from missionsim.logs.readers import reader_of
 from missionsim.logs.remarks import Remark
 from missionsim.logs.times import close_jumps
+from missionsim.logs.write import LongRun, write_blocks
 from missionsim.runs.run import Run
 
 
@@ -70,9 +74,70 @@ def import_source(
     return logs
 
 
-def _logs(mapper: Mapper, part: Part) -> list[Run]:
-    """Logs of one run of the source (several where gaps split it)."""
-    chosen = _which(part.rows, mapper.raw.rows)
+class NotByBlocks(Exception):
+    """A table whose rows, or whose times, need others than those near them: it has to be read as a whole."""
+
+
+_LONG_BYTES, _BLOCK_ROWS = 64_000_000, 200_000
+
+
+def import_long(path: Path, spec: MapSpec, out: Path) -> LongRun | None:
+    """Import a long text table of one run block by block, in bounded memory.
+
+    Parameters
+    ----------
+    path : Path
+    spec : MapSpec
+    out : Path
+        Parquet file to write.
+
+    Returns
+    -------
+    LongRun or None
+        None where the file is short, or has to be imported as a whole: by `import_source`. Checks of units and clocks
+        look at the first block only.
+    """
+    alone = all(c.lag is None and c.average is None and c.differentiate is None for c in spec.columns.values())
+    turns = any(c.quaternion is not None and c.give == "heading" for c in spec.columns.values())
+    if not alone or turns or spec.files or spec.refresh or spec.step is not None or spec.runs != RunsMap():
+        return None
+    if not path.is_file() or path.stat().st_size < _LONG_BYTES or reader_of(path).name != "csv":
+        return None
+    try:
+        return write_blocks(checked_blocks(_mapped(path, spec), path), out, lambda run: provenance(run, spec))
+    except (NotByBlocks, ValueError):  # Arrow says so where a later block has other columns
+        return None
+
+
+def _mapped(path: Path, spec: MapSpec) -> Iterator[RawTable]:
+    """Blocks of a text table in the columns of a map."""
+    zero = last = None
+    for raw in iter_csv(path, _BLOCK_ROWS, options=table_options(spec)):
+        mapper = Mapper(spec, with_names(raw, spec), path.stem)
+        columns, _, number, remarks = _columns(mapper, np.arange(raw.rows))
+        time = np.asarray(columns["time_s"])
+        if mapper.clock not in ("utc", "own") or not np.isfinite(time).all():
+            raise NotByBlocks
+        if not len(time):
+            continue
+        if (np.diff(time) < 0).any() or (last is not None and time[0] < last):
+            raise NotByBlocks
+        last = float(time[-1])
+        told = [*raw.remarks, *(remarks if zero is None or mapper.keep is not None else [])]
+        if zero is None:
+            told += mapper.remarks
+            early = len(time) > 1 and 0.0 <= time[0] <= 1.01 * float(np.median(np.diff(time)))
+            zero = 0.0 if early else float(time[0])
+        columns["time_s"] = time - zero
+        lines = raw.lines if len(number) == raw.rows else lambda _row: 0
+        yield RawTable(raw.file, columns, lines, told, raw.first_row)
+
+
+def _columns(
+    mapper: Mapper, rows: NDArray[np.int64]
+) -> tuple[dict[str, ColumnData], dict[str, Any], NDArray[np.int64], list[Remark]]:
+    """Columns of the map and of the source in the rows that are kept, their numbers, and what is said of it."""
+    chosen = _which(rows, mapper.raw.rows)
     source: dict[str, Any] = {name: data[chosen] for name, data in mapper.raw.columns.items()}
     result = mapper.evaluate(source)
     if mapper.spec.others:
@@ -80,23 +145,28 @@ def _logs(mapper: Mapper, part: Part) -> list[Run]:
             name: data for name, data in source.items() if name not in result and name not in mapper.spec.signals
         }
     remarks = _words_that_are_columns(mapper)
-    number = np.flatnonzero(part.rows) if part.rows.dtype == bool else part.rows
     if mapper.keep is not None:
         values = {**mapper.constants, **result, **mapper.helpers(source, result), **source}
-        keep = np.nan_to_num(np.asarray(mapper.run(mapper.keep, values, len(number)))) != 0
+        keep = np.nan_to_num(np.asarray(mapper.run(mapper.keep, values, len(rows)))) != 0
         if not keep.all():
             left = int((~keep).sum())
             told = f"{left} of {len(keep)} rows do not meet '{mapper.spec.keep}'"
             remarks.append(Remark("keep", "", told, "left out, as the map asks", "note", 0, left))
-        result, number = {name: data[keep] for name, data in result.items()}, number[keep]
+        result, rows = {name: data[keep] for name, data in result.items()}, rows[keep]
         source = {name: data[keep] for name, data in source.items()}
+    return result, source, rows, remarks
+
+
+def _logs(mapper: Mapper, part: Part) -> list[Run]:
+    """Logs of one run of the source (several where gaps split it)."""
+    result, source, number, remarks = _columns(mapper, part.rows)
     logs = []
     for name, rows, more in split_at_gaps(part.name, np.asarray(result["time_s"]), mapper.spec.runs):
         chosen = _which(rows, len(number))
         run = {key: data[chosen] for key, data in result.items()}
         signals = {key: data[chosen] for key, data in source.items()}
-        told = [*mapper.raw.remarks, *mapper.remarks, *part.remarks, *remarks, *more]
-        logs.append(_finish(mapper, name, run, signals, number[chosen], told))
+        every = [*mapper.raw.remarks, *mapper.remarks, *part.remarks, *remarks, *more]
+        logs.append(_finish(mapper, name, run, signals, number[chosen], every))
     return logs
 
 

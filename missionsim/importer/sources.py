@@ -153,11 +153,11 @@ def read_source(source: Source, spec: MapSpec) -> RawTable:
     reader = reader_of(source.path)
     if reader.table is None:
         return _from_messages(source.path, reader, spec)
-    return _from_table(source.path, reader, spec)
+    return with_names(reader.table(source.path, table_options(spec)), spec)
 
 
-def _from_table(path: Path, reader: Reader, spec: MapSpec) -> RawTable:
-    assert reader.table is not None
+def table_options(spec: MapSpec) -> Options:
+    """What a map wants of a table."""
     named = {signal.field.strip() for signal in spec.signals.values()}
     words = spec.words()
 
@@ -166,8 +166,11 @@ def _from_table(path: Path, reader: Reader, spec: MapSpec) -> RawTable:
         numbered = any(field.startswith("#") for field in named) or name.rpartition(" #")[0] in named
         return spec.others or name in named or numbered or identifier(name) in words
 
-    options = Options(wants=wants, header=spec.table.header, delimiter=spec.table.delimiter)
-    raw = reader.table(path, options)
+    return Options(wants=wants, header=spec.table.header, delimiter=spec.table.delimiter)
+
+
+def with_names(raw: RawTable, spec: MapSpec) -> RawTable:
+    """A table with its columns under the names that the formulas of a map may use."""
     own = Counter(identifier(name) for name in raw.names)
     columns = {identifier(name): data for name, data in raw.columns.items() if own[identifier(name)] == 1}
     faults = []

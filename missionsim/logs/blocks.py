@@ -53,7 +53,11 @@ def iter_blocks(
     if reader.blocks is None:
         yield read_log(path, robot=robot)
         return
-    blocks = reader.blocks(path, rows, wanted)
+    yield from checked_blocks(reader.blocks(path, rows, wanted), path, robot)
+
+
+def checked_blocks(blocks: Iterator[RawTable], path: Path, robot: RobotSpec | None = None) -> Iterator[Run]:
+    """Check tables that follow each other like one log; see `iter_blocks`."""
     axis = TimeAxis()
     before: RawTable | None = None
     current = next(blocks, None)

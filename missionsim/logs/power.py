@@ -47,8 +47,8 @@ def missing_columns(names: Iterable[str], file: str, header_line: Callable[[], i
     if "time_s" not in names:
         near = did_you_mean("time_s", [name for name in names if column_of(name) is None], 0.4)
         allowed, hint = "time in seconds from the start of the run", f"rename '{near}' or use a map" if near else ""
-        told = ("the column 'time_s' is missing", "time_s", ", ".join(names)[:200], allowed, hint)
-        faults.append(Fault(file, header_line(), 0, *told))
+        told, got = "the column 'time_s' is missing", ", ".join(names)[:200]
+        faults.append(Fault(file, header_line(), 0, told, "time_s", got, allowed, hint))
     if not measured_batteries(names):
         allowed = "power_<battery>_w, or voltage_<battery>_v and current_<battery>_a, or energy_<battery>_wh"
         half = {"voltage_<battery>_v": "current_{}_a", "current_<battery>_a": "voltage_{}_v"}
@@ -58,8 +58,8 @@ def missing_columns(names: Iterable[str], file: str, header_line: Callable[[], i
         if not hints and (name := next((name for name in names if name not in of and name.startswith(alike)), "")):
             near = did_you_mean(name, known, 0.5)
             hints = [f"'{name}' as {near or 'power_robot_w'} (rename it, or use a map)"]
-        told = ("no battery is measured", "power_<battery>_w", ", ".join(names)[:200], allowed, *hints[:1])
-        faults.append(Fault(file, header_line(), 0, *told))
+        told, got = "no battery is measured", ", ".join(names)[:200]
+        faults.append(Fault(file, header_line(), 0, told, "power_<battery>_w", got, allowed, *hints[:1]))
     return faults
 
 

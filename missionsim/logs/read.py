@@ -27,6 +27,7 @@ from missionsim.runs.run import Run, row_durations
 
 if TYPE_CHECKING:
     from missionsim.inputs import RobotSpec
+    from missionsim.logs.write import LongRun
 
 PathLike = str | os.PathLike[str]
 _SOURCES = {
@@ -275,7 +276,7 @@ def check_log(path: PathLike, *, robot: RobotSpec | None = None) -> list[Fault]:
     return [remark.fault(str(path)) for remark in merge(remarks) if remark.severity != "note"]
 
 
-def describe(logs: Sequence[Run], *, notes: bool = False) -> list[str]:
+def describe(logs: Sequence[Run | LongRun], *, notes: bool = False) -> list[str]:
     """The remarks of several logs in words, one line each, the same remark of many runs joined.
 
     Parameters

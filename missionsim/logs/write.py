@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from missionsim.errors import InputError
 from missionsim.files import atomic_write, csv_cell
 from missionsim.labels import Labels
+from missionsim.logs.remarks import Remark, merge
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from missionsim.runs.run import Run
 
 
@@ -36,14 +40,71 @@ def write_log(log: Run, path: Path, metadata: Mapping[str, str] | None = None) -
         raise InputError.single(told, file=str(path), got=got, allowed=".csv, .parquet")
     with atomic_write(path) as temporary:
         if path.suffix == ".parquet":
-            _parquet(log, temporary, metadata or {})
+            import pyarrow.parquet as parquet
+
+            parquet.write_table(_table(log, metadata or {}), temporary, use_dictionary=_words(log))
         else:
             _csv(log, temporary)
 
 
-def _parquet(log: Run, path: Path, metadata: Mapping[str, str]) -> None:
-    import pyarrow as pa
+@dataclass
+class LongRun:
+    """What is known of a run that was written block by block; as in `missionsim.runs.run.Run`."""
+
+    run: str
+    source: str
+    power_from: Mapping[str, str]
+    columns: tuple[str, ...]
+    rows: int = 0
+    duration_s: float = 0.0
+    energies: dict[str, float] = field(default_factory=dict)
+    remarks: tuple[Remark, ...] = ()
+
+    @property
+    def batteries(self) -> tuple[str, ...]:
+        """Names of the batteries that were measured."""
+        return tuple(self.power_from)
+
+    def energy_wh(self, battery: str) -> float:
+        """What a battery delivered [Wh]."""
+        return self.energies[battery]
+
+    def add(self, block: Run) -> None:
+        """Count one more block."""
+        self.rows += block.rows
+        self.duration_s += block.duration_s
+        for battery in block.batteries:
+            self.energies[battery] = self.energies.get(battery, 0.0) + block.energy_wh(battery)
+        self.remarks = tuple(merge([*self.remarks, *block.remarks]))
+
+
+def write_blocks(blocks: Iterable[Run], path: Path, metadata: Callable[[Run], Mapping[str, str]]) -> LongRun:
+    """Write blocks of one run as a Parquet file, whole or not at all; ValueError where their columns differ."""
     import pyarrow.parquet as parquet
+
+    each = iter(blocks)
+    block: Run | None = next(each)
+    long = LongRun(block.run, block.source, block.power_from, tuple(block.columns))
+    told = metadata(block)
+    schema = _table(block, told).schema
+    with (
+        atomic_write(path) as temporary,
+        parquet.ParquetWriter(temporary, schema, use_dictionary=_words(block)) as writer,
+    ):
+        while block is not None:
+            writer.write_table(_table(block, told))
+            long.add(block)
+            block = next(each, None)
+    return long
+
+
+def _words(log: Run) -> list[str]:
+    """Columns that are worth a dictionary: one of measured numbers takes three times as long to write."""
+    return [name for name, data in log.columns.items() if isinstance(data, Labels)]
+
+
+def _table(log: Run, metadata: Mapping[str, str]) -> pa.Table:
+    import pyarrow as pa
 
     arrays = {
         name: pa.DictionaryArray.from_arrays(
@@ -53,8 +114,7 @@ def _parquet(log: Run, path: Path, metadata: Mapping[str, str]) -> None:
         else pa.array(data)
         for name, data in log.columns.items()
     }
-    table = pa.table(arrays).replace_schema_metadata({key.encode(): value.encode() for key, value in metadata.items()})
-    parquet.write_table(table, path)
+    return pa.table(arrays).replace_schema_metadata({key.encode(): value.encode() for key, value in metadata.items()})
 
 
 def _csv(log: Run, path: Path) -> None:

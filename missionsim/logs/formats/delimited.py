@@ -83,25 +83,34 @@ def read_csv(path: Path, options: Options) -> RawTable:
     return _in_its_encoding(path, options, whole)
 
 
-def iter_csv(path: Path, rows: int, columns: Sequence[str] | None = None) -> Iterator[RawTable]:
-    """Read a text table in blocks of at least `rows` rows (the last may be shorter), in bounded memory."""
+def iter_csv(
+    path: Path, rows: int, columns: Sequence[str] | None = None, options: Options | None = None
+) -> Iterator[RawTable]:
+    """Read a text table in blocks of at least `rows` rows (the last may be shorter), in bounded memory.
+
+    With `columns` the batteries' are read as well; with `options` what they say.
+    """
     import pyarrow as pa
 
-    file = _in_its_encoding(path, Options(typed=True), _opened)
+    options = options or Options(typed=True, wants=lambda name: columns is None or name in columns or measures(name))
+    file = _in_its_encoding(path, options, _opened)
+    file.block_bytes = _BLOCK_BYTES // 4  # Arrow reads some thirty blocks ahead
     words, done = frozenset[str](), 0
 
-    def wants(name: str) -> bool:
-        return columns is None or name in columns or measures(name)
+    def table() -> RawTable:
+        raw = from_arrow(pa.Table.from_batches(held), str(path), file.lines, first)
+        raw.remarks[:0] = file.dialect.remarks if not first else []
+        raw.names = file.dialect.names
+        return raw
 
     while True:
         first, held, count = 0, [], 0
         try:
-            for batch in file.batches(wants, words):
+            for batch in file.batches(options.wants, words):
                 held.append(batch)
                 count += batch.num_rows
                 if count >= rows:
-                    raw = from_arrow(pa.Table.from_batches(held), str(path), file.lines, first)
-                    raw.remarks[:0] = file.dialect.remarks if not first else []
+                    raw = table()
                     first, held, count = first + count, [], 0
                     if first > done:
                         done = first
@@ -111,10 +120,9 @@ def iter_csv(path: Path, rows: int, columns: Sequence[str] | None = None) -> Ite
         except TextColumn as text:  # begin again with it as text, without what was given already
             words |= {text.name}
         except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError) as error:
-            raise InputError(explain(path, str(path), file.dialect, True, str(error))) from None
+            raise InputError(explain(path, str(path), file.dialect, options.typed, str(error))) from None
     if count:
-        raw = from_arrow(pa.Table.from_batches(held), str(path), file.lines, first)
-        raw.remarks[:0] = file.dialect.remarks if not first else []
+        raw = table()
         if file.cut:
             raw.remarks.append(_cut_end(raw, count))
         yield raw
@@ -165,6 +173,7 @@ class _File:
         if self.cut and dialect.encoding == "utf-8" and text_faults(path, str(path)):
             raise UnicodeError("bad text")  # Arrow cannot tell bad text from a ragged line
         self.skipped: list[int] = []
+        self.block_bytes = _BLOCK_BYTES
         self.lines = line_finder(path, dialect)
         self.schema: Any = None
 
@@ -238,7 +247,7 @@ class _File:
             column_names=list(self.dialect.names),
             skip_rows=self.dialect.header_line,
             encoding="utf8" if utf8 else self.dialect.encoding,
-            block_size=_BLOCK_BYTES,
+            block_size=self.block_bytes,
         ), arrow_csv.ParseOptions(
             delimiter=self.dialect.delimiter,
             quote_char='"' if self.dialect.quoted else False,
