@@ -29,8 +29,8 @@ def measured_batteries(names: Iterable[str]) -> dict[str, str]:
         if found is not None and "<battery>" in found[0].name:
             kinds.setdefault(found[1], set()).add(found[0].name.split("_")[0])
     ways = (("power", {"power"}), ("voltage*current", {"voltage", "current"}), ("energy", {"energy"}))
-    found = {battery: next((way for way, needs in ways if needs <= have), "") for battery, have in kinds.items()}
-    return {battery: way for battery, way in found.items() if way}
+    chosen = {battery: next((way for way, needs in ways if needs <= have), "") for battery, have in kinds.items()}
+    return {battery: way for battery, way in chosen.items() if way}
 
 
 def measures(name: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -83,18 +84,17 @@ def write_blocks(blocks: Iterable[Run], path: Path, metadata: Callable[[Run], Ma
     import pyarrow.parquet as parquet
 
     each = iter(blocks)
-    block: Run | None = next(each)
-    long = LongRun(block.run, block.source, block.power_from, tuple(block.columns))
-    told = metadata(block)
-    schema = _table(block, told).schema
+    first = next(each)
+    long = LongRun(first.run, first.source, first.power_from, tuple(first.columns))
+    told = metadata(first)
+    schema = _table(first, told).schema
     with (
         atomic_write(path) as temporary,
-        parquet.ParquetWriter(temporary, schema, use_dictionary=_words(block)) as writer,
+        parquet.ParquetWriter(temporary, schema, use_dictionary=_words(first)) as writer,
     ):
-        while block is not None:
+        for block in itertools.chain([first], each):
             writer.write_table(_table(block, told))
             long.add(block)
-            block = next(each, None)
     return long
 
 

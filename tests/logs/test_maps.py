@@ -6,7 +6,9 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from pandas.testing import assert_frame_equal
 
 from missionsim.cli.app import run_command as main
 from missionsim.errors import InputError
@@ -374,3 +376,61 @@ def test_command_faults(
     assert main(["import", *arguments]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "a.parquet").exists()
+
+
+LONG = """kind: map
+columns:
+  time_s: {time}
+  power_robot_w: watts
+  speed_m_s: {{value: speed, unit: km/h{speed}}}
+  surface: floor
+{more}"""
+
+
+def long_table(path: Path, stamp: str = "seconds", change: str = "") -> Path:
+    rows = []
+    for i in range(4000):
+        seconds = {"seconds": f"{7 + 0.1 * i:.1f}", "epoch": f"{1.7e9 + 0.1 * i:.1f}"}.get(stamp)
+        seconds = seconds or f"2025-03-14 {9 + i // 36000:02d}:{i // 600 % 60:02d}:{i // 10 % 60:02d}.{i % 10}"
+        seconds = "8.0" if change == "backwards" and i == 3500 else seconds
+        extra = "" if change == "hollow" and i > 2000 else f"{i % 17}"
+        rows.append(f"{seconds},{20 + i % 13},{1 + i % 5},{'wood' if i < 1700 else 'carpet'},{extra}")
+    path.write_text("time,watts,speed,floor,temperature\n" + "\n".join(rows) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("stamp", "speed", "more", "change", "by_blocks"),
+    [
+        ("seconds", "", "others: true", "", True),
+        ("epoch", "", "keep: watts > 21", "", True),
+        ("iso", "", "", "", False),  # local time: the clocks may change
+        ("seconds", ", lag: 2 s", "", "", False),
+        ("seconds", "", "step: 1 s", "", False),
+        ("seconds", "", "", "backwards", False),
+        ("seconds", "", "others: true", "hollow", False),  # a column that a later block has not
+    ],
+)
+def test_long_tables(
+    stamp: str, speed: str, more: str, change: str, by_blocks: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = long_table(tmp_path / "long.csv", stamp, change)
+    time = "{stamp: time}" if stamp == "iso" else "time"
+    (tmp_path / "map.yaml").write_text(LONG.format(time=time, speed=speed, more=more))
+    command = ["import", str(table), "--map", str(tmp_path / "map.yaml"), "--quiet", "--json"]
+    told = []
+    for limit, name in ((1 << 60, "whole"), (0, "blocks")):
+        monkeypatch.setattr("missionsim.importer.mapping._LONG_BYTES", limit)
+        monkeypatch.setattr("missionsim.importer.mapping._BLOCK_ROWS", 500)
+        monkeypatch.setattr("missionsim.logs.formats.delimited._BLOCK_BYTES", 40_000)
+        out = tmp_path / f"{name}.parquet"
+        assert main([*command, str(tmp_path / f"{name}.json"), "--out", str(out)]) == 0
+        (run,) = json.loads((tmp_path / f"{name}.json").read_text())["runs"]
+        told.append({key: value for key, value in run.items() if key not in ("file", "remarks")})
+    assert told[1] == {**told[0], "duration_s": pytest.approx(told[0]["duration_s"]), "batteries": told[1]["batteries"]}
+    energies = [one["batteries"]["robot"]["energy_wh"] for one in told]
+    assert energies[1] == pytest.approx(energies[0], rel=1e-12)
+    tables = [pq.read_table(tmp_path / f"{name}.parquet").to_pandas() for name in ("whole", "blocks")]
+    assert_frame_equal(*tables, check_categorical=False)
+    groups = pq.ParquetFile(tmp_path / "blocks.parquet").num_row_groups
+    assert (groups > 3) == by_blocks
