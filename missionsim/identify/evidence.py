@@ -192,13 +192,14 @@ def predicts_left_out(model: Model, columns: Sequence[int]) -> tuple[bool, float
     from scipy.stats import t
 
     squares = LeastSquares.of(model.design)
-    with_it = squares.leave_out(model.chosen)
-    without = squares.leave_out([c for c in model.chosen if c not in columns])
+    rest = [c for c in model.chosen if c not in columns]
+    with_it, without = squares.leave_out(model.chosen), squares.leave_out(rest)
     better = with_it.total < without.total
     count = len(squares.sums)
     if count < SEVERAL_RUNS:
         return better, 1.0
-    rise = (np.abs(with_it.energy) - np.abs(without.energy)) / squares.measured()
+    after, before = squares.energy_left_out(model.chosen, with_it), squares.energy_left_out(rest, without)
+    rise = (np.abs(after) - np.abs(before)) / squares.measured()
     error = float(np.std(rise, ddof=1)) / np.sqrt(count)
     return better, float(t.sf(float(np.mean(rise)) / max(error, 1e-300), count - 1))
 

@@ -284,15 +284,16 @@ def _measure(
     from scipy.stats import f
 
     before = squares.leave_out(beside)
-    after = squares.leave_out([*beside, *own])
-    value, covariance = squares.jackknife([*beside, *own], after)
+    chosen = [*beside, *own]
+    after = squares.leave_out(chosen)
+    value, covariance = squares.jackknife(chosen, after)
     shares, own_covariance = value[-len(own) :], covariance[-len(own) :, -len(own) :]
     folds, k = len(squares.sums), len(own)
     size = max(float(np.trace(own_covariance)), 1e-300)
     wald = float(shares @ np.linalg.solve(own_covariance + 1e-9 * size * np.eye(k), shares))
     p_value = float(f.sf(wald * (folds - k) / (k * (folds - 1)), k, folds - k)) if folds > k else 1.0
     fall = before.square - after.square
-    worse = np.abs(after.energy) - np.abs(before.energy)
+    worse = np.abs(squares.energy_left_out(chosen, after)) - np.abs(squares.energy_left_out(beside, before))
     spread = float(np.std(worse, ddof=1)) / np.sqrt(folds) if folds > 1 else np.inf
     logged = candidate.effect.startswith(LOGGED)
     effects = len({column.candidate for column in layout.columns})

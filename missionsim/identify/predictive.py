@@ -134,6 +134,22 @@ class LeastSquares:
             coefficients = np.asarray(np.linalg.solve(inner, side[..., None])[..., 0])
         return self.errors(index, coefficients)
 
+    def energy_left_out(self, chosen: Sequence[int], left: Left) -> Array:
+        """Error of the energy of each fold [J] under the others' coefficients as they are written, shape (folds,).
+
+        They give the energy of the fitted folds together (see `unbiased`): a bias that all runs share is not told.
+        """
+        index = self.index(chosen)
+        if not len(index):
+            return left.energy
+        covariance = self.jackknife(chosen, left)[1]
+        others = self.whole - self.sums
+        ahead = others[:, index, -2]
+        missing = others[:, 0, -2] - np.sum(left.coefficients * ahead, axis=1)
+        step = ahead @ covariance
+        size = np.maximum(np.sum(ahead * step, axis=1), 1e-300)
+        return self.errors(index, left.coefficients + step * (missing / size)[:, None]).energy
+
     def only(self, folds: NDArray[np.bool_]) -> LeastSquares:
         """Some of the folds."""
         return LeastSquares(self.sums[folds], self.seconds[folds], self.prior_sd, self.run[folds])
