@@ -32,6 +32,10 @@ FREE_SD = 1e3
 """Relative prior standard deviation that leaves a parameter to the logs."""
 ALIKE = 1e-9
 """Columns whose correlation is nearer to one than this are multiples of each other."""
+MOST_ROWS = 200_000
+"""Longer logs are fitted to means alone."""
+CLEARLY = 0.01
+"""Part of the squared error of left-out rows by which rows as logged must be the better ones (assumed)."""
 EXACT = 1e4
 """Weight of the energy of all runs against all rows together."""
 
@@ -77,7 +81,9 @@ def final_fit(
     """Fit base parameters and the coefficients of effects to runs, as they will stand in the robot file.
 
     Least squares over means of about a second, each weighing its time, at the clock that was found; base parameters are
-    held by their priors, which count against errors clustered by run; the energy of all runs agrees exactly.
+    held by their priors, which count against errors clustered by run; the energy of all runs agrees exactly. Rows as
+    they were logged take the place of the means where they clearly predict left-out rows better: an effect may act
+    otherwise in a jolt than over a second.
 
     Parameters
     ----------
@@ -95,11 +101,34 @@ def final_fit(
     keep_base : bool
         Fit the effects alone.
     """
+    plain, means = _fit(model, runs, battery, prior_sd, clock, settings, fixed, keep_base)
+    step = float(np.median(np.concatenate([run.dt_s for run in runs if battery in run.power_w])))
+    rows = sum(run.rows for run in runs)
+    if means is None or step > 0.5 * settings.period_s or rows > MOST_ROWS:
+        return plain
+    finer = replace(settings, period_s=step)
+    other, raw = _fit(model, runs, battery, prior_sd, clock, finer, fixed, keep_base)
+    if raw is None or raw.names != means.names:
+        return plain
+    return other if raw.left_out(raw) < (1.0 - CLEARLY) * means.left_out(raw) else plain
+
+
+def _fit(
+    model: PowerModel,
+    runs: Sequence[Run],
+    battery: str,
+    prior_sd: Mapping[str, float],
+    clock: Clock,
+    settings: Settings,
+    fixed: Sequence[str],
+    keep_base: bool,
+) -> tuple[FinalFit, _System | None]:
+    """The fit to means over one period, and its rows."""
     added = {t.name_of(n) for t in model.of(battery) if not t.base for n in t.parameters}
     shapes = {
         t.name_of(s.name) for t in model.of(battery) if not t.base for s in t.effect.shape if s.name in t.parameters
     }
-    shapes -= {n for n in shapes if n.rpartition(".")[2].startswith("k_")}
+    shapes -= {n for n in shapes if n.rpartition(".")[2].startswith(("k_", "regeneration"))}
     still = {*fixed, *shapes}
     start = {n: p.value for n, p in model.parameters_of(battery).items()}
     low, high = _bounds(model, battery)
@@ -113,7 +142,7 @@ def final_fit(
             alike = _alike(whole, [n for n in names if n not in added], prior_sd)
             names = [n for n in names if n not in alike]
             if not names:
-                return FinalFit(model, {})
+                return FinalFit(model, {}), None
             now = {n: p.value for n, p in ready.parameters.items()}
             # columns per relative change from the start, so that the prior stays where it was
             system = whole.of_columns(names, [start[n] / now[n] for n in names])
@@ -133,7 +162,7 @@ def final_fit(
             ready = prepare(model, runs, battery)
     sds = np.sqrt(np.maximum(np.diag(cov), 0.0))
     told = {n: Value(values[n], abs(start[n]) * float(s)) for n, s in zip(names, sds, strict=True)}
-    return FinalFit(model, told, alike)
+    return FinalFit(model, told, alike), system
 
 
 def _is_linear(ready: Prepared, powers: Sequence[Array], values: Mapping[str, float]) -> bool:
@@ -217,6 +246,16 @@ class _System:
         at = [self.names.index(name) for name in names]
         return replace(self, names=names, x=self.x[:, at] * scale, energy_x=self.energy_x[at] * scale)
 
+    def left_out(self, raw: _System) -> float:
+        """Mean squared error [W2] of other rows of the same runs, each cluster predicted from a fit to the others."""
+        weighed = self.x * self.seconds[:, None]
+        square = 0.0
+        for number in np.unique(raw.cluster):
+            kept, out = self.cluster != number, raw.cluster == number
+            shift = np.linalg.lstsq(weighed[kept].T @ self.x[kept], weighed[kept].T @ self.y[kept], rcond=1e-9)[0]
+            square += float(raw.seconds[out] @ (raw.y[out] - raw.x[out] @ shift) ** 2)
+        return square / float(raw.seconds.sum())
+
     def moved(self, powers: Sequence[Array]) -> _System:
         """The rows at other values of the parameters in a linear model, from its power in each run."""
         raw = [np.where(np.isfinite(power), power, 0.0)[None, :] for power in powers]
@@ -236,8 +275,8 @@ def _clusters(design: Design) -> NDArray[np.intp]:
     index = design.run_index()
     if len(design.runs) >= SEVERAL_RUNS:
         return index
-    blocks = np.floor(design.time_s / BLOCK_S).astype(np.intp)
-    return np.unique(np.column_stack([index, blocks]), axis=0, return_inverse=True)[1].ravel()
+    blocks = np.floor((design.time_s - design.time_s.min()) / BLOCK_S).astype(np.intp)
+    return index * (int(blocks.max()) + 2) + blocks
 
 
 def _solve(system: _System, done: Array, sd: Array, ends: Array, *, energy: bool) -> tuple[Array, Array]:
@@ -265,8 +304,9 @@ def _solve(system: _System, done: Array, sd: Array, ends: Array, *, energy: bool
         shift = np.asarray(solved.x)
         noise = _noise(x, y, weight, shift)
         bread = np.linalg.pinv(normal / (noise**2 * d) + prior)
-        scores = np.zeros((int(system.cluster.max()) + 1, len(sd)))
-        np.add.at(scores, system.cluster, x * ((y - x @ shift) * weight)[:, None])
+        numbers, cluster = np.unique(system.cluster, return_inverse=True)
+        scores = np.zeros((len(numbers), len(sd)))
+        np.add.at(scores, cluster, x * ((y - x @ shift) * weight)[:, None])
         count = len(scores)
         meat = scores.T @ scores * count / max(count - 1, 1)
         # eigenvalues of meat over normal: by how much a cluster says less than its rows would

@@ -420,7 +420,7 @@ class Search:
         level = np.mean(np.abs(x), axis=1)
         rows = np.arange(len(self.ground.design.y))
         exact = Sieve(self.ground, top.model.noise, rows, 1)
-        unit = (x / level[:, None]).astype(np.float32)
+        unit = (x / np.where(level > 0.0, level, 1.0)[:, None]).astype(np.float32)
         _, score, information, _ = exact(len(forms), lambda some, part: unit[some, part].copy())
         gain = 0.5 * score**2 / np.maximum(information, 1e-300)
         share = score / np.maximum(information, 1e-300) / self.ground.mean_power_w
