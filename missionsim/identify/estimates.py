@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from missionsim.identify.data import Array, Candidate
-from missionsim.identify.evidence import Evidence
+from missionsim.identify.evidence import Evidence, cause_is_constant
 from missionsim.identify.findings import Estimate, Finding
 from missionsim.identify.forward import Choice
 from missionsim.identify.identifiability import Pair, rivals
 from missionsim.identify.model import Model
 from missionsim.identify.residual import ramps
 from missionsim.identify.search import Constraints
-from missionsim.identify.settings import RAMP_SYSTEMATIC, RUN_LEVEL, Settings
+from missionsim.identify.settings import BESIDE_RUN_LEVEL, RAMP_SYSTEMATIC, RUN_LEVEL, Settings
 
 Z95 = 1.959963984540054
 
@@ -71,6 +71,8 @@ def estimated(
         loads, watts = candidate.unlogged
         if sum(abs(sizes[k]) for k in own) * model.design.layout.mean_power_w <= watts:
             similar = (*similar, *(name for name in loads if name != candidate.effect))
+        if not similar and evidence[0].p_runs > BESIDE_RUN_LEVEL and cause_is_constant(model, own[0], candidates):
+            similar = _larger(number, model, constraints, candidates, sizes)
         leads = {p.b: p.separation_nats for p in alike if p.a == candidate.effect}
         # where rivals are told, the lead over them is what is asked
         among = [leads[name] for name in similar if name in leads] or list(leads.values())
@@ -91,6 +93,18 @@ def estimated(
             )
         )
     return tuple(sorted(out, key=lambda f: -f.gain_nats))
+
+
+def _larger(
+    number: int, model: Model, constraints: Constraints, candidates: Sequence[Candidate], sizes: Mapping[int, float]
+) -> tuple[str, ...]:
+    """The largest effect in the model where it is larger than one: its misfit may differ from run to run."""
+    total: dict[int, float] = {}
+    for k in model.chosen:
+        other = int(constraints.effect[k])
+        total[other] = total.get(other, 0.0) + abs(sizes[k])
+    most = max(total, key=lambda other: total[other])
+    return () if most == number else (candidates[most].effect,)
 
 
 def _form_error(model: Model, column: int, on_ramps: float, settings: Settings) -> float:

@@ -151,6 +151,8 @@ LEADING_BLOCK = 0.3
 """A block with this part of the information leaves too few degrees of freedom for a test with it."""
 RUN_LEVEL = 0.05
 """Level at which an effect counts as repeated across runs in words."""
+BESIDE_RUN_LEVEL = 0.005
+"""p over runs from which on a second effect whose cause is constant within runs may be a misfit of the larger one."""
 POWER_Z = 0.84
 """Normal quantile of a power of 80 %, at which detection limits are told."""
 WORSE_ENERGY_LEVEL = 0.01
