@@ -276,7 +276,7 @@ def _clusters(design: Design) -> NDArray[np.intp]:
     if len(design.runs) >= SEVERAL_RUNS:
         return index
     blocks = np.floor((design.time_s - design.time_s.min()) / BLOCK_S).astype(np.intp)
-    return index * (int(blocks.max()) + 2) + blocks
+    return np.asarray(index * (int(blocks.max()) + 2) + blocks, dtype=np.intp)
 
 
 def _solve(system: _System, done: Array, sd: Array, ends: Array, *, energy: bool) -> tuple[Array, Array]:

@@ -150,7 +150,9 @@ class Gram:
         """Relative shifts of the first `count` base parameters, then shares, and their posterior covariance."""
         total, index, _, inner = self._normal(chosen, 1e-9)
         keep = np.r_[np.arange(count), np.arange(self.q, len(index))].astype(int)
-        return np.linalg.solve(inner, total[index, 0])[keep], np.linalg.inv(inner)[np.ix_(keep, keep)]
+        return np.asarray(np.linalg.solve(inner, total[index, 0])[keep]), np.asarray(
+            np.linalg.inv(inner)[np.ix_(keep, keep)]
+        )
 
     def conditional(self, chosen: Sequence[int]) -> Array:
         """[y, Phi] after the chosen columns are projected out as well, shape (1+p, 1+p)."""

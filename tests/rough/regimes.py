@@ -129,7 +129,9 @@ def motion(rng: np.random.Generator, robot: Robot, seconds: float, run: int) -> 
     corner = (way % 23.0 < 2.0) & (v > 0)
     pivot = (v < 0.02 * robot.top_m_s) & (_held(rng, n, [0, 0, 0, 1], 3, 9) > 0)
     yaw = _lagged(np.where(corner, 0.6, 0.0) + np.where(pivot, 0.9, 0.0), 0.25)
-    slope = _lagged(0.06 * ((way % 61.0 > 20) & (way % 61.0 < 28)) - 0.06 * ((way % 61.0 > 40) & (way % 61.0 < 48)), 0.8)
+    slope = _lagged(
+        0.06 * ((way % 61.0 > 20) & (way % 61.0 < 28)) - 0.06 * ((way % 61.0 > 40) & (way % 61.0 < 48)), 0.8
+    )
     cpu = np.clip(_held(rng, n, [0.15, 0.3, 0.5, 0.75, 0.95], 8, 60) + 0.03 * _wander(rng, n, 4.0), 0, 1)
     return {
         "v": v,
