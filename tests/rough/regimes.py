@@ -257,9 +257,8 @@ def case(regime: Regime, effect: str, share: float, seed: int) -> dict[str, obje
         file = folder / "other.yaml"
         file.write_text(robot_file(told, regime.file_sd), encoding="utf-8")
         if regime.calibrated:
-            if regime.calibrated == "straight":
-                text = file.read_text(encoding="utf-8")
-                lines = [line for line in text.splitlines() if not line.startswith("    c2")]
+            if regime.calibrated == "straight":  # a formula that lacks what the robot has
+                lines = [line for line in file.read_text(encoding="utf-8").splitlines() if "c2:" not in line]
                 file.write_text("\n".join([*lines, ""]), encoding="utf-8")
             command = ["calibrate", str(folder / "logs"), "--robot", str(file), "--out", str(folder / "mine.yaml")]
             run_command([*command, "--quiet"])
@@ -271,7 +270,7 @@ def case(regime: Regime, effect: str, share: float, seed: int) -> dict[str, obje
 
 
 def judge(effect: str, found: dict[str, object]) -> str:
-    """``silent``, ``right``, ``in a set``, ``late``, ``unexplained``, ``named``, ``wrong`` (nothing true beside a name)."""
+    """In a word: right, in a set with the truth, unexplained, silent, or wrong (nothing true beside a name)."""
     named: dict[str, list[str]] = found["named"]  # type: ignore[assignment]
     if not effect:
         if named:
