@@ -73,9 +73,9 @@ class Timeline:
                 cov[name] = np.asarray(value)[index][:, None]
             else:
                 cov[name] = np.asarray(value, dtype=float)[index][:, None]
-        for name, rate in self.rates.items():
+        for name in self.rates:
             if name in cov and (memory is None or name in memory or not _is_clock(name)):
-                change = rate[index]
+                change = self.rates[name][index]
                 if change.any():
                     cov[name] = cov[name] + change[:, None] * offset_s
         return cov
@@ -89,9 +89,9 @@ class Timeline:
             The clocks (``moving_time_s`` …) that some term of the model reads; the others are ignored.
         """
         result = np.zeros(len(self), dtype=bool)
-        for name, rate in self.rates.items():
+        for name in self.rates:
             if name in memory or not _is_clock(name):
-                result |= np.asarray(rate) != 0.0
+                result |= np.asarray(self.rates[name]) != 0.0
         return result
 
     def way_m(self) -> float:
@@ -142,8 +142,6 @@ class Lazily(Mapping[str, Any]):
         self._names, self._make = names, make
 
     def __getitem__(self, name: str) -> Any:
-        if name not in self._names:
-            raise KeyError(name)
         return self._make(name)
 
     def __iter__(self) -> Iterator[str]:
