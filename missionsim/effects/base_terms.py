@@ -11,7 +11,7 @@ from missionsim.effects.base import Effect, ParameterSpec
 from missionsim.effects.covariates import Covariates, is_moving, label_equals, number
 from missionsim.errors import InputError
 from missionsim.expressions import Expression
-from missionsim.physics import electrical, motion
+from missionsim.physics import motion
 
 Parameters = Mapping[str, Any]
 _EQ5 = "Jaiem 2021, Eqs. 5 and 8"
@@ -111,8 +111,8 @@ def load_term(
     """Power of one unit of a component times the units in `column`, always one without it; off where a log lacks it."""
 
     def power(cov: Covariates, p: Parameters) -> Any:
-        units = number(cov, column, 0.0) if column else _ones(cov)
-        return electrical.component_power(units, unit_power(cov, p))
+        units = number(cov, column) if column else _ones(cov)
+        return unit_power(cov, p) * units
 
     return Effect(
         id,
@@ -163,7 +163,7 @@ def switchboard_term(name: str, levels: int, components: tuple[str, ...]) -> Eff
     specs = tuple(ParameterSpec(f"relays_{i}", "W", f"with {i} relays closed") for i in range(levels))
 
     def power(cov: Covariates, p: Parameters) -> Any:
-        closed = sum((np.asarray(_units(cov, f"on_{component}")) for component in components), start=np.asarray(0.0))
+        closed = sum((np.asarray(number(cov, f"on_{component}")) for component in components), start=np.asarray(0.0))
         table = [p[spec.name] for spec in specs]
         result: Any = table[0] * np.ones_like(closed, dtype=float)
         for i, watts in enumerate(table[1:], start=1):
@@ -209,7 +209,7 @@ def processor_term(
     specs = tuple(ParameterSpec(name, "W", "processor power") for name in (*names, *((idle,) if idle else ())))
 
     def power(cov: Covariates, p: Parameters) -> Any:
-        units = {column: np.asarray(_units(cov, column), dtype=float) for column in columns}
+        units = {column: np.asarray(number(cov, column), dtype=float) for column in columns}
         # grows to the shape of what distinguishes the rows, which is often less than that of the speed
         nearest: Any = np.asarray(np.inf)
         result: Any = p[idle] if idle else 0.0
@@ -362,10 +362,6 @@ def aliased(cov: Covariates) -> Covariates:
         if "a" in short:
             short["a"] = np.where(backwards, -1.0, 1.0) * short["a"]
     return {**cov, **short}
-
-
-def _units(cov: Covariates, column: str) -> Any:
-    return number(cov, column, 0.0)
 
 
 def _ones(cov: Covariates) -> Any:

@@ -17,7 +17,8 @@ LOGGED = "logged"
 """Component under which watts that are logged beside are booked."""
 
 
-def _k(unit: str, meaning: str, high: float = float("inf")) -> ParameterSpec:
+def coefficient(unit: str, meaning: str, high: float = float("inf")) -> ParameterSpec:
+    """The parameter ``k``, in which an effect is linear."""
     return ParameterSpec("k", unit, meaning, high=high)
 
 
@@ -81,7 +82,7 @@ def floor_effect(id: str, surface: str) -> Effect:
         id=f"{id}:{surface}",
         equation=f"k·{of.equation} on surface '{surface}'",
         meaning=f"more {of.meaning} on {surface}",
-        parameters=(_k(of.unit, "coefficient"),),
+        parameters=(coefficient(of.unit, "coefficient"),),
         parts=(),
         power=lambda c, p: whole.power(c, {f"k_{surface}": p["k"]}),
     )
@@ -95,7 +96,7 @@ def logged_power_effect(column: str) -> Effect:
         f"k·{column}" + (" in W" if factor > 1.0 else ""),
         "assumed: what another meter measured is drawn from this battery, with k the loss on the way",
         f"{column}, which is logged beside, drawn from this battery",
-        (_k("1", "battery power for each watt logged, near 1", 10.0),),
+        (coefficient("1", "battery power for each watt logged, near 1", 10.0),),
         (column,),
         lambda c, p: p["k"] * factor * c[column],
         component=LOGGED,
@@ -111,7 +112,7 @@ def battery_resistance_effect(battery: str) -> Effect:
         "k·(P/U)² of the load on that battery",
         "Joule: resistance times current squared, with the voltage that was measured",
         "heat in the battery's leads",
-        (_k("ohm", "resistance", 10.0),),
+        (coefficient("ohm", "resistance", 10.0),),
         (voltage,),
         lambda c, p: electrical.resistance_loss(number(c, "load_w"), c[voltage], p["k"]),
         component="conversion",
@@ -128,9 +129,9 @@ def component_power_effect(component: str) -> Effect:
         f"k per unit of {component} switched on",
         "Jaiem 2021, Eq. 3",
         f"{component} draws more than its data sheet says",
-        (_k("W", "power of one unit"),),
+        (coefficient("W", "power of one unit"),),
         (column,),
-        lambda c, p: electrical.component_power(c[column], p["k"]),
+        lambda c, p: p["k"] * c[column],
         component=component,
         covariate=column,
     )
@@ -144,7 +145,7 @@ def component_warmup_effect(component: str) -> Effect:
         "k·exp(−time since switched on/τ)",
         "assumed form: one time constant after switching on",
         f"{component} draws more until it is warm",
-        (_k("W", "extra power when switched on"), TAU),
+        (coefficient("W", "extra power when switched on"), TAU),
         (column, clock),
         lambda c, p: electrical.warmup_power(c[column], c[clock], p["k"], p["tau"]),
         component=component,

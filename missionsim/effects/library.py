@@ -17,6 +17,7 @@ from missionsim.effects.families import (
     FLOORS,
     TAU,
     battery_resistance_effect,
+    coefficient,
     component_power_effect,
     component_warmup_effect,
     floor_effect,
@@ -30,10 +31,6 @@ REFERENCE_GRID_C = (25.0,)
 _SPEED = ("speed_m_s",)
 
 
-def _k(unit: str, meaning: str, high: float = float("inf")) -> ParameterSpec:
-    return ParameterSpec("k", unit, meaning, high=high)
-
-
 def _drive(
     id: str,
     equation: str,
@@ -44,7 +41,7 @@ def _drive(
     power: Callable[..., Any],
     **more: Any,
 ) -> Effect:
-    parameters = (_k(unit, "coefficient"), *more.pop("shape", ()))
+    parameters = (coefficient(unit, "coefficient"), *more.pop("shape", ()))
     return Effect(id, equation, source, meaning, parameters, needs, power, drive=True, **more)
 
 
@@ -201,7 +198,7 @@ _EFFECTS: tuple[Effect, ...] = (
         "k·P² of the load on that battery",
         "Joule: resistance times current squared at nearly constant voltage",
         "ohmic loss of converters and wiring",
-        (_k("1/W", "coefficient", 1.0),),
+        (coefficient("1/W", "coefficient", 1.0),),
         (),
         lambda c, p: electrical.conversion_loss(number(c, "load_w"), p["k"]),
         component="conversion",
@@ -213,7 +210,7 @@ _EFFECTS: tuple[Effect, ...] = (
         "k, always",
         "assumed form: a constant, as the controller boards of Jaiem 2021",
         "a constant load that nobody listed",
-        (_k("W", "power"),),
+        (coefficient("W", "power"),),
         (),
         lambda c, p: p["k"] * np.ones_like(number(c, "speed_m_s", 0.0), dtype=float),
         component="standby",
@@ -223,9 +220,9 @@ _EFFECTS: tuple[Effect, ...] = (
         "k·load",
         "rover paper, Eq. 6, term P_work U at one clock",
         "processor power that follows its load",
-        (_k("W", "power at full load"),),
+        (coefficient("W", "power at full load"),),
         ("cpu_load",),
-        lambda c, p: electrical.cpu_load_power(c["cpu_load"], p["k"]),
+        lambda c, p: p["k"] * c["cpu_load"],
         component="cpu",
     ),
     Effect(
@@ -233,7 +230,7 @@ _EFFECTS: tuple[Effect, ...] = (
         "k·load·f³",
         "Jaiem 2021, section 3.2; rover paper, Eq. 6, with the voltage following the clock",
         "dynamic processor power with voltage following frequency",
-        (_k("W/Hz^3", "coefficient"),),
+        (coefficient("W/Hz^3", "coefficient"),),
         ("cpu_load", "cpu_freq_hz"),
         lambda c, p: electrical.cpu_frequency_power(c["cpu_load"], c["cpu_freq_hz"], p["k"]),
         component="cpu",
@@ -244,7 +241,7 @@ _EFFECTS: tuple[Effect, ...] = (
         "k·d²",
         "free space: sending power with the distance squared; assumed for the whole radio",
         "radio that sends harder far from its access point",
-        (_k("W/m^2", "coefficient"),),
+        (coefficient("W/m^2", "coefficient"),),
         ("access_point_distance_m",),
         lambda c, p: electrical.radio_power(c["access_point_distance_m"], p["k"]),
         component="radio",

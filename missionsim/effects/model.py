@@ -175,12 +175,6 @@ class PowerModel:
         """Covariates without which some term cannot be evaluated."""
         return frozenset(name for term in self.terms for name in term.effect.needs)
 
-    def missing(self, cov: Covariates, battery: str | None = None) -> dict[str, tuple[str, ...]]:
-        """Covariates that terms need and `cov` lacks, by term name."""
-        terms = self.terms if battery is None else self.of(battery)
-        lacking = {term.key.name: tuple(n for n in term.effect.needs if n not in cov) for term in terms}
-        return {name: needs for name, needs in lacking.items() if needs}
-
     def lacking(self, cov: Covariates, battery: str | None = None) -> list[Fault]:
         """A fault for each name that terms need and `cov` lacks, at the place of the formula that reads it."""
         told = [name for name in sorted(cov) if not name.startswith(_INNER)]

@@ -35,14 +35,14 @@ def _wheels(cov: Covariates, p: Mapping[str, Any]) -> Any:
     speeds = mecanum.wheel_speeds(
         cov["speed_m_s"], number(cov, "lateral_speed_m_s"), number(cov, "yaw_rate_rad_s"), half_sum_m=p["half_sum"]
     )
-    return mecanum.wheel_friction_power(speeds, friction_n=p["wheel_friction"] * _load(cov))
+    return mecanum.friction_power(speeds, friction_n=p["wheel_friction"] * _load(cov))
 
 
 def _rollers(cov: Covariates, p: Mapping[str, Any]) -> Any:
     speeds = mecanum.roller_speeds(
         number(cov, "lateral_speed_m_s"), number(cov, "yaw_rate_rad_s"), half_wheelbase_m=p["half_wheelbase"]
     )
-    return mecanum.roller_friction_power(speeds, friction_n=p["roller_friction"] * _load(cov))
+    return mecanum.friction_power(speeds, friction_n=p["roller_friction"] * _load(cov))
 
 
 def _copper(cov: Covariates, p: Mapping[str, Any]) -> Any:

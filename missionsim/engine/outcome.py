@@ -35,7 +35,7 @@ SCHEMA = "missionsim.run/1"
 
 @dataclass(frozen=True, kw_only=True)
 class BatteryResult:
-    """What a run did to one battery.
+    """What a run did to one battery; the fields are those of the JSON, in its order.
 
     Attributes
     ----------
@@ -73,19 +73,19 @@ class BatteryResult:
     name: str
     energy_wh: float
     mean_power_w: float
-    capacity_wh: float
-    initial_wh: float
-    charged_wh: float
     charge_left_wh: float
     charge_left_fraction: float
-    internal_loss_wh: float
+    reserve_wh: float
     reserve_required_wh: float
     home_wh: float | None
-    reserve_wh: float
     empty_at_s: float | None
     empty_in_segment: str
     deficit_wh: float
     needed_wh: float | None
+    charged_wh: float
+    capacity_wh: float
+    initial_wh: float
+    internal_loss_wh: float
     audit_relative_error: float
 
 
@@ -241,27 +241,16 @@ class RunResult:
         """The run as the JSON of the command line (schema ``missionsim.run/1``)."""
         batteries = {}
         for name, battery in self.batteries.items():
+            own = {field: value for field, value in vars(battery).items() if field != "name"}
+            audit = own.pop("audit_relative_error")
             batteries[name] = {
-                "energy_wh": battery.energy_wh,
-                "mean_power_w": battery.mean_power_w,
-                "charge_left_wh": battery.charge_left_wh,
-                "charge_left_fraction": battery.charge_left_fraction,
-                "reserve_wh": battery.reserve_wh,
-                "reserve_required_wh": battery.reserve_required_wh,
-                "home_wh": battery.home_wh,
-                "empty_at_s": battery.empty_at_s,
+                **own,
                 "empty_in_segment": battery.empty_in_segment or None,
-                "deficit_wh": battery.deficit_wh,
-                "needed_wh": battery.needed_wh,
-                "charged_wh": battery.charged_wh,
-                "capacity_wh": battery.capacity_wh,
-                "initial_wh": battery.initial_wh,
-                "internal_loss_wh": battery.internal_loss_wh,
                 "by_component_wh": self.by_component_wh(name),
                 "by_term_wh": self.by_term_wh(name),
                 "by_scheme_wh": self.by_scheme_wh(name),
                 "by_segment_wh": self.by_segment_wh(name).tolist(),
-                "audit_relative_error": battery.audit_relative_error,
+                "audit_relative_error": audit,
             }
         return {
             "schema": SCHEMA,

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import simpy
 
-from missionsim.effects.covariates import Labels
 from missionsim.effects.timeline import Timeline
 from missionsim.plan.legs import Leg, Phase, Settings
+from missionsim.plan.steady import covariates_of
 
 REST = Phase(0.0, 0)
 
@@ -186,18 +186,8 @@ def timeline(
         "moving": moving,
         "moving_time_s": moving_time,
         "starts": starts,
-        "slope_rad": np.array([s.slope_rad for s in settings])[which],
-        "payload_kg": np.array([s.payload_kg for s in settings])[which],
+        **{name: values[which] for name, values in covariates_of(settings).items()},
     }
-    for name in ("scheme", "navigation", "surface"):
-        columns[name] = Labels.of([getattr(s, name) for s in settings])[which]
-    extras = [dict(s.extra) for s in settings]
-    for name in sorted({name for extra in extras for name in extra}):
-        given = [extra.get(name, np.nan) for extra in extras]
-        if any(isinstance(value, str) for value in given):
-            columns[name] = Labels.of(given)[which]
-        else:
-            columns[name] = np.array(given, dtype=float)[which]
     rates: dict[str, Any] = {
         "speed_m_s": accel,
         "lateral_speed_m_s": lateral_rate,

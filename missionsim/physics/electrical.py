@@ -22,11 +22,6 @@ def sonar_power(rate_hz: Value, p2: Value, p1: Value) -> Value:
     return p2 * np.square(rate_hz) + p1 * rate_hz
 
 
-def component_power(units_on: Value, k: Value) -> Value:
-    """Constant power per unit that is switched on, ``k n`` (Jaiem 2021, Eq. 3; k in W)."""
-    return k * units_on
-
-
 def warmup_power(units_on: Value, on_time_s: Value, k: Value, tau_s: Value) -> Value:
     """Extra power after switching on that fades, ``k exp(−t/τ)`` while on (library effect `component_warmup`)."""
     return k * (np.asarray(units_on) > 0) * np.exp(-np.asarray(on_time_s) / tau_s)
@@ -42,11 +37,6 @@ def resistance_loss(load_w: Value, voltage_v: Value, k: Value) -> Value:
     return k * np.square(np.asarray(load_w) / voltage_v)
 
 
-def cpu_load_power(load: Value, k: Value) -> Value:
-    """Processor power that follows its load, ``k u`` (k in W at full load)."""
-    return k * load
-
-
 def cpu_frequency_power(load: Value, frequency_hz: Value, k: Value) -> Value:
     """Dynamic processor power, ``k u f³`` with voltage following frequency (k in W/Hz³; Jaiem 2021, section 3.2)."""
     return k * load * np.asarray(frequency_hz) ** 3
@@ -57,19 +47,15 @@ def radio_power(distance_m: Value, k: Value) -> Value:
     return k * np.square(distance_m)
 
 
-def voltage_of_clock(
-    freq_hz: ArrayLike, *, low_hz: ArrayLike, high_hz: ArrayLike, low_v: ArrayLike, high_v: ArrayLike
-) -> Array:
-    """Supply voltage of the cores at a clock, V: a straight line between the ends of the range (assumed)."""
-    share = (f64(freq_hz) - f64(low_hz)) / (f64(high_hz) - f64(low_hz))
-    return f64(low_v) + (f64(high_v) - f64(low_v)) * np.clip(share, 0.0, 1.0)
-
-
 def core_power_scale(
     freq_hz: ArrayLike, *, low_hz: ArrayLike, high_hz: ArrayLike, low_v: ArrayLike, high_v: ArrayLike
 ) -> Array:
-    """Dynamic power of a core relative to that at the highest clock: f V² / (f_max V_max²), CMOS switching."""
-    voltage = voltage_of_clock(freq_hz, low_hz=low_hz, high_hz=high_hz, low_v=low_v, high_v=high_v)
+    """Dynamic power of a core relative to that at the highest clock: f V² / (f_max V_max²), CMOS switching.
+
+    The supply voltage is a straight line between the ends of the clock range (assumed).
+    """
+    share = (f64(freq_hz) - f64(low_hz)) / (f64(high_hz) - f64(low_hz))
+    voltage = f64(low_v) + (f64(high_v) - f64(low_v)) * np.clip(share, 0.0, 1.0)
     return f64(freq_hz) * voltage**2 / (f64(high_hz) * f64(high_v) ** 2)
 
 

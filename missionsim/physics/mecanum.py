@@ -57,15 +57,9 @@ def roller_speeds(
     return speeds[0], speeds[1], speeds[2], speeds[3]
 
 
-def wheel_friction_power(wheels_m_s: tuple[Array, ...], *, friction_n: ArrayLike) -> Array:
-    """Power lost at the wheels' rolling contact and bearings, W: Σ f_w |u_i|, `friction_n` = 4 f_w (all wheels)."""
-    total: Array = sum((np.abs(u) for u in wheels_m_s), start=np.zeros(()))
-    return f64(friction_n) / 4.0 * total
-
-
-def roller_friction_power(rollers_m_s: tuple[Array, ...], *, friction_n: ArrayLike) -> Array:
-    """Power lost in the rollers, W: Σ f_r |roller speed|, `friction_n` = 4 f_r (all rollers in contact)."""
-    total: Array = sum((np.abs(u) for u in rollers_m_s), start=np.zeros(()))
+def friction_power(speeds_m_s: tuple[Array, ...], *, friction_n: ArrayLike) -> Array:
+    """Power lost at the wheels' rolling contact and bearings, or in the rollers, W: Σ f |u_i|, `friction_n` = 4 f."""
+    total: Array = sum((np.abs(u) for u in speeds_m_s), start=np.zeros(()))
     return f64(friction_n) / 4.0 * total
 
 

@@ -116,18 +116,14 @@ def ramp_phases(
     )
 
 
-def constant_phases(distance_m: Any, limit_m_s: Any) -> Phases:
-    """The papers' assumption: each piece at its speed from the first to the last metre, no acceleration.
+def phases(distance_m: Any, limit_m_s: Any, accel_m_s2: Any = None, decel_m_s2: Any = None) -> Phases:
+    """Phases of a run from rest to rest, as `ramp_phases`.
 
-    Parameters
-    ----------
-    distance_m, limit_m_s : array_like, shape (..., pieces)
-
-    Returns
-    -------
-    Phases
-        Only the cruising phase of each piece lasts.
+    Without a limit of the acceleration, the papers' assumption: each piece at its speed from its first metre to its
+    last, so that only its cruising phase lasts.
     """
+    if accel_m_s2 is not None:
+        return ramp_phases(distance_m, limit_m_s, accel_m_s2, accel_m_s2 if decel_m_s2 is None else decel_m_s2)
     distance, limit = np.broadcast_arrays(np.asarray(distance_m, float), np.asarray(limit_m_s, float))
     zero = np.zeros_like(limit)
     return Phases(
@@ -135,10 +131,3 @@ def constant_phases(distance_m: Any, limit_m_s: Any) -> Phases:
         np.stack([limit, limit, limit], axis=-1),
         np.stack([zero, zero, zero], axis=-1),
     )
-
-
-def phases(distance_m: Any, limit_m_s: Any, accel_m_s2: Any = None, decel_m_s2: Any = None) -> Phases:
-    """Phases of a run from rest to rest; with no acceleration limit, at constant speed (see `constant_phases`)."""
-    if accel_m_s2 is None:
-        return constant_phases(distance_m, limit_m_s)
-    return ramp_phases(distance_m, limit_m_s, accel_m_s2, accel_m_s2 if decel_m_s2 is None else decel_m_s2)

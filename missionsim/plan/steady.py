@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from missionsim.effects.covariates import Labels
 from missionsim.effects.model import PowerModel
 from missionsim.inputs.robot import RobotSpec
-from missionsim.plan.legs import Leg
+from missionsim.plan.legs import Leg, Settings
 
 LONG_AGO_S = 1e7
 """After which what fades has faded."""
@@ -39,6 +39,22 @@ def closure(infos: Mapping[str, Requiring], sensors: Sequence[tuple[str, int]]) 
     return known
 
 
+def covariates_of(settings: Sequence[Settings]) -> dict[str, Any]:
+    """What settings say under glossary names, shape (settings,); not a number where only others say it."""
+    columns: dict[str, Any] = {
+        "slope_rad": np.array([s.slope_rad for s in settings]),
+        "payload_kg": np.array([s.payload_kg for s in settings]),
+    }
+    for name in ("scheme", "navigation", "surface"):
+        columns[name] = Labels.of([getattr(s, name) for s in settings])
+    extras = [dict(s.extra) for s in settings]
+    for name in sorted({name for extra in extras for name in extra}):
+        given = [extra.get(name, np.nan) for extra in extras]
+        text = any(isinstance(value, str) for value in given)
+        columns[name] = Labels.of(given) if text else np.array(given, dtype=float)
+    return columns
+
+
 def steady_power_w(robot: RobotSpec, model: PowerModel, legs: Sequence[Leg]) -> dict[str, NDArray[np.float64]]:
     """Power of each battery while legs are driven at their speed, shape (legs,), W.
 
@@ -53,14 +69,8 @@ def steady_power_w(robot: RobotSpec, model: PowerModel, legs: Sequence[Leg]) -> 
         "moving": zero + 1.0,
         "moving_time_s": zero + LONG_AGO_S,
         "time_s": zero + LONG_AGO_S,
-        "slope_rad": np.array([s.slope_rad for s in settings]),
-        "payload_kg": np.array([s.payload_kg for s in settings]),
+        **covariates_of(settings),
     }
-    cov |= {name: Labels.of([getattr(s, name) for s in settings]) for name in ("scheme", "navigation", "surface")}
-    for name in sorted({name for s in settings for name, _ in s.extra}):
-        given = [dict(s.extra).get(name, np.nan) for s in settings]
-        text = any(isinstance(value, str) for value in given)
-        cov[name] = Labels.of(given) if text else np.array(given, dtype=float)
     always = tuple((name, spec.units) for name, spec in robot.components.items() if spec.always_on)
     on = [closure(robot.components, (*s.sensors, *always)) for s in settings]
     for name in robot.components:

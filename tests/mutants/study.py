@@ -87,9 +87,9 @@ MUTANTS = [
         "meter",
         "engine/meter.py",
         ("return leg.recharge.power_w.get(battery, 0.0) if leg.recharge else 0.0", "return 0.0"),
-        ("(states < level) & (loads.charging == 0)", "(states < level)"),
-        ("if before[i] < level", "if before[i] > level"),
-        ('+ time, name, "empty"', ', name, "empty"'),
+        ("below & (loads.charging == 0)", "below"),
+        ("0.0 if state < reserve else", "0.0 if state > reserve else"),
+        ("+ time, name, kind", ", name, kind"),
     ),
     *_of(
         "meter",

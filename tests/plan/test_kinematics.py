@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from missionsim.plan.kinematics import Phases, constant_phases, junction_speeds, phases, ramp_phases
+from missionsim.plan.kinematics import Phases, junction_speeds, phases, ramp_phases
 
 lengths = st.lists(st.floats(0.01, 200.0), min_size=1, max_size=6)
 rates = st.floats(0.05, 5.0)
@@ -71,7 +71,7 @@ def test_braking_for_a_slow_zone_begins_before_it() -> None:
 
 
 def test_constant_speed_is_distance_over_speed() -> None:
-    made = constant_phases([10.0, 6.0], [0.5, 0.3])
+    made = phases([10.0, 6.0], [0.5, 0.3])
     assert float(made.total_s) == pytest.approx(40.0)
     assert phases([10.0], [0.5]).total_s == pytest.approx(20.0)
     assert not made.accel_m_s2.any()

@@ -40,8 +40,8 @@ def test_forces_do_the_work(speed: float, angle: float, along: float, across: fl
     wheels = mecanum.wheel_speeds(ahead, left)
     work = sum(float(f * u) for f, u in zip(forces, wheels, strict=True))
     balance = (
-        mecanum.wheel_friction_power(wheels, friction_n=20.0)
-        + mecanum.roller_friction_power(mecanum.roller_speeds(left), friction_n=3.0)
+        mecanum.friction_power(wheels, friction_n=20.0)
+        + mecanum.friction_power(mecanum.roller_speeds(left), friction_n=3.0)
         + mecanum.kinetic_power(ahead, along, left, across, mass_kg=9.0)
     )
     assert work == pytest.approx(float(balance), rel=1e-9, abs=1e-9)
