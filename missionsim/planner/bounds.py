@@ -82,6 +82,8 @@ class Tour:
 
     def opens(self, node: int) -> Callable[[Array], Array] | None:
         """Waiting at a visit until its window opens."""
+        if not self.site.windowed:
+            return None
         visit = self.site.stops[node % self.size].visit
         window = None if visit is None else self.site.task.visits[visit].window
         if window is None or window.from_.value <= 0.0:

@@ -62,10 +62,11 @@ class Network(Protocol):
 class Label:
     """A way to a node: its points (one, or a chain of them), where it came from and by what."""
 
-    __slots__ = ("move", "node", "parent", "points")
+    __slots__ = ("move", "node", "parent", "points", "ready")
 
     def __init__(self, node: int, points: Array, parent: Label | None = None, move: Any = None) -> None:
         self.node, self.points, self.parent, self.move = node, points, parent, move
+        self.ready = True
 
 
 @dataclass(frozen=True)
@@ -157,22 +158,21 @@ class _Front:
         return True
 
 
+def _shares(points: Array, limit: Array) -> tuple[Array, Array]:
+    """From and up to which share each piece of a chain keeps to limits; none of it where the first is greater."""
+    first, step = points[:-1], np.diff(points, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (limit - first) / step
+    never = (step == 0.0) & (first > limit)
+    high = np.where(step > 0.0, share, np.where(never, -1.0, 1.0)).min(axis=1)
+    return np.where(step < 0.0, share, 0.0).max(axis=1, initial=0.0), np.minimum(high, 1.0)
+
+
 def _chain_dominates(chain: Array, limits: Array) -> bool:
     """Whether each limit is kept by a point on the chain: what a chain dominates is convex, so these suffice."""
     for limit in limits:
-        for first, second in itertools.pairwise(chain):
-            low, high = 0.0, 1.0
-            step = second - first
-            for a, b, most in zip(first.tolist(), step.tolist(), limit.tolist(), strict=True):
-                if b > 0.0:
-                    high = min(high, (most - a) / b)
-                elif b < 0.0:
-                    low = max(low, (most - a) / b)
-                elif a > most:
-                    high = -1.0
-            if low <= high:
-                break
-        else:
+        low, high = _shares(chain, limit)
+        if not (low <= high).any():
             return False
     return True
 
@@ -183,22 +183,13 @@ def within(points: Array, limit: Array) -> Array:
         return points if bool((points[0] <= limit).all()) else points[:0]
     if bool((points <= limit).all()):
         return points
+    low, high = _shares(points, limit)
     kept: list[Array] = []
-    for first, second in itertools.pairwise(points):
-        step = second - first
-        low, high = 0.0, 1.0
-        for a, b, most in zip(first.tolist(), step.tolist(), limit.tolist(), strict=True):
-            if b > 0.0:
-                high = min(high, (most - a) / b)
-            elif b < 0.0:
-                low = max(low, (most - a) / b)
-            elif a > most:
-                high = -1.0
-        if low <= high:
-            for share in (low, high):
-                point = np.minimum(first + share * step, np.maximum(limit, first))
-                if not kept or np.abs(point - kept[-1]).max() > 1e-12:
-                    kept.append(point)
+    for i in np.flatnonzero(low <= high).tolist():
+        for share in (low[i], high[i]):
+            point = np.minimum(points[i] + share * (points[i + 1] - points[i]), np.maximum(limit, points[i]))
+            if not kept or np.abs(point - kept[-1]).max() > 1e-12:
+                kept.append(point)
     return np.array(kept).reshape(len(kept), points.shape[1])
 
 
@@ -246,23 +237,9 @@ def search(
         return best + EPSILON if every_goal else outcome.objective
 
     def push(label: Label) -> None:
-        label.points = within(label.points, room[label.node])
-        if len(label.points):
-            value = float(bounds.of(label.node, label.points).min())
-            if value < below():
-                heapq.heappush(heap, (value, float(label.points[0].sum()), next(serial), label))
-
-    def late(label: Label) -> bool:
-        """Whether waiting at its node puts a label off; then it takes its turn again."""
-        wait = network.opens(label.node)
-        if wait is None or label.parent is None:
-            return False
-        waited = wait(label.points)
-        if np.array_equal(waited, label.points):
-            return False
-        label.points = waited
-        push(label)
-        return True
+        value = _settle(network, label, bounds, room)
+        if value < below():
+            heapq.heappush(heap, (value, float(label.points[0].sum()), next(serial), label))
 
     for label in starts:
         push(label)
@@ -272,7 +249,8 @@ def search(
             outcome.bound = max(outcome.bound, value)
             if value >= outcome.objective and not every_goal:
                 break
-            if late(label):
+            if not label.ready:
+                push(label)
                 continue
             # whatever dominates a label has no larger bound, so that it was taken before
             front = fronts.setdefault(label.node, _Front(label.points.shape[1]))
@@ -292,9 +270,7 @@ def search(
                 if not every_goal:
                     continue
             for value, new in expand(network, label, bounds, room, below()):
-                if math.isnan(value):
-                    push(new)
-                else:
+                if value < below():
                     heapq.heappush(heap, (value, float(new.points[0].sum()), next(serial), new))
     except KeyboardInterrupt:
         if every_goal:
@@ -327,24 +303,22 @@ def quick(
         try:
             for label in layer:
                 for value, new in expand(network, label, bounds, room, outcome.objective):
-                    wait = network.opens(new.node)
-                    if math.isnan(value) or wait is not None:
-                        new.points = within(new.points if wait is None else wait(new.points), room[new.node])
-                        value = float(bounds.of(new.node, new.points).min(initial=math.inf))
                     ranked.append((value, len(ranked), new))
         except KeyboardInterrupt:
             outcome.interrupted = True
             return outcome
         layer = []
         fronts: dict[int, _Front] = {}
-        for value, _, label in sorted(ranked, key=lambda item: item[0]):
-            if value >= outcome.objective or len(layer) >= width:
+        heapq.heapify(ranked)
+        while ranked and len(layer) < width:
+            value, number, label = heapq.heappop(ranked)
+            if value >= outcome.objective:
                 break
-            if goal(label.node):
+            if not label.ready:
+                heapq.heappush(ranked, (_settle(network, label, bounds, room), number, label))
+            elif goal(label.node):
                 outcome.label, outcome.objective = label, float(label.points[:, 0].min())
-                continue
-            front = fronts.setdefault(label.node, _Front(label.points.shape[1]))
-            if front.add(bounds.sheared(label.points)):
+            elif fronts.setdefault(label.node, _Front(label.points.shape[1])).add(bounds.sheared(label.points)):
                 layer.append(label)
         outcome.labels += len(layer)
         if watch is not None and watch(outcome, len(layer)):
@@ -359,29 +333,38 @@ def _room(bounds: Bounds) -> Array:
         return np.asarray(bounds.most + EPSILON * (1.0 + np.abs(bounds.most)) - bounds.least)
 
 
+def _settle(network: Network, label: Label, bounds: Bounds, room: Array) -> float:
+    """Wait where a label has to, keep what of it is within the limits; its bound, infinite where nothing is."""
+    label.ready = True
+    wait = None if label.parent is None else network.opens(label.node)
+    label.points = within(label.points if wait is None else wait(label.points), room[label.node])
+    return float(bounds.of(label.node, label.points).min(initial=math.inf))
+
+
 def expand(network: Network, label: Label, bounds: Bounds, room: Array, below: float) -> Iterator[tuple[float, Label]]:
-    """Labels that follow from one, each with its bound; of chains (which have still to be cut) not a number."""
+    """Labels that follow from one, each with its bound; those that may have to wait or to be cut are not ready yet."""
     node, points = label.node, label.points
     refill = network.refill(node)
     if refill is not None and not (isinstance(label.move, tuple) and label.move[0] == "refill"):
         for i, point in enumerate(points):
             for chain in refill.options(point):
-                yield math.nan, Label(node, chain, label, ("refill", i))
+                new = Label(node, chain, label, ("refill", i))
+                yield _settle(network, new, bounds, room), new
     leaving = network.leaving(node)
     heads, use = leaving.heads, leaving.use
     if not len(heads):
         return
-    if len(points) > 1:
-        for k, there in enumerate(heads.tolist()):
-            yield math.nan, Label(there, points + use[k], label, leaving.moves[k])
-        return
-    after = points[0] + use
+    after = points.min(axis=0) + use  # of a chain: what none of its points is below
     picked = np.flatnonzero((after <= room[heads]).all(axis=1))
-    if picked.size:
-        values = bounds.of(heads[picked], after[picked])
-        for i, value in zip(picked.tolist(), values.tolist(), strict=True):
-            if value < below:
-                yield value, Label(int(heads[i]), after[i : i + 1], label, leaving.moves[i])
+    if not picked.size:
+        return
+    values = bounds.of(heads[picked], after[picked])
+    for i, value in zip(picked.tolist(), values.tolist(), strict=True):
+        if value < below:
+            head = int(heads[i])
+            new = Label(head, points + use[i], label, leaving.moves[i])
+            new.ready = len(points) == 1 and network.opens(head) is None
+            yield value, new
 
 
 def chain_of(label: Label) -> list[Label]:

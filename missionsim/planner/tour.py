@@ -201,7 +201,7 @@ class Site:
         """Weighted seconds and Wh."""
         return np.asarray(use @ self.weights)
 
-    @property
+    @cached_property
     def windowed(self) -> bool:
         """Whether some visit must begin within a window."""
         return any(visit.window is not None for visit in self.task.visits)
