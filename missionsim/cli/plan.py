@@ -10,8 +10,9 @@ from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, Output
 from missionsim.report.terminal import console, simple_table, titled
 
 if TYPE_CHECKING:
+    from missionsim.engine.outcome import RunResult
+    from missionsim.inputs.task import TaskSpec
     from missionsim.planner.answer import Answer
-    from missionsim.planner.tour import Site
 
 
 def plan(
@@ -50,15 +51,19 @@ def plan(
     from missionsim.cli.parse import check_picture
     from missionsim.files import write_text
     from missionsim.inputs.loading import load_task
-    from missionsim.planner.tour import make_site
     from missionsim.planner.write import mission_text
 
     check_picture(plot)
     spec = load_task(task, changes.pairs, changes.robot)
     to.warn(spec.warnings)
-    site = make_site(spec)
-    answer = _solved(site, seconds, to)
-    _extend(answer, pareto, alternatives)
+    answer, run = _solved(spec, seconds, to)
+    to.warn(() if run is None else run.warnings)
+    try:
+        _extend(answer, pareto, alternatives)
+    except KeyboardInterrupt:
+        if not answer.feasible:
+            raise
+    answer.extra["warnings"] = [] if run is None else [fault.message for fault in run.warnings]
     written = []
     if out is not None and answer.feasible:
         write_text(out, mission_text(answer, out))
@@ -80,25 +85,19 @@ def plan(
     return 0 if answer.feasible else 1
 
 
-def _solved(site: Site, seconds: float | None, to: Output) -> Answer:
+def _solved(task: TaskSpec, seconds: float | None, to: Output) -> tuple[Answer, RunResult | None]:
     """Search with progress on standard error, and an end to it."""
-    from missionsim.planner.chance import with_probability
-    from missionsim.planner.rounds import plan_rounds
-    from missionsim.planner.solve import solve_site
+    from missionsim.planner.chance import plan_task
 
     began = time.monotonic()
     with to.progress() as bar:
-        task = bar.add_task("planning", total=None)
+        told = bar.add_task("planning", total=None)
 
         def watch(what: str, objective: float, bound: float) -> bool:
-            bar.update(task, description=f"planning: best {objective:.6g}, none below {bound:.6g}")
+            bar.update(told, description=f"planning: best {objective:.6g}, none below {bound:.6g}")
             return seconds is not None and time.monotonic() - began > seconds
 
-        def solve(one: Site) -> Answer:
-            return plan_rounds(one) if one.task.repeat is not None else solve_site(one, watch)
-
-        asked = site.task.within.with_probability
-        return solve(site) if asked is None else with_probability(site, asked.value, solve)
+        return plan_task(task, watch)
 
 
 def _extend(answer: Answer, with_pareto: bool, with_alternatives: bool) -> None:

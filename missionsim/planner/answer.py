@@ -68,6 +68,8 @@ class Answer:
     duration_s : float
     energy_wh, charge_left_wh : dict
         By battery.
+    stopped : bool
+        Whether the search was stopped before its end.
     """
 
     site: Site
@@ -80,6 +82,7 @@ class Answer:
     charge_left_wh: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     extra: dict[str, Any] = field(default_factory=dict)
+    stopped: bool = False
 
     @property
     def gap(self) -> float:
@@ -93,10 +96,16 @@ class Answer:
         """What is proved of the plan, in words, with what the proof leaves out."""
         text = "proved best" if self.gap == 0.0 else f"at most {100 * self.gap:.2g} % from the best"
         left_out = list(self.extra.get("assumed", ()))
-        if self.site.physics.fades:
-            left_out.append("what fades after a start is taken as faded")
-        if self.site.physics.circuits:
-            left_out.append(f"{', '.join(self.site.physics.circuits)}: taken as a store of energy")
+        if self.stopped:
+            left_out.append("the search was stopped")
+        physics = self.site.physics
+        if off := self.extra.get("corrected"):
+            why = ["what fades after a start"] * physics.fades + ["components that start up"] * bool(physics.slow)
+            why += [f"the voltage of '{name}'" for name in physics.circuits]
+            left_out.append(
+                f"searched without {', '.join(why) or 'all that the run has'}: up to {100 * off:.2g} % more or less; "
+                "all numbers are those of the run"
+            )
         if "margins" in self.extra and any(
             [*self.extra["margins"]["reserve_wh"].values(), self.extra["margins"]["deadline_s"]]
         ):

@@ -1,10 +1,10 @@
-"""Plans that hold with a probability: margins on reserve and deadline until enough of fresh draws hold."""
+"""From a task to a plan that holds: simulated as it is and, where asked, with a probability; by margins that grow."""
 
 from __future__ import annotations
 
-import math
 import tempfile
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.engine.outcome import RunResult
+from missionsim.engine.simulate import simulate
 from missionsim.files import write_text
+from missionsim.inputs.loading import load_mission
+from missionsim.inputs.task import TaskSpec
 from missionsim.planner.answer import Answer
-from missionsim.planner.tour import Site
+from missionsim.planner.rounds import plan_rounds
+from missionsim.planner.solve import Watch, solve_site
+from missionsim.planner.tour import Site, make_site
 from missionsim.planner.write import mission_text
 from missionsim.uncertainty.answers import proportion_interval
 from missionsim.uncertainty.batch import Task, compute_block, prepare
@@ -22,17 +28,57 @@ from missionsim.uncertainty.batch import Task, compute_block, prepare
 RUNS = 4096
 TRIES = 6
 SEED = 20_260_101
+SAME = 1e-9
+Array = NDArray[np.float64]
+
+
+@contextmanager
+def _mission(answer: Answer) -> Iterator[str]:
+    """A file of a plan's mission, while it is needed."""
+    with tempfile.TemporaryDirectory(prefix="missionsim-", ignore_cleanup_errors=True) as folder:
+        path = Path(folder) / "mission.yaml"
+        write_text(path, mission_text(answer, path))
+        yield str(path)
 
 
 def draws_of(answer: Answer, seed: int, runs: int = RUNS) -> dict[str, NDArray[Any]]:
     """Columns of many runs of a plan's mission, each with values drawn."""
-    with tempfile.TemporaryDirectory(prefix="missionsim-", ignore_cleanup_errors=True) as folder:
-        path = Path(folder) / "mission.yaml"
-        write_text(path, mission_text(answer, path))
-        task = Task(str(path), answer.site.task.elsewhere, None, seed, "auto")
+    with _mission(answer) as path:
+        task = Task(path, answer.site.task.elsewhere, None, seed, "auto")
         if prepare(task).arrays is None:
             runs = min(runs, 200)  # one by one: a minute and more for what arrays do in a second
         return compute_block(task, 0, runs)
+
+
+def as_run(answer: Answer) -> tuple[Answer, RunResult]:
+    """A plan with what SimPy says of its mission where that differs: of what the search takes more simply.
+
+    Returns
+    -------
+    Answer, RunResult
+    """
+    with _mission(answer) as path:
+        run = simulate(load_mission(path, overrides=answer.site.task.elsewhere))
+    plan = [answer.duration_s, *answer.energy_wh.values(), *answer.charge_left_wh.values()]
+    batteries = run.batteries.values()
+    real = [run.duration_s, *(b.energy_wh for b in batteries), *(b.charge_left_wh for b in batteries)]
+    if np.allclose(plan, real, rtol=SAME, atol=SAME) or not run.completed or len(run.segments) != len(answer.legs):
+        return answer, run
+    energy = {name: run.by_segment_wh(name) for name in run.batteries}
+    legs, before = [], 0.0
+    for i, leg in enumerate(answer.legs):
+        last = int(np.searchsorted(run.timeline.segment, i, side="right")) - 1
+        charge = {n: float(run.charge_wh[n][last]) if last >= 0 else b.initial_wh for n, b in run.batteries.items()}
+        end = run.segment_end_s[i]
+        used = {name: float(wh[i]) for name, wh in energy.items()}
+        legs.append(replace(leg, duration_s=end - before, energy_wh=used, charge_wh=charge))
+        before = end
+    objective = float(answer.site.objective(np.array(real[: 1 + len(energy)])))
+    found = replace(answer, legs=legs, duration_s=run.duration_s, objective=objective)
+    found.energy_wh = {name: battery.energy_wh for name, battery in run.batteries.items()}
+    found.charge_left_wh = {name: battery.charge_left_wh for name, battery in run.batteries.items()}
+    found.extra = {**answer.extra, "corrected": float(np.max(np.abs(np.array(real) - plan) / np.maximum(real, SAME)))}
+    return found, run
 
 
 def holds(site: Site, columns: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:
@@ -48,62 +94,91 @@ def told(site: Site, columns: dict[str, NDArray[Any]]) -> dict[str, float]:
     return {"value": float(good.mean()), "low": low, "high": high, "runs": int(good.size)}
 
 
-def with_probability(site: Site, asked: float, solve: Callable[[Site], Answer]) -> Answer:
-    """The plan of least objective that still holds in so many of fresh draws, by margins that grow until it does.
+def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunResult | None]:
+    """The plan of least objective that holds when it is simulated and, where asked, in so many of fresh draws.
+
+    Where it does not, margins on the reserves and the deadline grow until it does.
 
     Parameters
     ----------
-    site : Site
-    asked : float
-        Probability.
-    solve : callable
-        Site → its plan.
+    task : TaskSpec
+    watch : callable, optional
+        Told of the progress; stops the search where it returns True, with the best plan so far.
 
     Returns
     -------
     Answer
-        With ``probability`` (of draws that the margins were not made from) and ``margins`` in `extra`.
+        With ``probability`` (of draws that the margins were not made from) and ``margins`` in `extra` where asked.
+    RunResult or None
+        Of its mission.
     """
+    site = make_site(task)
+    asked = None if task.within.with_probability is None else task.within.with_probability.value
     physics = site.physics
     kept = physics.reserve_wh
-    margin = np.zeros(len(kept))
-    ahead = 0.0
-    answer = Answer(site, False)
-    try:
-        for attempt in range(TRIES):
-            physics.reserve_wh = kept + margin
-            found = solve(replace(site, deadline_s=site.deadline_s - ahead))
-            if not found.feasible:
-                notes = [f"no plan holds in {100 * asked:g} % of the draws: with the margins for it there is none"]
-                if answer.feasible:
-                    notes.append(f"the plan without them holds in {100 * answer.extra['probability']['value']:.2f} %")
-                return Answer(site, False, notes=notes, extra={"probability": answer.extra.get("probability")})
-            answer = replace(found, site=site)
+    margin, ahead = np.zeros(len(kept)), 0.0
+    first = told_of = None
+    for attempt in range(TRIES):
+        physics.reserve_wh = kept + margin
+        try:
+            within = replace(site, deadline_s=site.deadline_s - ahead)
+            found = plan_rounds(within, watch) if task.repeat is not None else solve_site(within, watch)
+        finally:
             physics.reserve_wh = kept
+        if not found.feasible:
+            break
+        answer, run = as_run(replace(found, site=site))
+        first = first or answer
+        short, late = _short(answer, run), max(0.0, answer.duration_s - site.deadline_s * (1.0 + SAME))
+        good = run.feasible and not late and not _missed(answer)
+        if asked is not None:
             columns = draws_of(answer, SEED + 2 * attempt)
-            check = told(site, columns)
-            if check["value"] >= asked:
-                check = told(site, draws_of(answer, SEED + 2 * attempt + 1))
-            answer.extra["probability"] = check | {"asked": asked}
+            told_of = told(site, columns)
+            if told_of["value"] >= asked:
+                told_of = told(site, draws_of(answer, SEED + 2 * attempt + 1))
+            good = told_of["value"] >= asked
+            answer.extra["probability"] = told_of | {"asked": asked}
             answer.extra["margins"] = {
                 "reserve_wh": dict(zip(physics.names, margin.tolist(), strict=True)),
                 "deadline_s": ahead,
             }
-            if check["value"] >= asked:
-                return answer
             # each limit is to hold often enough, and all of them together
             share = 1.0 - (1.0 - asked) / (2.0 if attempt == 0 else 2.0 + attempt)
-            for b, name in enumerate(physics.names):
-                short = -np.asarray(columns[f"margin_{name}_wh"], dtype=float)
-                margin[b] += max(0.0, float(np.nanquantile(short, share)))
-            if math.isfinite(site.deadline_s):
-                ahead += max(0.0, float(np.nanquantile(columns["duration_s"], share)) - site.deadline_s)
-    finally:
-        physics.reserve_wh = kept
-    best = answer.extra["probability"]["value"]
-    return Answer(
-        site,
-        False,
-        notes=[f"the surest plan found holds in {100 * best:.2f} % of the draws, {100 * asked:g} % are asked"],
-        extra=dict(answer.extra),
+            short = np.array([np.nanquantile(-columns[f"margin_{name}_wh"], share) for name in physics.names])
+            late = max(0.0, float(np.nanquantile(columns["duration_s"], share)) - site.deadline_s)
+        if good or answer.stopped:
+            return answer, run
+        if not (short > 0.0).any() and not late:
+            break
+        margin, ahead = margin + np.maximum(short, 0.0) * (1.0 + SAME), ahead + late
+    if first is None:
+        return Answer(site, False, notes=found.notes, extra=found.extra), None
+    if told_of is None or asked is None:
+        why = run.reason or "too late, or outside a window"
+        note = f"the plan found does not hold when it is simulated ({why}), and within margins for that there is none"
+        return Answer(site, False, notes=[note]), None
+    best = told_of if found.feasible else first.extra["probability"]
+    note = f"no plan was found that holds in {100 * asked:g} % of the draws"
+    extra = {"probability": best | {"asked": asked}}
+    return Answer(site, False, notes=[f"{note}, the surest holds in {100 * best['value']:.2f} %"], extra=extra), None
+
+
+def _short(answer: Answer, run: RunResult) -> Array:
+    """What each battery lacks in the run, shape (batteries,), Wh."""
+    return np.array(
+        [
+            max(b.deficit_wh, 0.0) if b.empty_at_s is not None else b.reserve_required_wh - b.charge_left_wh
+            for b in run.batteries.values()
+        ]
     )
+
+
+def _missed(answer: Answer) -> bool:
+    """Whether a visit begins outside its window."""
+    clock = 0.0
+    for leg in answer.legs:
+        window = None if leg.visit is None else answer.site.task.visits[leg.visit].window
+        if window is not None and window.until is not None and clock > window.until.value * (1.0 + SAME) + SAME:
+            return True
+        clock += leg.duration_s
+    return False

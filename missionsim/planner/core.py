@@ -14,6 +14,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -94,6 +95,12 @@ class Bounds:
     rest: Array
     offset: Array
     shear: Array | None = None
+
+    @cached_property
+    def room(self) -> Array:
+        """The most that labels may have used at each node, shape (nodes, resources)."""
+        with np.errstate(invalid="ignore"):  # without a limit and without a way to a goal: nothing fits
+            return np.asarray(self.most + EPSILON * (1.0 + np.abs(self.most)) - self.least)
 
     def sheared(self, points: Array) -> Array:
         """Vectors as they are compared."""
@@ -228,7 +235,7 @@ def search(
     Outcome
     """
     outcome = Outcome(objective=best)
-    room = _room(bounds)
+    room = bounds.room
     fronts: dict[int, _Front] = {}
     heap: list[tuple[float, float, int, Label]] = []
     serial = itertools.count()
@@ -296,7 +303,7 @@ def quick(
     Parameters as those of `search`.
     """
     outcome = Outcome(objective=best)
-    room = _room(bounds)
+    room = bounds.room
     layer = list(starts)
     while layer:
         ranked: list[tuple[float, int, Label]] = []
@@ -325,12 +332,6 @@ def quick(
             outcome.interrupted = True
             break
     return outcome
-
-
-def _room(bounds: Bounds) -> Array:
-    """The most that labels may have used at each node, shape (nodes, resources)."""
-    with np.errstate(invalid="ignore"):  # without a limit and without a way to a goal: nothing fits
-        return np.asarray(bounds.most + EPSILON * (1.0 + np.abs(bounds.most)) - bounds.least)
 
 
 def _settle(network: Network, label: Label, bounds: Bounds, room: Array) -> float:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from missionsim.planner.bounds import Tour, matrix
 from missionsim.planner.core import Label, chain_of
 from missionsim.planner.drives import Drive
+from missionsim.planner.tour import Charger
 
 Array = NDArray[np.float64]
 ROUNDS = 40
@@ -118,9 +119,7 @@ def best_prices(tour: Tour) -> Prices:
     prices = np.zeros(len(left))
     cuts: list[tuple[float, Array]] = []
     tried: list[tuple[float, Array]] = []
-    most = float(tour.first[0]) if tour.by_value else math.inf
-    if not chargers and not tour.by_value:
-        most = sum(w * limit for w, limit in zip(site.weights, left[:count], strict=True) if w > 0.0)
+    most = float(tour.first[0]) if tour.by_value else _most(tour, chargers)
     for _ in range(ROUNDS):
         found = cheapest(tour, prices)
         if found is None:
@@ -162,6 +161,16 @@ def best_prices(tour: Tour) -> Prices:
     near = sorted((bound, tuple(p)) for bound, p in tried)[-4:]
     result.others = [np.array(p) for _, p in near if any(p) and not np.array_equal(np.array(p), result.best)][:3]
     return result
+
+
+def _most(tour: Tour, chargers: list[Charger]) -> float:
+    """Objective that no plan is above, from its limits."""
+    weights, left = tour.site.weights, tour.left[: len(tour.site.weights)].copy()
+    for b in range(1, len(left)):
+        gain = max([0.0, *(float(charger.gain_w[b - 1]) for charger in chargers)])
+        left[b] += gain / 3600.0 * left[0] if gain else 0.0
+    priced = weights > 0.0
+    return float(weights[priced] @ left[priced])
 
 
 def _lasts(tour: Tour, label: Label) -> bool:

@@ -11,7 +11,6 @@ from missionsim.effects.integrate import integrate
 from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.recorder import Row, timeline
 from missionsim.engine.simulate import RunSetup
-from missionsim.errors import InputError
 from missionsim.inputs.mission import MissionBehaviour, MissionSpec, PolicySpec
 from missionsim.inputs.power import build_power_model
 from missionsim.inputs.segments import WaitSegment
@@ -90,19 +89,11 @@ class Physics:
         self.impulsive = any(term.effect.impulse is not None for term in self.model.terms)
         self.fades = bool(self.model.memory)
         self.circuits = [name for name, battery in batteries.items() if not isinstance(battery, ConstantEnergy)]
-        self.slow = {name for name, info in self._infos.items() if info.startup_s > 0.0}
+        self.slow = any(info.startup_s > 0.0 for info in self._infos.values())
 
     def settings_index(self, settings: Settings) -> int:
         """Number of settings (of whichever segment), for `energy_wh`."""
         plain = settings._replace(segment=0)
-        if plain not in self._settings and (late := self.slow & closure(self._infos, plain.sensors).keys()):
-            raise InputError.single(
-                "components that take time to start are not planned",
-                file=str(self.task.path),
-                got=", ".join(sorted(late)),
-                allowed="schemes and sensors without them, or a start-up of 0 s: --set "
-                f"robot.components.{min(late)}.startup.duration=0",
-            )
         return self._settings.setdefault(plain, len(self._settings))
 
     def energy_wh(

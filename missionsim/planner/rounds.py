@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.planner.answer import Answer, Leg
+from missionsim.planner.solve import Watch
 from missionsim.planner.tour import Charger, Site
 from missionsim.planner.why import pareto
 
@@ -173,7 +174,7 @@ def _whole(shares: Array, total: int) -> NDArray[np.int64]:
     return made
 
 
-def plan_rounds(site: Site) -> Answer:
+def plan_rounds(site: Site, watch: Watch | None = None) -> Answer:
     """As many rounds as asked for, or as can be, with the least objective among those."""
     repeat = site.task.repeat
     assert repeat is not None
@@ -187,7 +188,7 @@ def plan_rounds(site: Site) -> Answer:
     # a round may begin full and, before charging, end empty
     physics.initial_wh, physics.reserve_wh = physics.capacity_wh.copy(), np.zeros_like(physics.capacity_wh)
     try:
-        kinds = pareto(one, KINDS)
+        kinds = pareto(one, KINDS, watch)
     finally:
         physics.initial_wh, physics.reserve_wh = kept
     if not kinds:

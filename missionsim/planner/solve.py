@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from missionsim.inputs.task import TaskSpec
 from missionsim.planner.answer import Answer, answer_of
 from missionsim.planner.bounds import Tour, bounds_of
-from missionsim.planner.core import Label, Outcome, quick, search
+from missionsim.planner.core import Label, Outcome, quick, search, within
 from missionsim.planner.drives import Drive
 from missionsim.planner.dual import best_prices
 from missionsim.planner.large import solve_large
@@ -58,7 +58,8 @@ class Fronts:
         return self._found[key].get(int(into[head]), [])
 
 
-MOST_GAP = 1e3
+MOST_GAP = 300.0
+"""Drives whose price is not within so much of the first gap are tried all together."""
 PROVED = 1e-10
 """A plan whose objective is within this of the bound (relative) is the best."""
 SAME = 1e-10
@@ -115,6 +116,9 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
     stopped = False
     bounds = bounds_of(tour, [prices.best, *prices.others])
     gap = min(objective - prices.bound, FIRST_GAP * scale)
+    start = Label(0, tour.first[None, :])
+    if not len(within(start.points, bounds.room[0])):
+        return Answer(site, False)
     while not stopped:
         gap = max(gap, 1e-9 * scale)
         tour = network(Fronts(site, site.weights + prices.best[: len(site.weights)], gap))
@@ -122,7 +126,6 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
         def told(outcome: Outcome, waiting: int, low: float = bound, high: float = prices.bound + gap) -> bool:
             return watch is not None and watch("search", outcome.objective, min(max(outcome.bound, low), high))
 
-        start = Label(0, tour.first[None, :])
         for way in (quick, search):
             try:
                 outcome = way(tour, [start], tour.is_goal, bounds, best=_below(sums, objective), watch=told)
@@ -136,13 +139,13 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
         needed = _below(sums, objective) - prices.bound
         if needed <= gap or math.isinf(gap):
             break
-        gap = min(max(4.0 * gap, 1e-6), needed)
-        if gap > MOST_GAP * scale:
+        gap = min(16.0 * gap, needed)
+        if gap > MOST_GAP * FIRST_GAP * scale:
             gap = math.inf
     if best is None:
         early = "the search was stopped before it found a plan; there may be one"
-        return Answer(site, False, notes=[early] if stopped else [])
-    return answer_of(tour, best, objective, bound)
+        return Answer(site, False, notes=[early] if stopped else [], stopped=stopped)
+    return replace(answer_of(tour, best, objective, bound), stopped=stopped)
 
 
 def _sums(tour: Tour) -> Array:

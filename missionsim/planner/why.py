@@ -11,7 +11,7 @@ import numpy as np
 
 from missionsim.inputs.task import SchemeChoice, TaskSpec
 from missionsim.planner.answer import Answer
-from missionsim.planner.solve import solve_site
+from missionsim.planner.solve import Watch, solve_site
 from missionsim.planner.tour import Site, make_site
 
 AMPLE_WH = 1e5
@@ -234,7 +234,7 @@ def _site(task: TaskSpec, **choices: Any) -> Site:
     return make_site(_changed(task, choose=task.choose.model_copy(update=choices)))
 
 
-def pareto(site: Site, points: int = 9) -> list[Answer]:
+def pareto(site: Site, points: int = 9, watch: Watch | None = None) -> list[Answer]:
     """The front of energy against time: the least energy within deadlines from the fastest plan's to no matter what."""
     seconds = np.zeros_like(site.weights)
     seconds[0] = 1.0
@@ -242,13 +242,13 @@ def pareto(site: Site, points: int = 9) -> list[Answer]:
     energy[0] = 0.0
     if not energy.any():
         energy[1:] = 1.0
-    fastest = solve_site(replace(site, weights=seconds))
-    cheapest = solve_site(replace(site, weights=energy))
+    fastest = solve_site(replace(site, weights=seconds), watch)
+    cheapest = solve_site(replace(site, weights=energy), watch)
     if not fastest.feasible or not cheapest.feasible:
         return []
     found: list[Answer] = []
     for deadline in np.linspace(fastest.duration_s, cheapest.duration_s, max(2, points)):
-        made = solve_site(replace(site, weights=energy, deadline_s=float(deadline) * (1.0 + 1e-12)))
+        made = solve_site(replace(site, weights=energy, deadline_s=float(deadline) * (1.0 + 1e-12)), watch)
         if made.feasible and (not found or made.duration_s > found[-1].duration_s * (1 + 1e-9)):
             found.append(made)
     return found
