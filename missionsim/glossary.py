@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from dataclasses import dataclass
 
@@ -67,6 +68,7 @@ _PATTERNS = tuple(
 )
 
 
+@functools.lru_cache(maxsize=4096)
 def column_of(name: str) -> tuple[Column, str] | None:
     """The glossary's column for a name, and the battery or component inside it (empty where there is none).
 

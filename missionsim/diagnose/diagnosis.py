@@ -11,12 +11,12 @@ import numpy as np
 
 from missionsim.diagnose.execution import ExecutionEffect, as_finding, execution_effects, seen_once, told_of
 from missionsim.diagnose.experiments import Bench, next_experiments
-from missionsim.diagnose.features import Features, at_size, lacks, make_features, steady_speed, with_same_causes
+from missionsim.diagnose.features import Features, at_size, make_features, steady_speed
 from missionsim.diagnose.heldout import KINDS, Models
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
 from missionsim.diagnose.proposed import depends_on, proposed_laws, without_stand_ins
-from missionsim.diagnose.split import Split, choose_split, stretches
+from missionsim.diagnose.split import Split, choose_split, lacking, stretches, with_same_causes
 from missionsim.diagnose.subject import Subject, priors_of
 from missionsim.diagnose.waterfall import noted
 from missionsim.effects.model import PowerModel
@@ -202,10 +202,10 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
     remarks = [told for told in (left_out, thinned) if told]
     needed = [features.effects[effect.effect] for effect in found.effects]
     held = [_renamed(log, {t.run for t in train}) for log in split.heldout if battery in log.power_w]
-    for log in list(held):
-        if lacking := lacks(log, needed, batteries, train):
-            remarks.append(f"{log.run}: no {', '.join(lacking)}, which an effect found depends on; not tested on it")
-            held.remove(log)
+    untested = lacking(held, needed, batteries, train)
+    held = [log for log in held if log.run not in untested]
+    for run, columns in untested.items():
+        remarks.append(f"{run}: no {', '.join(columns)}, which an effect found depends on; not tested on it")
     models = Models(subject.model, battery, features, tuple(train), clock or found.choice.model.clock, settings)
     return Examined(replace(features, remarks=(*features.remarks, *remarks)), found, models, tuple(held))
 

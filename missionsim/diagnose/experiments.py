@@ -9,8 +9,8 @@ import numpy as np
 
 from missionsim.diagnose.features import Features, effect_columns
 from missionsim.diagnose.manoeuvres import Manoeuvre, Site, library, script, shortened
-from missionsim.effects.covariates import derive
 from missionsim.effects.model import PowerModel
+from missionsim.fit.prepare import prepare
 from missionsim.identify.data import RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.findings import Experiment, Finding, Unexplained
@@ -19,7 +19,7 @@ from missionsim.identify.gram import Gram, make_gram
 from missionsim.identify.model import Model
 from missionsim.identify.search import Constraints, single_gains
 from missionsim.identify.settings import BETTER_NATS, DECIDED_NATS, ENOUGH_NATS, LENGTHS, MOST_PROPOSED, Settings
-from missionsim.runs.drive import gradient
+from missionsim.runs.run import Run
 
 
 @dataclass(frozen=True)
@@ -61,26 +61,13 @@ class Bench:
 
 def imagined_run(power: PowerModel, features: Features, manoeuvre: Manoeuvre, site: Site) -> RunData:
     """A manoeuvre as a run of the identification; its "measured" power is the base model's."""
-    columns = script(manoeuvre, site)
+    columns, battery = script(manoeuvre, site), features.battery
     time_s = columns["time_s"]
     dt_s = np.full(len(time_s), time_s[1] - time_s[0])
-    cov = power.complete(derive(columns, time_s, dt_s))
-    terms = power.evaluate(cov, battery=features.battery)[features.battery]
-    drive = {term.key for term in power.of(features.battery) if term.effect.drive}
-    rows = np.zeros(len(time_s))
-    base = sum(terms.values(), start=rows)
-    cov = {**cov, "load_w": base, "drive_w": sum((p for key, p in terms.items() if key in drive), start=rows)}
-    watched = {"speed_m_s": cov["speed_m_s"]}
-    return RunData(
-        manoeuvre.name,
-        time_s,
-        dt_s,
-        np.asarray(base),
-        np.asarray(base),
-        gradient(power, cov, features.battery),
-        effect_columns(features.effects, features.candidates, cov),
-        watched,
-    )
+    run = Run(manoeuvre.name, columns, dt_s, {battery: np.zeros(len(time_s))}, {battery: None}, {battery: "power"})
+    ready = prepare(power, [run], battery)
+    (data,) = ready.data([effect_columns(features.effects, features.candidates, cov) for cov in ready.covariates])
+    return replace(data, measured_w=data.base_w)
 
 
 def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained | None) -> tuple[Experiment, ...]:

@@ -20,7 +20,6 @@ from missionsim.fit.prepare import Prepared, prepare
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.settings import SLOW_ROWS_S, SPEED_AGREE, SPEED_NOISY, SPEED_ROWS
 from missionsim.runs.covariates import is_switch, logged_name
-from missionsim.runs.drive import filled
 from missionsim.runs.run import Run
 
 Array = NDArray[np.float64]
@@ -154,35 +153,6 @@ def make_features(
         ready.unknown,
         steady,
     )
-
-
-def with_same_causes(runs: Sequence[Run], batteries: Sequence[str], own: Sequence[Effect]) -> tuple[list[Run], str]:
-    """Runs that have every cause which most of them log, and in words which were left out.
-
-    One file without a column must not take the effects of that column from the hypotheses of all others: what is left
-    would be named instead of it.
-    """
-    effects = (*all_effects((), ("",)), *own)
-    causes = {logged_name(name) for effect in effects for name in effect.needs}
-    have = [causes & set(filled(run, batteries, [])) for run in runs]
-    most = {name for name in causes if sum(name in own_names for own_names in have) > 0.5 * len(runs)}
-    kept = [run for run, own_names in zip(runs, have, strict=True) if most <= own_names]
-    if len(kept) == len(runs) or len(kept) < max(2, len(runs) // 2):
-        return list(runs), ""
-    lacking = sorted(set().union(*(most - own_names for own_names in have)))
-    names = ", ".join(run.run for run, own_names in zip(runs, have, strict=True) if not most <= own_names)
-    return (
-        kept,
-        f"{names}: no {', '.join(lacking)}, which the other runs have and effects depend on; left out of the fit",
-    )
-
-
-def lacks(run: Run, effects: Sequence[Effect], batteries: Sequence[str], known: Sequence[Run]) -> tuple[str, ...]:
-    """Columns that some effects need, that `known` runs have and this one has not."""
-    needed = {logged_name(name) for effect in effects for name in effect.needs}
-    needed = {name for name in needed if not is_switch(name)}  # a missing one counts as switched off
-    logged: set[str] = set().union(*(filled(other, batteries, []) for other in known))
-    return tuple(sorted((needed & logged) - set(filled(run, batteries, []))))
 
 
 def steady_speed(run: Run) -> Run:

@@ -20,6 +20,7 @@ from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.fit.final import FREE_SD, FinalFit, final_fit
 from missionsim.identify.align import Clock
 from missionsim.identify.design import Source
+from missionsim.identify.estimates import Z95
 from missionsim.identify.findings import Estimate, Finding, HeldOut, Recalibrated
 from missionsim.identify.settings import SHIFTED_MEAN_RATIO, SHIFTED_RATIO, SHIFTED_RUNS, Settings
 from missionsim.labels import Labels
@@ -29,7 +30,6 @@ from missionsim.runs.run import Run
 
 Array = NDArray[np.float64]
 KINDS = ("nominal", "recalibrated", "with_effects")
-Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True)

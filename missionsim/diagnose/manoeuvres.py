@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 STEP_S = 0.5
 TOTAL_S = 180.0
 DEFAULT_ACCELERATION_M_S2 = 0.3
+FOLLOWS = frozenset({"moving", "moving_time_s", "starts", "starts_per_s", "mass_kg", "load_w", "drive_w"})
+"""What follows from the motion and load of a manoeuvre, however it usually was in the logs."""
 
 
 @dataclass(frozen=True)
@@ -308,7 +310,7 @@ def script(manoeuvre: Manoeuvre, site: Site) -> dict[str, Any]:
     for name in ("speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "slope_rad"):
         columns[name] = np.concatenate([piece[name] for piece in pieces])
     for name, usual in site.usual.items():
-        if name in columns or name.startswith("on_time_") or name in ("moving_time_s", "starts", "starts_per_s"):
+        if name in columns or name in FOLLOWS or name.startswith("on_time_"):
             continue
         values = [part.set.get(name, usual) for part in manoeuvre.parts]
         lengths = [len(piece["speed_m_s"]) for piece in pieces]

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from missionsim.identify.findings import BatteryDiagnosis, Finding
-from missionsim.identify.proposed import Proposal
+from missionsim.identify.proposed import QUANTITY, Proposal
 
 _SUBJECT = {
     "grade": "Climbing",
@@ -43,23 +43,6 @@ _PER = {
     "W/K": "W per K",
     "m/s^2": "W per kg and m/s",
     "N/K": "W per m/s and K",
-}
-QUANTITY = {
-    "speed_m_s": ("speed", "m/s"),
-    "yaw_rate_rad_s": ("turn rate", "rad/s"),
-    "accel_m_s2": ("acceleration", "m/s²"),
-    "lateral_speed_m_s": ("sideways speed", "m/s"),
-    "slope_rad": ("slope", "rad"),
-    "payload_kg": ("payload", "kg"),
-    "temp_ambient_c": ("ambient temperature", "°C"),
-    "temp_motor_c": ("motor temperature", "°C"),
-    "cpu_load": ("processor load", ""),
-    "cpu_freq_hz": ("processor clock", "Hz"),
-    "access_point_distance_m": ("distance to the access point", "m"),
-    "time_s": ("time since the start", "s"),
-    "moving_time_s": ("time spent moving", "s"),
-    "surface": ("floor", ""),
-    "scheme": ("control scheme", ""),
 }
 
 

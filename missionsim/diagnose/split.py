@@ -10,16 +10,22 @@ from typing import Any
 
 import numpy as np
 
+from missionsim.effects.base import Effect
 from missionsim.effects.covariates import derive
+from missionsim.effects.library import all_effects
 from missionsim.errors import InputError, did_you_mean
 from missionsim.expressions import compile_expression
+from missionsim.runs.covariates import is_switch, logged_name
+from missionsim.runs.drive import filled
 from missionsim.runs.run import Bounded, Run
 
 FEWEST_RUNS = 4
 """With fewer runs none is held out unless the user says so."""
-MOST_LEARNT = 100_000
-"""Rows of all fitted runs together from which on stretches of them are learnt from, spread evenly over all: what they
-show is surer by then than the form of any effect, and time and memory stay bounded."""
+MANY_SECONDS = 100_000.0
+"""Length of all fitted runs together [s] from which on stretches of them are learnt from, spread evenly over all."""
+LEARNT_SECONDS = 24_000.0
+"""Length of these stretches together [s]: limits of detection are then the least share, and what is found is surer than
+the form of any effect, so that more would only find errors of forms; time and memory stay bounded."""
 STRETCH_S = 600.0
 """Length of such a stretch [s]: many times the correlation of the noise, and several manoeuvres."""
 
@@ -154,21 +160,19 @@ def stretches(runs: Sequence[Run]) -> tuple[list[Run], str]:
 
     Clocks of memory and rates go on through what is left out.
     """
-    rows = sum(run.rows for run in runs)
-    part = MOST_LEARNT / max(rows, 1)
-    if part >= 1.0:
+    seconds = sum(run.duration_s for run in runs)
+    if seconds < MANY_SECONDS:
         return list(runs), ""
-    kept = [_stretches_of(run, part, number) for number, run in enumerate(runs)]
-    learnt = sum(run.rows for run in kept)
-    return kept, f"effects are looked for in {learnt:,} of {rows:,} rows, in stretches spread evenly over all runs"
+    kept = [_stretches_of(run, LEARNT_SECONDS / seconds, number) for number, run in enumerate(runs)]
+    hours = [sum(run.duration_s for run in some) / 3600.0 for some in (kept, runs)]
+    return kept, "effects are looked for in {:.1f} of {:.1f} h, in stretches spread evenly over all runs".format(*hours)
 
 
 def _stretches_of(run: Run, part: float, number: int) -> Run:
-    step = run.duration_s / max(run.rows, 1)
     count = max(1, round(part * run.duration_s / STRETCH_S))
     length = max(2, round(part * run.rows / count))
     room = run.rows / count - length
-    if room < 1.0 or step <= 0.0:
+    if room < 1.0:
         return run
     # where a stretch lies in its part of the run differs from run to run: the golden section never repeats
     shift = math.modf(0.618034 * (number + 0.5))[0] * room
@@ -177,3 +181,35 @@ def _stretches_of(run: Run, part: float, number: int) -> Run:
         keep[int(begin) : int(begin) + length] = True
     derived = derive(run.columns, run.time_s, run.dt_s)
     return replace(run, columns=derived).rows_where(keep)
+
+
+def with_same_causes(runs: Sequence[Run], batteries: Sequence[str], own: Sequence[Effect]) -> tuple[list[Run], str]:
+    """Runs that have every cause which most of them log, and in words which were left out.
+
+    One file without a column must not take the effects of that column from the hypotheses of all others: what is left
+    would be named instead of it.
+    """
+    effects = (*all_effects((), ("",)), *own)
+    causes = {logged_name(name) for effect in effects for name in effect.needs}
+    have = [causes & set(filled(run, batteries, [])) for run in runs]
+    most = {name for name in causes if sum(name in own_names for own_names in have) > 0.5 * len(runs)}
+    kept = [run for run, own_names in zip(runs, have, strict=True) if most <= own_names]
+    if len(kept) == len(runs) or len(kept) < max(2, len(runs) // 2):
+        return list(runs), ""
+    lacking = sorted(set().union(*(most - own_names for own_names in have)))
+    names = ", ".join(run.run for run, own_names in zip(runs, have, strict=True) if not most <= own_names)
+    return (
+        kept,
+        f"{names}: no {', '.join(lacking)}, which the other runs have and effects depend on; left out of the fit",
+    )
+
+
+def lacking(
+    runs: Sequence[Run], effects: Sequence[Effect], batteries: Sequence[str], known: Sequence[Run]
+) -> dict[str, list[str]]:
+    """Runs without columns that some effects need and that `known` runs have, and these columns."""
+    needed = {logged_name(name) for effect in effects for name in effect.needs}
+    needed = {name for name in needed if not is_switch(name)}  # a missing one counts as switched off
+    needed &= set().union(*(filled(run, batteries) for run in known))
+    found = {run.run: sorted(needed - set(filled(run, batteries))) for run in runs}
+    return {name: columns for name, columns in found.items() if columns}

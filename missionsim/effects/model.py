@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.effects.base import Effect
 from missionsim.effects.covariates import Covariates, number
@@ -285,21 +286,43 @@ class PowerModel:
             if term.effect.impulse is not None and all(name in full for name in term.effect.needs)
         }
 
-    def gradient(self, cov: Covariates, battery: str, base_only: bool = True) -> dict[str, Any]:
-        """Change of a battery's power with the logarithm of each parameter, ``∂P/∂ln θ`` [W].
+    def gradient(self, cov: Covariates, battery: str) -> dict[str, NDArray[np.float64]]:
+        """Change of a battery's power with the logarithm of each parameter, ``∂P/∂ln θ`` [W], arrays of shape (n,).
 
-        By central differences of 1e-4, exact for the parameters in which the power is linear or quadratic.
+        By central differences of 1e-4, exact for the parameters in which the power is linear or quadratic. Where no
+        term reads the power of others, the parameter's own term alone is evaluated. Parameters that are zero have no
+        logarithm and are left out.
+
+        Parameters
+        ----------
+        cov : mapping
+            Complete covariates of one run, with ``time_s``.
+        battery : str
         """
-        step = 1e-4
-        result: dict[str, Any] = {}
-        found = {term.name_of(name) for term in self.of(battery) if not term.base for name in term.parameters}
-        for name, parameter in self.parameters_of(battery).items():
-            if parameter.value == 0.0 or (base_only and name in found):
-                continue
-            path = f"{battery}/{name}"
-            up, down = (self.total(cov, battery, {path: parameter.value * (1.0 + sign * step)}) for sign in (1.0, -1.0))
-            result[name] = (np.asarray(up) - np.asarray(down)) / (2.0 * step)
-        return result
+        step, rows = 1e-4, len(cov["time_s"])
+        found: dict[str, NDArray[np.float64]] = {}
+
+        def add(name: str, up: Any, down: Any, scale: float = 1.0) -> None:
+            slope = scale * (np.asarray(up, dtype=float) - np.asarray(down, dtype=float)) / (2.0 * step)
+            slope = np.ascontiguousarray(np.broadcast_to(slope, (rows,)))
+            found[name] = found[name] + slope if name in found else slope
+
+        if "regeneration" in self.parameters_of(battery) or any(
+            (term.effect.recovers or term.effect.of_load) and any(p.value != 0.0 for p in term.parameters.values())
+            for term in self.of(battery)
+        ):
+            for name, parameter in self.parameters_of(battery).items():
+                if parameter.value != 0.0:
+                    moved = ({f"{battery}/{name}": parameter.value * (1.0 + sign * step)} for sign in (1.0, -1.0))
+                    add(name, *(self.total(cov, battery, values) for values in moved))
+            return found
+        for term in self.of(battery):
+            nominal = {name: parameter.value for name, parameter in term.parameters.items()}
+            for name, value in nominal.items():
+                if value != 0.0:
+                    moved = ({**nominal, name: value * (1.0 + sign * step)} for sign in (1.0, -1.0))
+                    add(term.name_of(name), *(term.effect.power(cov, values) for values in moved), scale=term.scale)
+        return found
 
     def with_values(self, values: Mapping[str, float]) -> PowerModel:
         """A model with other parameter values, by ``battery/name``.

@@ -12,6 +12,7 @@ from missionsim.errors import InputError
 from missionsim.fit.final import Value, final_fit
 from missionsim.fit.prepare import Prepared, prepare
 from missionsim.identify.design import make_source
+from missionsim.identify.estimates import Z95
 from missionsim.identify.settings import Settings
 from missionsim.runs.error import Errors, errors_of
 from missionsim.runs.run import Run
@@ -115,9 +116,6 @@ def _least_squares_start(model: PowerModel, ready: Prepared) -> PowerModel:
         # a parameter at nought has no logarithm; a small one can still grow
         values[f"{ready.battery}/{name}"] = value if abs(value) > 1e-6 * abs(start) else 1e-3 * start
     return model.with_values(values)
-
-
-Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True)

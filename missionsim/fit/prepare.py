@@ -19,6 +19,8 @@ from missionsim.runs.run import Run
 
 Array = NDArray[np.float64]
 MOST_TEXTS = 12
+FEW_ROWS = 5000
+"""Rows of a run below which to evaluate it costs more than its rows."""
 FAINT_LOAD = 0.01
 """Part of the mean power below which it does not matter when a component was on."""
 
@@ -123,7 +125,7 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
             told.setdefault(note, []).append(log.run)
         runs += drive_blocks(plan, [log])
     remarks += [note if len(of) == len(tables) else f"{_named(of)}: {note}" for note, of in told.items()]
-    gradients = [run.gradient(battery) for run in runs]
+    gradients = _gradients(runs, battery)
     # a term that one run cannot drive has no power there
     every = dict.fromkeys(name for slopes in gradients for name in slopes)
     gradients = [
@@ -142,6 +144,25 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
         remarks,
         *_unknown(model, runs, battery, remarks),
     )
+
+
+def _gradients(runs: Sequence[Driven], battery: str) -> list[dict[str, Array]]:
+    """``∂P/∂ln θ`` of each run; short runs that drive the same terms with the same columns are evaluated as one."""
+    first = runs[0]
+    texts = {name for name, value in first.covariates.items() if isinstance(value, Labels)}
+    alike = all(
+        one.model.terms == first.model.terms and one.covariates.keys() == first.covariates.keys() for one in runs
+    )
+    few = len(runs) > 1 and sum(len(run.time_s) for run in runs) < FEW_ROWS * len(runs)
+    if not (few and alike) or any(texts & set(term.effect.needs) for term in first.model.terms):
+        return [run.gradient(battery) for run in runs]
+    whole = {
+        name: np.concatenate([np.broadcast_to(np.asarray(run.covariates[name]), run.time_s.shape) for run in runs])
+        for name in first.covariates.keys() - texts
+    }
+    ends = np.cumsum([len(run.time_s) for run in runs])[:-1]
+    split = {name: np.split(slope, ends) for name, slope in first.model.gradient(whole, battery).items()}
+    return [{name: parts[i] for name, parts in split.items()} for i in range(len(runs))]
 
 
 def _unknown(

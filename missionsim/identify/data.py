@@ -88,3 +88,32 @@ class Candidate:
     levels: tuple[str, ...] = ()
     shape_bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     unlogged: tuple[tuple[str, ...], float] = ((), 0.0)
+
+
+@dataclass(frozen=True)
+class Column:
+    """One regression column: which candidate it belongs to and what one share of energy means for it."""
+
+    candidate: int
+    position: int
+    name: str
+    watts_per_unit: float
+    """Mean |power| for coefficient 1; the column is divided by it and multiplied by the mean measured power."""
+    mix: tuple[tuple[str, float], ...] = ()
+    """After a refit of the shape: grid columns and weights that stand for the column in other runs."""
+    shape: tuple[tuple[str, float], ...] = ()
+    """The refitted shape parameters."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What all runs have in common: parameter order, priors, column scales, analysis step.
+
+    ``prior_sd`` holds the relative sd of each base parameter, then those of the nuisances.
+    """
+
+    parameters: tuple[str, ...]
+    prior_sd: Array
+    columns: tuple[Column, ...]
+    mean_power_w: float
+    step_s: float

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from missionsim.identify.align import Bins, Clock, EvenGrid, RunColumns, find_clock, intervals_of, make_bins
 from missionsim.identify.averaging import Intervals, Weights, integral_curves
-from missionsim.identify.data import Array, Candidate, RunData
+from missionsim.identify.data import Array, Candidate, Column, Layout, RunData
 from missionsim.identify.settings import (
     CLOCK_SD_S,
     CLOCK_SD_S2,
@@ -25,35 +25,6 @@ from missionsim.identify.settings import (
 KEPT_CURVES = 4
 HEAD_ROWS = 4
 """Rows before the gradient in a run's columns: base, motion, switching, speed change inside a row."""
-
-
-@dataclass(frozen=True)
-class Column:
-    """One regression column: which candidate it belongs to and what one share of energy means for it."""
-
-    candidate: int
-    position: int
-    name: str
-    watts_per_unit: float
-    """Mean |power| for coefficient 1; the column is divided by it and multiplied by the mean measured power."""
-    mix: tuple[tuple[str, float], ...] = ()
-    """After a refit of the shape: grid columns and weights that stand for the column in other runs."""
-    shape: tuple[tuple[str, float], ...] = ()
-    """The refitted shape parameters."""
-
-
-@dataclass(frozen=True)
-class Layout:
-    """What all runs have in common: parameter order, priors, column scales, analysis step.
-
-    ``prior_sd`` holds the relative sd of each base parameter, then those of the nuisances.
-    """
-
-    parameters: tuple[str, ...]
-    prior_sd: Array
-    columns: tuple[Column, ...]
-    mean_power_w: float
-    step_s: float
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from missionsim.identify.data import Array, Candidate
-from missionsim.identify.design import Column, Source
+from missionsim.identify.data import Array, Candidate, Column
+from missionsim.identify.design import Source
 from missionsim.identify.forward import Choice
 from missionsim.identify.model import Model, score, shares
 from missionsim.identify.predictive import LeastSquares

@@ -9,6 +9,24 @@ from typing import Any
 
 FAR_BETTER = 2.0 / 3.0
 """Part of the left-out error that a law may leave where it takes the place of effects in a base that is far off."""
+QUANTITY = {
+    "speed_m_s": ("speed", "m/s"),
+    "yaw_rate_rad_s": ("turn rate", "rad/s"),
+    "accel_m_s2": ("acceleration", "m/s²"),
+    "lateral_speed_m_s": ("sideways speed", "m/s"),
+    "slope_rad": ("slope", "rad"),
+    "payload_kg": ("payload", "kg"),
+    "temp_ambient_c": ("ambient temperature", "°C"),
+    "temp_motor_c": ("motor temperature", "°C"),
+    "cpu_load": ("processor load", ""),
+    "cpu_freq_hz": ("processor clock", "Hz"),
+    "access_point_distance_m": ("distance to the access point", "m"),
+    "time_s": ("time since the start", "s"),
+    "moving_time_s": ("time spent moving", "s"),
+    "surface": ("floor", ""),
+    "scheme": ("control scheme", ""),
+}
+"""How people call a quantity, and its unit."""
 
 
 @dataclass(frozen=True)

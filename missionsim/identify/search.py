@@ -10,8 +10,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.data import Array, Candidate
-from missionsim.identify.design import Layout
+from missionsim.identify.data import Array, Candidate, Layout
 from missionsim.identify.gram import Gram
 from missionsim.identify.settings import MOST_TRIPLES
 

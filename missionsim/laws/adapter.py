@@ -1,22 +1,37 @@
-"""What the search for a law needs of an identification, in one place: rows, noise, and what is already explained."""
+"""What the search for a law needs of an identification, in one place: rows, noise, what is already explained, gains."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.data import Array
-from missionsim.identify.design import Column, Design
+from missionsim.identify.data import Array, Column
+from missionsim.identify.design import Design
 from missionsim.identify.identification import Identification
 from missionsim.identify.model import Model, log_likelihood, spread
-from missionsim.identify.noise import Noise, bounded_noise, for_rows, start_noise
+from missionsim.identify.noise import (
+    START_ROWS,
+    Noise,
+    Shape,
+    arma_of,
+    bounded_noise,
+    for_rows,
+    start_factor,
+    start_noise,
+)
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.reml import fit_noise
 
+Rows32 = NDArray[np.float32]
+CHUNK = 256
+FREER = 4.0
+"""A form that the base explains to this part within so many prior standard deviations is recalibration, not a law."""
+BLOCK = 60
+"""Rows that are whitened by one product of matrices."""
 LAGS_S = (0.0, 0.15, 0.3, 0.45, 0.6)
 DELAYS_S = (-0.2, -0.1, 0.1, 0.2, 0.3)
 CLOCK_NATS = 15.0
@@ -158,11 +173,126 @@ def ground_of(found: Identification, covariates: Sequence[Mapping[str, Any]]) ->
     return Ground(model, tuple(covariates[i] for i in model.source.kept), held)
 
 
-def evidence(model: Model) -> float:
-    """Log evidence with the model's own noise."""
-    return log_likelihood(model)
+class Sums(NamedTuple):
+    """Mean size, score, information and the part that a free base absorbs, of each of many rows, shape (k,)."""
+
+    level: Array
+    score: Array
+    information: Array
+    absorbed: Array
 
 
-def library_columns(ground: Ground) -> tuple[Array, NDArray[np.intp]]:
-    """Columns of the library, shape (p, n), and the number of the candidate of each."""
-    return ground.design.phi, np.array([c.candidate for c in ground.design.layout.columns], dtype=np.intp)
+class Sieve:
+    """Gains of many rows at once under one noise: everything but the rows themselves is whitened a single time."""
+
+    def __init__(self, ground: Ground, noise: Noise, group: Sequence[int] | NDArray[np.intp], every: int) -> None:
+        design = ground.design
+        q, chosen = len(design.gradient), list(ground.chosen)
+        self.every, self.starts = every, np.asarray(group)
+        self.stretches = _coarse_parts(design.stretches, self.starts)
+        self.runs = _coarse_parts(design.runs, self.starts)
+        self.shape = (noise.step_s * every, *noise.shape[1:])
+        weight = np.add.reduceat(noise.weight, self.starts) / self._counts(len(design.y))
+        level = np.add.reduceat(noise.scale, self.starts) / self._counts(len(design.y))
+        self.root = np.sqrt(weight).astype(np.float32)
+        # means of several rows scatter less, as far as the noise is white or fast
+        self.unscale = (arma_of(*self.shape)[2] / (level * noise.total_sd_w)).astype(np.float32)
+        rows = np.vstack([design.residual[None, :], design.gradient, design.phi[chosen], design.random])
+        self.filter = _filter(self.shape)
+        known = self.coarse(rows)
+        self.known: Array = np.empty(known.shape)
+        for part in self.stretches:
+            self.known[:, part] = self.white(known[:, part], part)
+        sd = np.maximum(noise.random_sd(), 1e-12)
+        self.fixed = 1 + q + len(chosen)
+        total = np.zeros((self.fixed, self.fixed))
+        self.without: list[tuple[Array, Array]] = []
+        for part in self.runs:
+            gram = self.known[:, part] @ self.known[:, part].T
+            inner = np.eye(len(sd)) + sd[:, None] * gram[self.fixed :, self.fixed :] * sd
+            middle = sd[:, None] * np.linalg.solve(inner, np.diag(sd))
+            cross = middle @ gram[self.fixed :, : self.fixed]
+            total += gram[: self.fixed, : self.fixed] - gram[: self.fixed, self.fixed :] @ cross
+            self.without.append((middle, cross))
+        precision = np.concatenate([design.layout.prior_sd**-2.0, np.full(len(chosen), 1e-9)])
+        inside = total[1:, 1:] + np.diag(precision)
+        self.solved = np.linalg.solve(inside, np.column_stack([total[1:, 0]]))[:, 0]
+        self.inverse = np.linalg.inv(inside)
+        self.free = np.linalg.inv(total[1:, 1:] + np.diag(precision / FREER**2))
+
+    def _counts(self, rows: int) -> Array:
+        return np.diff(np.append(self.starts, rows)).astype(float)
+
+    def coarse(self, rows: Array) -> Rows32:
+        """Rows (k, n) averaged to the coarser grid."""
+        if self.every == 1:
+            return rows.astype(np.float32)
+        return np.asarray(np.add.reduceat(rows, self.starts, axis=1) / self._counts(rows.shape[1]), dtype=np.float32)
+
+    def white(self, rows: Rows32, part: slice) -> Rows32:
+        """Whitened rows (k, n of the stretch) of unit variance; `rows` are overwritten.
+
+        The recursive filter (`missionsim.identify.noise`) as products of matrices, `BLOCK` rows at a time.
+        """
+        inverse, diagonal, ratio, answer, echo = self.filter
+        rows *= self.unscale[part]
+        out = np.empty_like(rows)
+        length = rows.shape[1]
+        end = min(START_ROWS, length)
+        head = rows[:, :end] @ inverse[:end, :end].T
+        np.divide(head, ratio, out=out[:, :end])
+        last = head[:, -2:] * diagonal[-2:]
+        while end < length:
+            past = np.hstack([rows[:, end - 2 : end], last])
+            begin, end = end, length if length - end <= BLOCK + 1 else end + BLOCK
+            some = rows[:, begin:end] @ answer[: end - begin, : end - begin]
+            some += past @ echo[:, : end - begin]
+            out[:, begin:end] = some
+            last = some[:, -2:]
+        out *= self.root[part]
+        return out
+
+    def __call__(self, count: int, rows_of: Callable[[slice, slice], Rows32]) -> Sums:
+        """Score of `count` rows in W, of which `rows_of` gives some over a stretch, as a new array.
+
+        One stretch after the other, and some of the rows at a time, so that they stay in the processor's cache.
+        """
+        level, size, cross = np.zeros(count), np.zeros(count), np.zeros((count, self.fixed))
+        for run, (middle, fixed) in zip(self.runs, self.without, strict=True):
+            both = np.zeros((count, len(self.known)))
+            for part in self.stretches:
+                if not run.start <= part.start < run.stop:
+                    continue
+                known = np.ascontiguousarray(self.known[:, part].T, dtype=np.float32)
+                for begin in range(0, count, CHUNK):
+                    some = slice(begin, min(begin + CHUNK, count))
+                    rows = rows_of(some, part)
+                    level[some] += np.abs(rows).sum(axis=1)
+                    white = self.white(rows, part)
+                    size[some] += np.einsum("ij,ij->i", white, white)
+                    both[some] += white @ known
+            random = both[:, self.fixed :]
+            size -= np.sum((random @ middle) * random, axis=1)
+            cross += both[:, : self.fixed] - random @ fixed
+        others = cross[:, 1:]
+        score = cross[:, 0] - others @ self.solved
+        information = size - np.sum((others @ self.inverse) * others, axis=1)
+        absorbed = np.sum((others @ self.free) * others, axis=1) / np.maximum(size, 1e-300)
+        return Sums(level / max(self.known.shape[1], 1), score, information, absorbed)
+
+
+def _filter(shape: Shape) -> tuple[Rows32, ...]:
+    """Factor of the start and its diagonal (see `start_factor`), ratio of `arma_of`, answer of the filter to a unit in
+    each of `BLOCK` + 1 rows, and to a unit in the two rows and the two innovations before them, the older first."""
+    from scipy.signal import lfilter
+
+    ar, ma, ratio = arma_of(*shape)
+    inverse, diagonal, _ = start_factor(*shape)
+    answer = lfilter(ar, ma, np.eye(BLOCK + 1), axis=1)
+    past = np.array([(ar[2], 0.0), (ar[1], ar[2]), (-ma[2], 0.0), (-ma[1], -ma[2])])
+    echo, _ = lfilter(ar, ma, np.zeros((4, BLOCK + 1)), axis=1, zi=past)
+    return tuple(np.asarray(x, dtype=np.float32) for x in (inverse, diagonal, ratio, answer, echo))
+
+
+def _coarse_parts(parts: Sequence[slice], starts: NDArray[np.intp]) -> list[slice]:
+    return [slice(int(np.searchsorted(starts, p.start)), int(np.searchsorted(starts, p.stop))) for p in parts]

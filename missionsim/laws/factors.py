@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -14,6 +13,7 @@ from missionsim.effects.covariates import is_text
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
 from missionsim.laws.grammar import Array, Factor, Grammar
+from missionsim.runs.covariates import may_be_cause
 
 MOST_LEVELS = 6
 MOST_FURTHER = 6
@@ -23,11 +23,6 @@ WARM_S = (30.0, 120.0)
 VARIES = 1e-9
 NOISE_PART = 0.1
 """A quantity that falls below zero by less than this part of its highest value is noise about zero."""
-_SKIPPED = re.compile(
-    r"(^|_)(power|voltage|volts?|current|amps?|energy|soc|charge)(_|$)"
-    r"|^(x_m|y_m|heading_rad|segment|starts|starts_per_s|body_mass_kg|mass_kg|regeneration|drive_w|load_w|moving)$"
-    r"|^(on_time_|starting_)"
-)
 SYMBOLS = {
     "speed_m_s": "v",
     "yaw_rate_rad_s": "ω",
@@ -87,6 +82,10 @@ class _Builder:
         return [_round(float(q)) for q in np.quantile(every, parts)] if len(every) else [0.0 for _ in parts]
 
 
+def _may_enter(name: str) -> bool:
+    return may_be_cause(name) and name != "heading_rad" and not name.startswith("starting_")
+
+
 def _differs(values: Sequence[Array], size: float) -> bool:
     means = [float(np.mean(v)) for v in values]
     return size > 0.0 and float(np.ptp(means)) > VARIES * size
@@ -142,7 +141,7 @@ def make_grammar(covariates: Sequence[Mapping[str, Any]], components: Sequence[s
     known = {"speed_m_s", "yaw_rate_rad_s", "accel_m_s2", *SYMBOLS}
     further = 0
     for name in names:
-        if name in known or name.startswith("on_") or _SKIPPED.search(name) or not name.isidentifier():
+        if name in known or name.startswith("on_") or not _may_enter(name) or not name.isidentifier():
             continue  # the last of these: a formula cannot name it
         value = covariates[0][name]
         if is_text(value):

@@ -11,9 +11,9 @@ import numpy as np
 from missionsim.expressions import compile_expression
 from missionsim.glossary import column_of
 from missionsim.identify.data import Array
-from missionsim.identify.proposed import Curve, Law, Proposal
+from missionsim.identify.proposed import QUANTITY, Curve, Law, Proposal
 from missionsim.labels import Labels
-from missionsim.laws.adapter import Ground, ground_of, library_columns
+from missionsim.laws.adapter import Ground, ground_of
 from missionsim.laws.factors import make_grammar
 from missionsim.laws.gates import LEAST_SHARE, Gates, gates, left_out
 from missionsim.laws.grammar import Grammar
@@ -205,12 +205,11 @@ def _replaced(fitted: Fitted, ground: Ground) -> tuple[str, ...]:
 def _twin(fitted: Fitted, ground: Ground, found: Any) -> str:
     """The effect of the library whose column is the law's own."""
     x = fitted.watts - np.mean(fitted.watts)
-    columns, candidate = library_columns(ground)
-    for phi, number in zip(columns, candidate, strict=True):
+    for phi, column in zip(ground.design.phi, ground.design.layout.columns, strict=True):
         y = phi - np.mean(phi)
         r = abs(float(x @ y)) / max(float(np.linalg.norm(x) * np.linalg.norm(y)), 1e-300)
-        if number >= 0 and r > TWIN:
-            return str(found.library[number].effect)
+        if column.candidate >= 0 and r > TWIN:
+            return str(found.library[column.candidate].effect)
     return ""
 
 
@@ -308,29 +307,10 @@ def _experiment(laws: Sequence[Law], curve: Curve | None, possible: Sequence[str
     return f"3 min at {where} and 3 min at half of it, the rest as usual: there the forms differ by {gap[at]:.2g} W"
 
 
-PLAIN = {
-    "speed_m_s": "speed",
-    "yaw_rate_rad_s": "turn rate",
-    "accel_m_s2": "acceleration",
-    "lateral_speed_m_s": "sideways speed",
-    "slope_rad": "slope",
-    "payload_kg": "payload",
-    "temp_ambient_c": "ambient temperature",
-    "temp_motor_c": "motor temperature",
-    "cpu_load": "processor load",
-    "cpu_freq_hz": "processor clock",
-    "access_point_distance_m": "distance to the access point",
-    "time_s": "time since the start",
-    "moving_time_s": "time spent moving",
-    "surface": "floor",
-    "scheme": "control scheme",
-}
-
-
 def plain(name: str) -> str:
     """A quantity in words."""
-    if name in PLAIN:
-        return PLAIN[name]
+    if name in QUANTITY:
+        return QUANTITY[name][0]
     if name.startswith("on_time_"):
         return f"time since {name[8:-2].replace('_', ' ')} was switched on"
     return f"{name[3:]} being on" if name.startswith("on_") else name

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from missionsim.diagnose import sentences, words
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
+from missionsim.identify.proposed import QUANTITY
 from missionsim.report.page import (
     Block,
     Bullets,
@@ -144,9 +145,9 @@ def _law(battery: BatteryDiagnosis) -> list[Block]:
     for law in battery.proposed_laws:
         curve = law.curve
         if curve is not None:
-            word, unit = sentences.QUANTITY.get(curve.variable, (curve.variable, curve.unit))
+            word, unit = QUANTITY.get(curve.variable, (curve.variable, curve.unit))
             fixed = ", ".join(
-                f"{sentences.QUANTITY.get(n, (n, ''))[0]} {v if isinstance(v, str) else format_cell(v, 2)}"
+                f"{QUANTITY.get(n, (n, ''))[0]} {v if isinstance(v, str) else format_cell(v, 2)}"
                 for n, v in curve.at.items()
             )
             traces = [

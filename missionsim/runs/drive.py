@@ -22,7 +22,6 @@ from missionsim.runs.run import Run
 Array = NDArray[np.float64]
 MOST_MISSING = 0.2
 """Part of a column's rows that may be missing and are filled from their neighbours."""
-_STEP = 1e-4
 _DERIVED = ("mass_kg", "moving_time_s", "starts", "starts_per_s", "time_s")
 
 
@@ -113,8 +112,8 @@ class Driven:
         return _evaluated(kept, tuple(self.terms), self.run, cov, self.assumed, self.unknown)
 
     def gradient(self, battery: str) -> dict[str, Array]:
-        """``∂P/∂ln θ`` of each parameter of the terms that were evaluated; see `gradient`."""
-        return gradient(self.model, self.covariates, battery)
+        """``∂P/∂ln θ`` of each parameter of the terms that were evaluated."""
+        return self.model.gradient(self.covariates, battery)
 
 
 def assume(model: PowerModel, columns: Iterable[str], measured: Iterable[str], *, source: str = "") -> Assumed:
@@ -395,42 +394,3 @@ def _follows(name: str, assumed: Mapping[str, float]) -> bool:
 
 def _listed(names: list[str]) -> str:
     return " and ".join(names)
-
-
-def gradient(model: PowerModel, cov: Mapping[str, Any], battery: str) -> dict[str, Array]:
-    """``∂P/∂ln θ`` of every parameter of a battery [W], arrays of shape (n,).
-
-    Where no term reads the power of others only the parameter's own term is evaluated, by central differences of 1e-4,
-    exact for parameters in which it is linear or quadratic. Parameters that are zero have no logarithm and are left
-    out, and so are those without any influence.
-
-    Parameters
-    ----------
-    model : PowerModel
-    cov : mapping
-        Covariates of one run, complete.
-    battery : str
-    """
-    rows = len(cov["time_s"])
-    coupled = "regeneration" in model.parameters_of(battery) or any(
-        (term.effect.recovers or term.effect.of_load) and any(p.value != 0.0 for p in term.parameters.values())
-        for term in model.of(battery)
-    )
-    whole = model.gradient(cov, battery, base_only=False) if coupled else {}
-    found: dict[str, Array] = {
-        name: np.ascontiguousarray(np.broadcast_to(np.asarray(values, dtype=float), (rows,)))
-        for name, values in whole.items()
-    }
-    for term in () if coupled else model.of(battery):
-        nominal = {name: parameter.value for name, parameter in term.parameters.items()}
-        for name, value in nominal.items():
-            if value == 0.0:
-                continue
-            up, down = (
-                np.asarray(term.effect.power(cov, {**nominal, name: value * (1.0 + sign * _STEP)}), dtype=float)
-                for sign in (1.0, -1.0)
-            )
-            slope = np.broadcast_to(term.scale * (up - down) / (2.0 * _STEP), (rows,))
-            short = term.name_of(name)
-            found[short] = np.ascontiguousarray(found[short] + slope if short in found else slope)
-    return found

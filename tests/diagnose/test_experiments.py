@@ -5,10 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from missionsim.diagnose.experiments import power_of
+from missionsim.diagnose.experiments import imagined_run, power_of
+from missionsim.diagnose.features import make_features
 from missionsim.diagnose.manoeuvres import Part, library, script, site_of
+from missionsim.diagnose.subject import Subject
 from missionsim.effects.covariates import derive
+from missionsim.inputs.loading import load_robot
 from missionsim.labels import Labels
+from missionsim.runs.run import Run
 
 LIMITS = {"max_speed": 0.75, "max_yaw_rate": 1.0, "acceleration": 0.3}
 
@@ -24,6 +28,11 @@ def covariates(**more: object) -> dict[str, object]:
         **more,
     }
     return derive(columns, np.arange(count) + 0.5, np.ones(count))
+
+
+def as_run(columns: dict[str, object]) -> Run:
+    power = {"robot": 10.0 + np.asarray(columns["speed_m_s"])}
+    return Run("r", columns, np.ones(200), power, {"robot": None}, {"robot": "power"})
 
 
 def test_only_what_the_place_has_is_proposed() -> None:
@@ -55,6 +64,18 @@ def test_a_script_keeps_the_robots_limits_and_the_length() -> None:
         assert np.abs(np.diff(v)).max() <= 0.3 * 0.5 + 1e-9
         assert np.abs(columns["yaw_rate_rad_s"]).max() <= 1.0
         assert {"payload_kg", "surface", "on_kinect"} <= set(columns)
+
+
+def test_a_manoeuvre_stands_and_weighs_as_it_says() -> None:
+    model = Subject.of(load_robot("pioneer3dx")).model
+    logged = covariates(payload_kg=np.repeat([0.0, 5.0], 100))
+    # what follows from motion and load is not as it usually was
+    derived = {**logged, "moving": np.ones(200), "mass_kg": np.full(200, 14.0), "drive_w": np.full(200, 4.0)}
+    features = make_features(model, [as_run(logged)], "robot")
+    manoeuvre = next(m for m in library(site_of([logged], LIMITS)) if m.name == "stand and drive")
+    bare, full = (imagined_run(model, features, manoeuvre, site_of([one], LIMITS)) for one in (logged, derived))
+    assert full.base_w == pytest.approx(bare.base_w, rel=1e-12)
+    assert full.base_w[0] < full.base_w[-20]
 
 
 def test_parts_as_plain_data() -> None:

@@ -136,7 +136,7 @@ def test_three_shapes_give_the_same_numbers() -> None:
 
 
 def test_gradient_is_the_change_with_the_logarithm() -> None:
-    cov = {"speed_m_s": np.array([0.0, 0.5]), "moving": np.array([0.0, 1.0])}
+    cov = {"time_s": np.arange(2.0), "speed_m_s": np.array([0.0, 0.5]), "moving": np.array([0.0, 1.0])}
     gradient = model().gradient(cov, "robot")
     assert gradient["c3"] == pytest.approx([0.0, 9.79 * 0.5])
     assert gradient["c2"] == pytest.approx([0.0, 6.25 * 0.25])
