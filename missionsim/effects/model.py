@@ -314,14 +314,16 @@ class PowerModel:
             for name, parameter in self.parameters_of(battery).items():
                 if parameter.value != 0.0:
                     moved = ({f"{battery}/{name}": parameter.value * (1.0 + sign * step)} for sign in (1.0, -1.0))
-                    add(name, *(self.total(cov, battery, values) for values in moved))
+                    up, down = (self.total(cov, battery, values) for values in moved)
+                    add(name, up, down)
             return found
         for term in self.of(battery):
             nominal = {name: parameter.value for name, parameter in term.parameters.items()}
             for name, value in nominal.items():
                 if value != 0.0:
                     moved = ({**nominal, name: value * (1.0 + sign * step)} for sign in (1.0, -1.0))
-                    add(term.name_of(name), *(term.effect.power(cov, values) for values in moved), scale=term.scale)
+                    up, down = (term.effect.power(cov, values) for values in moved)
+                    add(term.name_of(name), up, down, term.scale)
         return found
 
     def with_values(self, values: Mapping[str, float]) -> PowerModel:
