@@ -168,7 +168,6 @@ def write(
         Base parameters that were written.
     """
     from missionsim.inputs import edit
-    from missionsim.inputs.loading import robot_from_text
 
     known = models.features.parameters
     base = {
@@ -177,17 +176,18 @@ def write(
         if name in known
     }
     updates = {known[name].path: _of_file(known[name], value, sd) for name, (value, sd) in base.items()}
-    text = edit.set_values(text, updates) if updates else text
-    for one in effects:
-        if models.lowers(one):
-            continue  # less of something than the file says: the base itself is smaller, there is no effect to add
-        for i, spec in reversed(list(enumerate(robot_from_text(text).effects))):
-            if spec.candidate and spec.name == one.effect and spec.battery == models.battery:
-                text = edit.remove_effect(text, i)
-        text = edit.add_effect(text, _entry(robot, one, split, models.battery, significant))
+    editing = edit.Editing(text).set_values(updates)
+    # less of something than the file says: the base itself is smaller, there is no effect to add
+    written = [one for one in effects if not models.lowers(one)]
+    names = [one.effect for one in written]
+    for i, spec in reversed(list(enumerate(robot.effects))):
+        if spec.candidate and spec.name in names and spec.battery == models.battery:
+            editing.remove_effect(i)
+    for one in written:
+        editing.add_effect(_entry(robot, one, split, models.battery, significant))
     count = len(split.train)
     told = f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(split.train)}"
-    return edit.set_source(text, CALIBRATION, told), base
+    return editing.set_source(CALIBRATION, told).text, base
 
 
 def _refuse(subject: Subject, robot: RobotSpec, effect: str, battery: str) -> None:

@@ -135,7 +135,7 @@ def with_candidate(text: str, battery: str, formula: str) -> tuple[str, str]:
         "power": formula,
         "parameters": {"k": {"value": 1.0, "unit": unit_of(formula)} | ({} if _may_give_back(formula) else {"low": 0})},
     }
-    return edit.add_effect(text, entry), name
+    return edit.Editing(text).add_effect(entry).text, name
 
 
 def _about_motion(formula: str) -> bool:

@@ -86,12 +86,12 @@ def refit_robot(robot: str | Path, logs: Sequence[Run], battery: str | None = No
             f"{', '.join(n.partition('/')[2] for n in twice)}: fitted to these very logs before, so that "
             "they count twice now and the intervals are too narrow; refit the file as it was before"
         )
-    text = edit.set_values(edit.robot_text(robot), updates)
-    written = build_power_model(robot_from_text(text))
+    editing = edit.Editing(edit.robot_text(robot)).set_values(updates)
+    written = build_power_model(robot_from_text(editing.text))
     fits = [_as_written(fit, written, logs) for fit in fits]
     count = len(logs)
     told = f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(logs)}"
-    text = edit.set_source(text, CALIBRATION, told, ranges_of(logs))
+    text = editing.set_source(CALIBRATION, told, ranges_of(logs)).text
     return Refit(text, tuple(fits), tuple(dict.fromkeys(remarks)))
 
 

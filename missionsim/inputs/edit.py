@@ -40,81 +40,91 @@ def robot_text(name_or_path: str | os.PathLike[str]) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def add_effect(text: str, effect: Mapping[str, Any]) -> str:
-    """The robot's text with one more entry under ``effects:``.
+class Editing:
+    """A robot file under change; it is opened once, and checked when its text is asked for.
 
     Parameters
     ----------
     text : str
         Robot file.
-    effect : mapping
-        As in the file: ``{"effect": "grade", "battery": "robot", "parameters": {"k": {"value": 1.1, "sd": 0.02}},
-        "origin": {...}}``; numbers in SI.
-
-    Returns
-    -------
-    str
-        Checked text of the new file.
 
     Raises
     ------
     InputError
-        The result would not be a valid robot (unknown effect, battery, parameter…).
+        By each change for a path that leads nowhere; by `text` where the result would not be a valid robot (unknown
+        effect, battery, parameter, an impossible value).
     """
-    yaml, data = _open(text)
-    entry = _plain(effect)
-    if data.get("effects"):
-        data["effects"].append(entry)
-    else:
-        data["effects"] = _sequence([entry])
-    return _close(yaml, data)
 
+    def __init__(self, text: str) -> None:
+        self._robot = robot_from_text(text)
+        self._yaml, self._data = _open(text)
 
-def remove_effect(text: str, index: int) -> str:
-    """The robot's text without one entry of ``effects:``."""
-    yaml, data = _open(text)
-    del data["effects"][index]
-    if not data["effects"]:
-        del data["effects"]
-    return _close(yaml, data)
+    def add_effect(self, effect: Mapping[str, Any]) -> Editing:
+        """One more entry under ``effects:``.
 
+        Parameters
+        ----------
+        effect : mapping
+            As in the file: ``{"effect": "grade", "battery": "robot", "parameters": {"k": {"value": 1.1, "sd": 0.02}},
+            "origin": {...}}``; numbers in SI.
+        """
+        entry = _plain(effect)
+        if self._data.get("effects"):
+            self._data["effects"].append(entry)
+        else:
+            self._data["effects"] = _sequence([entry])
+        return self
 
-def set_values(text: str, updates: Mapping[str, float | Mapping[str, Any]]) -> str:
-    """The robot's text with other numbers.
+    def remove_effect(self, index: int) -> Editing:
+        """Without one entry of ``effects:``."""
+        del self._data["effects"][index]
+        if not self._data["effects"]:
+            del self._data["effects"]
+        return self
 
-    Parameters
-    ----------
-    text : str
-        Robot file.
-    updates : mapping
-        Path such as ``motion.parameters.c3`` (`Parameter.path`) to a number in SI, or to a mapping with ``value`` and
-        perhaps ``sd`` (SI), ``status``, ``source``, ``note``. A new ``value`` takes out the old status, source and
-        note, since they spoke of the old value, and the old spread where no new one is given.
+    def set_values(self, updates: Mapping[str, float | Mapping[str, Any]]) -> Editing:
+        """Other numbers.
 
-    Returns
-    -------
-    str
-        Checked text of the new file.
+        Parameters
+        ----------
+        updates : mapping
+            Path such as ``motion.parameters.c3`` (`Parameter.path`) to a number in SI, or to a mapping with ``value``
+            and perhaps ``sd`` (SI), ``status``, ``source``, ``note``. A new ``value`` takes out the old status, source
+            and note, since they spoke of the old value, and the old spread where no new one is given.
+        """
+        known = numbers(self._robot)
+        for path, update in updates.items():
+            found = resolve(self._data, path)
+            if not isinstance(found, tuple):
+                raise InputError(found)
+            parent = self._data
+            for key in found[:-1]:
+                parent = parent[key]
+            last: Any = found[-1]
+            old = parent.get(last) if isinstance(parent, dict) else parent[last]
+            new = dict(update) if isinstance(update, Mapping) else {"value": update}
+            parent[last] = _updated(old, new, known.get(".".join(map(str, found))))
+        return self
 
-    Raises
-    ------
-    InputError
-        A path that leads nowhere, or a value that is not possible.
-    """
-    known = numbers(robot_from_text(text))
-    yaml, data = _open(text)
-    for path, update in updates.items():
-        found = resolve(data, path)
-        if not isinstance(found, tuple):
-            raise InputError(found)
-        parent = data
-        for key in found[:-1]:
-            parent = parent[key]
-        last: Any = found[-1]
-        old = parent.get(last) if isinstance(parent, dict) else parent[last]
-        new = dict(update) if isinstance(update, Mapping) else {"value": update}
-        parent[last] = _updated(old, new, known.get(".".join(map(str, found))))
-    return _close(yaml, data)
+    def set_source(self, key: str, told: str, ranges: Mapping[str, Any] | None = None) -> Editing:
+        """One entry of ``sources:`` added or replaced, and the ranges of the logs in ``origin:``."""
+        data = self._data
+        if data.get("sources"):
+            data["sources"][key] = told
+        else:
+            position = next((i for i, name in enumerate(data) if name not in ("kind", "name", "title")), len(data))
+            data.insert(position, "sources", _mapping({key: told}))
+        if ranges is not None:
+            data["origin"] = _plain({**data.get("origin", {}), "range": dict(ranges)})
+        return self
+
+    @property
+    def text(self) -> str:
+        """The new file."""
+        buffer = io.StringIO()
+        self._yaml.dump(self._data, buffer)
+        robot_from_text(buffer.getvalue())
+        return buffer.getvalue()
 
 
 def for_folder(text: str, folder: str | os.PathLike[str], kind: str = "robot") -> str:
@@ -144,19 +154,10 @@ def _open(text: str) -> tuple[Any, Any]:
     yaml.width = 4096
     offset = _list_offset(text)
     yaml.indent(mapping=2, sequence=offset + 2, offset=offset)
-    robot_from_text(text)
     try:
         return yaml, yaml.load(text)
     except YAMLError as problem:
         raise InputError.single(f"not YAML: {str(problem).splitlines()[0]}") from None
-
-
-def _close(yaml: Any, data: Any) -> str:
-    buffer = io.StringIO()
-    yaml.dump(data, buffer)
-    text = buffer.getvalue()
-    robot_from_text(text)
-    return text
 
 
 def _list_offset(text: str) -> int:
@@ -224,16 +225,3 @@ def _sequence(items: Sequence[Any], flow: bool = False) -> Any:
     if flow:
         result.fa.set_flow_style()
     return result
-
-
-def set_source(text: str, key: str, told: str, ranges: Mapping[str, Any] | None = None) -> str:
-    """The robot's text with one entry of ``sources:`` added or replaced, and the ranges of the logs in ``origin:``."""
-    yaml, data = _open(text)
-    if data.get("sources"):
-        data["sources"][key] = told
-    else:
-        position = next((i for i, name in enumerate(data) if name not in ("kind", "name", "title")), len(data))
-        data.insert(position, "sources", _mapping({key: told}))
-    if ranges is not None:
-        data["origin"] = _plain({**data.get("origin", {}), "range": dict(ranges)})
-    return _close(yaml, data)

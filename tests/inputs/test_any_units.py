@@ -58,7 +58,7 @@ def test_a_spread_in_another_unit_is_a_fault() -> None:
 
 @pytest.mark.parametrize("path", ["motion.parameters.c4", "motion.parameters.standing", "effects.0.parameters.k"])
 def test_fitted_values_replace_those_with_units(path: str) -> None:
-    new = edit.set_values(ROBOT, {path: {"value": 0.75, "sd": 0.25, "status": "fitted"}})
+    new = edit.Editing(ROBOT).set_values({path: {"value": 0.75, "sd": 0.25, "status": "fitted"}}).text
     found = edit.numbers(robot_from_text(new))[path]
     assert (found.value, found.sd, found.unit, found.status) == (0.75, 0.25, "W", "fitted")
 

@@ -9,7 +9,7 @@ import pytest
 
 from missionsim.errors import InputError
 from missionsim.inputs import load_robot, shipped_robots
-from missionsim.inputs.edit import add_effect, for_folder, numbers, remove_effect, robot_text, set_values
+from missionsim.inputs.edit import Editing, for_folder, numbers, robot_text
 from missionsim.inputs.loading import robot_from_text
 
 EFFECT = {
@@ -32,16 +32,18 @@ def changed_lines(before: str, after: str) -> list[str]:
 def test_adding_and_removing_an_effect_restores_the_text(name: str) -> None:
     text = robot_text(name)
     battery = next(iter(load_robot(name).batteries))
-    with_effect = add_effect(text, {"effect": "standby_load", "battery": battery, "parameters": {"k": 1.5}})
+    with_effect = (
+        Editing(text).add_effect({"effect": "standby_load", "battery": battery, "parameters": {"k": 1.5}}).text
+    )
     assert all(line.startswith("+") for line in changed_lines(text, with_effect))
     added = robot_from_text(with_effect).effects[-1]
     assert (added.effect, added.parameters["k"].value) == ("standby_load", 1.5)
-    assert changed_lines(text, remove_effect(with_effect, len(load_robot(name).effects))) == []
+    assert changed_lines(text, Editing(with_effect).remove_effect(len(load_robot(name).effects)).text) == []
 
 
 def test_an_effect_stands_at_the_end_with_its_origin() -> None:
     text = robot_text("pioneer3dx")
-    assert changed_lines(text, add_effect(text, EFFECT)) == [
+    assert changed_lines(text, Editing(text).add_effect(EFFECT).text) == [
         "+effects:",
         "+  - effect: turning_scrub",
         "+    battery: robot",
@@ -61,7 +63,7 @@ def test_values_keep_unit_and_comments_and_lose_the_old_source() -> None:
         "batteries.robot.capacity": 250 * 3600.0,
         "batteries.robot.reserve": 0.2,
     }
-    changed = set_values(text, updates)
+    changed = Editing(text).set_values(updates).text
     assert [line for line in changed_lines(text, changed) if line.startswith("+")] == [
         "+    capacity: {value: 250 Wh}",
         "+    reserve: {value: 20 %}",
@@ -79,7 +81,7 @@ def test_every_number_can_be_written_back() -> None:
     text = robot_text("pioneer3dx")
     robot = load_robot("pioneer3dx")
     known = {path: item for path, item in numbers(robot).items() if not path.startswith("schemes.")}
-    changed = robot_from_text(set_values(text, {path: item.value for path, item in known.items()}))
+    changed = robot_from_text(Editing(text).set_values({path: item.value for path, item in known.items()}).text)
     after = numbers(changed)
     for path, item in known.items():
         assert after[path].value == pytest.approx(item.value, rel=1e-6), path
@@ -88,13 +90,13 @@ def test_every_number_can_be_written_back() -> None:
 def test_what_would_not_be_valid_is_refused() -> None:
     text = robot_text("pioneer3dx")
     with pytest.raises(InputError, match="no effect 'turning_scrubb'"):
-        add_effect(text, EFFECT | {"effect": "turning_scrubb"})
+        _ = Editing(text).add_effect(EFFECT | {"effect": "turning_scrubb"}).text
     with pytest.raises(InputError, match="no battery 'main'"):
-        add_effect(text, EFFECT | {"battery": "main"})
+        _ = Editing(text).add_effect(EFFECT | {"battery": "main"}).text
     with pytest.raises(InputError, match="impossible value"):
-        set_values(text, {"components.laser.loads.0.power": -1.0})
+        _ = Editing(text).set_values({"components.laser.loads.0.power": -1.0}).text
     with pytest.raises(InputError, match="nothing called 'lasr'"):
-        set_values(text, {"components.lasr.loads.0.power": 1.0})
+        Editing(text).set_values({"components.lasr.loads.0.power": 1.0})
 
 
 def test_lists_without_indent_stay_so() -> None:
@@ -103,7 +105,7 @@ def test_lists_without_indent_stay_so() -> None:
         "batteries: {main: {capacity: 10 Wh}}  # small\n"
         "components:\n  a:\n    loads:\n    - {battery: main, power: 1 W}  # measured\n"
     )
-    changed = set_values(text, {"components.a.loads.0.power": {"value": 1.25, "status": "fitted"}})
+    changed = Editing(text).set_values({"components.a.loads.0.power": {"value": 1.25, "status": "fitted"}}).text
     # a comment behind a longer value moves, and is kept
     assert changed == text.replace("power: 1 W}  #", "power: {value: 1.25 W, status: fitted}} #")
 
