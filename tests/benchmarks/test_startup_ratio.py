@@ -25,10 +25,13 @@ def seconds(command: list[str], environment: dict[str, str]) -> float:
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Environment in which the interpreter keeps its bytecode, as on a user's machine, in a folder of its own.
+    """Environment in which the interpreter keeps its bytecode, as on a user's machine.
 
-    A shell that forbids bytecode would have our sources compiled at every start, and no library's.
+    A shell that forbids bytecode would have our sources compiled at every start, and no library's; then all of it is
+    kept in a folder of its own.
     """
+    if "PYTHONDONTWRITEBYTECODE" not in os.environ:
+        return dict(os.environ)
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     return {**kept, "PYTHONPYCACHEPREFIX": str(tmp_path_factory.mktemp("bytecode"))}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -26,6 +27,7 @@ def strength(column: str, share: float) -> dict[str, float]:
     return {column: coefficient(make_runs(0), column, share)}
 
 
+@functools.cache
 def fitted(effect: str, share: float, seed: int = 11) -> Identification:
     column = {"surface_rolling_resistance": "surface|carpet"}.get(effect, effect)
     return fit_effects(make_runs(seed, strength(column, share)), library(), [effect], {})
