@@ -20,10 +20,12 @@ if TYPE_CHECKING:
     from missionsim.compare.comparison import Comparison
     from missionsim.diagnose.adopt import Adopted
     from missionsim.diagnose.improve import Improved
+    from missionsim.diagnose.split import Split
     from missionsim.engine.outcome import RunResult
     from missionsim.exchange.site import Site, SiteOptions
     from missionsim.fit.refit import Refit
     from missionsim.identify.findings import Diagnosis
+    from missionsim.inputs.robot import RobotSpec
     from missionsim.planner.answer import Answer as PlanAnswer
     from missionsim.results.whatif import WhatIf
     from missionsim.runs.run import Run
@@ -263,25 +265,19 @@ def add_effect(
         The logs do not support it, and `force` is not set.
     """
     from missionsim.diagnose.adopt import adopt
-    from missionsim.diagnose.split import choose_split
     from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import robot_text
-    from missionsim.inputs.loading import load_robot
-    from missionsim.logs import read_logs
 
-    spec = load_robot(robot)
-    split = choose_split(read_logs(_paths(logs), robot=spec), holdout)
+    spec, split = _split(robot, logs, holdout)
     made = adopt(robot_text(robot), spec, split, effect, battery, Settings(), force=force)
     parameters = {name: estimate.to_json() for name, estimate in made.effect.parameters.items()}
     told = ", ".join(f"{name} = {p['value']:.4g}" for name, p in parameters.items())
 
-    def data() -> dict[str, Any]:
-        return {"schema": "missionsim.add_effect/1", "effect": effect, "battery": battery, "parameters": parameters}
-
     def rows() -> list[dict[str, Any]]:
         return [{"parameter": name, **p} for name, p in parameters.items()]
 
-    return Answer(made, f"{effect} on {battery}: {told}", rows, data, ("parameter", "value"), made.text)
+    line = f"{effect} on {battery}: {told}"
+    return Answer(made, line, rows, lambda: made.to_json() | {"battery": battery}, ("parameter", "value"), made.text)
 
 
 def improve(
@@ -289,28 +285,24 @@ def improve(
 ) -> Answer[Improved]:
     """Compare, diagnose, add, until nothing is left to find, for one battery; see ``missionsim improve --yes``."""
     from missionsim.diagnose.improve import improve as run_improve
-    from missionsim.diagnose.split import choose_split
     from missionsim.identify.settings import Settings
     from missionsim.inputs.edit import robot_text
-    from missionsim.inputs.loading import load_robot
-    from missionsim.logs import read_logs
 
-    split = choose_split(read_logs(_paths(logs), robot=load_robot(robot)), holdout)
+    _, split = _split(robot, logs, holdout)
     done = run_improve(robot_text(robot), split, battery, Settings(), lambda finding, diagnosis: True)
     steps = [
         {"step": s.name, "power_rmse_w": s.power_rmse_w, "energy_error_pct": s.energy_error_pct} for s in done.steps
     ]
     line = f"{battery}: added {', '.join(done.added) or 'nothing'}; {done.stopped}"
-    data = {"battery": battery, "added": list(done.added), "steps": steps, "stopped": done.stopped}
+    data = {"schema": "missionsim.improvement/1", "holdout": split.how, "batteries": {battery: done.to_json()}}
     return Answer(done, line, lambda: steps, lambda: data, ("step", "power_rmse_w"), done.text)
 
 
 def calibrate(robot: PathLike, logs: Logs, *, battery: str | None = None) -> Answer[Refit]:
     """Refit a robot's parameters; see ``missionsim calibrate --robot``."""
     from missionsim.fit.refit import refit_robot
-    from missionsim.logs import read_logs
 
-    done = refit_robot(str(robot), read_logs(_paths(logs)), battery)
+    done = refit_robot(str(robot), _runs(robot, logs)[1], battery)
 
     def rows() -> list[dict[str, Any]]:
         keys = ("name", "value", "sd", "before", "unit")
@@ -319,7 +311,9 @@ def calibrate(robot: PathLike, logs: Logs, *, battery: str | None = None) -> Ans
         ]
 
     line = "; ".join(f"{f.battery}: {f.before.power_rmse_w:.3g} to {f.after.power_rmse_w:.3g} W" for f in done.fits)
-    return Answer(done, line, rows, lambda: {"parameters": rows()}, ("name", "value"), done.text)
+    fits = {fit.battery: fit.to_json() for fit in done.fits}
+    data = {"schema": "missionsim.calibration/1", "batteries": fits, "remarks": list(done.remarks)}
+    return Answer(done, line, rows, lambda: data, ("name", "value"), done.text)
 
 
 def plan(task: PathLike, *, set: Values | None = None, robot: PathLike | None = None) -> Answer[PlanAnswer]:
@@ -361,6 +355,28 @@ def import_site(path: PathLike, options: SiteOptions | None = None) -> Answer[Si
         return [{**edge, "length": length} for edge, length in zip(site.edges, lengths, strict=True)]
 
     return Answer(site, line, rows, site.summary, ("to", "length"), site.environment_text())
+
+
+def _runs(robot: PathLike, logs: Logs) -> tuple[RobotSpec, list[Run]]:
+    """The robot, and the runs that it may learn from; of the others a warning tells, as the commands do."""
+    import warnings
+
+    from missionsim.diagnose.split import read_runs
+    from missionsim.inputs.loading import load_robot
+    from missionsim.inputs.power import build_power_model
+
+    spec = load_robot(robot)
+    runs, left_out = read_runs(spec, build_power_model(spec), _paths(logs))
+    for line in left_out:
+        warnings.warn(f"left out {line}", stacklevel=4)
+    return spec, runs
+
+
+def _split(robot: PathLike, logs: Logs, holdout: str | Sequence[str | Path] | None) -> tuple[RobotSpec, Split]:
+    from missionsim.diagnose.split import choose_split
+
+    spec, runs = _runs(robot, logs)
+    return spec, choose_split(runs, holdout)
 
 
 def _pairs(values: Values | None) -> tuple[tuple[str, str], ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from missionsim.cli.options import TERMINAL, Output, RobotFile, tell_left_out
 from missionsim.report.terminal import console, simple_table
@@ -86,35 +86,18 @@ def calibrate(
         text, fits, remarks = again.text, list(again.fits), list(again.remarks)
     remarks = [*describe(tables), *remarks]
     write_text(out, text)
-    to.emit(_as_json(fits, remarks, out) | {"left_out": left_out})
+    to.emit(
+        {
+            "schema": "missionsim.calibration/1",
+            "robot_file": str(out),
+            "batteries": {fit.battery: fit.to_json() for fit in fits},
+            "remarks": remarks,
+            "left_out": left_out,
+        }
+    )
     if to.text:
         _print(fits, remarks, out)
     return 1 if left_out else 0
-
-
-def _as_json(fits: list[ModelFit], remarks: list[str], out: Path) -> dict[str, Any]:
-    return {
-        "schema": "missionsim.calibration/1",
-        "robot_file": str(out),
-        "batteries": {
-            fit.battery: {
-                "parameters": {
-                    p.name: {key: getattr(p, key) for key in ("value", "sd", "low", "high", "before", "unit")}
-                    for p in fit.parameters.values()
-                },
-                "rmse_before_w": fit.before.power_rmse_w,
-                "rmse_w": fit.after.power_rmse_w,
-                "energy_error_pct": fit.after.energy_error_pct,
-                "run_energy_error_pct": fit.after.run_energy_error_pct,
-                "explained_variance": fit.explained,
-                "clock": {"delay_s": fit.delay_s, "lag_s": fit.lag_s},
-                "runs": list(fit.runs),
-                "seconds": fit.seconds,
-            }
-            for fit in fits
-        },
-        "remarks": remarks,
-    }
 
 
 def _print(fits: list[ModelFit], remarks: list[str], out: Path) -> None:

@@ -184,22 +184,7 @@ def _as_json(done: list[Improved], skipped: dict[str, Any], out: Path, how: str)
         "schema": "missionsim.improvement/1",
         "robot_file": str(out),
         "holdout": how,
-        "batteries": {
-            one.battery: {
-                "added": list(one.added),
-                "declined": list(one.declined),
-                "stopped": one.stopped,
-                "on_heldout_runs": one.heldout,
-                "steps": [
-                    {"name": s.name, "energy_error_pct": s.energy_error_pct, "power_rmse_w": s.power_rmse_w}
-                    for s in one.steps
-                ],
-                "worse": one.worse or None,
-                "first": one.first.to_json(),
-                "last": one.last.to_json(),
-            }
-            for one in done
-        },
+        "batteries": {one.battery: one.to_json() for one in done},
         "skipped": {name: " ".join(str(error).split()) for name, error in skipped.items()},
     }
 
@@ -290,32 +275,15 @@ def add_effect(
         text, effect = _candidate(text, spec, split, chosen, formula, search.settings)
         spec = robot_from_text(text)
     assert effect is not None
-    told = {"schema": "missionsim.add_effect/1", "effect": effect, "battery": chosen}
     try:
         made = adopt(text, spec, split, effect, chosen, search.settings, force=force, recalibrate=not keep_base)
     except NotSignificant as error:
-        to.emit(told | {"added": False, "reason": str(error)})
+        refused = {"schema": "missionsim.add_effect/1", "effect": effect, "battery": chosen, "added": False}
+        to.emit(refused | {"reason": str(error)})
         print(f"{error}\n    nothing was written; --force writes it all the same", file=sys.stderr)
         return 1
     write_text(out, for_folder(made.text, out.parent))
-    parameters = {name: estimate.to_json() for name, estimate in made.effect.parameters.items()}
-    to.emit(
-        told
-        | {
-            "added": True,
-            "significant": made.significant,
-            "reason": made.reason,
-            "parameters": parameters,
-            "energy_share": made.effect.energy_share,
-            "p_value": made.effect.p_value,
-            "indistinguishable_from": list(made.rivals),
-            "heldout": made.heldout and made.heldout.to_json(),
-            "worse": made.worse or None,
-            "left_out": left_out,
-            "robot_file": str(out),
-            "base": {name: {"value": value, "sd": sd} for name, (value, sd) in made.base.items()},
-        }
-    )
+    to.emit(made.to_json() | {"battery": chosen, "left_out": left_out, "robot_file": str(out)})
     if made.worse:
         print(made.worse, file=sys.stderr)
     if made.rivals:

@@ -172,14 +172,14 @@ class Search:
 
     def read(self, logs: Sequence[Path], to: Output) -> tuple[RobotSpec, Split, list[LogTable], list[str]]:
         """Robot, runs to fit and to test on, all of them, and those left out; says what the checks found."""
-        from missionsim.diagnose.split import choose_split
+        from missionsim.diagnose.split import choose_split, read_runs
         from missionsim.inputs.loading import load_robot
         from missionsim.inputs.power import build_power_model
-        from missionsim.logs import describe, read_logs
-        from missionsim.runs.admit import admit, unchanging
+        from missionsim.logs import describe
+        from missionsim.runs.admit import unchanging
 
         spec = load_robot(self.robot)
-        tables, left_out = admit(read_logs(list(logs), robot=spec), build_power_model(spec))
+        tables, left_out = read_runs(spec, build_power_model(spec), logs)
         tell_left_out(left_out)
         for line in [] if to.quiet else [*describe(tables), *unchanging(tables)]:
             print(visible(line), file=sys.stderr)

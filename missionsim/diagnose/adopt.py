@@ -62,6 +62,23 @@ class Adopted:
     base: Mapping[str, tuple[float, float]]
     heldout: HeldOut | None = None
 
+    def to_json(self) -> dict[str, Any]:
+        """As ``missionsim add-effect --json`` has it."""
+        return {
+            "schema": "missionsim.add_effect/1",
+            "effect": self.effect.effect,
+            "added": True,
+            "significant": self.significant,
+            "reason": self.reason,
+            "parameters": {name: estimate.to_json() for name, estimate in self.effect.parameters.items()},
+            "energy_share": self.effect.energy_share,
+            "p_value": self.effect.p_value,
+            "indistinguishable_from": list(self.rivals),
+            "heldout": self.heldout and self.heldout.to_json(),
+            "worse": self.worse or None,
+            "base": {name: {"value": value, "sd": sd} for name, (value, sd) in self.base.items()},
+        }
+
     @property
     def worse(self) -> str:
         """In words, that the file predicts held-out runs worse; empty where it does not."""

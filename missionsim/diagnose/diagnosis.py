@@ -16,7 +16,7 @@ from missionsim.diagnose.heldout import KINDS, Models
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
 from missionsim.diagnose.proposed import depends_on, proposed_laws, without_stand_ins
-from missionsim.diagnose.split import Split, choose_split, lacking, stretches, with_same_causes
+from missionsim.diagnose.split import Split, choose_split, lacking, read_runs, stretches, with_same_causes
 from missionsim.diagnose.subject import Subject, priors_of
 from missionsim.diagnose.waterfall import noted
 from missionsim.effects.model import PowerModel
@@ -28,9 +28,8 @@ from missionsim.identify.proposed import Proposal
 from missionsim.identify.settings import ALPHA, MOST_PASSES, SAME_SIZE, Settings
 from missionsim.identify.verdict import decide
 from missionsim.logs import describe
-from missionsim.runs.admit import admit, unchanging
+from missionsim.runs.admit import unchanging
 from missionsim.runs.covariates import logged_name
-from missionsim.runs.run import Bounded
 
 if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
@@ -81,7 +80,6 @@ def diagnose_files(
         For faults in any of the files, or where no battery can be diagnosed.
     """
     from missionsim.inputs.loading import load_robot
-    from missionsim.logs import read_logs
 
     spec = load_robot(robot)
     timeline = None
@@ -93,10 +91,7 @@ def diagnose_files(
         run = simulate(load_mission(mission, robot=spec))
         timeline, segments = run.timeline, tuple(segment.name for segment in run.segments)
     subject = Subject.of(spec)
-    bounded = Bounded()
-    read, averaged = bounded.all(read_logs(list(logs), robot=spec, each=bounded))
-    tables, left_out = admit(read, subject.model)
-    left_out = [*left_out, *filter(None, [averaged])]
+    tables, left_out = read_runs(spec, subject.model, logs)
     if on_left_out is not None:
         on_left_out(left_out)
     if on_remark is not None:

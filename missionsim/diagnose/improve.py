@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from missionsim.diagnose.adopt import write
@@ -68,6 +68,19 @@ class Improved:
     first: BatteryDiagnosis
     last: BatteryDiagnosis
     stopped: str
+
+    def to_json(self) -> dict[str, Any]:
+        """As ``missionsim improve --json`` has a battery."""
+        return {
+            "added": list(self.added),
+            "declined": list(self.declined),
+            "stopped": self.stopped,
+            "on_heldout_runs": self.heldout,
+            "steps": [asdict(step) for step in self.steps],
+            "worse": self.worse or None,
+            "first": self.first.to_json(),
+            "last": self.last.to_json(),
+        }
 
     @property
     def worse(self) -> str:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,9 +15,14 @@ from missionsim.effects.covariates import derive
 from missionsim.effects.library import all_effects
 from missionsim.errors import InputError, did_you_mean
 from missionsim.expressions import compile_expression
+from missionsim.runs.admit import admit
 from missionsim.runs.covariates import is_switch, logged_name
 from missionsim.runs.drive import filled
 from missionsim.runs.run import Bounded, Run
+
+if TYPE_CHECKING:
+    from missionsim.effects.model import PowerModel
+    from missionsim.inputs.robot import RobotSpec
 
 FEWEST_RUNS = 4
 """With fewer runs none is held out unless the user says so."""
@@ -47,6 +52,16 @@ class Split:
     heldout: tuple[Any, ...]
     how: str
     shifted: bool = False
+
+
+def read_runs(robot: RobotSpec, model: PowerModel, logs: Sequence[str | Path]) -> tuple[list[Run], list[str]]:
+    """The runs of some logs that a robot may learn from, and in words what was left out or averaged."""
+    from missionsim.logs import read_logs
+
+    bounded = Bounded()
+    read, averaged = bounded.all(read_logs(list(logs), robot=robot, each=bounded))
+    runs, left_out = admit(read, model)
+    return list(runs), [*left_out, *filter(None, [averaged])]
 
 
 def choose_split(logs: Sequence[Any], holdout: str | Sequence[str | Path] | None = None) -> Split:

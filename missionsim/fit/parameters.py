@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -176,6 +177,23 @@ class ModelFit:
     runs: tuple[str, ...]
     seconds: float
     remarks: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """As ``missionsim calibrate --json`` has a battery."""
+        return {
+            "parameters": {
+                p.name: {key: getattr(p, key) for key in ("value", "sd", "low", "high", "before", "unit")}
+                for p in self.parameters.values()
+            },
+            "rmse_before_w": self.before.power_rmse_w,
+            "rmse_w": self.after.power_rmse_w,
+            "energy_error_pct": self.after.energy_error_pct,
+            "run_energy_error_pct": self.after.run_energy_error_pct,
+            "explained_variance": self.explained,
+            "clock": {"delay_s": self.delay_s, "lag_s": self.lag_s},
+            "runs": list(self.runs),
+            "seconds": self.seconds,
+        }
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a formula without a value is told, not warned of

@@ -40,6 +40,7 @@ def test_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert json.dumps(answer.to_json(), default=str)
         assert answer.plot().axes
     assert "grade" in repr(names["found"])
+    assert names["better"].to_json()["schema"] == "missionsim.add_effect/1"
     assert names["run"].value.feasible
     assert names["draws"].to_frame().shape[0] == 500
 
