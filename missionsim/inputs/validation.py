@@ -35,12 +35,37 @@ class _Numbered(list[Any]):
     numbers: list[int]
 
 
+class Faulty:
+    """Paths of a file that were told to be faulty."""
+
+    def __init__(self) -> None:
+        self._at: set[Path_] = set()
+        self._above: set[Path_] = set()
+
+    def add(self, paths: Iterable[Path_]) -> None:
+        """More of them."""
+        for path in paths:
+            self._at.add(path)
+            self._above.update(path[:length] for length in range(len(path) + 1))
+
+    def __bool__(self) -> bool:
+        return bool(self._at)
+
+    def under(self, path: Path_) -> bool:
+        """Whether a path is, or lies below, a faulty one."""
+        return any(path[:length] in self._at for length in range(len(path) + 1))
+
+    def related(self, path: Path_) -> bool:
+        """Whether a path is, lies below or above a faulty one."""
+        return path in self._above or self.under(path)
+
+
 @dataclass(slots=True)
 class View(Document):
     """A document with parts left out; paths are translated to those of the file."""
 
     shape: Any = None
-    faulty: frozenset[Path_] = field(default_factory=frozenset)
+    faulty: Faulty = field(default_factory=Faulty)
 
     def original(self, path: Sequence[str | int]) -> Path_:
         """The path in the file of a path in what is left."""
@@ -59,21 +84,11 @@ class View(Document):
         return tuple(result)
 
 
-def view_of(document: Document, shape: Any, faulty: Iterable[Path_]) -> View:
+def view_of(document: Document, shape: Any, faulty: Faulty) -> View:
     """`document` as what is left of it, `shape`."""
     view = View(document.file, document.data, document.root, document.sha256, document.overrides, document.prefix)
-    view.shape, view.faulty = shape, frozenset(faulty)
+    view.shape, view.faulty = shape, faulty
     return view
-
-
-def under(path: Sequence[str | int], faulty: Iterable[Path_]) -> bool:
-    """Whether a path is, or lies below, a faulty one."""
-    return any(tuple(path[: len(other)]) == other for other in faulty)
-
-
-def related(path: Sequence[str | int], faulty: Iterable[Path_]) -> bool:
-    """Whether a path is, lies below or above a faulty one."""
-    return any(tuple(path[: len(other)]) == other[: len(path)] for other in faulty)
 
 
 def repaired(view: View, problem: ValidationError, tried: dict[Path_, int]) -> Any:
@@ -87,7 +102,7 @@ def repaired(view: View, problem: ValidationError, tried: dict[Path_, int]) -> A
     tried : dict
         How many stand-ins were tried at a path (of the file); changed.
     """
-    result = view.shape
+    edits: _Edits = {}
     drops: list[Path_] = []
     for error in problem.errors(include_url=False):
         if follows_from_entries(error):
@@ -101,19 +116,19 @@ def repaired(view: View, problem: ValidationError, tried: dict[Path_, int]) -> A
             count = tried.get(key, 0)
             exists = _exists(view.shape, path)
             if error["type"] == "literal_error":
-                result = _put(result, path, str(error["ctx"]["expected"]).split("'")[1])
+                _note(edits, path, _PUT, str(error["ctx"]["expected"]).split("'")[1])
             elif exists and not count:
                 drops.append(path)
             elif count < len(_STAND_INS) and _exists(view.shape, path[:-1]):
-                result = _put(result, path, _STAND_INS[count])
+                _note(edits, path, _PUT, _STAND_INS[count])
                 tried[key] = count + 1
             else:
                 drops.append(_existing(view.shape, path[:-1]))
-    for path in sorted(set(drops), key=lambda path: [str(item).rjust(8) for item in path], reverse=True):
-        if not path:
-            return None
-        result = _drop(result, path)
-    return result
+    if () in drops:
+        return None
+    for path in drops:
+        _note(edits, path, _DROP, True)
+    return _edited(view.shape, edits)
 
 
 def _existing(data: Any, path: Path_) -> Path_:
@@ -140,30 +155,26 @@ def _like(old: list[Any], items: list[Any], numbers: list[int]) -> list[Any]:
     return result
 
 
-def _put(data: Any, path: Sequence[str | int], value: Any) -> Any:
-    if not path:
-        return value
-    head, rest = path[0], path[1:]
-    if isinstance(data, dict):
-        return {**data, str(head): _put(data.get(str(head)), rest, value)}
-    if isinstance(data, list) and isinstance(head, int):
-        items = [_put(item, rest, value) if index == head else item for index, item in enumerate(data)]
-        return _like(data, items, list(range(len(items))))
-    return data
+_Edits = dict[Any, Any]
+"""What is put or dropped, by the keys on the way there: one pass does all of it, however many faults there are."""
+_PUT, _DROP = object(), object()
 
 
-def _drop(data: Any, path: Sequence[str | int]) -> Any:
-    head, rest = path[0], path[1:]
-    if isinstance(data, dict):
-        if not rest:
-            return {key: value for key, value in data.items() if key != head}
-        return {key: _drop(value, rest) if key == head else value for key, value in data.items()}
-    if isinstance(data, list):
-        if not rest:
-            kept = [index for index in range(len(data)) if index != head]
-            return _like(data, [data[index] for index in kept], kept)
-        items = [_drop(value, rest) if index == head else value for index, value in enumerate(data)]
-        return _like(data, items, list(range(len(items))))
+def _note(edits: _Edits, path: Sequence[str | int], what: object, value: Any) -> None:
+    for item in path:
+        edits = edits.setdefault(item, {})
+    edits[what] = value
+
+
+def _edited(data: Any, edits: _Edits) -> Any:
+    data = edits.get(_PUT, data)
+    below = {key: more for key, more in edits.items() if key is not _PUT}
+    if isinstance(data, dict) and below:
+        kept = {key: value for key, value in data.items() if _DROP not in below.get(key, ())}
+        return kept | {key: _edited(data.get(key), more) for key, more in below.items() if _DROP not in more}
+    if isinstance(data, list) and below:
+        left = [index for index in range(len(data)) if _DROP not in below.get(index, ())]
+        return _like(data, [_edited(data[index], below.get(index, {})) for index in left], left)
     return data
 
 
@@ -182,17 +193,18 @@ def validate_document(document: Document, model: type[Loaded], faults: list[Faul
     """
     context = {"folder": Path(document.file).parent}
     shape = document.data
-    faulty: set[tuple[str | int, ...]] = set()
-    tried: dict[tuple[str | int, ...], int] = {}
+    faulty = Faulty()
+    tried: dict[Path_, int] = {}
     for _ in range(_ROUNDS):
         view = view_of(document, shape, faulty) if faulty else document
         try:
             result = model.model_validate(shape, context=context)
         except ValidationError as problem:
             located = to_faults(problem, view, model, shape)
-            faults.extend(fault for path, fault in located if not related(view.original(path), faulty))
+            places = [view.original(path) for path, _ in located]
+            faults += [fault for at, (_, fault) in zip(places, located, strict=True) if not faulty.related(at)]
             shape = repaired(view_of(document, shape, faulty), problem, tried)
-            faulty |= {view.original(path) for path, _ in located}
+            faulty.add(places)
             if shape is None:
                 return None
         else:

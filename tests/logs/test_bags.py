@@ -144,6 +144,26 @@ def test_broken_files_are_told(tmp_path: Path, kind: str) -> None:
     assert told > 0
 
 
+def test_a_cut_mcap_whose_summary_seems_to_fit_is_told(tmp_path: Path) -> None:
+    """So many bytes are missing that its footer points behind the names of the topics, and readers scan."""
+    path = next(write_bag(tmp_path / "run", "mcap", 8.0).glob("*.mcap"))
+    whole = path.read_bytes()
+    begins = at = int.from_bytes(whole[-28:-20], "little")
+    while whole[at] != 8:  # index of chunks
+        at += 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
+    (tmp_path / "m.yaml").write_text(BAG_MAP)
+    spec, read = load_map(tmp_path / "m.yaml"), 0
+    for cut in range(15000, 27000, 1003):
+        path.write_bytes(whole[:cut] + whole[cut + at - begins :])
+        try:
+            (log,) = import_source(path, spec)
+        except InputError:
+            continue
+        read += 1
+        assert any(remark.kind == "damaged" and remark.severity == "error" for remark in log.remarks)
+    assert read > 4
+
+
 @pytest.mark.parametrize("content", [b"", b"\x00\x01garbage, not a log" * 9, b"time_s,power_robot_w\n0,1\n1,2\n"])
 @pytest.mark.parametrize(
     ("suffix", "kind"), [("ulg", "ULog"), ("mcap", "MCAP"), ("bag", "ROS 1 bag"), ("db3", "ROS 2")]

@@ -112,9 +112,10 @@ def read_bag(path: Path, options: Options) -> Recording:
                         held[name].add(reader.start_time, reader.start_time, [("state", message.start_state.label)])
                 held[name].add(stamp, received, values)
         expected = {topic: info.msgcount for topic, info in infos.items()}
+        found = reader.message_count
     if options.most is None:
         remarks += _damage(expected, seen, broken)
-        if not remarks and path.suffix == ".mcap" and not _index_fits(path):
+        if not remarks and path.suffix == ".mcap" and not _index_fits(path, found):
             message = "the index at its end does not fit the file: bytes are missing or were put in"
             remarks.append(Remark("damaged", "", message, DAMAGED, "error", 0, 1))
     times = _times({name: (topic.stamps, topic.received) for name, topic in held.items()}, options.clock, remarks)
@@ -278,21 +279,27 @@ def _damage(expected: dict[str, int], seen: dict[str, int], broken: list[str]) -
     return [Remark("damaged", "", f"part of the bag is missing: {', '.join(parts)}", DAMAGED, "error", 0, count)]
 
 
-def _index_fits(path: Path) -> bool:
-    """Whether the summary of an MCAP file stands where its footer says, and its records follow to the footer."""
+_STATISTICS = 11
+"""Type of the record that begins with the number of messages."""
+
+
+def _index_fits(path: Path, messages: int) -> bool:
+    """Whether the summary of an MCAP file stands where its footer says, counts the messages that a reader finds, and
+    its records follow to the footer; without a summary, whether all records from the beginning do."""
     tail = 8 + 29  # magic, and the footer: type, length, start of summary, of its offsets, checksum
     size = path.stat().st_size
     with open(path, "rb") as handle:
         handle.seek(size - tail)
         footer = handle.read(tail)
-        start = int.from_bytes(footer[9:17], "little")
-        if footer[0] != 2 or start == 0:
-            return footer[0] == 2
-        at = start
+        if footer[0] != 2:
+            return False
+        at = int.from_bytes(footer[9:17], "little") or len(b"\x89MCAP0\r\n")
         while at < size - tail:
             handle.seek(at)
             head = handle.read(9)
-            if len(head) < 9 or not 3 <= head[0] <= 15:
+            if len(head) < 9 or not 1 <= head[0] <= 15:
+                return False
+            if head[0] == _STATISTICS and int.from_bytes(handle.read(8), "little") != messages:
                 return False
             at += 9 + int.from_bytes(head[1:], "little")
     return at == size - tail
