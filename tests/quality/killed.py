@@ -31,9 +31,9 @@ def batches(draw: random.Random) -> list[str]:
     """A batch: mission, engine, workers, runs."""
     mission, engine, runs = draw.choice(
         (
-            ("missions/pioneer3dx/valve_patrol_as_driven.yaml", "arrays", 60_000),
-            ("missions/pioneer3dx/valve_patrol_as_driven.yaml", "simpy", 400),
-            ("missions/khepera3/task_b.yaml", "simpy", 300),
+            ("missions/pioneer3dx/valve_patrol_as_driven.yaml", "arrays", 30_000),
+            ("missions/pioneer3dx/valve_patrol_as_driven.yaml", "simpy", 250),
+            ("missions/khepera3/task_b.yaml", "simpy", 200),
         )
     )
     workers = draw.choice((1, 2, 3))
