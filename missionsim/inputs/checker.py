@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.inputs.tree import Document, as_written
+from missionsim.inputs.validation import Faulty
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
@@ -43,13 +44,13 @@ class Checker:
 
     def faulty(self, where: Where) -> bool:
         """Whether a fault was told at this path or above it."""
-        faulty = getattr(self.document, "faulty", None)
-        return bool(faulty) and faulty.under(self.document.original(where))
+        faulty: Faulty | None = getattr(self.document, "faulty", None)
+        return faulty is not None and faulty.under(self.document.original(where))
 
     def touched(self, *where: str | int) -> bool:
         """Whether a fault was told at, above or below this path."""
-        faulty = getattr(self.document, "faulty", None)
-        return bool(faulty) and faulty.related(self.document.original(where))
+        faulty: Faulty | None = getattr(self.document, "faulty", None)
+        return faulty is not None and faulty.related(self.document.original(where))
 
     def known(
         self, where: Where, name: str, names: Iterable[str], what: str, *, key: bool = False, message: str = ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -67,6 +67,8 @@ def failures(store: BlockStore, firsts: list[int], total: int) -> dict[str, Any]
 QUANTILES = {"q01": 0.01, "q05": 0.05, "q25": 0.25, "q50": 0.50, "q75": 0.75, "q95": 0.95, "q99": 0.99}
 LEVEL = 0.95
 IMPORTANCE_RUNS = 100_000
+IMPORTANCE_NUMBERS = 8_000_000
+"""Numbers of drawn values that are held at a time."""
 """So many runs, the first ones, tell which values matter: enough to know a rank correlation to 0.005."""
 MARGIN_TOLERANCE_WH = 1e-6
 
@@ -193,14 +195,25 @@ def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) 
         }
     drawn = {f"drawn:{name}": name for name in drawn_columns(names)}
     used = [f"{what}_{name}_wh" for what in ("energy", "margin") for name in batteries]
-    first = store.beginning([*drawn, *used], firsts, IMPORTANCE_RUNS)
+    first = store.beginning(used, firsts, IMPORTANCE_RUNS)
     answer["importance"] = rank_importance(
-        {name: first[column] for column, name in drawn.items()},
+        _drawn(store, firsts, drawn, min(total, IMPORTANCE_RUNS)),
         {name: first[f"energy_{name}_wh"] for name in batteries},
         {name: first[f"margin_{name}_wh"] for name in batteries},
     )
     answer["importance_runs"] = min(total, IMPORTANCE_RUNS)
     return answer
+
+
+def _drawn(
+    store: BlockStore, firsts: list[int] | None, drawn: Mapping[str, str], count: int
+) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Names and draws of the first runs, some columns at a time: there may be thousands of values."""
+    together = max(1, IMPORTANCE_NUMBERS // max(1, count))
+    for low in range(0, len(drawn), together):
+        columns = [*drawn][low : low + together]
+        first = store.beginning(columns, firsts, count)
+        yield from ((drawn[column], first[column]) for column in columns)
 
 
 def _means(store: BlockStore, firsts: list[int], names: list[str]) -> dict[str, float | None]:
@@ -260,8 +273,8 @@ def rank_importance(
 
     Parameters
     ----------
-    drawn : mapping
-        Value → ndarray of shape (n,).
+    drawn : iterable of (str, ndarray)
+        Name of a value and its draws, shape (n,).
     energies : mapping
         Battery → ndarray of shape (n,), NaN where a run failed.
     margins : mapping, optional
@@ -275,7 +288,7 @@ def rank_importance(
     kept = {name: values[ok] for name, values in (margins or {}).items() if name in outcomes}
     kept_ranks = {name: _ranks(values)[0] for name, values in kept.items() if _varies(values)}
     classes = int(min(50, max(4, round(count ** (1 / 3)))))
-    for parameter, values in drawn.items() if outcomes else ():
+    for parameter, values in drawn if outcomes else ():
         column = values[ok]
         if not np.isfinite(column).all() or not _varies(column):
             continue

@@ -140,8 +140,9 @@ class ArrayMission:
         if len(plan.legs) != len(self.plan.legs) or not set(range(len(plan.legs))) <= set(intervals.leg_of.tolist()):
             again[:] = True
             return
-        for low in range(0, count, CACHED_RUNS):
-            part = slice(low, min(low + CACHED_RUNS, count))
+        together = max(1, min(CACHED_RUNS, 2 * MOST_NUMBERS // (len(SAMPLES) * len(intervals.leg_of))))
+        for low in range(0, count, together):
+            part = slice(low, min(low + together, count))
             self._piece(
                 intervals,
                 part,

@@ -30,7 +30,7 @@ def test_first_order_index_from_the_sample_itself() -> None:
     switch, wide, idle = rng.choice([0.4, 5.0], p=[0.1, 0.9], size=4000), rng.normal(size=4000), rng.normal(size=4000)
     drawn = {"switch": switch, "wide": wide, "idle": idle}
     energies = {"a": 3.0 * switch, "b": 2.0 * wide + rng.normal(size=4000)}
-    rows = {(row["battery"], row["parameter"]): row["first"] for row in rank_importance(drawn, energies)}
+    rows = {(row["battery"], row["parameter"]): row["first"] for row in rank_importance(drawn.items(), energies)}
     assert rows["a", "switch"] == pytest.approx(1.0)
     assert rows["b", "wide"] == pytest.approx(0.8, abs=0.03)
     assert rows["b", "idle"] < 0.02

@@ -113,5 +113,5 @@ def test_rank_correlation_of_counts_is_spearmans_with_ties() -> None:
     rng = np.random.default_rng(1)
     counts = rng.poisson(1.5, size=400).astype(float)
     energy = counts + rng.normal(size=400)
-    [row] = rank_importance({"chance.obstacles": counts}, {"robot": energy})
+    [row] = rank_importance([("chance.obstacles", counts)], {"robot": energy})
     assert row["rank_correlation"] == pytest.approx(float(spearmanr(counts, energy).statistic), rel=1e-12)
