@@ -15,6 +15,7 @@ from missionsim.effects.covariates import derive
 from missionsim.effects.library import all_effects
 from missionsim.errors import InputError, did_you_mean
 from missionsim.expressions import compile_expression
+from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS, STRETCH_S
 from missionsim.runs.admit import admit
 from missionsim.runs.covariates import is_switch, logged_name
 from missionsim.runs.drive import filled
@@ -26,13 +27,6 @@ if TYPE_CHECKING:
 
 FEWEST_RUNS = 4
 """With fewer runs none is held out unless the user says so."""
-MANY_SECONDS = 100_000.0
-"""Length of all fitted runs together [s] from which on stretches of them are learnt from, spread evenly over all."""
-LEARNT_SECONDS = 24_000.0
-"""Length of these stretches together [s]: limits of detection are then the least share, and what is found is surer than
-the form of any effect, so that more would only find errors of forms; time and memory stay bounded."""
-STRETCH_S = 600.0
-"""Length of such a stretch [s]: many times the correlation of the noise, and several manoeuvres."""
 
 
 @dataclass(frozen=True)

@@ -101,13 +101,14 @@ def final_fit(
     keep_base : bool
         Fit the effects alone.
     """
-    plain, means = _fit(model, runs, battery, prior_sd, clock, settings, fixed, keep_base)
+    ready = prepare(model, runs, battery)
+    plain, means = _fit(model, ready, prior_sd, clock, settings, fixed, keep_base)
     step = float(np.median(np.concatenate([run.dt_s for run in runs if battery in run.power_w])))
     rows = sum(run.rows for run in runs)
     if means is None or step > 0.5 * settings.period_s or rows > MOST_ROWS:
         return plain
     finer = replace(settings, period_s=step)
-    other, raw = _fit(model, runs, battery, prior_sd, clock, finer, fixed, keep_base)
+    other, raw = _fit(model, ready, prior_sd, clock, finer, fixed, keep_base)
     if raw is None or raw.names != means.names:
         return plain
     return other if raw.left_out(raw) < (1.0 - CLEARLY) * means.left_out(raw) else plain
@@ -115,8 +116,7 @@ def final_fit(
 
 def _fit(
     model: PowerModel,
-    runs: Sequence[Run],
-    battery: str,
+    ready: Prepared,
     prior_sd: Mapping[str, float],
     clock: Clock,
     settings: Settings,
@@ -124,6 +124,7 @@ def _fit(
     keep_base: bool,
 ) -> tuple[FinalFit, _System | None]:
     """The fit to means over one period, and its rows."""
+    battery, runs, linear = ready.battery, [driven.run for driven in ready.runs], False
     added = {t.name_of(n) for t in model.of(battery) if not t.base for n in t.parameters}
     shapes = {
         t.name_of(s.name) for t in model.of(battery) if not t.base for s in t.effect.shape if s.name in t.parameters
@@ -132,7 +133,6 @@ def _fit(
     still = {*fixed, *shapes}
     start = {n: p.value for n, p in model.parameters_of(battery).items()}
     low, high = _bounds(model, battery)
-    ready, linear = prepare(model, runs, battery), False
     for round_ in range(ROUNDS):
         if not linear:
             whole = _System.of(ready, clock, settings)
@@ -300,7 +300,9 @@ def _solve(system: _System, done: Array, sd: Array, ends: Array, *, energy: bool
             heavy = EXACT * np.linalg.norm(rows[0]) / max(float(np.linalg.norm(system.energy_x)), 1e-300)
             rows.append(heavy * system.energy_x[None, :])
             right.append(np.array([heavy * (system.energy_y + system.energy_x @ done)]))
-        solved = lsq_linear(np.vstack(rows), np.concatenate(right), (ends[:, 0] - 1e-12, ends[:, 1] + 1e-12))
+        # the triangle of the rows has the same least squares, and few of them
+        triangle = np.linalg.qr(np.column_stack([np.vstack(rows), np.concatenate(right)]), mode="r")
+        solved = lsq_linear(triangle[:, :-1], triangle[:, -1], (ends[:, 0] - 1e-12, ends[:, 1] + 1e-12))
         shift = np.asarray(solved.x)
         noise = _noise(x, y, weight, shift)
         bread = np.linalg.pinv(normal / (noise**2 * d) + prior)

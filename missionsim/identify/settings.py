@@ -62,6 +62,14 @@ GAP_ROWS = 4.0
 SEVERAL_RUNS = 3
 """From here on runs test each other; two values have no scatter to speak of."""
 
+MANY_SECONDS = 100_000.0
+"""Length of all fitted runs together [s] from which on stretches of them are learnt from, spread evenly over all."""
+LEARNT_SECONDS = 24_000.0
+"""Length of these stretches together [s]: limits of detection are then the least share, and what is found is surer than
+the form of any effect, so that more would only find errors of forms; time and memory stay bounded."""
+STRETCH_S = 600.0
+"""Length of such a stretch [s]: many times the correlation of the noise, and several manoeuvres."""
+
 # Noise of the logged speed
 
 SLOW_ROWS_S = 0.4

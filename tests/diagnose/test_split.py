@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from missionsim.diagnose.split import choose_split
+from missionsim.diagnose.split import choose_split, stretches
+from missionsim.effects.covariates import derive
 from missionsim.errors import InputError
+from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS, STRETCH_S
 
 from .logs import drive
 
@@ -65,3 +67,38 @@ def test_a_typing_error_gets_a_hint() -> None:
     with pytest.raises(InputError) as caught:
         choose_split(RUNS, "run_1")
     assert caught.value.faults[0].hint == "run_01"
+
+
+def test_of_very_long_runs_stretches_are_learnt_from() -> None:
+    seconds = 40_000
+    moving = (np.arange(seconds) // 90) % 2
+    runs = [
+        drive(
+            seed,
+            seconds=float(seconds),
+            speed_m_s=0.5 * moving,
+            on_kinect=1.0 - moving,
+            payload_kg=np.full(seconds, 1.0),
+        )
+        for seed in range(3)
+    ]
+    assert sum(run.duration_s for run in runs) > MANY_SECONDS
+    few, nothing = stretches(runs[:2])
+    assert few == runs[:2]
+    assert not nothing
+    kept, told = stretches(runs)
+    assert "of 33.3 h" in told
+    assert sum(run.duration_s for run in kept) == pytest.approx(LEARNT_SECONDS, rel=0.02)
+    for run, whole in zip(kept, runs, strict=True):
+        gaps = np.flatnonzero(np.diff(run.time_s) > 2.0)
+        assert len(gaps) + 1 == pytest.approx(LEARNT_SECONDS / 3.0 / STRETCH_S, abs=1)
+        assert run.time_s[0] < 0.1 * seconds
+        assert run.time_s[-1] > 0.9 * seconds
+        # what a row remembers is what it remembered in the whole run, and a cut is no start from rest
+        at = np.searchsorted(whole.time_s, run.time_s)
+        memory = derive(whole.columns, whole.time_s, whole.dt_s)
+        again = derive(run.columns, run.time_s, run.dt_s)
+        for name in ("moving_time_s", "on_time_kinect_s", "starts", "accel_m_s2"):
+            assert np.array_equal(again[name], memory[name][at]), name
+    # runs are not all cut at the same times
+    assert len({round(float(run.time_s[0])) for run in kept}) == 3
