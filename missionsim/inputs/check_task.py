@@ -133,11 +133,11 @@ class _TaskCheck:
         task = self.task
         given = task.defaults.payload
         load = 0.0 if given is None else given.value
-        most = task.within.max_payload or task.robot.body.max_payload
+        most = task.most_kg
         for index, visit in enumerate(task.visits):
             taken = 0.0 if visit.take_up is None else visit.take_up.value
-            if most is not None and taken > most.value:
-                where, allowed = ("visits", index, "take_up"), f"at most {most.value:g} kg"
+            if most is not None and taken > most:
+                where, allowed = ("visits", index, "take_up"), f"at most {most:g} kg"
                 self.check.add(where, "more than the robot may carry", f"{taken:g} kg", allowed)
             load += taken - (0.0 if visit.set_down is None else visit.set_down.value)
         if load < -1e-9 and not any(visit.value is not None for visit in task.visits):

@@ -56,8 +56,8 @@ def to_faults(
     """
     result: list[tuple[tuple[str | int, ...], Fault]] = []
     for error in problem.errors(include_url=False):
-        path = file_path(error["loc"], shape)
         kind = error["type"]
+        path = file_path(error["loc"], shape, missing=kind != "quantity")
         context: dict[str, Any] = error.get("ctx", {})
         raw = error.get("input")
         if kind == "quantity":
@@ -120,8 +120,8 @@ def follows_from_entries(error: Any) -> bool:
     )
 
 
-def file_path(loc: Sequence[str | int], data: Any) -> tuple[str | int, ...]:
-    """pydantic's location without its union tags and key marks: the path of the value in the file."""
+def file_path(loc: Sequence[str | int], data: Any, *, missing: bool = True) -> tuple[str | int, ...]:
+    """pydantic's location without its union tags and key marks: the path of the value, or of a key that is missing."""
     path: list[str | int] = []
     for index, item in enumerate(loc):
         if item == "[key]":
@@ -130,7 +130,7 @@ def file_path(loc: Sequence[str | int], data: Any) -> tuple[str | int, ...]:
             if item in data:
                 path.append(item)
                 data = data[item]
-            elif index == len(loc) - 1:
+            elif missing and index == len(loc) - 1:
                 path.append(item)
         elif isinstance(data, (list, tuple)) and isinstance(item, int) and item < len(data):
             path.append(item)

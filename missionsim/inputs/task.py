@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, PrivateAttr, Tag, model_validator
 
 from missionsim.inputs.base import FileModel, Identifier, Model, Name, Sensors, Text, wrong
 from missionsim.inputs.environment import EnvironmentSpec
@@ -104,7 +104,20 @@ def _as_list(raw: Any) -> Any:
 Choice = Annotated[SchemeChoice, BeforeValidator(_as_scheme, json_schema_input_type=str | SchemeChoice)]
 Schemes = Annotated[tuple[Choice, ...], BeforeValidator(_as_list), Field(min_length=1, max_length=100)]
 SpeedList = Annotated[tuple[Speed, ...], Field(min_length=1, max_length=100)]
-Speeds = Annotated[SpeedList | SpeedRange, BeforeValidator(_as_list)]
+Speeds = Annotated[
+    Annotated[SpeedList, Tag("list")] | Annotated[SpeedRange, Tag("range")],
+    Discriminator(lambda raw: "range" if isinstance(raw, (dict, SpeedRange)) else "list"),
+    BeforeValidator(_as_list),
+]
+
+
+def _word_or(*words: str) -> tuple[Any, ...]:
+    """One of a few words, or else what they stand in for: a list where one thing is given alone."""
+
+    def tag(raw: Any) -> str:
+        return "word" if isinstance(raw, str) and raw in words else "other"
+
+    return Discriminator(tag), BeforeValidator(lambda raw: raw if raw in words else _as_list(raw))
 
 
 def speeds_of(given: tuple[Parameter, ...] | SpeedRange | None) -> tuple[float, ...] | None:
@@ -120,8 +133,15 @@ class ChooseSpec(Model):
 
     speeds: Speeds | None = None
     schemes: Schemes | None = None
-    docks: Literal["all", "none"] | tuple[Name, ...] = "none"
-    charge: Literal["any"] | Annotated[tuple[Fraction, ...], Field(min_length=1, max_length=50)] = "any"
+    docks: Annotated[
+        Annotated[Literal["all", "none"], Tag("word")] | Annotated[tuple[Name, ...], Tag("other")],
+        *_word_or("all", "none"),
+    ] = "none"
+    charge: Annotated[
+        Annotated[Literal["any"], Tag("word")]
+        | Annotated[tuple[Fraction, ...], Field(min_length=1, max_length=50), Tag("other")],
+        *_word_or("any"),
+    ] = "any"
 
 
 class EdgeChoice(Model):
@@ -145,7 +165,10 @@ class WithinSpec(Model):
 class LeastSpec(Model):
     """The objective: energy in Wh, each battery with its weight, and time in s with its weight."""
 
-    energy: Weight | dict[Identifier, Weight] = 0.0
+    energy: Annotated[
+        Annotated[Weight, Tag("one")] | Annotated[dict[Identifier, Weight], Tag("each")],
+        Discriminator(lambda raw: "each" if isinstance(raw, dict) else "one"),
+    ] = 0.0
     time: Weight = 0.0
 
     @model_validator(mode="after")
@@ -157,13 +180,20 @@ class LeastSpec(Model):
 
 
 def _least(raw: Any) -> Any:
-    return {"energy": {"energy": 1.0}, "time": {"time": 1.0}}.get(raw, raw) if isinstance(raw, str) else raw
+    known = {"energy": {"energy": 1.0}, "time": {"time": 1.0}}
+    if isinstance(raw, str) and raw not in known:
+        raise wrong("not one of the allowed words", raw, "energy, time, or {energy: 1, time: 0.01}")
+    return known[raw] if isinstance(raw, str) else raw
 
 
 class RepeatSpec(Model):
     """Rounds: a number of them, perhaps one every so often, or as many as can be done until some time."""
 
-    rounds: Literal["as_often_as_possible"] | Annotated[int, Field(strict=True, ge=1, le=1000)]
+    rounds: Annotated[
+        Annotated[Literal["as_often_as_possible"], Tag("word")]
+        | Annotated[int, Field(strict=True, ge=1, le=1000), Tag("number")],
+        Discriminator(lambda raw: "word" if isinstance(raw, str) else "number"),
+    ]
     every: Period | None = None
     until: Period | None = None
 
@@ -233,6 +263,12 @@ class TaskSpec(FileModel):
             return ()
         chargers = tuple(name for name, place in self.environment.places.items() if place.charger is not None)
         return chargers if named == "all" else tuple(named)
+
+    @property
+    def most_kg(self) -> float | None:
+        """The greatest load: what the robot may carry, and `max_payload` where that is less."""
+        given = [limit.value for limit in (self.within.max_payload, self.robot.body.max_payload) if limit is not None]
+        return min(given, default=None)
 
     def reserve_of(self, battery: str) -> float:
         """Fraction of a battery that must be left: of the task, else of the robot file."""

@@ -18,6 +18,8 @@ from missionsim.planner.tour import Site
 
 Array = NDArray[np.float64]
 SCHEMA = "missionsim.plan/1"
+ROUNDING = 1e-12
+"""Relative difference of plan and bound that is none."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class Answer:
     @property
     def gap(self) -> float:
         """How much better, relative to the plan, any other plan could be at most."""
-        if not self.feasible or self.objective <= self.bound:
+        if not self.feasible or self.objective - self.bound <= ROUNDING * abs(self.objective):
             return 0.0
         return (self.objective - self.bound) / abs(self.objective) if self.objective else 0.0
 

@@ -83,8 +83,8 @@ def _orders(site: Site, apart: Array) -> list[tuple[int, ...]]:
         for i in order:
             visit = visits[i]
             load += (visit.take_up.value if visit.take_up else 0.0) - (visit.set_down.value if visit.set_down else 0.0)
-            most = site.task.within.max_payload or site.task.robot.body.max_payload
-            if load < -1e-9 or (most is not None and load > most.value * (1 + 1e-12)):
+            most = site.task.most_kg
+            if load < -1e-9 or (most is not None and load > most * (1 + 1e-12)):
                 return False
         return True
 

@@ -49,8 +49,7 @@ class Order:
         self._earlier = [sum(1 << other for other in needs) for needs in earlier]
         self._later = [sum(1 << i for i in range(count) if other in earlier[i]) for other in range(count)]
         self._needed = sum(1 << i for i in range(count) if not self._optional[i])
-        most = task.within.max_payload or task.robot.body.max_payload
-        self._most_kg = None if most is None else most.value
+        self._most_kg = task.most_kg
 
     @cached_property
     def count(self) -> int:
@@ -120,6 +119,19 @@ class Order:
         if self.sequence is not None:
             return all(self._optional[i] for i in self.sequence[state:])
         return self._needed & ~state == 0
+
+    @cached_property
+    def possible(self) -> bool:
+        """Whether the load allows to do what must be done, in some order."""
+        found, waiting = {0}, [0]
+        while waiting:
+            state = waiting.pop()
+            if self.may_end(state):
+                return True
+            new = {after for _, after in self.after(state)} - found
+            found |= new
+            waiting += new
+        return False
 
     def left(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Value that may still be made from each state, shape (states,)."""

@@ -80,11 +80,11 @@ def solve(task: TaskSpec, watch: Watch | None = None) -> Answer:
     return solve_site(make_site(task), watch)
 
 
-def solve_site(site: Site, watch: Watch | None = None) -> Answer:
-    """The best plan of a site; where visits may be left out, first as much value as can be."""
+def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True) -> Answer:
+    """The best plan of a site; where visits may be left out, first (if `valued`) as much value as can be."""
     if site.order.sequence is None and len(site.task.visits) > MOST_FREE:
         return solve_large(site, lambda one: solve_site(one, watch))
-    if not any(visit.value is not None for visit in site.task.visits):
+    if not valued or not any(visit.value is not None for visit in site.task.visits):
         return _solve(site, partial(Tour, site), watch)
     values = np.array([visit.value or 0.0 for visit in site.task.visits])
     first = replace(site, weights=np.zeros_like(site.weights))

@@ -26,12 +26,16 @@ def explain(site: Site) -> dict[str, Any]:
         ``short``: what lacks (``time`` or a battery), how much, where; ``would_do``: single changes, each of which
         gives a plan; ``text``: both as sentences.
     """
+    if not site.order.possible:
+        limit = "above nothing" if site.task.most_kg is None else f"between 0 and {site.task.most_kg:g} kg"
+        line = f"payload: no order of the visits that the task allows keeps the load {limit}"
+        return {"short": [{"what": "payload"}], "would_do": [], "text": [line]}
     short: list[dict[str, Any]] = []
     changes: list[dict[str, Any]] = []
     if math.isfinite(site.deadline_s):
         seconds = np.zeros_like(site.weights)
         seconds[0] = 1.0
-        free = solve_site(replace(site, deadline_s=math.inf, weights=seconds))
+        free = solve_site(replace(site, deadline_s=math.inf, weights=seconds), valued=False)
         if free.feasible:
             lacking = free.duration_s - site.deadline_s
             late = next((leg for leg, end in _ends(free) if end > site.deadline_s), free.legs[-1])
@@ -45,7 +49,11 @@ def explain(site: Site) -> dict[str, Any]:
                     "relative": lacking / site.deadline_s,
                 }
             )
+    unserved = {}
     for b, name in enumerate(site.physics.names):
+        docks = {stop.place: stop.charger for stop in site.stops if stop.charger is not None}
+        if docks and not any(charger.gain_w[b] > 0.0 for charger in docks.values()):
+            unserved[name] = f"; no dock that may be used charges it: {', '.join(docks)}"
         answer = with_ample(site, b)
         if answer is None:
             continue
@@ -76,7 +84,8 @@ def explain(site: Site) -> dict[str, Any]:
     for item in short:
         amount = f"{item['short_s']:.1f} s" if "short_s" in item else f"{item['short_wh']:.3f} Wh"
         what = "time" if item["what"] == "time" else f"battery '{item['what']}'"
-        lines.append(f"{what}: {amount} short, first on {item['leg']} to {item['to']}, all else as asked")
+        where = f"first on {item['leg']} to {item['to']}, all else as asked{unserved.get(item['what'], '')}"
+        lines.append(f"{what}: {amount} short, {where}")
     if not short:
         lines.append("more than one limit is short: no single one, taken away, gives a plan")
     if changes:
@@ -107,7 +116,7 @@ def with_ample(site: Site, battery: int, *, every: bool = False) -> Answer | Non
         task = site.task.model_copy(update={"choose": site.task.choose.model_copy(update={"docks": "none"})})
         stops = [stop for stop in site.stops if stop.charger is None]
         bare = replace(site, weights=weights, task=task, stops=stops, roads={}, nodes={}, _standing={})
-        answer = solve_site(bare)
+        answer = solve_site(bare, valued=False)
     finally:
         physics.capacity_wh, physics.initial_wh, physics.reserve_wh = kept
     return answer if answer.feasible else None
