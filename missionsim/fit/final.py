@@ -301,7 +301,7 @@ def _solve(system: _System, done: Array, sd: Array, ends: Array, *, energy: bool
             rows.append(heavy * system.energy_x[None, :])
             right.append(np.array([heavy * (system.energy_y + system.energy_x @ done)]))
         # the triangle of the rows has the same least squares, and few of them
-        triangle = np.linalg.qr(np.column_stack([np.vstack(rows), np.concatenate(right)]), mode="r")
+        triangle = np.asarray(np.linalg.qr(np.column_stack([np.vstack(rows), np.concatenate(right)]), mode="r"))
         solved = lsq_linear(triangle[:, :-1], triangle[:, -1], (ends[:, 0] - 1e-12, ends[:, 1] + 1e-12))
         shift = np.asarray(solved.x)
         noise = _noise(x, y, weight, shift)

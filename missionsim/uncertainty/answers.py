@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -264,7 +264,7 @@ def capacity_needed(column: Array, share: float = 0.99) -> dict[str, Any]:
 
 
 def rank_importance(
-    drawn: Mapping[str, Array], energies: Mapping[str, Array], margins: Mapping[str, Array] | None = None
+    drawn: Iterable[tuple[str, Array]], energies: Mapping[str, Array], margins: Mapping[str, Array] | None = None
 ) -> list[dict[str, Any]]:
     """Which values matter: first-order index from the sample itself, and Spearman's rank correlation.
 
