@@ -15,9 +15,8 @@ from missionsim.identify.data import RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.findings import Experiment, Finding, Unexplained
 from missionsim.identify.forward import Choice
-from missionsim.identify.gram import Gram, make_gram
+from missionsim.identify.gram import Constraints, Gram, make_gram, single_gains
 from missionsim.identify.model import Model
-from missionsim.identify.search import Constraints, single_gains
 from missionsim.identify.settings import BETTER_NATS, DECIDED_NATS, ENOUGH_NATS, LENGTHS, MOST_PROPOSED, Settings
 from missionsim.runs.run import Run
 

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.identify.data import Array, Candidate
-from missionsim.identify.gram import Gram, project
+from missionsim.identify.gram import Constraints, Gram, project, single_gains
 from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares
-from missionsim.identify.search import Constraints, single_gains
 from missionsim.identify.settings import (
     BETWEEN_PART,
     LEADING_BLOCK,

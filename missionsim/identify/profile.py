@@ -10,10 +10,10 @@ import numpy as np
 from missionsim.identify.data import Array, Candidate, Column
 from missionsim.identify.design import Source
 from missionsim.identify.forward import Choice
+from missionsim.identify.gram import Constraints
 from missionsim.identify.model import Model, score, shares
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.rules import weigh
-from missionsim.identify.search import Constraints
 from missionsim.identify.settings import LIMIT_NATS, SHAPE_EVALUATIONS, SHAPE_SD, Settings
 
 

@@ -21,9 +21,9 @@ from missionsim.identify.evidence import (
     tails,
 )
 from missionsim.identify.findings import Structure
+from missionsim.identify.gram import Constraints
 from missionsim.identify.model import Model
 from missionsim.identify.residual import stands_without
-from missionsim.identify.search import Constraints
 from missionsim.identify.settings import FAINT_NATS, FAINT_SHARE, WORSE_ENERGY_LEVEL, Settings
 
 STEADY_LOADS = ("standby_load", "component_power", "component_warmup", "conversion_loss")

@@ -11,12 +11,11 @@ from missionsim.identify.data import Candidate
 from missionsim.identify.design import Source
 from missionsim.identify.evidence import Evidence, at_a_glance, nats_needed, tails
 from missionsim.identify.forward import Choice, Forward, forward
-from missionsim.identify.gram import make_gram
+from missionsim.identify.gram import Constraints, best_set, make_gram, single_gains
 from missionsim.identify.model import Model, fit_model, log_likelihood
 from missionsim.identify.noise import bounded_noise, without_outliers
 from missionsim.identify.profile import refit_shapes_of
 from missionsim.identify.rules import LAST_GATES, Question, weigh
-from missionsim.identify.search import Constraints, best_set, single_gains
 from missionsim.identify.settings import CLOSE, CLOSE_NATS, GLANCE, JOINT_NATS, PROMISING, TRIED, Settings
 
 

@@ -11,7 +11,13 @@ from missionsim.diagnose import Subject, diagnose, words
 from missionsim.diagnose.diagnosis import examine
 from missionsim.diagnose.split import Split
 from missionsim.identify.design import Source
-from missionsim.identify.factor import common_factor, instead_of_effects, level_difference, may_differ, plain_ratio
+from missionsim.identify.identification import (
+    common_factor,
+    instead_of_effects,
+    level_difference,
+    may_differ,
+    plain_ratio,
+)
 from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import load_robot
 from missionsim.logs import LogTable

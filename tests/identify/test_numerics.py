@@ -10,10 +10,9 @@ import pytest
 from missionsim.identify.align import RunColumns, make_bins
 from missionsim.identify.data import RunData
 from missionsim.identify.design import make_source, switch_jumps
-from missionsim.identify.gram import make_gram, project
+from missionsim.identify.gram import Constraints, all_sets, make_gram, project, set_gains
 from missionsim.identify.noise import arma_of, packed, start_noise
 from missionsim.identify.residual import hats, knots_of
-from missionsim.identify.search import Constraints, all_sets, set_gains
 from missionsim.identify.settings import Settings
 
 from .world import library, make_runs, with_gap

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from missionsim.identify.data import Candidate
+from missionsim.identify.estimates import rivals
 from missionsim.identify.evidence import evidence_of, nats_needed, predicts_left_out, rests_on_one_run, tails
 from missionsim.identify.findings import Estimate, Finding, Structure
-from missionsim.identify.gram import Gram
-from missionsim.identify.identifiability import rivals
+from missionsim.identify.gram import Constraints, Gram
 from missionsim.identify.identification import Identification, fit_effects, identify
 from missionsim.identify.rules import DEMOTIONS, GATES, LAST_GATES, Question, Remains, demoted
-from missionsim.identify.search import Constraints
 from missionsim.identify.settings import Settings
 from missionsim.identify.verdict import decide
 

@@ -149,7 +149,7 @@ MUTANTS = [
     ),
     *_of(
         "verdict",
-        "identify/factor.py",
+        "identify/identification.py",
         ("part < AS_MUCH else factor", "part < 2.0 else factor"),
         ("abs(plain_ratio(source) - 1.0) > AT_LEVEL", "True"),
     ),
