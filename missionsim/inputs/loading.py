@@ -127,22 +127,14 @@ def load_task(
 
 def model_of(kind: str) -> type[FileModel]:
     """Model of a kind of file, one of `KINDS`."""
-    if kind == "map":
-        # only `import` and `validate` of maps need it; every run would pay for it
+    if kind in ("map", "task"):
+        # only few commands need them; every run would pay for them
         from missionsim.inputs.log_map import MapSpec
-
-        return MapSpec
-    if kind == "task":
         from missionsim.inputs.task import TaskSpec
 
-        return TaskSpec
-    models: dict[str, type[FileModel]] = {
-        "robot": RobotSpec,
-        "environment": EnvironmentSpec,
-        "mission": MissionSpec,
-        "study": StudySpec,
-    }
-    return models[kind]
+        return MapSpec if kind == "map" else TaskSpec
+    known = {"robot": RobotSpec, "environment": EnvironmentSpec, "mission": MissionSpec, "study": StudySpec}
+    return known[kind]
 
 
 def check_files(paths: Iterable[str | os.PathLike[str]]) -> list[Fault]:
@@ -190,30 +182,26 @@ def _finish(model: Loaded | None, faults: list[Fault]) -> Loaded:
 def _read(path: Path, faults: list[Fault]) -> Document | None:
     known = _REMEMBERED.get()
     try:
-        if known is None:
-            return read_document(path)
-        if path not in known:
-            known[path] = read_document(path)
-        shared: Document = known[path]
-        return dataclasses.replace(shared, overrides={})
+        shared = read_document(path) if known is None or path not in known else known[path]
     except InputError as problem:
         faults.extend(problem.faults)
         return None
+    if known is not None:
+        known[path] = shared
+    return dataclasses.replace(shared, overrides={})
 
 
 def _kind_fault(document: Document, kinds: Sequence[str]) -> Fault:
-    data = document.data
+    data, allowed = document.data, "kind: " + " | ".join(kinds)
     if not isinstance(data, dict):
         # not what the file holds: a mission of somebody else may name any file as its robot
         sort = "a list" if isinstance(data, list) else "nothing" if data is None else "one value"
-        return document.fault((), "the file must hold a mapping", got=sort, allowed="kind: " + " | ".join(kinds))
+        return document.fault((), "the file must hold a mapping", got=sort, allowed=allowed)
     if "kind" not in data:
-        return document.fault((), "'kind' is missing", allowed="kind: " + " | ".join(kinds))
-    kind = data["kind"]
+        return document.fault((), "'kind' is missing", allowed=allowed)
+    kind, message = data["kind"], "not the kind of file that is needed here"
     hint = did_you_mean(kind, kinds) if isinstance(kind, str) else ""
-    return document.fault(
-        ("kind",), "not the kind of file that is needed here", got=as_written(kind), allowed=", ".join(kinds), hint=hint
-    )
+    return document.fault(("kind",), message, got=as_written(kind), allowed=", ".join(kinds), hint=hint)
 
 
 def _load(
@@ -225,40 +213,30 @@ def _load(
     prefix: str = "",
 ) -> Loaded | None:
     """Read, set overrides, validate, run the checks; None where the file is too broken to say more."""
-    known = _REMEMBERED.get()
-    if known is None or document is not None or overrides:
-        return _load_anew(path, model, faults, overrides, document, prefix)
+    known = None if document is not None or overrides else _REMEMBERED.get()
     key = (path, model, prefix)
-    if key not in known:
-        found: list[Fault] = []
-        known[key] = _load_anew(path, model, found, overrides, None, prefix), found
-    faults.extend(known[key][1])
-    loaded: Loaded | None = known[key][0]
-    return loaded
-
-
-def _load_anew(
-    path: Path,
-    model: type[Loaded],
-    faults: list[Fault],
-    overrides: Sequence[Override],
-    document: Document | None,
-    prefix: str,
-) -> Loaded | None:
-    document = document or _read(path, faults)
-    if document is None:
-        return None
-    document.prefix = prefix
-    faults.extend(override_rules.apply(document, overrides))
-    kind = get_args(model.model_fields["kind"].annotation)[0]
-    if not isinstance(document.data, dict) or document.data.get("kind") != kind:
-        faults.append(_kind_fault(document, (kind,)))
-        return None
-    result = validate_document(document, model, faults)
-    if result is None:
-        return None
-    found = result.faults(result.document)
-    result._sound = not any(fault.severity == "error" for fault in found)
+    if known is not None and key in known:
+        loaded: Loaded | None
+        loaded, told = known[key]
+        faults.extend(told)
+        return loaded
+    found: list[Fault] = []
+    result = None
+    document = document or _read(path, found)
+    if document is not None:
+        document.prefix = prefix
+        found += override_rules.apply(document, overrides)
+        kind = get_args(model.model_fields["kind"].annotation)[0]
+        if isinstance(document.data, dict) and document.data.get("kind") == kind:
+            result = validate_document(document, model, found)
+        else:
+            found.append(_kind_fault(document, (kind,)))
+    if result is not None:
+        checked = result.faults(result.document)
+        result._sound = not any(fault.severity == "error" for fault in checked)
+        found += checked
+    if known is not None:
+        known[key] = result, found
     faults.extend(found)
     return result
 
@@ -272,19 +250,16 @@ def _companions(
 ) -> tuple[RobotSpec | None, EnvironmentSpec | None]:
     """The robot and the environment that a mission or a task names."""
     data = document.data if isinstance(document.data, dict) else {}
-    if isinstance(robot, RobotSpec):
-        robot_spec: RobotSpec | None = robot
-        if by_file["robot"]:
-            robot_spec = _load(robot.path, RobotSpec, faults, by_file["robot"], prefix="robot.")
-    else:
-        robot_spec = None
-        reference = str(robot) if robot is not None else data.get("robot")
-        if isinstance(reference, str) and (reference or robot is not None):
-            found = find_robot(reference, None if robot is not None else path.parent) if reference else None
-            if found is None:
-                faults.append(unknown_robot(reference, None if robot is not None else document, ("robot",)))
-            else:
-                robot_spec = _load(found, RobotSpec, faults, by_file["robot"], prefix="robot.")
+    robot_spec = robot if isinstance(robot, RobotSpec) and not by_file["robot"] else None
+    reference = data.get("robot") if robot is None else "" if isinstance(robot, RobotSpec) else str(robot)
+    if isinstance(robot, RobotSpec) and robot_spec is None:
+        robot_spec = _load(robot.path, RobotSpec, faults, by_file["robot"], prefix="robot.")
+    elif robot_spec is None and isinstance(reference, str) and (reference or robot is not None):
+        found = find_robot(reference, None if robot is not None else path.parent) if reference else None
+        if found is None:
+            faults.append(unknown_robot(reference, None if robot is not None else document, ("robot",)))
+        else:
+            robot_spec = _load(found, RobotSpec, faults, by_file["robot"], prefix="robot.")
     environment = None
     reference = data.get("environment")
     if isinstance(reference, str) and reference:
@@ -292,14 +267,8 @@ def _companions(
         if _is_file(target):
             environment = _load(target, EnvironmentSpec, faults, by_file["environment"], prefix="environment.")
         else:
-            faults.append(
-                document.fault(
-                    ("environment",),
-                    "no such environment file",
-                    got=as_written(reference),
-                    allowed="a path relative to this file",
-                )
-            )
+            told = {"got": as_written(reference), "allowed": "a path relative to this file"}
+            faults.append(document.fault(("environment",), "no such environment file", **told))
     return robot_spec, environment
 
 
@@ -315,9 +284,8 @@ def _load_task(
 
     task, by_file = _load_joined(path, TaskSpec, faults, overrides, robot, document)
     if task is not None:
-        task._elsewhere = _shown(
-            [(f"{part}.{key}", v) for part in ("robot", "environment") for key, v in by_file[part]]
-        )
+        elsewhere = [(f"{part}.{key}", value) for part in ("robot", "environment") for key, value in by_file[part]]
+        task._elsewhere = _shown(elsewhere)
         faults.extend(check_task(task, task.document))
     return task
 
@@ -379,14 +347,9 @@ def _check_study(study: StudySpec, target: Path, faults: list[Fault]) -> None:
     for where, extra, robot in cases:
         found: list[Fault] = []
         _load_mission(target, found, [*common, *extra], robot or study.robot)
-        for fault in found:
-            if fault not in known:
-                line, column = study.document.position(where)
-                faults.append(
-                    dataclasses.replace(fault, file=study.document.file, line=line, column=column)
-                    if not fault.file
-                    else fault
-                )
+        line, column = study.document.position(where)
+        here = {"file": study.document.file, "line": line, "column": column}
+        faults += [fault if fault.file else dataclasses.replace(fault, **here) for fault in found if fault not in known]
 
 
 def _is_file(path: Path) -> bool:

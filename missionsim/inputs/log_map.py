@@ -244,12 +244,7 @@ class MapSpec(FileModel):
     let: dict[Alias, Formula] = Field(default_factory=dict)
     keep: Formula | None = None
     runs: RunsMap = RunsMap.model_construct()
-    refresh: Annotated[
-        tuple[Name, ...],
-        BeforeValidator(
-            lambda raw: [raw] if isinstance(raw, str) else raw, json_schema_input_type=str | tuple[Name, ...]
-        ),
-    ] = ()
+    refresh: Names = ()
     step: Period | None = None
     columns: Annotated[dict[Alias, Target], Field(min_length=1)]
     others: bool = False
@@ -267,16 +262,12 @@ class MapSpec(FileModel):
         written = document.data.get("columns") if isinstance(document.data, dict) else None
         present = set(self.columns) | (set(written) if isinstance(written, dict) else set())
         if "time_s" not in present:
-            hint = did_you_mean("time_s", self.columns)
-            found.append(
-                document.fault(
-                    ("columns",),
-                    "the column 'time_s' is missing",
-                    hint=hint,
-                    key=True,
-                    allowed="time_s: and a formula; for a bag or ULog `time_s: time_s`",
-                )
+            allowed, hint = (
+                "time_s: and a formula; for a bag or ULog `time_s: time_s`",
+                did_you_mean("time_s", self.columns),
             )
+            message = "the column 'time_s' is missing"
+            found.append(document.fault(("columns",), message, allowed=allowed, hint=hint, key=True))
         kinds = {known[0].name for name in present if (known := column_of(name)) is not None}
         if not kinds & {"power_<battery>_w", "energy_<battery>_wh"} and not (
             {"voltage_<battery>_v", "current_<battery>_a"} <= kinds

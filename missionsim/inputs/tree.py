@@ -114,10 +114,10 @@ class Document:
             node = child
         return where
 
-    def place(self, path: Sequence[str | int]) -> Place:
-        """File, line, column and dotted path of a value; no file where the command line set it."""
+    def place(self, path: Sequence[str | int], *, key: bool = False) -> Place:
+        """File, line, column and dotted path of a value (of its key); no file where the command line set it."""
         given = self.overridden(path) is not None
-        line, column = self.position(path)
+        line, column = self.position(path, key=key)
         where = (self.prefix if given else "") + dotted(self.original(path))
         return Place("" if given else self.file, line, column, where)
 
@@ -133,10 +133,8 @@ class Document:
         severity: str = "error",
     ) -> Fault:
         """A fault at `path`, in the file or, where the command line set the value, there."""
-        line, column = self.position(path, key=key)
-        given = self.overridden(path) is not None
-        where = (self.prefix if given else "") + dotted(self.original(path))
-        return Fault("" if given else self.file, line, column, message, where, got, allowed, hint, severity)
+        file, line, column, where = self.place(path, key=key)
+        return Fault(file, line, column, message, where, got, allowed, hint, severity)
 
 
 def dotted(path: Sequence[str | int]) -> str:
