@@ -86,7 +86,7 @@ class Guess:
         """For a listing."""
         return f"{self.role}{f' in {self.unit}' if self.unit else ''} ({self.sure})"
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, str]:
         """For ``--json``."""
         return {"role": self.role, "field": self.field, "unit": self.unit, "sure": self.sure, "why": self.why}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +63,7 @@ class Draft:
     fields: dict[str, Field]
     direct: bool
     time_s: Floats | None = None
+    _: KW_ONLY
     guesses: dict[str, Guess] = field(default_factory=dict)
     signals: dict[str, str] = field(default_factory=dict)
     fills: dict[str, str] = field(default_factory=dict)

@@ -144,7 +144,7 @@ class _MissionCheck:
     def _lost_before(self, segment: Any) -> bool:
         """Whether a movement off the map comes before this segment in the file."""
         return any(
-            item.kind in ("arc", "move") or (item.kind == "drive" and item.distance is not None)
+            item.kind in ("arc", "move") or (item.kind == "drive" and getattr(item, "distance", None) is not None)
             for item in flat_segments(self.mission.segments)
         )
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -157,10 +156,11 @@ class Distribution:
             self.weights,
         )
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Kind and numbers that are set."""
         named = {"mean": self.mean_, "sd": self.sd_, "low": self.low, "high": self.high, "mode": self.mode}
-        result: dict[str, Any] = {"kind": self.kind} | {key: value for key, value in named.items() if value is not None}
+        result: dict[str, object] = {"kind": self.kind}
+        result |= {key: value for key, value in named.items() if value is not None}
         if self.values:
             result |= {"values": list(self.values), "weights": list(self.weights)}
         return result

@@ -133,7 +133,12 @@ def model_of(kind: str) -> type[FileModel]:
         from missionsim.inputs.task import TaskSpec
 
         return MapSpec if kind == "map" else TaskSpec
-    known = {"robot": RobotSpec, "environment": EnvironmentSpec, "mission": MissionSpec, "study": StudySpec}
+    known: dict[str, type[FileModel]] = {
+        "robot": RobotSpec,
+        "environment": EnvironmentSpec,
+        "mission": MissionSpec,
+        "study": StudySpec,
+    }
     return known[kind]
 
 
@@ -267,8 +272,8 @@ def _companions(
         if _is_file(target):
             environment = _load(target, EnvironmentSpec, faults, by_file["environment"], prefix="environment.")
         else:
-            told = {"got": as_written(reference), "allowed": "a path relative to this file"}
-            faults.append(document.fault(("environment",), "no such environment file", **told))
+            message, allowed = "no such environment file", "a path relative to this file"
+            faults.append(document.fault(("environment",), message, got=as_written(reference), allowed=allowed))
     return robot_spec, environment
 
 
@@ -348,8 +353,9 @@ def _check_study(study: StudySpec, target: Path, faults: list[Fault]) -> None:
         found: list[Fault] = []
         _load_mission(target, found, [*common, *extra], robot or study.robot)
         line, column = study.document.position(where)
-        here = {"file": study.document.file, "line": line, "column": column}
-        faults += [fault if fault.file else dataclasses.replace(fault, **here) for fault in found if fault not in known]
+        for fault in [fault for fault in found if fault not in known]:
+            here = dataclasses.replace(fault, file=study.document.file, line=line, column=column)
+            faults.append(fault if fault.file else here)
 
 
 def _is_file(path: Path) -> bool:

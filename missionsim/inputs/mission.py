@@ -8,7 +8,7 @@ from pydantic import Discriminator, Field, JsonValue, PrivateAttr, Tag, WrapVali
 from missionsim.inputs.base import Count, FileModel, Identifier, Model, Name, Text, wrong
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.robot import BehaviourSpec, RobotSpec
-from missionsim.inputs.segments import DefaultSpec, Segment
+from missionsim.inputs.segments import DefaultSpec, Segment, SegmentSpec
 from missionsim.inputs.values import Angle, Duration, Fraction, Parameter, Period
 
 
@@ -168,7 +168,7 @@ class MissionSpec(FileModel):
             known[what] = self.robot, found
         return cast(T, found)
 
-    def equipment(self, segment: Any) -> tuple[str, str, tuple[tuple[str, int], ...]]:
+    def equipment(self, segment: SegmentSpec) -> tuple[str, str, tuple[tuple[str, int], ...]]:
         """Control scheme, navigation (empty where none) and sensors of a segment; remembered for the next run."""
         known = (self.__pydantic_private__ or {})["_remembered"]
         found: tuple[Any, tuple[str, str, tuple[tuple[str, int], ...]]] | None = known.get(id(segment))
@@ -179,7 +179,7 @@ class MissionSpec(FileModel):
             found = known[id(segment)] = (segment, made)
         return found[1]
 
-    def scheme_of(self, segment: Any) -> str | None:
+    def scheme_of(self, segment: SegmentSpec) -> str | None:
         """Control scheme of a segment: its own; for an inspection the robot's image-analysis scheme; the default's for
         segments that move; else (waiting, docking) the robot's `idle_scheme`."""
         own: str | None = segment.scheme
@@ -194,7 +194,7 @@ class MissionSpec(FileModel):
             return self.robot.idle_scheme
         return self.defaults.scheme
 
-    def navigation_of(self, segment: Any) -> str | None:
+    def navigation_of(self, segment: SegmentSpec) -> str | None:
         """Navigation of a segment, where its scheme has one."""
         scheme = self.scheme_of(segment)
         if scheme is None or scheme not in self.robot.schemes:
@@ -205,7 +205,7 @@ class MissionSpec(FileModel):
                 return str(name)
         return None
 
-    def sensors_of(self, segment: Any) -> dict[str, int]:
+    def sensors_of(self, segment: SegmentSpec) -> dict[str, int]:
         """Units on during a segment: those asked for (segment, else the defaults as far as the scheme allows them, else
         the scheme's own defaults), and always those that the scheme requires."""
         scheme = self.scheme_of(segment)

@@ -27,7 +27,7 @@ def schema_kinds() -> tuple[str, ...]:
     return KINDS
 
 
-def schema(kind: str, robot: RobotSpec | None = None) -> dict[str, Any]:
+def schema(kind: str, robot: RobotSpec | None = None) -> Schema:
     """JSON Schema (2020-12) of a kind of file.
 
     Parameters

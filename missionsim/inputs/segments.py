@@ -1,6 +1,6 @@
 """Segments of a mission, and the settings that they share with `defaults`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, GetJsonSchemaHandler, WrapValidator, model_validator
@@ -60,6 +60,7 @@ class DefaultSpec(Settings):
 class SegmentSpec(Settings):
     """Common part of the segments."""
 
+    kind: str
     name: Name | None = None
 
 
@@ -253,10 +254,10 @@ Segment = Annotated[
 ]
 
 
-def flat_segments(segments: Sequence[Any]) -> Iterator[Any]:
+def flat_segments(segments: Iterable[SegmentSpec | RepeatSegment]) -> Iterator[SegmentSpec]:
     """Segments that are no repeats, each once."""
     for segment in segments:
-        if segment.kind == "repeat":
+        if isinstance(segment, RepeatSegment):
             yield from flat_segments(segment.segments)
         else:
             yield segment

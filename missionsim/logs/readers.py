@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +111,7 @@ class Reader:
     title: str
     suffixes: tuple[str, ...]
     begins: tuple[bytes, ...] = ()
+    _: KW_ONLY
     table: Callable[[Path, Options], RawTable] | None = None
     blocks: Callable[[Path, int, Sequence[str] | None], Iterator[RawTable]] | None = None
     recording: Callable[[Path, Options], Recording] | None = None

@@ -10,10 +10,21 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "missionsim"
-RULED = ("cli", "compare", "effects", "exchange", "inputs", "published", "report", "results", "uncertainty")
+RULED = ("cli", "compare", "effects", "exchange", "importer", "inputs", "logs", "published", "report", "results")
+RULED += ("uncertainty",)
 """Rooms that keep the rules; what lies beside the rooms is one more, called ``""``."""
 MOST_LINES, MOST_POSITIONAL = 400, 8
-ANY = {"cli": 0, "effects": 15, "exchange": 2, "inputs": 25, "published": 0, "report": 0, "": 4}
+ANY = {
+    "cli": 0,
+    "effects": 15,
+    "exchange": 2,
+    "importer": 3,
+    "inputs": 13,
+    "logs": 4,
+    "published": 0,
+    "report": 0,
+    "": 4,
+}
 """Public signatures with `Any` that are left; a number may only fall."""
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 

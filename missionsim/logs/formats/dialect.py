@@ -7,7 +7,7 @@ import collections
 import csv
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 
 from missionsim.errors import Fault, InputError
@@ -126,6 +126,7 @@ class Dialect:
     decimal: str
     encoding: str
     header_line: int
+    _: KW_ONLY
     quoted: bool = False
     remarks: list[Remark] = field(default_factory=list)
     first: tuple[str, ...] = ()
@@ -210,9 +211,18 @@ def sniff(
         note("numbers are written with a decimal comma")
     bare = bool(header) or headless or rows == skipped
     row = first if bare else (body[0] if body else "")
-    line = skipped if bare else rows
-    first_cells = tuple(cells_of(row, delimiter))
-    return Dialect(names, delimiter, decimal, encoding, line, '"' in text, remarks, first_cells, headless)
+    line, first_cells = skipped if bare else rows, tuple(cells_of(row, delimiter))
+    return Dialect(
+        names,
+        delimiter,
+        decimal,
+        encoding,
+        line,
+        quoted='"' in text,
+        remarks=remarks,
+        first=first_cells,
+        headless=headless,
+    )
 
 
 def _encoding(head: bytes, file: str, remarks: list[Remark]) -> str:
