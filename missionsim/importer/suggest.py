@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -190,7 +190,7 @@ def _joined(paths: Sequence[Path]) -> Draft:
         fields = fields_of(path, reader, _MOST_ROWS)
         pattern = ("{run}" + path.name[len(prefix) - 1 :]) if prefix else path.name
         if reader.table is None:
-            draft.fields |= {f"{alias}.{one.name}": Field(f"{alias}.{one.name}", *_rest(one)) for one in fields}
+            draft.fields |= {f"{alias}.{one.name}": replace(one, name=f"{alias}.{one.name}") for one in fields}
             files.append(f"  {alias}: {{name: {quoted(pattern)}}}")
             continue
         own = Draft({one.name: one for one in fields}, True)
@@ -202,7 +202,7 @@ def _joined(paths: Sequence[Path]) -> Draft:
         names = [name for name in time.field.split("\n") if name]
         assert own.time_s is not None
         draft.fields |= {
-            f"{alias}.{one.name}": Field(f"{alias}.{one.name}", one.kind, one.count, one.values, own.time_s, path.name)
+            f"{alias}.{one.name}": replace(one, name=f"{alias}.{one.name}", time_s=own.time_s, title=path.name)
             for one in fields
             if one.name not in names
         }
@@ -213,17 +213,12 @@ def _joined(paths: Sequence[Path]) -> Draft:
     return draft
 
 
-def _rest(one: Field) -> tuple[str, int, NDArray[np.float64] | Labels, Floats | None, str]:
-    return one.kind, one.count, one.values, one.time_s, one.title
-
-
 def _common(paths: Sequence[Path]) -> str:
     """What the names of the files of a run begin with, up to and with a mark."""
     names = [path.stem for path in paths]
     common = names[0]
-    for name in names:
-        while not name.startswith(common):
-            common = common[:-1]
+    while not all(name.startswith(common) for name in names):
+        common = common[:-1]
     match = re.match(r".*[_\- ]", common)
     return match[0] if match else ""
 
@@ -254,18 +249,14 @@ def _time(draft: Draft, path: Path) -> None:
         formula = ""
     else:
         index = _index(draft)
-        message = (
-            f"no column is a time; '{index}' counts the rows: put their rate in the place of RATE"
-            if index
-            else ("no column looks like a time: write it in the place of TIME")
-        )
-        draft.missing.append(message)
-        guess = Guess("time", index or "", "", 0.0, message, "not found")
+        message = "no column looks like a time: write it in the place of TIME"
         if index:
+            message = f"no column is a time; '{index}' counts the rows: put their rate in the place of RATE"
             draft.head["constants"] = "{rate: RATE Hz}"
-        draft.columns["time_s"] = (f"{draft.ref(index, 'index')} / rate" if index else "TIME", guess)
-        if index:
             draft.time_s = draft.values(index) * 0.01
+        draft.missing.append(message)
+        guess = Guess("time", index, "", 0.0, message, "not found")
+        draft.columns["time_s"] = (f"{draft.ref(index, 'index')} / rate" if index else "TIME", guess)
         return
     unit = guess.unit or None
     try:
@@ -277,9 +268,7 @@ def _time(draft: Draft, path: Path) -> None:
     draft.time_s = stamps.seconds
     if formula:
         words = "" if stamps.kind == "own" else f", {stamps.form}"
-        draft.column(
-            "time_s", formula, Guess("time", guess.field, guess.unit, guess.score, guess.why + words, guess.sure)
-        )
+        draft.column("time_s", formula, replace(guess, why=guess.why + words))
     else:
         told = Guess("time", guess.field, "", 2.0, stamps.form, "sure")
         draft.columns["time_s"] = (draft.columns["time_s"][0], told)

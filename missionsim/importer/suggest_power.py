@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.importer.fields import Field
 from missionsim.importer.roles import Guess
 from missionsim.importer.units import UNITS, words_of
 from missionsim.labels import Labels
@@ -236,8 +235,6 @@ def name_headless(draft: Draft) -> None:
     index = next((name for name in names if (np.diff(numbers[name]) == 1).all()), None)
     parts |= {index: "index"} if index else {}
     draft.remarks.append(f"{v} × {i} gives {p} within {100 * miss:.2g} %: taken for volts, amperes and watts")
-    draft.fields = {
-        parts.get(name, name): Field(parts.get(name, name), one.kind, one.count, one.values)
-        for name, one in draft.fields.items()
-    }
+    named = [replace(one, name=parts.get(name, name)) for name, one in draft.fields.items()]
+    draft.fields = {one.name: one for one in named}
     draft.head["table"] = f"{{header: [{', '.join(draft.fields)}]}}"

@@ -141,20 +141,10 @@ class Distribution:
 
     def scaled(self, factor: float) -> Distribution:
         """The distribution of `factor` times the value (factor > 0)."""
-
-        def times(number: float | None) -> float | None:
-            return None if number is None else number * factor
-
-        return Distribution(
-            self.kind,
-            times(self.mean_),
-            times(self.sd_),
-            times(self.low),
-            times(self.high),
-            times(self.mode),
-            tuple(value * factor for value in self.values),
-            self.weights,
-        )
+        numbers = (self.mean_, self.sd_, self.low, self.high, self.mode)
+        mean, sd, low, high, mode = (None if number is None else number * factor for number in numbers)
+        values = tuple(value * factor for value in self.values)
+        return Distribution(self.kind, mean, sd, low, high, mode, values, self.weights)
 
     def as_dict(self) -> dict[str, object]:
         """Kind and numbers that are set."""

@@ -62,12 +62,9 @@ def to_faults(
         raw = error.get("input")
         if kind == "quantity":
             for entry in context["entries"]:
-                at = (*path, *entry["at"])
-                unknown = entry["message"].startswith(("unknown key", "unknown kind"))
-                fault = document.fault(
-                    at, entry["message"], got=entry["got"], allowed=entry["allowed"], hint=entry["hint"], key=unknown
-                )
-                result.append((at, fault))
+                at, told = (*path, *entry["at"]), {key: entry[key] for key in ("message", "got", "allowed", "hint")}
+                unknown = told["message"].startswith(("unknown key", "unknown kind"))
+                result.append((at, document.fault(at, **told, key=unknown)))
             continue
         if follows_from_entries(error):
             continue
@@ -79,7 +76,7 @@ def to_faults(
             known, got, key = _allowed_keys(model, error["loc"][:-1]), str(path[-1]), True
             message, allowed, hint = f"unknown key '{got}'", ", ".join(known), _close_key(got, known)
         elif kind == "missing":
-            at = path[:-1] if _absent(shape, path) else path
+            at = path if exists(shape, path) else path[:-1]
             message, allowed = f"'{error['loc'][-1]}' is missing", f"{error['loc'][-1]}: …"
         elif kind in _LIMITS:
             word, limit = _LIMITS[kind]
@@ -138,13 +135,15 @@ def file_path(loc: Sequence[str | int], data: Any, *, missing: bool = True) -> t
     return tuple(path)
 
 
-def _absent(data: Any, path: Sequence[str | int]) -> bool:
+def exists(data: object, path: Sequence[str | int]) -> bool:
+    """Whether plain data has a value at a path."""
+    here: Any = data
     for item in path:
-        try:
-            data = data[item]
-        except (KeyError, IndexError, TypeError):
-            return True
-    return False
+        inside = isinstance(here, (list, tuple)) and isinstance(item, int) and item < len(here)
+        if not inside and not (isinstance(here, dict) and item in here):
+            return False
+        here = here[item]
+    return True
 
 
 def _close_key(key: str, known: Iterable[str]) -> str:

@@ -54,12 +54,8 @@ class ActivitySpec(Model):
         if self.duration is not None and self.until is not None and self.every is None:
             raise wrong("duration and until together", "both", "one of them", "until")
         if self.every is not None and self.duration is not None and self.duration.value > self.every.value:
-            raise wrong(
-                "bursts longer than their period",
-                f"{self.duration.value:g} s",
-                f"at most {self.every.value:g} s",
-                "duration",
-            )
+            got, allowed = f"{self.duration.value:g} s", f"at most {self.every.value:g} s"
+            raise wrong("bursts longer than their period", got, allowed, "duration")
         return self
 
 
@@ -252,9 +248,6 @@ class StudySpec(FileModel):
     @model_validator(mode="after")
     def _some(self) -> "StudySpec":
         if not self.alternatives and not self.vary:
-            raise wrong(
-                "a study needs alternatives or vary",
-                "neither",
-                "alternatives: {slow: {set: {defaults.speed: 0.3 m/s}}}",
-            )
+            allowed = "alternatives: {slow: {set: {defaults.speed: 0.3 m/s}}}"
+            raise wrong("a study needs alternatives or vary", "neither", allowed)
         return self

@@ -58,20 +58,9 @@ class Parameter:
 
     def scaled(self, factor: float, unit: str) -> Parameter:
         """`factor` times the parameter, in another unit."""
-
-        def times(number: float | None) -> float | None:
-            return None if number is None else number * factor
-
-        distribution = None if self.distribution is None else self.distribution.scaled(factor)
-        return replace(
-            self,
-            value=self.value * factor,
-            sd=times(self.sd),
-            low=times(self.low),
-            high=times(self.high),
-            distribution=distribution,
-            unit=unit,
-        )
+        sd, low, high = (None if number is None else number * factor for number in (self.sd, self.low, self.high))
+        drawn = None if self.distribution is None else self.distribution.scaled(factor)
+        return replace(self, value=self.value * factor, sd=sd, low=low, high=high, distribution=drawn, unit=unit)
 
 
 class Issue(ValueError):

@@ -147,14 +147,9 @@ def _complete(
     missing = [spec.name for spec in specs if spec.name not in given and spec.required]
     unknown = [name for name in given if name not in {spec.name for spec in specs}]
     if missing or unknown:
-        raise InputError.single(
-            f"{what}: "
-            + "; ".join(
-                [f"parameter '{n}' is missing" for n in missing] + [f"parameter '{n}' is not known" for n in unknown]
-            ),
-            got=", ".join(given),
-            allowed=", ".join(f"{spec.name} ({spec.unit})" for spec in specs),
-        )
+        told = [f"parameter '{n}' is missing" for n in missing] + [f"parameter '{n}' is not known" for n in unknown]
+        allowed = ", ".join(f"{spec.name} ({spec.unit})" for spec in specs)
+        raise InputError.single(f"{what}: {'; '.join(told)}", got=", ".join(given), allowed=allowed)
     defaults = {
         spec.name: ModelParameter(spec.default, spec.unit, 0.0, spec.low, spec.high, "assumed", "default")
         for spec in specs
@@ -177,12 +172,8 @@ def _motion(robot: RobotSpec) -> Iterator[Term]:
     standing = None if motion.standing is None else _compiled(motion.standing, _place(robot, ("motion", "standing")))
     for effect in base_terms.motion_expression_terms(formula, standing, tuple(parameters)):
         used = {spec.name: parameters[spec.name] for spec in effect.parameters}
-        yield Term(
-            TermKey(motion.battery, effect.component, effect.id),
-            replace(effect, place=place),
-            used,
-            {name: name for name in used},
-        )
+        key = TermKey(motion.battery, effect.component, effect.id)
+        yield Term(key, replace(effect, place=place), used, {name: name for name in used})
 
 
 def _components(robot: RobotSpec) -> Iterator[Term]:
@@ -197,14 +188,12 @@ def _components(robot: RobotSpec) -> Iterator[Term]:
         if startup is not None and startup.power is not None:
             load = component.loads[0]
             link = _link(robot, load)
-            yield Term(
+            key, effect = (
                 TermKey(load.battery, name, f"{name} start-up"),
                 base_terms.component_term(name, starting=True),
-                {"power": model_parameter(startup.power)},
-                {"power": f"{name}.startup_power"},
-                scale=1.0 / link[1],
-                link=link,
             )
+            parameters, names = {"power": model_parameter(startup.power)}, {"power": f"{name}.startup_power"}
+            yield Term(key, effect, parameters, names, scale=1.0 / link[1], link=link)
 
 
 def _link(robot: RobotSpec, load: LoadSpec) -> tuple[str, float]:
@@ -270,12 +259,8 @@ def _processor(robot: RobotSpec) -> Iterator[Term]:
     if not parameters:
         return
     effect = base_terms.processor_term(tuple(entries), columns, idle, robot.processor.fallback == "refuse")
-    yield Term(
-        TermKey(robot.processor.battery, "processor", "processor"),
-        effect,
-        parameters,
-        {name: name for name in parameters},
-    )
+    key = TermKey(robot.processor.battery, "processor", "processor")
+    yield Term(key, effect, parameters, {name: name for name in parameters})
 
 
 def _effects(robot: RobotSpec) -> Iterator[Term]:
@@ -287,13 +272,8 @@ def _effects(robot: RobotSpec) -> Iterator[Term]:
             continue
         label = spec.name or effect.id
         parameters = _complete(f"effect '{label}'", _converted(spec.parameters, effect.parameters), effect.parameters)
-        yield Term(
-            TermKey(spec.battery, effect.component, label),
-            effect,
-            parameters,
-            {name: f"{label}.{name}" for name in parameters},
-            base=False,
-        )
+        names = {name: f"{label}.{name}" for name in parameters}
+        yield Term(TermKey(spec.battery, effect.component, label), effect, parameters, names, base=False)
 
 
 def _unique(terms: list[Term]) -> Iterator[Term]:

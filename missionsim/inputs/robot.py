@@ -42,11 +42,8 @@ class LawSpec(Model):
     @model_validator(mode="after")
     def _one(self) -> "LawSpec":
         if (self.power is None) == (self.model is None):
-            raise wrong(
-                "a law has either a power or a model",
-                "both" if self.power else "neither",
-                'power: "k*rate", or model: multicore_cpu',
-            )
+            got, allowed = "both" if self.power else "neither", 'power: "k*rate", or model: multicore_cpu'
+            raise wrong("a law has either a power or a model", got, allowed)
         return self
 
 
@@ -61,11 +58,8 @@ class LoadSpec(Model):
     @model_validator(mode="after")
     def _one(self) -> "LoadSpec":
         if (self.power is None) == (self.law is None):
-            raise wrong(
-                "a load has either a power or a law",
-                "both" if self.power else "neither",
-                "power: 2.3 W, or law: {power: …}",
-            )
+            got, allowed = "both" if self.power else "neither", "power: 2.3 W, or law: {power: …}"
+            raise wrong("a load has either a power or a law", got, allowed)
         return self
 
 
@@ -249,11 +243,8 @@ class EffectSpec(Model):
     @model_validator(mode="after")
     def _one(self) -> "EffectSpec":
         if (self.effect is None) == (self.power is None):
-            raise wrong(
-                "an effect is one of the library or an expression",
-                "both" if self.effect else "neither",
-                'effect: grade, or name: my_term with power: "k * …"',
-            )
+            got, allowed = "both" if self.effect else "neither", 'effect: grade, or name: my_term with power: "k * …"'
+            raise wrong("an effect is one of the library or an expression", got, allowed)
         if self.effect is None and self.name is None:
             raise wrong("an effect of your own needs a name", "no name", "name: my_term")
         return self

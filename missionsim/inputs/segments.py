@@ -82,9 +82,8 @@ class DriveSegment(SegmentSpec):
             raise wrong("a drive needs one of to, along, distance", " and ".join(given) or "none of them", "to: V1")
         for key in ("slope", "heading"):
             if getattr(self, key) is not None and self.distance is None:
-                raise wrong(
-                    f"{key} belongs to a drive by distance", given[0], "the slope of the environment's edge", key
-                )
+                message, allowed = f"{key} belongs to a drive by distance", "the slope of the environment's edge"
+                raise wrong(message, given[0], allowed, key)
         if self.via and self.to is None:
             raise wrong("via belongs to a drive with to", given[0], "to: V1, via: [A]", "via")
         return self
@@ -224,17 +223,9 @@ class _SegmentSchema:
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
         inner = handler(schema)
-        options = []
-        for kind, reference in inner["discriminator"]["mapping"].items():
-            options.append(
-                {
-                    "type": "object",
-                    "additionalProperties": False,
-                    "required": [kind],
-                    "properties": {kind: {"$ref": reference}},
-                }
-            )
-        return {"oneOf": options}
+        only = {"type": "object", "additionalProperties": False}
+        kinds = inner["discriminator"]["mapping"].items()
+        return {"oneOf": [{**only, "required": [kind], "properties": {kind: {"$ref": ref}}} for kind, ref in kinds]}
 
 
 Segment = Annotated[

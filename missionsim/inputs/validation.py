@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from missionsim.errors import Fault
 from missionsim.inputs.base import FileModel, Model
-from missionsim.inputs.faults import file_path, follows_from_entries, to_faults
+from missionsim.inputs.faults import exists, file_path, follows_from_entries, to_faults
 from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.tree import Document
 
@@ -114,12 +114,12 @@ def repaired(view: View, problem: ValidationError, tried: dict[Path_, int]) -> A
                 return None
             key = view.original(path)
             count = tried.get(key, 0)
-            exists = _exists(view.shape, path)
+            there = exists(view.shape, path)
             if error["type"] == "literal_error":
                 _note(edits, path, _PUT, str(error["ctx"]["expected"]).split("'")[1])
-            elif exists and not count:
+            elif there and not count:
                 drops.append(path)
-            elif count < len(_STAND_INS) and _exists(view.shape, path[:-1]):
+            elif count < len(_STAND_INS) and exists(view.shape, path[:-1]):
                 _note(edits, path, _PUT, _STAND_INS[count])
                 tried[key] = count + 1
             else:
@@ -132,20 +132,9 @@ def repaired(view: View, problem: ValidationError, tried: dict[Path_, int]) -> A
 
 
 def _existing(data: Any, path: Path_) -> Path_:
-    while path and not _exists(data, path):
+    while path and not exists(data, path):
         path = path[:-1]
     return path
-
-
-def _exists(data: Any, path: Sequence[str | int]) -> bool:
-    for item in path:
-        if isinstance(data, dict) and item in data:
-            data = data[item]
-            continue
-        if not isinstance(data, list) or not isinstance(item, int) or item >= len(data):
-            return False
-        data = data[item]
-    return True
 
 
 def _like(old: list[Any], items: list[Any], numbers: list[int]) -> list[Any]:
