@@ -195,8 +195,7 @@ def _print(logs: Sequence[LogTable | LongRun], targets: Sequence[Path]) -> None:
 
 
 def _list(sources: Sequence[Path], to: Output) -> int:
-    from missionsim.importer.fields import fields_of
-    from missionsim.importer.roles import folded, guess_all
+    from missionsim.importer.roles import fields_of, folded, guess_all
     from missionsim.importer.sources import find_files
     from missionsim.report.terminal import console, simple_table
 

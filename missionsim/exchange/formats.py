@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from missionsim.errors import Fault, InputError
-from missionsim.exchange import gpx, graph, lif, nav2, qgc, rmf_building, vda5050
+from missionsim.exchange import gpx, graph, nav2, qgc, rmf_building, vda5050
 from missionsim.exchange.site import Site, SiteOptions, clean
 from missionsim.exchange.source import Faults, Value, parse_xml, read_document, read_text
 
@@ -33,7 +33,7 @@ def _is_order(data: dict[str, Any]) -> bool:
 
 FORMATS = (
     Format("Nav2 route graph", lambda data: data.get("type") == "FeatureCollection", nav2.read),
-    Format("layout interchange format", _keys("layouts"), lif.read),
+    Format("layout interchange format", _keys("layouts"), vda5050.read_layout),
     Format("VDA 5050 order", _is_order, vda5050.read),
     Format("QGroundControl plan", _keys("mission"), qgc.read),
     Format("QGroundControl plan", _keys("items", "plannedHomePosition"), qgc.read),

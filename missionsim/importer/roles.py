@@ -3,18 +3,66 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.glossary import column_of
-from missionsim.importer.fields import Field
 from missionsim.importer.units import UNITS, WORDS, words_of
 from missionsim.labels import Labels
+from missionsim.logs.raw import ColumnData
+from missionsim.logs.readers import Options, Reader, Recording, reader_of
 from missionsim.logs.times import is_stamp
+
+
+@dataclass(frozen=True)
+class Field:
+    """One column or field that a source offers, with the values that were looked at."""
+
+    name: str
+    kind: str
+    count: int
+    values: ColumnData
+    time_s: NDArray[np.float64] | None = None
+    title: str = ""
+
+    def range(self) -> str:
+        """Lowest and highest value, or the first words."""
+        if isinstance(self.values, Labels):
+            names = self.values.names[:4]
+            return ", ".join(names)[:60] + (", …" if len(self.values.names) > 4 else "")
+        known = self.values[np.isfinite(self.values)]
+        if not len(known):
+            return ""
+        low, high = float(known.min()), float(known.max())
+        return f"{low:.6g}" if low == high else f"{low:.4g} … {high:.4g}"
+
+
+def fields_of(path: Path, reader: Reader | None = None, most: int = 20_000) -> list[Field]:
+    """What a source holds, for listings and suggestions: columns of a table, or fields of the topics of a recording.
+
+    At most `most` rows or messages of a topic are looked at.
+    """
+    return list(_fields(path, reader or reader_of(path), most))
+
+
+def _fields(path: Path, reader: Reader, most: int) -> Iterator[Field]:
+    if reader.table is not None:
+        raw = reader.table(path, Options(most=most))
+        for name, data in raw.columns.items():
+            yield Field(name, "number" if isinstance(data, np.ndarray) else "text", len(data), data)
+        return
+    assert reader.recording is not None
+    found: Recording = reader.recording(path, Options(most=most))
+    for topic in sorted(found.topics, key=lambda topic: topic.name):
+        for name, data in topic.columns.items():
+            kind = "number" if isinstance(data, np.ndarray) else "text"
+            yield Field(f"{topic.name}.{name}", kind, topic.count or len(data), data, topic.time_s, topic.title)
+
 
 Floats = NDArray[np.float64]
 

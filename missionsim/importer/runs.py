@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.importer.fields import Field
+from missionsim.importer.roles import Field
 from missionsim.importer.sources import identifier
 from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.labels import Labels

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from missionsim.errors import Fault, InputError, did_you_mean
-from missionsim.importer.fields import fields_of
+from missionsim.importer.roles import fields_of
 from missionsim.importer.transform import Signal, merge_signals
 from missionsim.inputs.log_map import FileMap, MapSpec
 from missionsim.inputs.units import UnitError, unit_factor

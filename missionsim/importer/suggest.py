@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from missionsim.errors import InputError
 from missionsim.expressions import FUNCTIONS
 from missionsim.importer import suggest_motion, suggest_power
-from missionsim.importer.fields import Field, fields_of
-from missionsim.importer.roles import ROLES, Guess, guess_all, guess_role
+from missionsim.importer.roles import ROLES, Field, Guess, fields_of, guess_all, guess_role
 from missionsim.importer.runs import recognised_runs
 from missionsim.importer.sources import identifier, stamps_of
 from missionsim.importer.suggest_motion import quoted

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.importer import transform
-from missionsim.importer.fields import Field
-from missionsim.importer.roles import Guess
+from missionsim.importer.roles import Field, Guess
 from missionsim.importer.sources import identifier
 from missionsim.importer.units import UNITS, words_of
 from missionsim.labels import Labels

@@ -13,8 +13,8 @@ import pytest
 from missionsim.cli.app import run_command
 from missionsim.errors import InputError
 from missionsim.importer import transform
-from missionsim.importer.fields import fields_of
 from missionsim.importer.mapping import import_source
+from missionsim.importer.roles import fields_of
 from missionsim.importer.transform import Signal, merge_signals
 from missionsim.inputs.loading import load_map
 from missionsim.logs import LogTable
