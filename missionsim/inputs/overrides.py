@@ -70,16 +70,8 @@ def apply(document: Document, overrides: Iterable[tuple[str, Any]]) -> list[Faul
             data = parse_document(value or "null", name="").data if isinstance(value, str) else value
         except InputError as problem:
             reason = problem.faults[0].message
-            faults.append(
-                Fault(
-                    "",
-                    0,
-                    0,
-                    f"value is {reason}" if reason.startswith("not") else reason,
-                    document.prefix + path,
-                    shown,
-                )
-            )
+            told = f"value is {reason}" if reason.startswith("not") else reason
+            faults.append(Fault("", 0, 0, told, document.prefix + path, shown))
             continue
         found = resolve(document.data, path)
         if isinstance(found, Fault):

@@ -105,16 +105,8 @@ def build_effect(spec: EffectSpec, robot: RobotSpec | None = None) -> Effect:
         effect = get_effect(spec.effect, surfaces, spec.battery)
     else:
         formula = _compiled(spec.power, place)
-        specs = tuple(
-            ParameterSpec(
-                name,
-                p.unit,
-                low=-float("inf") if p.low is None else p.low,
-                high=float("inf") if p.high is None else p.high,
-                default=p.value,
-            )
-            for name, p in spec.parameters.items()
-        )
+        given = {name: model_parameter(p) for name, p in spec.parameters.items()}
+        specs = tuple(ParameterSpec(name, p.unit, low=p.low, high=p.high, default=p.value) for name, p in given.items())
         effect = base_terms.expression_term(spec.name or "", formula, specs, drive=_about_motion(formula.names))
     return replace(effect, component=spec.component or effect.component, place=place)
 

@@ -211,18 +211,10 @@ def sniff(
         note("numbers are written with a decimal comma")
     bare = bool(header) or headless or rows == skipped
     row = first if bare else (body[0] if body else "")
-    line, first_cells = skipped if bare else rows, tuple(cells_of(row, delimiter))
-    return Dialect(
-        names,
-        delimiter,
-        decimal,
-        encoding,
-        line,
-        quoted='"' in text,
-        remarks=remarks,
-        first=first_cells,
-        headless=headless,
-    )
+    line = skipped if bare else rows
+    found = Dialect(names, delimiter, decimal, encoding, line, quoted='"' in text, remarks=remarks, headless=headless)
+    found.first = tuple(cells_of(row, delimiter))
+    return found
 
 
 def _encoding(head: bytes, file: str, remarks: list[Remark]) -> str:
