@@ -121,7 +121,7 @@ def _planned(plan: Plan) -> tuple[float, dict[tuple[str, str], list[float]]]:
     for step in plan.steps:
         for i, phase in enumerate(step.phases):
             leg = plan.legs[phase.leg]
-            label = plan.segments[leg.settings.segment].label
+            label = plan.segments[leg.segment].label
             if leg.first and (i == 0 or step.phases[i - 1].leg != phase.leg):
                 times.setdefault(("begin", label), []).append(now)
             now += phase.duration_s

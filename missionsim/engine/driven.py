@@ -78,7 +78,7 @@ def edges_driven(
             last is not None
             and last.edge is not None
             and last.edge[:3] == leg.edge[:3]
-            and last.settings.segment == leg.settings.segment
+            and last.segment == leg.segment
             and abs(last.edge.to_m - leg.edge.from_m) < 1e-9
         )
         if went_on and last is not leg:

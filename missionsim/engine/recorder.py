@@ -164,16 +164,19 @@ def timeline(
     known: dict[int, int] = {}
     settings: list[Settings] = []
     leg_of: list[int] = []
+    segment_of: list[int] = []
     state_of: list[int] = []
     states: list[Sequence[float]] = []
     for rows, legs, own in parts:
         for r in rows:
-            one = legs[r[2]].settings
+            leg = legs[r[2]]
+            one = leg.settings
             index = known.get(id(one))
             if index is None:
                 index = known[id(one)] = len(settings)
                 settings.append(one)
             leg_of.append(index)
+            segment_of.append(leg.segment)
             state_of.append(len(states) + r[5])
         states += own
     which = np.array(leg_of, dtype=np.intp)
@@ -203,5 +206,4 @@ def timeline(
     for i, name in enumerate(components):
         columns[f"on_{name}"], columns[f"starting_{name}"] = state[i], state[width + i]
         columns[f"on_time_{name}_s"], rates[f"on_time_{name}_s"] = on_time[i], ticking[i]
-    segment = np.array([s.segment for s in settings], dtype=np.int64)[which]
-    return Timeline(start, duration, columns, rates, segment)
+    return Timeline(start, duration, columns, rates, np.array(segment_of, dtype=np.int64))

@@ -51,10 +51,10 @@ def home_energies(
     ends = [-1] * len(world.segments)
     for index, leg in enumerate(world.legs):
         if leg.last:
-            ends[leg.settings.segment] = index
+            ends[leg.segment] = index
     wanted = list(range(len(world.segments)))
     if only_last:
-        wanted = [world.legs[world.recorder.rows[-1].leg].settings.segment] if world.recorder.rows else []
+        wanted = [world.legs[world.recorder.rows[-1].leg].segment] if world.recorder.rows else []
     moved = _moving_times(world)
     driven_at = last_driven(world.legs)
     known: list[bool] = []
@@ -76,7 +76,7 @@ def home_energies(
             continue
         clock = moved.get(segment, 0.0) if "moving_time_s" in model.memory else 0.0
         # rounds that are repeated have the same ways home
-        key = (place, driven.settings._replace(segment=0), driven.speed_m_s, driven.instant, clock)
+        key = (place, driven.settings, driven.speed_m_s, driven.instant, clock)
         same.append(cache.setdefault(key, position))
         if same[-1] == position and (way := homing.from_place(place, driven)):
             _append(world, homing, way, clock, legs, rows, states, owner, position)
@@ -128,6 +128,6 @@ def _moving_times(world: World) -> dict[int, float]:
     """Time moved until the end of each segment [s]."""
     result: dict[int, float] = {}
     for row in world.recorder.rows:
-        segment = world.legs[row.leg].settings.segment
+        segment = world.legs[row.leg].segment
         result[segment] = row.moving_time_s + (row.duration_s if row.phase.moving else 0.0)
     return result

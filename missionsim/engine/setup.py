@@ -122,7 +122,7 @@ def check_covariates(plan: Plan, model: PowerModel) -> None:
         known = dict(leg.settings.extra)
         for name, effect in wanted.items():
             if name not in known and name not in faults:
-                segment = plan.segments[leg.settings.segment]
+                segment = plan.segments[leg.segment]
                 faults[name] = effect.place.fault(
                     f"effect '{effect.id}' of the robot needs '{keys[name]}', which segment '{segment.name}' lacks",
                     allowed=f"defaults: {{{keys[name]}: …}}, or a value on the segment",

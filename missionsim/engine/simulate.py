@@ -260,9 +260,7 @@ class RunSetup:
             )
             legs += [*next(legs_of(self.mission, [(dock, charge)], self.numbers)), *home]
         legs = legs or [Leg("stand", like.settings, place=dock)]
-        legs = [
-            item._replace(settings=item.settings._replace(segment=segment), first=False, last=False) for item in legs
-        ]
+        legs = [item._replace(segment=segment, first=False, last=False) for item in legs]
         legs[0], legs[-1] = legs[0]._replace(first=True), legs[-1]._replace(last=True)
         return legs, group(legs, self.plan.limits), went_on
 

@@ -158,9 +158,9 @@ class World:
                 if phase.leg != current:
                     current = phase.leg
                     if leg.first:
-                        if leg.settings.segment < len(self.plan.segments):
-                            self.begun = leg.settings.segment + 1
-                        fire("begin", self.segments[leg.settings.segment].label)
+                        if leg.segment < len(self.plan.segments):
+                            self.begun = leg.segment + 1
+                        fire("begin", self.segments[leg.segment].label)
                     sensors = leg.settings.sensors
                     board.hold("segment", sensors)
                     if i == 0 and (waits := board.waiting_for(sensors)):
@@ -169,7 +169,7 @@ class World:
                 recorder.move(current, phase)
                 if leg.recharge is not None:
                     yield from self._recharge(leg.recharge)
-                    if self.segments[leg.settings.segment].kind == "recharge":
+                    if self.segments[leg.segment].kind == "recharge":
                         self.excursions[-1][1] = env.now
                 elif phase.duration_s > 0.0:
                     yield env.timeout(phase.duration_s)
@@ -177,8 +177,8 @@ class World:
                     if leg.place and leg.kind == "roll":
                         fire("place", leg.place)
                     if leg.last:
-                        fire("end", self.segments[leg.settings.segment].label)
-                        self.ends_s[leg.settings.segment] = env.now
+                        fire("end", self.segments[leg.segment].label)
+                        self.ends_s[leg.segment] = env.now
             recorder.rest(current)
 
     def _shut(self, gate: Gate) -> bool:
@@ -212,7 +212,7 @@ class World:
         if found is not None and self._goes_on:
             rest = self._rest(at, elapsed, found[2])
             left = len(rest) + len(self._going_on) - self._at - 1, rest[0].duration_s if rest else 0.0
-            kind = self.segments[leg.settings.segment].kind
+            kind = self.segments[leg.segment].kind
             if kind == "recharge" or (self._left is not None and left >= self._left):
                 why = f"battery '{battery}' at its reserve again: charged, it does not get further"
                 found = None
@@ -267,7 +267,10 @@ class World:
             self.recorder.rest(at)
             return []
         bend = leg.curvature_1_m
-        self.legs.append(Leg("roll", leg.settings, leg.distance_m, leg.speed_m_s, bend, instant=leg.instant))
+        instant, segment = leg.instant, leg.segment
+        self.legs.append(
+            Leg("roll", leg.settings, leg.distance_m, leg.speed_m_s, bend, instant=instant, segment=segment)
+        )
         brake = Phase(
             braking_s, len(self.legs) - 1, speed, -decel, yaw_rad_s=speed * bend, yaw_rad_s2=-decel * bend, moving=True
         )
@@ -363,7 +366,7 @@ def _moved(steps: Iterable[Step], base: int) -> list[Step]:
 
 def _same_edge(leg: Leg, other: Leg) -> bool:
     same = leg.edge is not None and other.edge is not None and leg.edge[:3] == other.edge[:3]
-    return same and leg.settings.segment == other.settings.segment
+    return same and leg.segment == other.segment
 
 
 def _again(leg: Leg) -> Leg:

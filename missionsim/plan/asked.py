@@ -68,12 +68,12 @@ class Asked:
         """A fault at the line of a segment."""
         return InputError(Fault(str(self.mission.path), int(getattr(segment, "line", 0)), 0, message, allowed=allowed))
 
-    def settings(self, segment: Any, index: int) -> Settings:
-        """Settings of a segment, the mission's number `index`."""
+    def settings(self, segment: Any) -> Settings:
+        """Settings of a segment; the same object however often it is repeated."""
         mission = self.mission
         known = self._base.get(id(segment))
         if known is not None:
-            return known._replace(segment=index)
+            return known
         payload = mission.setting(segment, "payload")
         surface = mission.setting(segment, "surface")
         extra: dict[str, float | str] = dict(self._ambient_values)
@@ -88,7 +88,6 @@ class Asked:
                 extra |= {name: self._condition(value) for name, value in source.items()}
         slope = segment.slope if segment.kind in ("drive", "arc", "move") else None
         made = Settings(
-            index,
             *mission.equipment(segment),
             0.0 if payload is None else self.number(payload),
             0.0 if slope is None else self.number(slope),

@@ -129,6 +129,7 @@ class _Builder(Asked):
         self.segments: list[SegmentInfo] = []
         self._names: dict[str, int] = {}
         self._routes: list[tuple[str, str, tuple[int, ...]]] = []
+        self._on_way: dict[tuple[int, int, str], Settings] = {}
         self._costs: dict[int, dict[tuple[int, str], float]] = {}
 
     def build(self) -> Plan:
@@ -170,7 +171,7 @@ class _Builder(Asked):
         if len(self.segments) >= MOST_SEGMENTS:
             raise self.fault(segment, "too many segments", f"at most {MOST_SEGMENTS}, repeats counted one by one")
         self._name(segment)
-        base = self.settings(segment, len(self.segments) - 1)
+        base = self.settings(segment)
         self.scheme = base.scheme
         before = len(self.legs)
         getattr(self, f"_{segment.kind}")(segment, base)
@@ -180,7 +181,9 @@ class _Builder(Asked):
             given = self.behaviour(segment, "dwell")
             dwell = (0.0 if given is None else given) + self._by_chance(segment, before)
             if self.odd.most(dwell != 0.0):
-                self.legs.append(Leg("stand", self._still(base), duration_s=dwell))
+                self.legs.append(Leg("stand", self.legs[-1].settings, duration_s=dwell))
+        index = len(self.segments) - 1
+        self.legs[before:] = [leg._replace(segment=index) for leg in self.legs[before:]]
         self.legs[before] = self.legs[before]._replace(first=True)
         self.legs[-1] = self.legs[-1]._replace(last=True, place=self.legs[-1].place or self.place)
 
@@ -252,11 +255,6 @@ class _Builder(Asked):
         name = label if count == 1 else f"{label} #{count}"
         self.segments.append(SegmentInfo(name, segment.kind, segment.line, label))
 
-    def _still(self, base: Settings) -> Settings:
-        """Settings of standing at the end of a segment that moves."""
-        last = self.legs[-1].settings if self.legs and self.legs[-1].settings.segment == base.segment else base
-        return last
-
     def _drive(self, segment: Any, base: Settings) -> None:
         if segment.distance is not None:
             heading = None if segment.heading is None else self.number(segment.heading)
@@ -291,7 +289,7 @@ class _Builder(Asked):
             plain = self if not self.numbers else _Builder(self.mission, {}, None)
             assert plain.routes is not None
             plain.scheme = base.scheme
-            settings = base if plain is self else plain.settings(segment, 0)
+            settings = base if plain is self else plain.settings(segment)
             ways = [way for leaving in plain.routes.ways.values() for way in leaving]
             heading, before = plain.heading, len(plain.legs)
             ends = []
@@ -316,7 +314,9 @@ class _Builder(Asked):
     def _way(self, segment: Any, base: Settings, way: Way) -> None:
         self._face(segment, base, way.heading_rad)
         pace = self.pace(segment, way.max_speed_m_s)
-        for low, high, here in self._radio(way, along(base, way, segment.surface)):
+        key = id(base), way.edge, way.begin
+        settings = self._on_way.get(key) or self._on_way.setdefault(key, along(base, way, segment.surface))
+        for low, high, here in self._radio(way, settings):
             edge = OnEdge(way.begin, way.end, way.edge, way.length_m * low, way.length_m * high)
             self._ahead("roll", segment, here, way.length_m * (high - low), pace, edge=edge)
         self.legs[-1] = self.legs[-1]._replace(place=way.end)

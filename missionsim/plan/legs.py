@@ -24,8 +24,6 @@ class Settings(NamedTuple):
 
     Attributes
     ----------
-    segment : int
-        Index of the mission's segment, repeats counted one by one.
     scheme, navigation : str
         Control scheme and its navigation; empty where none.
     sensors : tuple of (str, int)
@@ -38,7 +36,6 @@ class Settings(NamedTuple):
         Further covariates (``temp_ambient_c``, ``cpu_load``, a file's own conditions), sorted by name.
     """
 
-    segment: int
     scheme: str = ""
     navigation: str = ""
     sensors: tuple[tuple[str, int], ...] = ()
@@ -158,6 +155,8 @@ class Leg(NamedTuple):
         Where `speed_m_s` comes from.
     gate : Gate or None
         Of a block that is repeated until a time.
+    segment : int
+        Index of the mission's segment, repeats counted one by one.
     """
 
     kind: Kind
@@ -177,6 +176,7 @@ class Leg(NamedTuple):
     recharge: Recharge | None = None
     pace: Pace = Pace()
     gate: Gate | None = None
+    segment: int = 0
 
 
 class Phase(NamedTuple):

@@ -92,9 +92,8 @@ class Physics:
         self.slow = any(info.startup_s > 0.0 for info in self._infos.values())
 
     def settings_index(self, settings: Settings) -> int:
-        """Number of settings (of whichever segment), for `energy_wh`."""
-        plain = settings._replace(segment=0)
-        return self._settings.setdefault(plain, len(self._settings))
+        """Number of settings, for `energy_wh`."""
+        return self._settings.setdefault(settings, len(self._settings))
 
     def energy_wh(
         self, settings: Array, duration_s: Array, speed_m_s: Array, accel_m_s2: Array, starts: Array
