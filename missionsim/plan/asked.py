@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from missionsim.errors import Fault, InputError
 from missionsim.inputs.mission import AnchorSpec, MissionSpec
 from missionsim.inputs.values import Parameter
+from missionsim.plan.chance import told_at
 from missionsim.plan.draws import Odd, least
 from missionsim.plan.legs import Activity, Limits, Pace, Recharge, Settings, Trigger
 
@@ -178,6 +180,15 @@ class Asked:
     def instant(self, segment: Any) -> bool:
         """Whether its speed is reached at once."""
         return self.mission.setting(segment, "profile") == "constant_speed" or self.limits.accel_m_s2 is None
+
+    def yaw_rate(self, segment: Any) -> float:
+        """Limit of the yaw rate on a segment."""
+        given = self.mission.setting(segment, "yaw_rate")
+        return self.limits.yaw_rate_rad_s if given is None else self.number(given)
+
+    def told_at(self, parameter: Parameter, prefix: str = "") -> AbstractContextManager[None]:
+        """What is wrong with a number is told where it stands."""
+        return told_at(str((self.robot if prefix else self.mission).path), parameter)
 
     def recharge(self, segment: Any, place: str) -> Recharge:
         """Charging as a dock segment asks for it at a place."""

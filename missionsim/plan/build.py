@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, cast
@@ -11,9 +11,8 @@ import numpy as np
 
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
-from missionsim.inputs.values import Parameter
 from missionsim.plan.asked import Asked
-from missionsim.plan.chance import failures, stopped_by_obstacles, told_at
+from missionsim.plan.chance import failures, stopped_by_obstacles
 from missionsim.plan.draws import remainder, sign
 from missionsim.plan.legs import Gate, Kind, Leg, OnEdge, Pace, Plan, SegmentInfo, Settings
 from missionsim.plan.routes import Way, along, routes_of
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MOST_SEGMENTS = 1_000_000
+Route = tuple[str, str, tuple[int, ...]]
 
 
 def make_plan(
@@ -128,7 +128,8 @@ class _Builder(Asked):
         self.legs: list[Leg] = []
         self.segments: list[SegmentInfo] = []
         self._names: dict[str, int] = {}
-        self._routes: list[tuple[str, str, tuple[int, ...]]] = []
+        self._routes: list[Route] = []
+        self._made: dict[tuple[int, str, float | None], tuple[Any, list[Leg], str, float | None, list[Route]]] = {}
         self._on_way: dict[tuple[int, int, str], Settings] = {}
         self._costs: dict[int, dict[tuple[int, str], float]] = {}
 
@@ -164,16 +165,28 @@ class _Builder(Asked):
         if segment.kind == "repeat":
             if segment.until is not None:
                 return self._until(segment)
-            for _ in range(segment.times):
-                for inner in segment.segments:
-                    self._segment(inner)
+            for inner in itertools.chain.from_iterable(itertools.repeat(segment.segments, segment.times)):
+                self._segment(inner)
             return None
         if len(self.segments) >= MOST_SEGMENTS:
             raise self.fault(segment, "too many segments", f"at most {MOST_SEGMENTS}, repeats counted one by one")
         self._name(segment)
+        index, before, routes = len(self.segments) - 1, len(self.legs), len(self._routes)
+        drawn = self.rng is not None or isinstance(self.heading, np.ndarray)
+        where = None if drawn else (id(segment), self.place, self.heading)
+        if where is not None and where in self._made:  # a round like one before
+            _, legs, self.place, self.heading, more = self._made[where]
+            self._routes += more
+        else:
+            legs = self._legs(segment, before)
+            if where is not None:  # with the segment, so that its id stays its own
+                self._made[where] = segment, legs, self.place, self.heading, self._routes[routes:]
+        self.legs[before:] = [leg._replace(segment=index) for leg in legs]
+
+    def _legs(self, segment: Any, before: int) -> list[Leg]:
+        """The legs of a segment, those from the builder's number `before` on."""
         base = self.settings(segment)
         self.scheme = base.scheme
-        before = len(self.legs)
         getattr(self, f"_{segment.kind}")(segment, base)
         if len(self.legs) == before:
             self.legs.append(Leg("stand", base))
@@ -182,10 +195,9 @@ class _Builder(Asked):
             dwell = (0.0 if given is None else given) + self._by_chance(segment, before)
             if self.odd.most(dwell != 0.0):
                 self.legs.append(Leg("stand", self.legs[-1].settings, duration_s=dwell))
-        index = len(self.segments) - 1
-        self.legs[before:] = [leg._replace(segment=index) for leg in self.legs[before:]]
         self.legs[before] = self.legs[before]._replace(first=True)
         self.legs[-1] = self.legs[-1]._replace(last=True, place=self.legs[-1].place or self.place)
+        return self.legs[before:]
 
     def _until(self, segment: Any) -> None:
         """Rounds as many as could end by a time if there were nothing but what is planned of them."""
@@ -223,33 +235,26 @@ class _Builder(Asked):
         """Put stops at obstacles into the segment's legs; time [s] of relocalisations that fail at its end."""
         if self.rng is None:
             return 0.0
-        spacing = self.given(segment, "obstacle_spacing")
-        if spacing is not None:
+        if (spacing := self.given(segment, "obstacle_spacing")) is not None:
             stop = self.behaviour(segment, "obstacle_stop") or 0.0
-            with self._told_at(*spacing):
+            with self.told_at(*spacing):
                 made, stops = stopped_by_obstacles(self.legs[before:], self.number(*spacing), stop, self.rng)
             self.legs[before:] = made
             self._count("obstacles", stops)
-        failure = self.given(segment, "relocalisation_failure")
-        if failure is None:
+        if (failure := self.given(segment, "relocalisation_failure")) is None:
             return 0.0
-        with self._told_at(*failure):
+        with self.told_at(*failure):
             failed = failures(self.number(*failure), self.rng)
         self._count("relocalisations_failed", failed)
         return failed * (self.behaviour(segment, "relocalisation_time") or 0.0)
-
-    def _told_at(self, parameter: Parameter, prefix: str = "") -> contextlib.AbstractContextManager[None]:
-        return told_at(str((self.robot if prefix else self.mission).path), parameter)
 
     def _count(self, what: str, times: int) -> None:
         self.chance[what] = self.chance.get(what, 0) + times
 
     def _name(self, segment: Any) -> None:
-        label = segment.name
-        if label is None:
-            label = segment.kind
-            if label == "drive" and segment.distance is None:
-                label = f"drive {segment.to or segment.along[-1]}"
+        label = segment.kind if segment.name is None else segment.name
+        if segment.name is None and label == "drive" and segment.distance is None:
+            label = f"drive {segment.to or segment.along[-1]}"
         count = self._names.get(label, 0) + 1
         self._names[label] = count
         name = label if count == 1 else f"{label} #{count}"
@@ -353,8 +358,7 @@ class _Builder(Asked):
         self.heading = heading
 
     def _turn_by(self, segment: Any, base: Settings, angle: float) -> None:
-        given = self.mission.setting(segment, "yaw_rate")
-        rate = self.limits.yaw_rate_rad_s if given is None else self.number(given)
+        rate = self.yaw_rate(segment)
         self.above_0(rate, segment, "a turn needs a yaw rate above 0")
         instant = self.mission.setting(segment, "profile") == "constant_speed"
         settings = base._replace(slope_rad=0.0)
@@ -368,9 +372,7 @@ class _Builder(Asked):
     def _arc(self, segment: Any, base: Settings) -> None:
         radius, angle = self.number(segment.radius), self.number(segment.angle)
         self.above_0(radius, segment, "an arc needs a radius above 0")
-        given = self.mission.setting(segment, "yaw_rate")
-        rate = self.limits.yaw_rate_rad_s if given is None else self.number(given)
-        pace = self.pace(segment, rate * radius)
+        pace = self.pace(segment, self.yaw_rate(segment) * radius)
         self._ahead("roll", segment, base, radius * abs(angle), pace, curvature_1_m=sign(angle) / radius)
         self.place = ""
         self.heading = None if self.heading is None else self.heading + angle
@@ -383,7 +385,7 @@ class _Builder(Asked):
     def _inspect(self, segment: Any, base: Settings) -> None:
         times = 1
         if segment.repeat_probability is not None and self.rng is not None:
-            with self._told_at(segment.repeat_probability):
+            with self.told_at(segment.repeat_probability):
                 times += failures(self.number(segment.repeat_probability), self.rng)
             self._count("inspections_repeated", times - 1)
         self._stand(base, times * self.number(segment.duration))
