@@ -44,90 +44,70 @@ def home_energies(
     The way is driven at once (nothing to wait for), with the components of the last leg that drove and what is
     always on; activities beside the mission are taken as over.
     """
-    legs: list[Leg] = []
-    rows: list[Row] = []
-    states: dict[tuple[float, ...], int] = {}
-    owner: list[int] = []
-    ends = [-1] * len(world.segments)
-    for index, leg in enumerate(world.legs):
-        if leg.last:
-            ends[leg.segment] = index
-    wanted = list(range(len(world.segments)))
-    if only_last:
-        wanted = [world.legs[world.recorder.rows[-1].leg].segment] if world.recorder.rows else []
-    moved = _moving_times(world)
-    driven_at = last_driven(world.legs)
-    known: list[bool] = []
-    cache: dict[Any, int] = {}
-    same: list[int] = []
-    for position, segment in enumerate(wanted):
-        end = ends[segment]
-        ended = segment in world.ends_s
+    legs, ends_s, last_row = world.legs, world.ends_s, world.recorder.rows[-1:]
+    ends = {leg.segment: index for index, leg in enumerate(legs) if leg.last}
+    moved, driven_at = _moving_times(world), last_driven(legs)
+    ways: dict[Any, list[Leg]] = {}
+    keys: list[Any] = []
+    for segment in [legs[row.leg].segment for row in last_row] if only_last else range(len(world.segments)):
+        end, ended = ends.get(segment, -1), segment in ends_s
         if only_last and not ended:
             # stopped within a segment: the place is known where the robot stood
-            end = world.recorder.rows[-1].leg
-            ended = world.legs[end].kind != "roll"
-        driven = driven_at[end]
-        place = world.legs[end].place
-        reachable = end >= 0 and ended and driven is not None and homing.ways(place) is not None
-        known.append(reachable)
-        if driven is None or not reachable:
-            same.append(position)
-            continue
-        clock = moved.get(segment, 0.0) if "moving_time_s" in model.memory else 0.0
-        # rounds that are repeated have the same ways home
-        key = (place, driven.settings, driven.speed_m_s, driven.instant, clock)
-        same.append(cache.setdefault(key, position))
-        if same[-1] == position and (way := homing.from_place(place, driven)):
-            _append(world, homing, way, clock, legs, rows, states, owner, position)
+            end = last_row[0].leg
+            ended = legs[end].kind != "roll"
+        driven, place, key = driven_at[end], legs[end].place, None
+        if end >= 0 and ended and driven is not None and homing.ways(place) is not None:
+            clock = moved.get(segment, 0.0) if "moving_time_s" in model.memory else 0.0
+            # rounds that are repeated have the same ways home
+            key = place, driven.settings, driven.speed_m_s, driven.instant, clock
+            if key not in ways:
+                ways[key] = homing.from_place(place, driven) or []
+        keys.append(key)
     batteries = model.batteries
-    totals = {name: np.zeros(max(1, len(wanted))) for name in batteries}
-    if rows:
-        answer = yield Asked(rows, legs, list(states), values)
+    energy = {name: np.zeros(len(ways)) for name in batteries}
+    asked, owner = _rows(world, homing, ways, values)
+    if asked.rows:
+        answer = yield asked
         for name, terms in answer.energies.items():
             for joules in terms.values():
-                totals[name] += np.bincount(np.array(owner), weights=joules, minlength=len(wanted))
+                energy[name] += np.bincount(owner, weights=joules, minlength=len(ways))
+    number = {key: i for i, key in enumerate(ways)}
     result: list[dict[str, float | None]] = [
-        {name: float(totals[name][same[i]]) / 3600.0 if known[i] else None for name in batteries}
-        for i in range(len(wanted))
+        {name: None if key is None else float(energy[name][number[key]]) / 3600.0 for name in batteries} for key in keys
     ]
     return result or [dict.fromkeys(batteries)]
 
 
-def _append(
-    world: World,
-    homing: Homing,
-    way: list[Leg],
-    clock: float,
-    legs: list[Leg],
-    rows: list[Row],
-    states: dict[tuple[float, ...], int],
-    owner: list[int],
-    position: int,
-) -> None:
-    """Rows of one way home."""
-    base = len(legs)
-    legs.extend(way)
-    now, first = 0.0, True
-    units = dict(world.board.closure(way[0].settings.sensors))
-    units |= {name: info.units for name, info in world.board.infos.items() if info.always_on}
-    on = [float(units.get(name, 0)) for name in world.recorder.components]
-    width = len(on)
-    state = states.setdefault((*on, *([0.0] * (2 * width))), len(states))
-    for step in group(way, homing.limits):
-        for phase in step.phases:
-            if phase.duration_s <= 0.0:
-                continue
-            rows.append(Row(now, phase.duration_s, base + phase.leg, phase, 0.0, state, clock + now, first, ()))
-            owner.append(position)
-            now += phase.duration_s
-            first = False
+def _rows(
+    world: World, homing: Homing, ways: Mapping[Any, list[Leg]], values: Mapping[str, Any]
+) -> tuple[Asked, list[int]]:
+    """Rows of all ways home, and the number of the way that each belongs to."""
+    legs: list[Leg] = []
+    rows: list[Row] = []
+    owner: list[int] = []
+    states: dict[tuple[float, ...], int] = {}
+    always = {name: float(info.units) for name, info in world.board.infos.items() if info.always_on}
+    for number, (key, way) in enumerate(ways.items()):
+        if not way:
+            continue
+        now, base = 0.0, len(legs)
+        units = {**world.board.closure(way[0].settings.sensors), **always}
+        on = [float(units.get(name, 0)) for name in world.recorder.components]
+        state = states.setdefault((*on, *([0.0] * (2 * len(on)))), len(states))
+        for step in group(way, homing.limits):
+            for phase in step.phases:
+                if phase.duration_s > 0.0:
+                    leg, moving_s = base + phase.leg, key[-1] + now
+                    rows.append(Row(now, phase.duration_s, leg, phase, 0.0, state, moving_s, now == 0.0, ()))
+                    owner.append(number)
+                    now += phase.duration_s
+        legs += way
+    return Asked(rows, legs, list(states), values), owner
 
 
 def _moving_times(world: World) -> dict[int, float]:
     """Time moved until the end of each segment [s]."""
-    result: dict[int, float] = {}
-    for row in world.recorder.rows:
-        segment = world.legs[row.leg].segment
-        result[segment] = row.moving_time_s + (row.duration_s if row.phase.moving else 0.0)
-    return result
+    return {
+        world.legs[row.leg].segment: row.moving_time_s + (row.duration_s if row.phase.moving else 0.0)
+        for row in world.recorder.rows
+    }
