@@ -117,7 +117,8 @@ def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunRe
     physics = site.physics
     kept = physics.reserve_wh
     margin, ahead = np.zeros(len(kept)), 0.0
-    first = told_of = None
+    first = told_of = low = enough = None
+    best: tuple[Answer, RunResult] | None = None
     for attempt in range(TRIES):
         physics.reserve_wh = kept + margin
         try:
@@ -143,24 +144,39 @@ def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunRe
                 "deadline_s": ahead,
             }
             # each limit is to hold often enough, and all of them together
-            share = 1.0 - (1.0 - asked) / (2.0 if attempt == 0 else 2.0 + attempt)
-            short = np.array([np.nanquantile(-columns[f"margin_{name}_wh"], share) for name in physics.names])
+            each = [-columns[f"margin_{name}_wh"] for name in physics.names]
+            limits = max(1, sum(float(np.nanquantile(lacking, asked)) > 0.0 for lacking in each))
+            share = 1.0 - (1.0 - asked) / (limits + 1 + attempt)
+            short = np.array([np.nanquantile(lacking, share) for lacking in each])
             late = max(0.0, float(np.nanquantile(columns["duration_s"], share)) - site.deadline_s)
-        if good or answer.stopped:
-            return answer, run
-        if not (short > 0.0).any() and not late:
+        now = np.append(margin, ahead)
+        if good:
+            enough = now
+            if best is None or answer.objective < best[0].objective:
+                best = answer, run
+        else:
+            low = now
+        if answer.stopped or (good and (asked is None or low is None)):
+            return best or (answer, run)
+        if enough is not None and low is not None:  # the cheapest plan lies between too little and enough
+            now = 0.5 * (low + enough)
+        elif not (short > 0.0).any() and not late:
             break
-        margin, ahead = margin + np.maximum(short, 0.0) * (1.0 + SAME), ahead + late
+        else:
+            now = now + np.append(np.maximum(short, 0.0), late) * (1.0 + SAME)
+        margin, ahead = now[:-1], float(now[-1])
+    if best is not None:
+        return best
     if first is None:
         return Answer(site, False, notes=found.notes, extra=found.extra), None
     if told_of is None or asked is None:
         why = run.reason or "too late, or outside a window"
         note = f"the plan found does not hold when it is simulated ({why}), and within margins for that there is none"
         return Answer(site, False, notes=[note]), None
-    best = told_of if found.feasible else first.extra["probability"]
+    surest = told_of if found.feasible else first.extra["probability"]
     note = f"no plan was found that holds in {100 * asked:g} % of the draws"
-    extra = {"probability": best | {"asked": asked}}
-    return Answer(site, False, notes=[f"{note}, the surest holds in {100 * best['value']:.2f} %"], extra=extra), None
+    extra = {"probability": surest | {"asked": asked}}
+    return Answer(site, False, notes=[f"{note}, the surest holds in {100 * surest['value']:.2f} %"], extra=extra), None
 
 
 def _short(answer: Answer, run: RunResult) -> Array:

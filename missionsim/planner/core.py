@@ -305,32 +305,29 @@ def quick(
     outcome = Outcome(objective=best)
     room = bounds.room
     layer = list(starts)
-    while layer:
-        ranked: list[tuple[float, int, Label]] = []
-        try:
-            for label in layer:
-                for value, new in expand(network, label, bounds, room, outcome.objective):
-                    ranked.append((value, len(ranked), new))
-        except KeyboardInterrupt:
-            outcome.interrupted = True
-            return outcome
-        layer = []
-        fronts: dict[int, _Front] = {}
-        heapq.heapify(ranked)
-        while ranked and len(layer) < width:
-            value, number, label = heapq.heappop(ranked)
-            if value >= outcome.objective:
+    try:
+        while layer:
+            fresh = [new for label in layer for new in expand(network, label, bounds, room, outcome.objective)]
+            ranked = [(value, number, new) for number, (value, new) in enumerate(fresh)]
+            heapq.heapify(ranked)
+            layer = []
+            fronts: dict[int, _Front] = {}
+            while ranked and len(layer) < width:
+                value, number, label = heapq.heappop(ranked)
+                if value >= outcome.objective:
+                    break
+                if not label.ready:
+                    heapq.heappush(ranked, (_settle(network, label, bounds, room), number, label))
+                elif goal(label.node):
+                    outcome.label, outcome.objective = label, float(label.points[:, 0].min())
+                elif fronts.setdefault(label.node, _Front(label.points.shape[1])).add(bounds.sheared(label.points)):
+                    layer.append(label)
+            outcome.labels += len(layer)
+            if watch is not None and watch(outcome, len(layer)):
+                outcome.interrupted = True
                 break
-            if not label.ready:
-                heapq.heappush(ranked, (_settle(network, label, bounds, room), number, label))
-            elif goal(label.node):
-                outcome.label, outcome.objective = label, float(label.points[:, 0].min())
-            elif fronts.setdefault(label.node, _Front(label.points.shape[1])).add(bounds.sheared(label.points)):
-                layer.append(label)
-        outcome.labels += len(layer)
-        if watch is not None and watch(outcome, len(layer)):
-            outcome.interrupted = True
-            break
+    except KeyboardInterrupt:
+        outcome.interrupted = True
     return outcome
 
 

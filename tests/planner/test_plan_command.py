@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
 
 import missionsim
 from missionsim.cli.app import run_command
+from missionsim.inputs.loading import load_task
+from missionsim.planner.chance import plan_task
 
 TWO = "visits=[{place: pump, inspect: 20 s}, {place: shed, wait: 10 s}]"
 
@@ -234,3 +237,44 @@ def test_slopes_that_lead_downhill_all_the_way_round_are_told(
     assert run_command(words) == 2
     told = capsys.readouterr().err
     assert "do not close" in told
+
+
+@pytest.mark.parametrize("interrupt", [False, True])
+def test_a_search_that_is_stopped_gives_its_best_plan_with_the_gap(root: Path, interrupt: bool) -> None:
+    settings = [("robot.batteries.drive.capacity", "5 Wh"), ("choose.docks", "all"), tuple(TWO.split("=", 1))]
+    task = load_task(root / "missions/planning/inspection.yaml", settings)
+    best, _ = plan_task(task)
+
+    def watch(what: str, objective: float, bound: float) -> bool:
+        if interrupt and math.isfinite(objective):
+            raise KeyboardInterrupt
+        return math.isfinite(objective)
+
+    early, run = plan_task(task, watch)
+    assert early.feasible
+    assert early.stopped
+    assert run is not None
+    assert run.feasible
+    assert "was stopped" in early.claim
+    assert early.bound <= best.objective * (1 + 1e-9)
+    assert early.objective >= best.objective * (1 - 1e-9)
+    assert early.gap > 0.0 or early.objective == pytest.approx(best.objective, rel=1e-9)
+
+
+@pytest.mark.study
+def test_a_plan_holds_as_often_as_is_asked_and_the_one_without_is_cheaper_and_fails_more(
+    root: Path, tmp_path: Path
+) -> None:
+    reserve, held = "within.reserve={drive: 66 %}", {}
+    for name, more in (("plain", ()), ("sure", ("within.with_probability=0.95",))):
+        held[name] = plan(root, tmp_path, reserve, *more)
+        target = tmp_path / "draws.json"
+        words = ["montecarlo", str(tmp_path / "mission.yaml"), "--runs", "20000", "--seed", "5", "--json", str(target)]
+        assert run_command([*words, "--quiet"]) in (0, 1)
+        held[name]["draws"] = json.loads(target.read_text())["p_feasible"]
+    assert held["sure"]["draws"]["high"] >= 0.95
+    assert held["plain"]["draws"]["high"] < held["sure"]["draws"]["low"]
+    assert held["plain"]["objective"] < held["sure"]["objective"]
+    told = held["sure"]["probability"]
+    assert told["low"] <= held["sure"]["draws"]["high"]
+    assert held["sure"]["draws"]["low"] <= told["high"]
