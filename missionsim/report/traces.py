@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.errors import visible
 from missionsim.report.page import COLOURS, Block, Chart, Choice, Paragraph
 
 MEASURED, MODEL, FITTED = COLOURS[:3]
@@ -98,5 +99,5 @@ def shared_indices(series: list[NDArray[np.float64]], points: int) -> NDArray[np
 
 
 def literal(text: str) -> str:
-    """A name for Matplotlib, which takes what stands between dollar signs for mathematics."""
-    return text.replace("$", r"\$")
+    """A name for Matplotlib, which takes what stands between dollar signs for mathematics; no control signs."""
+    return visible(text).replace("$", r"\$")

@@ -107,6 +107,7 @@ COMMANDS: dict[str, Commands] = {
 }  # fmt: skip
 
 
+@pytest.mark.filterwarnings("error:Glyph")
 @pytest.mark.parametrize("name", COMMANDS)
 def test_names_are_shown_as_they_are(
     name: str, mission: Path, log: Path, site: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
