@@ -162,7 +162,7 @@ def _offset(runs: Sequence[Driven], battery: str) -> dict[str, str]:
     return {
         one.run.run: f"power_{battery}_w lies {apart[1]:+.2g} W beside the other runs, at rest and in motion: {why}"
         for one, apart in zip(runs, beside, strict=True)
-        if abs(apart[1]) > OFFSET * mean
+        if abs(apart[1]) > max(OFFSET * mean, _spread(one, battery))
         and 0.5 < (apart[2] if np.isnan(apart[0]) else apart[0]) / apart[1] < 2.0
         and bool((np.abs(apart) > SCATTER * np.array(scatter)).any())
         and not _explained(one, runs, battery, float(apart[1]))
@@ -177,6 +177,12 @@ def _levels(driven: Driven, battery: str) -> dict[tuple[object, ...], tuple[floa
     kinds, which = np.unique(states, axis=0, return_inverse=True)
     groups = ((tuple(kind), gap[which.ravel() == i]) for i, kind in enumerate(kinds))
     return {kind: (float(np.median(rows)), len(rows)) for kind, rows in groups if len(rows) >= (15 if kind[0] else 5)}
+
+
+def _spread(driven: Driven, battery: str) -> float:
+    """How far measured less modelled power scatters in motion; what a model far from right leaves is no offset."""
+    gap = (driven.measured_w[battery] - driven.model_w[battery])[np.asarray(is_moving(driven.covariates), dtype=bool)]
+    return 1.4826 * float(np.median(np.abs(gap - np.median(gap)))) if len(gap) else 0.0
 
 
 def _towards_rest(driven: Driven, battery: str) -> float:

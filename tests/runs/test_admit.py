@@ -10,12 +10,14 @@ import pytest
 
 import missionsim
 from missionsim.cli.app import run_command
+from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
-from missionsim.logs import Remark
+from missionsim.logs import Remark, read_logs
 from missionsim.runs.admit import admit, unchanging
 from missionsim.runs.run import Run
 from tests.diagnose.logs import drive
+from tests.rough.world import WORLDS, write
 
 
 @pytest.fixture(scope="module")
@@ -133,3 +135,14 @@ def test_what_a_logged_load_explains_is_no_offset_of_a_meter(runs: list[Run], el
         heated.append(replace(run, power_w=power, columns={**run.columns, "heater_w": heater}))
     assert told(heated) == []
     assert len(told([*heated[:4], replace(heated[4], columns=runs[4].columns)])) == 1
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("floors", 1), ("heater", 6), ("heater", 2), ("wander", 2)])
+def test_rough_runs_are_no_spoilt_ones(kind: str, seed: int, tmp_path: Path) -> None:
+    """Floors, a heater, an arm that no robot file knows: no run has another unit, nor a meter that is off."""
+    world = WORLDS[kind]
+    train, _ = write(kind, seed, tmp_path)
+    new = NewRobot("own", "c2*v**2 + c3*v + c4", mass=f"{world.mass_kg} kg", drive=world.drive)
+    rough = read_logs([train])
+    (tmp_path / "own.yaml").write_text(calibrate_new(new, rough).text, encoding="utf-8")
+    assert admit(rough, build_power_model(load_robot(tmp_path / "own.yaml")))[1] == []
