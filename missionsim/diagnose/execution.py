@@ -7,7 +7,7 @@ numbers scatter; a Student interval over runs says which differ from the plan (r
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,7 @@ class ExecutionEffect:
     p_value: float
     unit: str
     energy_share: float
+    _: KW_ONLY
     found: bool
     reason: str
 
@@ -171,7 +172,9 @@ def _ratio(effect: str, scheme: str, ratios: NDArray[np.float64], share: float, 
     away = abs(value - 1.0) > ODOMETRY_SCALE
     found = bool(p < level and away)
     reason = _reason(found, p, level, len(ratios), "closer to the plan than an odometer's scale" if not away else "")
-    return ExecutionEffect(effect, scheme, value, float(np.exp(low)), float(np.exp(high)), p, "1", share, found, reason)
+    return ExecutionEffect(
+        effect, scheme, value, float(np.exp(low)), float(np.exp(high)), p, "1", share, found=found, reason=reason
+    )
 
 
 def _seconds(scheme: str, seconds: NDArray[np.float64], share: float, level: float) -> ExecutionEffect:
@@ -182,7 +185,16 @@ def _seconds(scheme: str, seconds: NDArray[np.float64], share: float, level: flo
     if middle < -SHORTEST_DWELL_S:
         why = "stood still for less time than planned"
     return ExecutionEffect(
-        "dwell", scheme, middle, low, high, p, "s", share, found, _reason(found, p, level, len(seconds), why)
+        "dwell",
+        scheme,
+        middle,
+        low,
+        high,
+        p,
+        "s",
+        share,
+        found=found,
+        reason=_reason(found, p, level, len(seconds), why),
     )
 
 

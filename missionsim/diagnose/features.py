@@ -6,7 +6,7 @@ Everything is evaluated at the raw rate of the log; the identification averages 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -73,6 +73,7 @@ class Features:
     effects: Mapping[str, Effect]
     untestable: Mapping[str, tuple[str, ...]]
     remarks: tuple[str, ...]
+    _: KW_ONLY
     covariates: tuple[Mapping[str, Any], ...]
     unlogged: tuple[str, ...] = ()
     steady: Mapping[str, float] = field(default_factory=dict)
@@ -149,9 +150,9 @@ def make_features(
         effects,
         untestable,
         tuple(dict.fromkeys(ready.remarks)),
-        tuple(covariates),
-        ready.unknown,
-        steady,
+        covariates=tuple(covariates),
+        unlogged=ready.unknown,
+        steady=steady,
     )
 
 
@@ -283,9 +284,9 @@ def _add_columns(effect: Effect, runs: Covariates, columns: list[dict[str, Array
         shape,
         None,
         refit,
-        effect.covariate,
-        levels,
-        {spec.name: (spec.low, spec.high) for spec in effect.shape if shape},
+        covariate=effect.covariate,
+        levels=levels,
+        shape_bounds={spec.name: (spec.low, spec.high) for spec in effect.shape if shape},
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import KW_ONLY, asdict, dataclass, replace
 from typing import Any
 
 from missionsim.diagnose.adopt import write
@@ -67,6 +67,7 @@ class Improved:
     heldout: bool
     first: BatteryDiagnosis
     last: BatteryDiagnosis
+    _: KW_ONLY
     stopped: str
 
     def to_json(self) -> dict[str, Any]:
@@ -168,7 +169,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         bool(heldout),
         first,
         last,
-        _why(last, declined),
+        stopped=_why(last, declined),
     )
 
 

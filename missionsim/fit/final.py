@@ -7,7 +7,7 @@ was fitted to the energy agrees in all.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,6 +221,7 @@ class _System:
     energy_x: Array
     energy_y: float
     measured_w: Array
+    _: KW_ONLY
     runs: Sequence[RunData]
     source: Source
     clock: Clock
@@ -239,7 +240,9 @@ class _System:
             raw_y += _energy(run, run.base_w)
         x = np.asarray(design.gradient[: len(names)]).T
         left, seconds = design.y - design.base, design.duration_s
-        return cls(names, x, left, seconds, _clusters(design), raw_x, raw_y, design.y, data, source, clock)
+        return cls(
+            names, x, left, seconds, _clusters(design), raw_x, raw_y, design.y, runs=data, source=source, clock=clock
+        )
 
     def of_columns(self, names: list[str], scale: Sequence[float]) -> _System:
         """The columns of some parameters, each times a number."""

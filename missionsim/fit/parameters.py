@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -174,6 +174,7 @@ class ModelFit:
     before: Errors
     after: Errors
     explained: float
+    _: KW_ONLY
     runs: tuple[str, ...]
     seconds: float
     remarks: tuple[str, ...]
@@ -267,9 +268,9 @@ def fit_parameters(
         errors_of(given, logs, battery),
         after,
         explained(after, ready),
-        tuple(log.run for log in logs),
-        after.total.seconds,
-        tuple(dict.fromkeys([*ready.remarks, *remarks])),
+        runs=tuple(log.run for log in logs),
+        seconds=after.total.seconds,
+        remarks=tuple(dict.fromkeys([*ready.remarks, *remarks])),
     )
 
 

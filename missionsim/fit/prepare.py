@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,7 @@ class Prepared:
     gradients: tuple[Mapping[str, Array], ...]
     parameters: Mapping[str, ModelParameter]
     remarks: list[str]
+    _: KW_ONLY
     unknown: tuple[str, ...] = ()
     unknown_w: float = 0.0
 
@@ -100,7 +101,7 @@ class Prepared:
             slopes = {name: np.where(broken, 0.0, values) for name, values in slopes.items()}
         watched = _watched(driven, self.names, self.texts)
         fresh = run.fresh.get(self.battery)
-        return RunData(run.run, run.time_s, run.dt_s, measured, base_w, slopes, columns, watched, fresh)
+        return RunData(run.run, run.time_s, run.dt_s, measured, base_w, slopes, columns, watched, fresh=fresh)
 
 
 def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
@@ -133,6 +134,7 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
         for run, slopes in zip(runs, gradients, strict=True)
     ]
     names = _shared_names(runs, remarks)
+    unknown, unknown_w = _unknown(model, runs, battery, remarks)
     return Prepared(
         battery,
         tuple(runs),
@@ -142,7 +144,8 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
         tuple(gradients),
         model.parameters_of(battery),
         remarks,
-        *_unknown(model, runs, battery, remarks),
+        unknown=unknown,
+        unknown_w=unknown_w,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ class RunData:
     gradient: Mapping[str, Array] = field(default_factory=dict)
     columns: Mapping[str, Array] = field(default_factory=dict)
     covariates: Mapping[str, Array] = field(default_factory=dict)
+    _: KW_ONLY
     fresh: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
@@ -84,6 +85,7 @@ class Candidate:
     shape: tuple[Mapping[str, float], ...] = ()
     prior: str | None = None
     refit: Refit | None = None
+    _: KW_ONLY
     covariate: str = ""
     levels: tuple[str, ...] = ()
     shape_bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)

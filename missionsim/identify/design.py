@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,7 @@ class Design:
     gradient: Array
     phi: Array
     random: Array
+    _: KW_ONLY
     runs: tuple[slice, ...]
     stretches: tuple[slice, ...]
     names: tuple[str, ...]
@@ -121,6 +122,7 @@ class Source:
     """Numbers of the given runs that were long enough."""
     _root: Source | None = None
     """The source that this one varies, and the integral curves of the columns that differ."""
+    _: KW_ONLY
     _varied: dict[int, Array] = field(default_factory=dict)
     _kept_design: tuple[tuple[Clock, tuple[int, ...]], Design] | None = None
     _even: list[EvenGrid] | None = None
@@ -214,9 +216,9 @@ class Source:
             np.vstack([here[HEAD_ROWS : HEAD_ROWS + q], slope, bend, spread, switching]),
             here[HEAD_ROWS + q :] * scale[:, None],
             np.vstack([np.ones_like(base), base, motion, slope, bend]),
-            frame.runs,
-            frame.stretches,
-            tuple(r.run for r in self.runs),
+            runs=frame.runs,
+            stretches=frame.stretches,
+            names=tuple(r.run for r in self.runs),
         )
 
     def _rows(self) -> Frame:

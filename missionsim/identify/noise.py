@@ -10,7 +10,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -194,6 +194,7 @@ class Noise:
     sigma_w: float
     exponent: float
     offset_w: float
+    _: KW_ONLY
     gain: float
     motion_gain: float
     ramp_error: float
@@ -241,12 +242,12 @@ def start_noise(design: Design) -> Noise:
         sigma,
         0.0,
         0.005 * power,
-        0.005,
-        has_motion,
-        0.0,
-        0.0,
-        np.ones(n),
-        np.ones(n),
+        gain=0.005,
+        motion_gain=has_motion,
+        ramp_error=0.0,
+        switch_error=0.0,
+        weight=np.ones(n),
+        scale=np.ones(n),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 FAR_BETTER = 2.0 / 3.0
@@ -57,6 +57,7 @@ class Law:
     high: float
     energy_share: float
     behind_nats: float
+    _: KW_ONLY
     variables: tuple[str, ...]
     simulated: bool = True
 
@@ -131,6 +132,7 @@ class Proposal:
     share_sd: float
     rise_nats: float
     penalty_nats: float
+    _: KW_ONLY
     tried: int
     left_out_rmse_w: tuple[float, float]
     left_out_energy_pct: tuple[float, float]

@@ -120,14 +120,14 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Any) -> Prop
         float(np.hypot(seen.share_sd, SYSTEMATIC * fitted.share)),
         fitted.rise,
         fitted.penalty,
-        search.tried,
-        (was.without, seen.errors.with_law),
-        (was.energy_without, seen.errors.energy_with),
-        seen.errors.better,
-        seen.errors.acting,
-        _experiment(laws, curve, possible),
-        instead,
-        _twin(fitted, ground, found),
+        tried=search.tried,
+        left_out_rmse_w=(was.without, seen.errors.with_law),
+        left_out_energy_pct=(was.energy_without, seen.errors.energy_with),
+        better=seen.errors.better,
+        runs=seen.errors.acting,
+        experiment=_experiment(laws, curve, possible),
+        instead_of=instead,
+        looks_like=_twin(fitted, ground, found),
     )
     return Proposed(made, fitted, ground)
 
@@ -172,8 +172,8 @@ def _law(one: Scored, first: Scored, grammar: Grammar, fitted: Fitted, seen: Gat
         k + half,
         share,
         max(0.0, first.score - one.score),
-        grammar.variables(one.form),
-        grammar.simulated(one.form),
+        variables=grammar.variables(one.form),
+        simulated=grammar.simulated(one.form),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,7 @@ class Covariate:
     multiplies_speed: bool = False
     noisy_form: bool = False
     ramps: bool = False
+    _: KW_ONLY
     follows: str = ""
     assumed: str = ""
     text: bool = False

@@ -6,7 +6,7 @@ This is the only way to drive a model with a run, for compare, fits and the diag
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -84,6 +84,7 @@ class Driven:
     model_w: Mapping[str, NDArray[np.float64]]
     terms: Mapping[str, Mapping[TermKey, Any]]
     assumed: frozenset[str] = frozenset()
+    _: KW_ONLY
     unknown: frozenset[str] = frozenset()
 
     @property
@@ -258,7 +259,7 @@ def _evaluated(
         fresh = block.fresh.get(battery)
         if fresh is not None:
             measured[battery], modelled[battery] = _per_reading(block.power_w[battery], total, block.dt_s, fresh)
-    return Driven(block, cov["time_s"], model, cov, measured, modelled, terms, filled, unknown)
+    return Driven(block, cov["time_s"], model, cov, measured, modelled, terms, filled, unknown=unknown)
 
 
 def _per_reading(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -64,6 +64,7 @@ class Run:
     power_from: Mapping[str, str]
     source: str = ""
     remarks: tuple[Remark, ...] = field(default=(), compare=False)
+    _: KW_ONLY
     rates: Mapping[str, Floats] = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:

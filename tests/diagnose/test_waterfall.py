@@ -29,7 +29,7 @@ def improved(after_pct: float, runs: int = 1) -> Improved:
         Step("+ grade", after_pct, 0.57),
         Step("noise floor", 0.6, 0.34),
     )
-    return Improved("robot", "", ("grade",), (), steps, True, first, replace(first, effects=()), "stopped.")
+    return Improved("robot", "", ("grade",), (), steps, True, first, replace(first, effects=()), stopped="stopped.")
 
 
 def test_energy_note_is_silent_where_both_errors_fall() -> None:

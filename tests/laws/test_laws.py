@@ -152,9 +152,9 @@ def test_nothing_hidden_gives_no_formula(tmp_path: Path) -> None:
 def law(**changes: Any) -> Proposal:
     """A proposal as the search makes it."""
     form = Law("k * abs(yaw_rate_rad_s) * payload_kg", "k·|ω|·payload", "W s/rad/kg", 3.0, 2.5, 3.5, 0.05, 0.0,
-               ("yaw_rate_rad_s", "payload_kg"))  # fmt: skip
+               variables=("yaw_rate_rad_s", "payload_kg"))  # fmt: skip
     bent = Law("k * abs(yaw_rate_rad_s)**2 * payload_kg", "k·|ω|²·payload", "W s^2/rad^2/kg", 3.0, 2.5, 3.5, 0.05, 2.0,
-               ("yaw_rate_rad_s", "payload_kg"))  # fmt: skip
+               variables=("yaw_rate_rad_s", "payload_kg"))  # fmt: skip
     curve = Curve("yaw_rate_rad_s", "rad/s", (0.0, 0.5, 1.0), (0.0, 6.0, 12.0), (0.0, 5.0, 9.0), (0.1, 7.0, 15.0),
                   {"payload_kg": 4.0}, 0.5)  # fmt: skip
     plain: dict[str, Any] = {
@@ -194,7 +194,7 @@ def test_a_law_in_plain_words() -> None:
     ],
 )
 def test_what_is_missing_has_a_name_in_words(formula: str, variables: tuple[str, ...], words: str) -> None:
-    form = Law(formula, "", "W", 1.0, 0.9, 1.1, 0.05, 0.0, variables)
+    form = Law(formula, "", "W", 1.0, 0.9, 1.1, 0.05, 0.0, variables=variables)
     told = sentences.law(law(laws=(form,), curve=None))
     assert told == f"{words} costs 5.0 % of the energy that the model does not know"
 
@@ -206,7 +206,18 @@ def test_a_form_is_asked_for_by_number_or_as_text() -> None:
         formula_of([law()], "3")
     with pytest.raises(InputError, match="propose no such form"):
         formula_of([], "1")
-    lagged = Law("k * max(lag(abs(speed_m_s), 30) - abs(speed_m_s), 0)", "", "N", 1.0, 0.9, 1.1, 0.05, 0.0, (), False)
+    lagged = Law(
+        "k * max(lag(abs(speed_m_s), 30) - abs(speed_m_s), 0)",
+        "",
+        "N",
+        1.0,
+        0.9,
+        1.1,
+        0.05,
+        0.0,
+        variables=(),
+        simulated=False,
+    )
     with pytest.raises(InputError, match="cannot simulate yet"):
         formula_of([law(laws=(lagged,))], "1")
 

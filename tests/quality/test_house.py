@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "missionsim"
-RULED = ("cli", "compare", "effects", "exchange", "importer", "inputs", "logs", "published", "report", "results")
-RULED += ("uncertainty",)
+RULED = ("cli", "compare", "diagnose", "effects", "exchange", "fit", "identify", "importer", "inputs", "laws", "logs")
+RULED += ("published", "report", "results", "runs", "uncertainty")
 """Rooms that keep the rules; what lies beside the rooms is one more, called ``""``."""
 MOST_LINES, MOST_POSITIONAL = 400, 8
 ANY = {
@@ -66,9 +66,10 @@ def positional(item: ast.ClassDef) -> int:
     return kinds.index("KW_ONLY") if "KW_ONLY" in kinds else len(fields)
 
 
-@pytest.mark.parametrize("room", RULED)
-def test_no_module_is_long(room: str) -> None:
-    sizes = {str(path.relative_to(PACKAGE)): len(path.read_text("utf-8").splitlines()) for path in modules(room)}
+def test_no_module_is_long() -> None:
+    every = PACKAGE.rglob("*.py")
+    sizes = {str(path.relative_to(PACKAGE)): len(path.read_text("utf-8").splitlines()) for path in every}
+    assert len(sizes) > 100
     assert {name: size for name, size in sizes.items() if size > MOST_LINES} == {}
 
 
