@@ -96,7 +96,7 @@ def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True) -
     if not best.feasible:
         use = np.array([most.duration_s, *most.energy_wh.values()])
         best = replace(most, site=site, objective=float(site.objective(use)), bound=0.0)
-    if most.gap > 0.0:
+    if most.objective - most.bound > 1e-9 * float(values.sum()):
         best.extra["assumed"] = ["more value may be possible"]
     return best
 
