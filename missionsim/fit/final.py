@@ -82,8 +82,8 @@ def final_fit(
 
     Least squares over means of about a second, each weighing its time, at the clock that was found; base parameters are
     held by their priors, which count against errors clustered by run; the energy of all runs agrees exactly. Rows as
-    they were logged take the place of the means where they clearly predict left-out rows better: an effect may act
-    otherwise in a jolt than over a second.
+    they were logged take the place of the means where an effect follows acceleration and they predict left-out rows
+    better: it may act otherwise in a jolt than over a second.
 
     Parameters
     ----------
@@ -105,7 +105,8 @@ def final_fit(
     plain, means = _fit(model, ready, prior_sd, clock, settings, fixed, keep_base)
     step = float(np.median(np.concatenate([run.dt_s for run in runs if battery in run.power_w])))
     rows = sum(run.rows for run in runs)
-    if means is None or step > 0.5 * settings.period_s or rows > MOST_ROWS:
+    jolts = any("accel_m_s2" in (*t.effect.needs, t.effect.covariate) for t in model.of(battery) if not t.base)
+    if means is None or not jolts or step > 0.5 * settings.period_s or rows > MOST_ROWS:
         return plain
     finer = replace(settings, period_s=step)
     other, raw = _fit(model, ready, prior_sd, clock, finer, fixed, keep_base)
