@@ -258,8 +258,9 @@ def case(regime: Regime, effect: str, share: float, seed: int) -> dict[str, obje
         file.write_text(robot_file(told, regime.file_sd), encoding="utf-8")
         if regime.calibrated:
             if regime.calibrated == "straight":  # a formula that lacks what the robot has
-                lines = [line for line in file.read_text(encoding="utf-8").splitlines() if "c2:" not in line]
-                file.write_text("\n".join([*lines, ""]), encoding="utf-8")
+                text = file.read_text(encoding="utf-8").replace("polynomial", 'expression\n  power: "c3*v + c4"')
+                text = "\n".join(line for line in text.splitlines() if "c2:" not in line) + "\n"
+                file.write_text(text.replace("  parameters:", "  standing: standing\n  parameters:"), encoding="utf-8")
             command = ["calibrate", str(folder / "logs"), "--robot", str(file), "--out", str(folder / "mine.yaml")]
             run_command([*command, "--quiet"])
             file = folder / "mine.yaml"
