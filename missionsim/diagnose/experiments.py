@@ -73,7 +73,9 @@ def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained
     """What tells the effects apart that these data cannot; else, of a structure that is `left`, what shows its form."""
     proposed: list[Experiment] = []
     nan = float("nan")
+    # no drive tells a load from an effect where its switch is not logged or its column stuck
     known = {candidate.effect for candidate in bench.features.candidates}
+    known -= {name for candidate in bench.features.candidates for name in candidate.never_on}
     for effect in effects:
         rivals = [name for name in effect.indistinguishable_from if name in known]
         unlogged = [name for name in effect.indistinguishable_from if name not in known]

@@ -16,7 +16,7 @@ from missionsim.effects.base import Effect
 from missionsim.effects.families import FLOORS, floors_effect, logged_power_columns
 from missionsim.effects.library import all_effects, execution_effects
 from missionsim.effects.model import ModelParameter, PowerModel
-from missionsim.fit.prepare import Prepared, prepare
+from missionsim.fit.prepare import Prepared, never_on, prepare
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.settings import SLOW_ROWS_S, SPEED_AGREE, SPEED_NOISY, SPEED_ROWS
 from missionsim.runs.covariates import is_switch, logged_name
@@ -136,9 +136,8 @@ def make_features(
         if candidate.covariate not in names or candidate.covariate.startswith(("on_time_", "starts")):
             candidate = replace(candidate, covariate=logged_name(candidate.covariate))
         if not effect.drive:
-            candidate = replace(
-                candidate, unlogged=(tuple(f"component_power:{c}" for c in ready.unknown), ready.unknown_w)
-            )
+            unlogged = tuple(f"component_power:{c}" for c in ready.unknown), ready.unknown_w
+            candidate = replace(candidate, unlogged=unlogged, never_on=never_on(model, ready))
         candidates.append(_with_twin(candidate, columns, ready.gradients))
     data = ready.data(columns)
     return Features(

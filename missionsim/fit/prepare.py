@@ -172,10 +172,7 @@ def _unknown(
     model: PowerModel, runs: Sequence[Driven], battery: str, remarks: list[str]
 ) -> tuple[tuple[str, ...], float]:
     """The components whose switching neither logs nor schemes tell, and their power together [W]."""
-    unknown: set[str] = set().union(*(run.unknown for run in runs))
-    terms = tuple(term for term in model.of(battery) if term.effect.covariate in unknown)
-    drawn = replace(model, terms=terms).evaluate(dict.fromkeys(unknown, 1.0), battery=battery)[battery]
-    power = {key.component: abs(float(w)) for key, w in drawn.items() if abs(float(w)) > 0.0}
+    power = _switched_w(model, battery, set().union(*(run.unknown for run in runs)))
     watts = sum(power.values())
     measured = np.concatenate([run.run.power_w[battery] for run in runs])
     if watts < FAINT_LOAD * abs(float(np.nanmean(measured))):
@@ -186,6 +183,21 @@ def _unknown(
             "named with confidence; log its on_<component> column, or the control scheme"
         )
     return tuple(power), watts
+
+
+def _switched_w(model: PowerModel, battery: str, switches: set[str]) -> dict[str, float]:
+    """What each component draws [W] while its switch is on; those that draw nothing are left out."""
+    terms = tuple(term for term in model.of(battery) if term.effect.covariate in switches)
+    drawn = replace(model, terms=terms).evaluate(dict.fromkeys(switches, 1.0), battery=battery)[battery]
+    return {key.component: abs(float(w)) for key, w in drawn.items() if abs(float(w)) > 0.0}
+
+
+def never_on(model: PowerModel, ready: Prepared) -> dict[str, float]:
+    """Effects of the components whose switch is logged and never on, and what each draws [W]: is the column stuck?"""
+    switches = {name for name in ready.names if is_switch(name)}
+    still = {name for name in switches if not any(np.any(run.covariates[name]) for run in ready.runs)}
+    logged = {name for name in still if not any(name in run.assumed for run in ready.runs)}
+    return {f"component_power:{name}": w for name, w in _switched_w(model, ready.battery, logged).items()}
 
 
 def _named(runs: Sequence[str]) -> str:

@@ -75,6 +75,8 @@ class Candidate:
     shape_bounds : lowest and highest value of each shape parameter for the refit
     unlogged : loads of which nothing tells when they were on and that may be what this effect explains, with their
         power together [W]
+    never_on : loads whose switch is logged and never on, with their power [W]: an effect of about that size may be one
+        of them, and the column stuck
     """
 
     effect: str
@@ -90,6 +92,7 @@ class Candidate:
     levels: tuple[str, ...] = ()
     shape_bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     unlogged: tuple[tuple[str, ...], float] = ((), 0.0)
+    never_on: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

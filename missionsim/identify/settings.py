@@ -161,6 +161,8 @@ RUN_LEVEL = 0.05
 """Level at which an effect counts as repeated across runs in words."""
 BESIDE_RUN_LEVEL = 0.005
 """p over runs from which on a second effect whose cause is constant within runs may be a misfit of the larger one."""
+NEVER_ON_PART = 0.3
+"""Part of a load that its log says was never on from which on an effect up to its whole size may be that load."""
 POWER_Z = 0.84
 """Normal quantile of a power of 80 %, at which detection limits are told."""
 WORSE_ENERGY_LEVEL = 0.01

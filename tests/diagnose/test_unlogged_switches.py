@@ -1,4 +1,4 @@
-"""Logs without `on_<component>` columns: what follows from schemes is used, what is unknown is named by nobody."""
+"""Logs without `on_<component>` columns or with stuck ones: schemes are used, what is unknown is named by nobody."""
 
 from __future__ import annotations
 
@@ -84,3 +84,15 @@ def test_what_an_unlogged_load_imitates_is_not_named(tmp_path: Path) -> None:
         assert "component_power:camera" in effect.indistinguishable_from
     assert not found.proposed_laws
     assert any("camera" in note and "on_<component>" in note for note in found.remarks)
+
+
+def test_a_column_stuck_at_zero_makes_nobody_sure(shared: Path, tmp_path: Path) -> None:
+    """The camera makes the processor work; with its column stuck at 0 the processor alone must not be named."""
+    for path in sorted((shared / "practice" / "nothing-0" / "train").glob("*.csv")):
+        table = pd.read_csv(path)
+        table["on_kinect"] = 0
+        table.to_csv(tmp_path / path.name, index=False)
+    found = diagnose_files("pioneer3dx", [tmp_path]).batteries["robot"]
+    assert found.verdict == "ambiguous"
+    assert found.effects[0].indistinguishable_from == ("component_power:kinect",)
+    assert "on_kinect" in found.next_experiments[0].do
