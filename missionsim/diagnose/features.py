@@ -131,13 +131,14 @@ def make_features(
     columns: list[dict[str, Array]] = [{} for _ in ready.runs]
     charged = float(np.mean(ready.measured_w() < 0.0))
     candidates: list[Candidate] = []
+    unlogged = tuple(f"component_power:{c}" for c in ready.unknown), ready.unknown_w
+    off = never_on(model, ready)
     for effect in effects.values():
         candidate = _add_columns(effect, covariates, columns, charged)
         if candidate.covariate not in names or candidate.covariate.startswith(("on_time_", "starts")):
             candidate = replace(candidate, covariate=logged_name(candidate.covariate))
         if not effect.drive:
-            unlogged = tuple(f"component_power:{c}" for c in ready.unknown), ready.unknown_w
-            candidate = replace(candidate, unlogged=unlogged, never_on=never_on(model, ready))
+            candidate = replace(candidate, unlogged=unlogged, never_on=off)
         candidates.append(_with_twin(candidate, columns, ready.gradients))
     data = ready.data(columns)
     return Features(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from missionsim.identify.data import Candidate
 from missionsim.identify.evidence import (
@@ -46,6 +47,12 @@ class Question:
         # the misfit of another effect goes either way, whatever sign physics gives
         beside = len(self.model.chosen) > 1
         return float(tails(self.constraints, self.settings, beside)[self.evidence.column])
+
+    @cached_property
+    def left_out(self) -> tuple[bool, float]:
+        """Whether left-out runs are predicted better with the effect, and the p-value that their energy is no worse."""
+        own = self.constraints.effect[self.evidence.column]
+        return predicts_left_out(self.model, [k for k in self.model.chosen if self.constraints.effect[k] == own])
 
 
 @dataclass(frozen=True)
@@ -90,16 +97,11 @@ GATES: tuple[Gate, ...] = (
 
 
 def _power_left_out(q: Question) -> bool:
-    return predicts_left_out(q.model, _columns(q))[0]
+    return q.left_out[0]
 
 
 def _energy_left_out(q: Question) -> bool:
-    return predicts_left_out(q.model, _columns(q))[1] > WORSE_ENERGY_LEVEL
-
-
-def _columns(q: Question) -> list[int]:
-    own = q.constraints.effect[q.evidence.column]
-    return [k for k in q.model.chosen if q.constraints.effect[k] == own]
+    return q.left_out[1] > WORSE_ENERGY_LEVEL
 
 
 LAST_GATES: tuple[Gate, ...] = (
