@@ -40,6 +40,7 @@ from missionsim.report.traces import (
     one_of,
     over_time,
     shared_indices,
+    tiles,
 )
 
 TOTAL_POINTS = 120_000
@@ -129,7 +130,7 @@ def _where(one: BatteryComparison) -> list[Block]:
         parts = [100.0 * d.explained for d in shown]
         hover = "%{y}: %{x:.1f} %<extra></extra>"
         layout = {
-            "xaxis": axis("part of the error's variance that goes with it, %", rangemode="tozero"),
+            "xaxis": axis("part of the error's variance, %", rangemode="tozero"),
             "hovermode": "closest",
             "margin": {"l": 180, **MARGIN},
         }
@@ -258,19 +259,18 @@ def _progress(one: BatteryComparison) -> list[Block]:
 
 def _map(one: BatteryComparison) -> list[Block]:
     found = error_map(one.places)
-    heat: Trace = {
-        "type": "heatmap",
-        "x": found.x_m,
-        "y": found.y_m,
-        "z": found.error_w,
-        "customdata": found.seconds,
-        "colorscale": [[i / (len(DIVERGING) - 1), colour] for i, colour in enumerate(DIVERGING)],
-        "zmin": -found.limit_w,
-        "zmax": found.limit_w,
-        "hoverongaps": False,
-        "colorbar": axis("error, W"),
-        "hovertemplate": "x %{x:.2f} m, y %{y:.2f} m: %{z:.3g} W, %{customdata:.0f} s<extra></extra>",
-    }
+    cells = one.places
+    heat = tiles(
+        np.array([c.x_m for c in cells]),
+        np.array([c.y_m for c in cells]),
+        np.array([-c.gap_j / c.seconds for c in cells]),
+        size=cells[0].width_m,
+        limit=found.limit_w,
+        colours=DIVERGING,
+        bar=axis("error, W"),
+        hovertext=[f"{c.value}: {-c.gap_j / c.seconds:.3g} W, {c.seconds:.0f} s" for c in cells],
+        hovertemplate="%{hovertext}<extra></extra>",
+    )
     layout = {
         "xaxis": axis("x, m", constrain="domain"),
         "yaxis": axis("y, m", scaleanchor="x", constrain="domain"),
@@ -287,15 +287,16 @@ def _behaviour(one: BatteryComparison) -> list[Block]:
     mission = one.mission
     assert mission is not None
     gap = one.gap_wh
+    steps = [gap["power_model"] or 0.0, *(mission.part_wh(part) for part in PARTS)]
     waterfall: Trace = {
-        "type": "waterfall",
+        "type": "bar",
         "x": ["power model", *(PART_TITLES[part] for part in PARTS), "measured minus simulated"],
-        "y": [gap["power_model"], *(mission.part_wh(part) for part in PARTS), gap["total"]],
-        "measure": ["relative"] * (1 + len(PARTS)) + ["total"],
-        "hovertemplate": "%{x}: %{delta:+.4g} Wh<extra></extra>",
+        "y": [*steps, gap["total"]],
+        "base": [*np.cumsum([0.0, *steps[:-1]]), 0.0],
+        "marker": {"color": [*(MODEL if step > 0.0 else MEASURED for step in steps), RESIDUAL]},
+        "hovertemplate": "%{x}: %{customdata:+.4g} Wh<extra></extra>",
+        "customdata": [*steps, gap["total"]],
     }
-    for which, colour in (("increasing", MODEL), ("decreasing", MEASURED), ("totals", RESIDUAL)):
-        waterfall[which] = {"marker": {"color": colour}}
     layout = {"yaxis": axis("energy, Wh", zeroline=True), "hovermode": "closest"}
     caption = (
         "The gap between measured and simulated energy: what the power model misses and what the robot did otherwise."

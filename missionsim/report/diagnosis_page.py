@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from missionsim.diagnose import sentences, words
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
 from missionsim.identify.proposed import QUANTITY
@@ -40,6 +42,7 @@ from missionsim.report.traces import (
     one_of,
     over_time,
     shared_indices,
+    tiles,
 )
 
 TONES: dict[str, Tone] = {
@@ -48,7 +51,7 @@ TONES: dict[str, Tone] = {
     "ambiguous": "warn",
     "unexplained_structure": "bad",
 }
-TOTAL_POINTS = 90_000
+TOTAL_POINTS = 60_000
 MOST_RUNS = 30
 MOST_ALIKE = 14
 
@@ -300,19 +303,34 @@ def _alike(battery: BatteryDiagnosis) -> Chart:
         for name, r in row.items():
             most[name] = max(most.get(name, 0.0), abs(r))
     others = sorted(most, key=lambda name: -most[name])[:MOST_ALIKE]
-    values = [[1.0 if a == b else battery.confounding[a].get(b) for b in others] for a in found]
-    heat: Trace = {
-        "type": "heatmap",
-        "x": [label(n) for n in others],
-        "y": [label(n) for n in found],
-        "zmin": -1,
-        "zmax": 1,
-        "z": values,
-        "texttemplate": "%{z:.2f}",
-        "colorscale": [[0, "#d55e00"], [0.5, "#f4f6f8"], [1, "#0072b2"]],
-        "hovertemplate": "%{y} and %{x}: r = %{z:.2f}<extra></extra>",
+    known = battery.confounding
+    alike = [
+        (x, y, 1.0 if a == b else known[a][b])
+        for y, a in enumerate(found)
+        for x, b in enumerate(others)
+        if a == b or known[a].get(b) is not None
+    ]
+    x, y, r = np.array(alike).T
+    heat = tiles(
+        x,
+        y,
+        r,
+        size=1.0,
+        limit=1.0,
+        colours=("#d55e00", "#f4f6f8", "#0072b2"),
+        text=[f"{value:.2f}" for value in r],
+        textposition="inside",
+        insidetextanchor="middle",
+        textangle=0,
+        hovertext=[f"{found[int(j)]} and {others[int(i)]}: r = {value:.2f}" for i, j, value in alike],
+        hovertemplate="%{hovertext}<extra></extra>",
+    )
+    layout = {
+        "xaxis": axis("", tickvals=list(range(len(others))), ticktext=[label(n) for n in others], showgrid=False),
+        "yaxis": axis("", tickvals=list(range(len(found))), ticktext=[label(n) for n in found], showgrid=False),
+        "hovermode": "closest",
+        "margin": {"l": 200, "r": 16, "t": 36, "b": 160},
     }
-    layout = {"hovermode": "closest", "margin": {"l": 200, "r": 16, "t": 36, "b": 160}}
     caption = (
         "How alike the effects found and others look in these data once recalibration is allowed for: at 1 they look "
         "the same, at 0 they have nothing in common."

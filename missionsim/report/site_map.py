@@ -230,17 +230,18 @@ def site_chart(site: SiteMap, height: int = 560) -> Chart:
         text += f"slope {100 * math.tan(edge.slope.value):.3g} %"
         traces.append(_line(line, style, name, text, any(t["name"] == name for t in traces)))
     if site.driven:
-        from plotly.colors import sample_colorscale
+        from matplotlib import colormaps
+        from matplotlib.colors import to_hex
 
         values = np.array([wh for *_, wh in site.driven])
         low, high = float(values.min()), float(values.max())
-        for (number, begin, wh), colour in zip(
-            site.driven, sample_colorscale("Viridis", (values - low) / max(high - low, 1e-12)), strict=True
-        ):
+        shades = colormaps["viridis"]((values - low) / max(high - low, 1e-12))
+        for (number, begin, wh), shade in zip(site.driven, shades, strict=True):
             spec = site.environment.edges[number]
             line = shifted(curves[number], begin == spec.from_, 0.009 * size)
             end = spec.to if begin == spec.from_ else spec.from_
-            traces.append(_line(line, {"color": colour, "width": 5}, "route", f"{begin} → {end}: {wh:.4g} Wh/m", True))
+            style = {"color": to_hex(shade), "width": 5}
+            traces.append(_line(line, style, "route", f"{begin} → {end}: {wh:.4g} Wh/m", True))
         marker = {"color": [low, high], "colorscale": "Viridis", "showscale": True, "opacity": 0,
                   "colorbar": {"title": {"text": "Wh/m"}, "len": 0.7}}  # fmt: skip
         traces.append({"type": "scatter", "mode": "markers", "x": [None, None], "y": [None, None], "marker": marker,
@@ -249,7 +250,7 @@ def site_chart(site: SiteMap, height: int = 560) -> Chart:
     colours = [site.colours.get(name, ("#444444", ""))[0] for name in names]
     docks = [site.environment.places[name].charger is not None for name in names]
     traces.append({
-        "type": "scatter", "mode": "markers+text", "name": "places (square: dock)", "text": names,
+        "type": "scatter", "mode": "markers+text", "name": "places (square: dock)", "text": names, "cliponaxis": False,
         "textposition": "top right", "x": [where[n][0] for n in names], "y": [where[n][1] for n in names],
         "marker": {"size": [13 if dock else 9 for dock in docks], "color": colours,
                    "symbol": ["square" if dock else "circle" for dock in docks]},

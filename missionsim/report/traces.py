@@ -37,6 +37,38 @@ def band(x: Values, low: Values, high: Values, name: str, strength: float = 0.2)
     return [hidden, line(x, high, name, width=0, hoverinfo="skip", **fill)]
 
 
+def tiles(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    values: NDArray[np.float64],
+    *,
+    size: float,
+    limit: float,
+    colours: Sequence[str],
+    bar: Mapping[str, object] | None = None,
+    **more: object,
+) -> Trace:
+    """Coloured squares around places, as bars that stand on their lower edges.
+
+    Parameters
+    ----------
+    x, y, values : ndarray, shape (n,)
+        Middles, and what the colours stand for.
+    size : float
+        Width and height in units of the axes.
+    limit : float
+        Magnitude of the values at which the colours end.
+    colours : sequence of str
+        From −limit to +limit, equally far apart.
+    bar : mapping, optional
+        The scale of the colours beside the chart, as Plotly's ``colorbar``; none without it.
+    """
+    scale = [[i / (len(colours) - 1), colour] for i, colour in enumerate(colours)]
+    ends = {"colorscale": scale, "cmin": -limit, "cmax": limit, "showscale": bar is not None, "colorbar": bar}
+    where: Trace = {"type": "bar", "x": x, "base": y - 0.5 * size, "y": np.full(len(y), size), "width": size}
+    return {**where, "customdata": values, "marker": {"color": values, "line": {"width": 0}, **ends}, **more}
+
+
 def axis(title: str, **more: object) -> Trace:
     """An axis with its title."""
     return {"title": {"text": title}, **more}

@@ -17,7 +17,7 @@ from missionsim.effects.library import all_effects, effect_ids, execution_effect
 from missionsim.effects.motion_models import get_motion_model, motion_model_ids
 
 ROOT = Path(__file__).resolve().parents[2]
-SLOW = ("pandas", "scipy", "matplotlib", "plotly", "sklearn", "pyarrow", "networkx", "pint")
+SLOW = ("pandas", "scipy", "matplotlib", "sklearn", "pyarrow", "networkx", "pint")
 
 
 def loaded_by(code: str) -> set[str]:

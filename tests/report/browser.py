@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
@@ -26,6 +27,32 @@ console.error = function () {
 };
 </script>"""
 
+FRAME = """<!DOCTYPE html><body><iframe src="page.html" style="width: WIDTHpx; height: 1400px; border: 0"></iframe>
+<script>
+window.addEventListener("message", function (event) {
+  var out = document.createElement("script");
+  out.type = "application/json"; out.id = "found";
+  out.textContent = btoa(unescape(encodeURIComponent(event.data)));
+  document.body.appendChild(out);
+});
+</script></body>"""
+
+OUTSIDE = """
+  window.found.wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
+  window.found.outside = [];
+  document.querySelectorAll(".chart").forEach(function (chart) {
+    if (!chart.offsetParent) { return; }
+    var card = chart.closest("section").getBoundingClientRect();
+    chart.querySelectorAll(".main-svg, text").forEach(function (mark) {
+      var box = mark.getBoundingClientRect();
+      if (box.width > 0 && (box.left < card.left - 1 || box.right > card.right + 1)) {
+        window.found.outside.push(chart.id + ": " + mark.textContent.slice(0, 60));
+      }
+    });
+  });
+"""
+"""What lies beside the screen, or a chart or writing of a chart beside the card that holds it."""
+
 
 def browser() -> str:
     """Path of a Chromium; skips the test where there is none."""
@@ -47,6 +74,8 @@ def run_in_page(html: str, script: str, folder: Path, *, width: int = 1200) -> d
         Body of an async function; ``click(element)`` presses the mouse as a user does, ``pause(ms)`` waits.
     folder : Path
         For the page and the browser's profile.
+    width : int
+        Of the page, CSS pixels. It is shown in a frame, as a window of Chromium is never narrower than 500.
     """
     driver = """<script>
     function pause(ms) { return new Promise(function (done) { setTimeout(done, ms); }); }
@@ -58,21 +87,19 @@ def run_in_page(html: str, script: str, folder: Path, *, width: int = 1200) -> d
       });
     }
     (async function () {
+      var root = document.documentElement;
+      while (document.getElementById("charts") && root.dataset.ready !== "yes") { await pause(50); }
       await pause(500);
       try { SCRIPT } catch (error) { window.found.errors.push(String(error)); }
-      var out = document.createElement("script");
-      out.type = "application/json"; out.id = "found";
-      out.textContent = btoa(unescape(encodeURIComponent(JSON.stringify(window.found))));
-      document.body.appendChild(out);
+      parent.postMessage(JSON.stringify(window.found), "*");
     })();
     </script>""".replace("SCRIPT", script)
-    page = folder / "page.html"
+    page, frame = folder / "page.html", folder / "frame.html"
     page.write_text(html.replace("<style>", PROBE + "<style>", 1).replace("</body>", driver + "</body>"), "utf-8")
-    dom = _call(["--dump-dom", "--virtual-time-budget=12000", f"--window-size={width},1400"], page, folder)
+    frame.write_text(FRAME.replace("WIDTH", str(width)), "utf-8")
+    dom = _call(["--dump-dom", "--virtual-time-budget=12000", f"--window-size={width + 50},1400"], frame, folder)
     match = re.search(r'id="found">([^<]*)<', dom)
     assert match, f"the page's scripts did not come to their end: {dom[:300]}"
-    import base64
-
     found: dict[str, Any] = json.loads(base64.b64decode(match[1]))
     return found
 

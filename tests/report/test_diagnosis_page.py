@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from missionsim.diagnose.improve import Improved, improve
 from missionsim.diagnose.split import choose_split
-from missionsim.identify.findings import Diagnosis
+from missionsim.identify.findings import Diagnosis, RunSeries
 from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
 from missionsim.report.diagnosis_page import diagnosis_page
 from missionsim.report.improve_page import improve_page
 from tests.diagnose.logs import drive
-from tests.report.browser import run_in_page
+from tests.report.browser import OUTSIDE, run_in_page
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +56,22 @@ def test_diagnosis_page(done: Improved, tmp_path: Path) -> None:
     assert found["hidden"] == "legendonly"
     assert found["again"] is True
     assert found["run"] == 1
+
+
+@pytest.mark.browser
+def test_improvement_fits_a_telephone(done: Improved, tmp_path: Path) -> None:
+    found = run_in_page(improve_page("pioneer3dx", [done]), OUTSIDE, tmp_path, width=390)
+    assert found == {"errors": [], "wide": 0, "outside": []}
+
+
+def test_many_long_runs_still_make_a_small_page(done: Improved) -> None:
+    rng = np.random.default_rng(0)
+    time_s = np.arange(0.0, 3600.0, 0.1)
+    runs = [RunSeries(f"run_{i}", time_s, *rng.normal(20.0, 1.0, (3, len(time_s)))) for i in range(60)]
+    long = [replace(diagnosis, series=tuple(runs)) for diagnosis in (done.first, done.last)]
+    html = improve_page("pioneer3dx", [replace(done, first=long[0], last=long[1])])
+    assert "The first 30 of 60 runs." in html
+    assert len(html) < 1_500_000
 
 
 @pytest.mark.browser
