@@ -33,10 +33,25 @@ class _TaskCheck:
         self.robot()
         self.ways()
         self.docks()
-        if task.repeat is not None and task.start != task.goal:
+        if task.repeat is not None:
+            self.rounds()
+        return self.check.faults
+
+    def rounds(self) -> None:
+        """What a round must leave as it was, and what is said of one mission only."""
+        task = self.task
+        if task.start != task.goal:
             got = f"start: {task.start}, end: {task.goal}"
             self.check.add(("repeat",), "rounds must end where they start", got, f"end: {task.start}", key=True)
-        return self.check.faults
+        for index, visit in enumerate(task.visits):
+            if visit.window is not None:
+                told = "a window counts from the start of the mission, and rounds are many"
+                self.check.add(("visits", index, "window"), told, "window and repeat", "one of them", key=True)
+        up = sum(visit.take_up.value for visit in task.visits if visit.take_up is not None)
+        down = sum(visit.set_down.value for visit in task.visits if visit.set_down is not None)
+        if abs(up - down) > 1e-9 * max(up, down):
+            told, got = "a round must set down what it takes up", f"{up:g} kg taken up, {down:g} kg set down"
+            self.check.add(("repeat",), told, got, "as much of each", key=True)
 
     def place(self, where: Where, name: str) -> bool:
         return self.places is None or self.check.known(where, name, self.places, "place")

@@ -155,7 +155,6 @@ def answer_of(tour: Tour, label: Label, objective: float, bound: float) -> Answe
     site = tour.site
     names = site.physics.names
     made = Answer(site, True, objective=objective, bound=min(bound, objective))
-    size = len(site.stops)
     chain = chain_of(label)
     vectors = _vectors(chain, tour)
     clock, missing = 0.0, vectors[0][2 : 2 + len(names)]
@@ -179,9 +178,8 @@ def answer_of(tour: Tour, label: Label, objective: float, bound: float) -> Answe
         )
 
     for k in range(1, len(chain)):
-        step, state = chain[k], divmod(chain[k].node, size)
-        before = chain[k - 1].node // size
-        payload = site.order.payload_kg(before)
+        step, state = chain[k], tour.at(chain[k].node)
+        payload = site.order.payload_kg(tour.at(chain[k - 1].node)[0])
         stop = site.stops[state[1]]
         if step.move[0] == "refill":
             charger = stop.charger

@@ -50,6 +50,7 @@ class Tour:
         self.values = values
         self.by_value = by_value
         self.counted = values is not None and not by_value
+        self.waits = site.windowed
         self._drives = drives
         self._known: dict[int, Leaving] = {}
         self.chargers = [site.charger(number) for number in range(self.size)]
@@ -65,6 +66,14 @@ class Tour:
         """Of each resource but the objective what a plan without charging may use."""
         return np.asarray((self.limits - self.first)[1:])
 
+    def at(self, node: int) -> tuple[int, int]:
+        """State of the order and stop of a node."""
+        return divmod(node, self.size)
+
+    def over(self, table: Array, whole: bool = True) -> Array:
+        """A table by state and stop, for all nodes."""
+        return table.ravel()
+
     def is_goal(self, node: int) -> bool:
         """Whether the mission ends here."""
         return node % self.size == self.site.goal
@@ -78,7 +87,7 @@ class Tour:
 
     def refill(self, node: int) -> Charger | None:
         """The charger of a dock."""
-        return self.chargers[node % self.size]
+        return self.chargers[self.at(node)[1]]
 
     def opens(self, node: int) -> Callable[[Array], Array] | None:
         """Waiting at a visit until its window opens."""
@@ -90,7 +99,11 @@ class Tour:
             return None
         state = node // self.size
         stand = float(self.site.standing(node % self.size, self.site.order.payload_kg(state))[0])
-        begin, waiting = window.from_.value + stand, self.waiting()
+        return self.until(window.from_.value + stand)
+
+    def until(self, begin: float) -> Callable[[Array], Array]:
+        """What waiting until some time does to the points of a chain."""
+        waiting = self.waiting()
 
         def wait(points: Array) -> Array:
             kept = [points[0]]
@@ -230,11 +243,11 @@ def bounds_of(tour: Tour, multipliers: list[Array]) -> Bounds:
         reserve = np.zeros(count)
     least = np.zeros((tour.nodes, len(most)))
     unit = np.eye(1 + count)
-    least[:, 1] = rest_of(site, unit[0]).ravel()
+    least[:, 1] = tour.over(rest_of(site, unit[0]))
     for b in range(count):
-        to_end = rest_of(site, unit[1 + b]) + reserve[b]
+        to_end = tour.over(rest_of(site, unit[1 + b])) + reserve[b]
         served = np.array([charger is not None and bool(charger.served[b]) for charger in tour.chargers])
-        least[:, 2 + b] = np.minimum(to_end, to_docks(site, unit[1 + b], served)).ravel()
+        least[:, 2 + b] = np.minimum(to_end, tour.over(to_docks(site, unit[1 + b], served), whole=False))
     least[~np.isfinite(least[:, 1]), 0] = math.inf
     if tour.counted and tour.values is not None:
         made = np.repeat(-site.order.left(tour.values)[:, None], tour.size, axis=1)
@@ -250,10 +263,10 @@ def bounds_of(tour: Tour, multipliers: list[Array]) -> Bounds:
     for multiplier in [np.zeros(len(most) - 1), *multipliers]:
         priced = multiplier > 0.0
         rows.append(np.concatenate([[1.0], multiplier]))
-        rests.append(tour.rest(multiplier).ravel())
+        rests.append(tour.over(tour.rest(multiplier)))
         offsets.append(float(multiplier[priced] @ tour.limits[1:][priced]))
     shear = None
-    if site.windowed:
+    if tour.waits:
         shear = tour.waiting()
         shear[1] = 0.0
     return Bounds(most, least, np.array(rows), np.stack(rests, axis=1), np.array(offsets), shear)

@@ -18,7 +18,7 @@ from missionsim.files import write_text
 from missionsim.inputs.loading import load_mission
 from missionsim.inputs.task import TaskSpec
 from missionsim.planner.answer import Answer
-from missionsim.planner.rounds import plan_rounds
+from missionsim.planner.rounds import of_one_kind, plan_rounds
 from missionsim.planner.solve import Watch, solve_site
 from missionsim.planner.tour import Site, make_site
 from missionsim.planner.write import mission_text
@@ -112,7 +112,7 @@ def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunRe
     RunResult or None
         Of its mission.
     """
-    site = make_site(task)
+    site = make_site(task if task.repeat is None else of_one_kind(task))
     asked = None if task.within.with_probability is None else task.within.with_probability.value
     physics = site.physics
     kept = physics.reserve_wh

@@ -31,17 +31,17 @@ def solve_large(site: Site, solve: Callable[[Site], Answer]) -> Answer:
         Site with a given order → its best plan.
     """
     apart = matrix(site, site.order.load_kg, site.weights)
-    orders = _orders(site, apart)
+    found = orders(site, apart)
     answer = Answer(site, False)
-    for order in orders:
+    for order in found:
         answer = solve(replace(site, order=Order(site.task, order)))
         if answer.feasible:
             break
     else:
-        count = len(orders)
+        count = len(found)
         return Answer(site, False, notes=[f"no plan in the {count} orders that were tried of {len(order)} visits"])
     answer.bound = min(answer.objective, _bound(site, apart))
-    answer.extra["assumed"] = ["the order was found by a heuristic"]
+    answer.extra["assumed"] = [*answer.extra.get("assumed", ()), "the order was found by a heuristic"]
     return answer
 
 
@@ -63,7 +63,7 @@ def _bound(site: Site, apart: Array) -> float:
     return float(cost[rows, columns].sum()) + standing
 
 
-def _orders(site: Site, apart: Array) -> list[tuple[int, ...]]:
+def orders(site: Site, apart: Array) -> list[tuple[int, ...]]:
     """Orders that keep to before and after, the best first."""
     visits = site.task.visits
     seconds = np.zeros_like(site.weights)

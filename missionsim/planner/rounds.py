@@ -1,210 +1,226 @@
-"""Rounds and shifts: how many rounds, of which speed, and how long to charge before each."""
+"""Rounds and shifts: how many rounds, which way and how fast each, where and how long to charge between and on them."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.planner.answer import Answer, Leg
-from missionsim.planner.solve import Watch
-from missionsim.planner.tour import Charger, Site
-from missionsim.planner.why import pareto
+from missionsim.inputs.task import TaskSpec
+from missionsim.planner.answer import Answer, answer_of
+from missionsim.planner.bounds import Tour, bounds_of, matrix
+from missionsim.planner.core import Label, Leaving, Outcome, quick, search
+from missionsim.planner.drives import Drive
+from missionsim.planner.dual import Prices, best_prices, cheapest
+from missionsim.planner.large import orders
+from missionsim.planner.orders import MOST_FREE, Order
+from missionsim.planner.solve import FIRST_GAP, Fronts, Watch, charges_tried, solve_site
+from missionsim.planner.tour import Site, make_site
 
 Array = NDArray[np.float64]
-KINDS = 7
-"""Rounds of different speed that a shift is put together from."""
 MOST_ROUNDS = 1000
+MOST_NODES = 400_000
+"""Of all rounds; beyond it the visits are made in one order."""
+LABELS = 1200
+"""Labels that the beam keeps at all rounds' ends together, and that a proof of few rounds may take for each."""
+FEW = 4
+"""Rounds up to which a proof among all drives is tried."""
 
 
-@dataclass
-class Shift:
-    """Rounds of a few kinds that all begin and end at one place, with charging there before each.
+class Rounds(Tour):
+    """The network of one round so many times; each round's nodes and one where it sets out from its start.
 
-    Attributes
+    Parameters
     ----------
     site : Site
-    kinds : list of Answer
-        The rounds to choose from.
-    every_s, until_s : float
-        Each round begins so long after the one before, or later; all are done by then.
-    use : ndarray, shape (kinds, 2 + batteries)
-        Objective, seconds and Wh of each kind.
+    drives : callable
+        As of `Tour`.
+    rounds : int
+    every_s : float
+        No round sets out before so long after the one before was due.
     """
 
-    site: Site
-    kinds: list[Answer]
-    every_s: float
-    until_s: float
-    use: Array = field(init=False)
-    charger: Charger | None = field(init=False)
+    def __init__(
+        self, site: Site, drives: Callable[[float, int, int], list[Drive]], rounds: int, every_s: float
+    ) -> None:
+        super().__init__(site, drives)
+        self.rounds, self.every_s = rounds, every_s
+        self.waits = every_s > 0.0
+        self._out = self.nodes
+        self._each = self.nodes + self.size
+        self.nodes = self._each * rounds
+        self._home = [i for i, s in enumerate(site.stops) if s.charger is not None and s.place == site.task.start]
+        self._all: dict[int, Leaving] = {}
 
-    def __post_init__(self) -> None:
-        use = np.array([[kind.duration_s, *kind.energy_wh.values()] for kind in self.kinds])
-        self.use = np.column_stack([use @ self.site.weights, use])
-        home = self.site.task.start
-        self.charger = next((s.charger for s in self.site.stops if s.charger is not None and s.place == home), None)
+    def at(self, node: int) -> tuple[int, int]:
+        """State of the order and stop of a node."""
+        inner = node % self._each
+        return (0, 0) if inner == self._out else divmod(inner, self.size)
 
-    def relaxed(self, rounds: int) -> tuple[float, Array] | None:
-        """Bound on the objective, and how many rounds of each kind, where parts of rounds and any charge may be had."""
-        from scipy.optimize import linprog
+    def is_goal(self, node: int) -> bool:
+        """Whether the last round ends here."""
+        return node >= self.nodes - self._each and self.at(node)[1] == self.site.goal
 
-        physics, charger = self.site.physics, self.charger
-        gain = np.zeros(len(physics.names)) if charger is None else np.maximum(charger.gain_w, 0.0) / 3600.0
-        rows = [np.append(self.use[:, 2 + b], -gain[b]) for b in range(len(gain))]
-        sides = list(physics.initial_wh - physics.reserve_wh)
-        if math.isfinite(self.until_s):
-            rows.append(np.append(self.use[:, 1], 1.0))
-            sides.append(self.until_s)
-        made = linprog(
-            np.append(self.use[:, 0], 0.0 if charger is None else charger.rate),
-            A_ub=np.array(rows),
-            b_ub=np.array(sides),
-            A_eq=np.append(np.ones(len(self.use)), 0.0)[None, :],
-            b_eq=[float(rounds)],
-            bounds=[(0.0, None)] * len(self.use) + [(0.0, 0.0 if charger is None else None)],
-            method="highs",
-        )
-        return (float(made.fun), np.asarray(made.x[:-1])) if made.success else None
+    def leaving(self, node: int) -> Leaving:
+        """Drives to all stops that may come next; from the end of a round the next one."""
+        known = self._all.get(node)
+        if known is None:
+            number, inner = divmod(node, self._each)
+            first = number * self._each
+            if inner != self._out and self.at(node)[1] == self.site.goal:
+                known = self._still([first + self._each] if number + 1 < self.rounds else [])
+            elif inner == 0:
+                known = self._still([first + dock for dock in (*self._home, self._out)])
+            elif inner in self._home:
+                known = self._still([first + self._out])
+            else:
+                one = super().leaving(0 if inner == self._out else inner)
+                there = ~np.isin(one.heads, self._home) if inner == self._out else np.ones(len(one.heads), dtype=bool)
+                moves = [move for move, kept in zip(one.moves, there, strict=True) if kept]
+                known = Leaving(one.heads[there] + first, one.use[there], moves)
+            self._all[node] = known
+        return known
 
-    def drive(self, order: list[int]) -> Answer | None:
-        """The shift of some rounds in an order, charging before each as little as will do; None where it fails."""
-        site, physics = self.site, self.site.physics
-        answer = Answer(site, True)
-        answer.energy_wh = dict.fromkeys(physics.names, 0.0)
-        x = np.array([0.0, 0.0, *physics.missing_wh()])
-        reserve = physics.reserve_wh
-        keep = reserve if site.task.within.reserve_throughout else np.zeros(len(reserve))
-        for k, kind in enumerate(order):
-            spare = max(0.0, k * self.every_s - x[1])
-            need = x[2:] + self.use[kind, 2:] - (physics.capacity_wh - (reserve if k + 1 == len(order) else keep))
-            seconds = self._seconds(x, need)
-            if not math.isfinite(seconds):
-                return None
-            if spare > seconds and self.charger is not None:
-                full = float(self.charger.seconds_to(x, 1.0).max())
-                seconds = max(seconds, min(spare, full if math.isfinite(full) else 0.0))
-            if seconds > 0.0 and self.charger is not None:
-                x = self.charger.after(x, seconds)
-                self._add(
-                    answer, Leg("charge", site.task.start, seconds, self._energy(self.charger.draw_w * seconds), {}), x
-                )
-                if (x[2:] + self.use[kind, 2:] > physics.capacity_wh * (1.0 + 1e-9)).any():
-                    return None
-            if spare > seconds + 1e-9:
-                wait = site.waiting * (spare - seconds)
-                x = x + np.array([float(wait @ site.weights), *wait])
-                self._add(answer, Leg("wait", site.task.start, spare - seconds, self._energy(wait[1:] * 3600.0), {}), x)
-            for leg in self.kinds[kind].legs:
-                use = np.array([leg.duration_s, *leg.energy_wh.values()])
-                x = x + np.array([float(use @ site.weights), *use])
-                self._add(answer, leg, x)
-        if x[1] > self.until_s * (1 + 1e-10) or (x[2:] > (physics.capacity_wh - reserve) * (1 + 1e-10)).any():
-            return None
-        answer.objective = float(x[0])
-        answer.charge_left_wh = dict(zip(physics.names, (physics.capacity_wh - x[2:]).tolist(), strict=True))
-        return answer
+    def _still(self, heads: list[int]) -> Leaving:
+        nothing, use = Drive(np.zeros(len(self.site.weights))), np.zeros((len(heads), len(self.first)))
+        return Leaving(np.array(heads, dtype=np.intp), use, [(self.at(head)[1], nothing, use[0]) for head in heads])
 
-    def _seconds(self, x: Array, need: Array) -> float:
-        """How long to charge for what is needed, with a little more than rounding takes."""
-        if (need <= 0.0).all():
-            return 0.0
-        if self.charger is None or (self.charger.gain_w[need > 0.0] <= 0.0).any():
-            return math.inf
-        wanted = 1.0 - (x[2:] - np.maximum(need, 0.0)) / self.site.physics.capacity_wh
-        return float(self.charger.seconds_to(x, np.minimum(wanted, 1.0)).max()) * (1.0 + 1e-9) + 1e-6
+    def opens(self, node: int) -> Callable[[Array], Array] | None:
+        """Waiting until a round is due."""
+        number, inner = divmod(node, self._each)
+        return self.until(number * self.every_s) if self.waits and number and inner == self._out else None
 
-    def _energy(self, joules: Array) -> dict[str, float]:
-        return dict(zip(self.site.physics.names, (joules / 3600.0).tolist(), strict=True))
-
-    def _add(self, answer: Answer, leg: Leg, x: Array) -> None:
-        names = self.site.physics.names
-        left = dict(zip(names, (self.site.physics.capacity_wh - x[2:]).tolist(), strict=True))
-        answer.legs.append(replace(leg, charge_wh=left))
-        answer.duration_s += leg.duration_s
-        for name in names:
-            answer.energy_wh[name] += leg.energy_wh[name]
-
-    def best(self, rounds: int) -> Answer | None:
-        """The cheapest shift of so many rounds that whole numbers near the relaxed ones give."""
-        found = self.relaxed(rounds)
-        if found is None:
-            return None
-        bound, shares = found
-        mixes = [_whole(shares, rounds)]
-        for i in range(len(self.use)):
-            mixes.append(np.eye(len(self.use), dtype=int)[i] * rounds)
-            moved = mixes[0].copy()
-            donor = int(np.argmax(moved))
-            moved[donor] -= 1
-            moved[i] += 1
-            mixes.append(moved)
-        made = [self.drive([kind for kind, count in enumerate(mix) for _ in range(count)]) for mix in mixes]
-        feasible = [answer for answer in made if answer is not None]
-        if not feasible:
-            return None
-        answer = min(feasible, key=lambda item: item.objective)
-        answer.bound = min(bound, answer.objective)
-        answer.extra["rounds"] = rounds
-        kinds = f"of shifts of {len(self.kinds)} kinds of rounds"
-        answer.extra["assumed"] = [f"{kinds}, {'charging only at the start' if self.charger else 'without charging'}"]
-        return answer
-
-    def most(self) -> tuple[int, Answer | None]:
-        """As many rounds as can be, and how many at most there could be."""
-        low, high = 0, MOST_ROUNDS
-        while low < high:
-            middle = (low + high + 1) // 2
-            low, high = (middle, high) if self.relaxed(middle) is not None else (low, middle - 1)
-        for rounds in range(low, 0, -1):
-            answer = self.best(rounds)
-            if answer is not None:
-                return low, answer
-        return low, None
+    def over(self, table: Array, whole: bool = True) -> Array:
+        """A table of one round, shape (states, stops), for the nodes of all; with what the `whole` rest adds."""
+        count = table.shape[0]
+        each = np.full((self.rounds, count + 1, self.size), math.inf)
+        each[:, :count] = table
+        each[:, count, 0] = table[0, 0]
+        if whole:
+            each += np.arange(self.rounds - 1, -1, -1)[:, None, None] * table[0, 0]
+        else:
+            each[:-1, :count, self.site.goal] = table[0, 0]
+        return each.ravel()
 
 
-def _whole(shares: Array, total: int) -> NDArray[np.int64]:
-    """Whole numbers nearest to shares that add up to a total."""
-    made = np.floor(shares + 1e-9).astype(np.int64)
-    for i in np.argsort(made - shares)[: max(0, total - int(made.sum()))]:
-        made[i] += 1
-    return made
+@contextmanager
+def _share(site: Site, rounds: int) -> Iterator[Site]:
+    """One round with its share of the time and the charge of so many: what bounds it, bounds them all."""
+    physics = site.physics
+    kept = physics.initial_wh
+    physics.initial_wh = physics.reserve_wh + (kept - physics.reserve_wh) / rounds
+    try:
+        yield replace(site, deadline_s=site.deadline_s / rounds)
+    finally:
+        physics.initial_wh = kept
+
+
+def _prices(site: Site, rounds: int) -> Prices:
+    with _share(site, rounds) as one:
+        return best_prices(Tour(one, Fronts(one)))
+
+
+def of_one_kind(task: TaskSpec) -> TaskSpec:
+    """Without the visits that even a round of its own, on full batteries, has to leave out."""
+    if not any(visit.value is not None for visit in task.visits):
+        return task
+    one = make_site(task)
+    one.physics.initial_wh = one.physics.capacity_wh.copy()
+    made = solve_site(one).order()
+    kept = tuple(visit.model_copy(update={"value": None}) for visit in task.visits if visit.label in made)
+    return task.model_copy(update={"visits": kept or task.visits})
+
+
+def _drive(site: Site, rounds: int, every_s: float, prices: Prices, watch: Watch | None) -> Answer | None:
+    """So many rounds of nearly the least objective; None where none were found."""
+    bound = rounds * prices.bound
+    gap = FIRST_GAP * max(abs(prices.bound), 1e-6)
+    weights = site.weights + prices.best[: len(site.weights)]
+
+    def told(outcome: Outcome, waiting: int) -> bool:
+        return watch is not None and watch("rounds", outcome.objective, bound)
+
+    tour = Rounds(site, Fronts(site, weights, gap), rounds, every_s)
+    bounds = bounds_of(tour, [prices.best, *prices.others])
+    start = Label(0, tour.first[None, :])
+    width = max(4, min(300, LABELS // rounds))
+    outcome = quick(tour, [start], tour.is_goal, bounds, watch=told, width=width)
+    best, objective, lower, stopped = outcome.label, outcome.objective, bound, outcome.interrupted
+    if best is not None and rounds <= FEW and not stopped:
+        gap = max(gap, objective - bound)
+        wider = Rounds(site, Fronts(site, weights, gap), rounds, every_s)
+        proof = search(wider, [start], wider.is_goal, bounds, best=objective, watch=told, most_labels=LABELS * rounds)
+        lower, stopped = max(bound, min(proof.bound, bound + gap)), proof.interrupted
+        if proof.label is not None:
+            best, objective = proof.label, proof.objective
+    if best is None:
+        return Answer(site, False, stopped=True) if stopped else None
+    answer = answer_of(tour, best, objective, min(lower, objective))
+    answer.extra["rounds"] = rounds
+    answer.extra["assumed"] = charges_tried(tour) if answer.bound > bound else []
+    answer.stopped = stopped
+    return answer
 
 
 def plan_rounds(site: Site, watch: Watch | None = None) -> Answer:
     """As many rounds as asked for, or as can be, with the least objective among those."""
     repeat = site.task.repeat
     assert repeat is not None
-    until = min(site.deadline_s, math.inf if repeat.until is None else repeat.until.value)
-    changes: dict[str, Any] = {"repeat": None, "choose": site.task.choose.model_copy(update={"docks": "none"})}
-    stops = [stop for stop in site.stops if stop.charger is None]
-    task = site.task.model_copy(update=changes)
-    one = replace(site, task=task, stops=stops, deadline_s=until, roads={}, nodes={}, _standing={})
-    physics = site.physics
-    kept = physics.initial_wh, physics.reserve_wh
-    # a round may begin full and, before charging, end empty
-    physics.initial_wh, physics.reserve_wh = physics.capacity_wh.copy(), np.zeros_like(physics.capacity_wh)
-    try:
-        kinds = pareto(one, KINDS, watch)
-    finally:
-        physics.initial_wh, physics.reserve_wh = kept
-    if not kinds:
-        return Answer(site, False, notes=["not even one round can be driven on full batteries without charging on it"])
-    shift = Shift(site, kinds, 0.0 if repeat.every is None else repeat.every.value, until)
-    if repeat.rounds == "as_often_as_possible":
-        at_most, answer = shift.most()
-        if answer is None:
-            return Answer(site, False, notes=["not even one round can be done within the time and the charge"])
-        answer.extra["rounds_at_most"] = at_most
-        return answer
-    answer = shift.best(repeat.rounds)
-    if answer is None:
-        _, fewer = shift.most()
-        done = 0 if fewer is None else fewer.extra["rounds"]
-        where = "" if shift.charger is not None else f"; no dock at '{site.task.start}' may be used (choose: docks)"
-        note = f"{repeat.rounds} rounds cannot be done within the time and the charge, {done} can{where}"
-        return Answer(site, False, notes=[note], extra={"rounds": done})
-    return answer
+    site = replace(site, deadline_s=min(site.deadline_s, math.inf if repeat.until is None else repeat.until.value))
+    every = 0.0 if repeat.every is None else repeat.every.value
+    many = repeat.rounds == "as_often_as_possible"
+    asked = MOST_ROUNDS if repeat.rounds == "as_often_as_possible" else repeat.rounds
+    if site.order.sequence is None and len(site.task.visits) > MOST_FREE:
+        found = orders(site, matrix(site, site.order.load_kg, site.weights))
+        site = replace(site, order=Order(site.task, found[0]))
+    known: dict[int, Prices] = {}
+
+    def possible(rounds: int) -> bool:
+        known[rounds] = _prices(site, rounds)
+        return not known[rounds].impossible and (rounds - 1) * every < site.deadline_s
+
+    low, high = 0, asked
+    while low < high:
+        middle = asked if high == asked and not many and low == 0 and not known else (low + high + 1) // 2
+        low, high = (middle, high) if possible(middle) else (low, middle - 1)
+    at_most, fixed = low, False
+    if at_most and site.order.sequence is None and site.order.count * len(site.stops) * at_most > MOST_NODES:
+        with _share(site, at_most) as one:
+            steps = cheapest(Tour(one, Fronts(one)), known[at_most].best)
+        assert steps is not None
+        sequence = tuple(head - 1 for head, _ in steps[0] if head != site.goal)
+        site, fixed = replace(site, order=Order(site.task, sequence)), True
+    # down from the most there can be in growing steps, then up again between what was found and what was not
+    best: Answer | None = None
+    below, above, step = 0, at_most + 1, 1
+    while above - below > 1:
+        rounds = max(above - step, 1) if best is None else (below + above) // 2
+        made = _drive(site, rounds, every, known.get(rounds) or _prices(site, rounds), watch)
+        if made is not None and made.stopped:
+            best = made if made.feasible else best or made
+            break
+        if made is None:
+            above, step = rounds, 2 * step
+        else:
+            below, best = rounds, made
+    if best is None or not best.feasible:
+        early = "the search was stopped before it found a plan; there may be one"
+        note = early if best is not None else "not even one round can be done within the time and the charge"
+        return Answer(site, False, notes=[note], stopped=best is not None)
+    done = best.extra["rounds"]
+    if fixed:
+        best.extra["assumed"].append("in one order of the visits")
+    if many:
+        best.extra["rounds_at_most"] = at_most
+        return best
+    if done == asked:
+        return best
+    note = f"{asked} rounds cannot be done within the time and the charge, {done} can"
+    if at_most == asked:
+        note = f"no plan of {asked} rounds was found, one of {done} was"
+    charged = "" if site.task.docks else "; no dock may be used (choose: docks)"
+    return Answer(site, False, notes=[note + charged], extra={"rounds": done})

@@ -97,7 +97,7 @@ def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True) -
         use = np.array([most.duration_s, *most.energy_wh.values()])
         best = replace(most, site=site, objective=float(site.objective(use)), bound=0.0)
     if most.objective - most.bound > 1e-9 * float(values.sum()):
-        best.extra["assumed"] = ["more value may be possible"]
+        best.extra["assumed"] = [*best.extra.get("assumed", ()), "more value may be possible"]
     return best
 
 
@@ -145,7 +145,16 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
     if best is None:
         early = "the search was stopped before it found a plan; there may be one"
         return Answer(site, False, notes=[early] if stopped else [], stopped=stopped)
-    return replace(answer_of(tour, best, objective, bound), stopped=stopped)
+    answer = replace(answer_of(tour, best, objective, bound), stopped=stopped)
+    if objective - prices.bound > PROVED * scale:
+        answer.extra["assumed"] = charges_tried(tour)
+    return answer
+
+
+def charges_tried(tour: Tour) -> list[str]:
+    """What a search leaves out of the charges: of two batteries, a point between is found for the last charge only."""
+    some = len(tour.site.physics.names) > 1 and any(c is not None and c.levels is None for c in tour.chargers)
+    return ["of several charges in one mission only the last to any level"] if some else []
 
 
 def _sums(tour: Tour) -> Array:

@@ -19,7 +19,7 @@ from missionsim.plan.build import legs_of
 from missionsim.plan.kinematics import phases
 from missionsim.planner.physics import Physics
 from missionsim.planner.pieces import drive
-from missionsim.planner.tour import make_site
+from missionsim.planner.tour import Charger, make_site
 
 ROBOT = {
     "kind": "robot",
@@ -152,7 +152,7 @@ class Exhaustive:
                 for speed in self.task.choose.speeds
             ]
             tables = [self._path(path, choices) for path in self.paths(begin, end)]
-            self.runs[begin, end] = np.unique(np.concatenate(tables), axis=0)
+            self.runs[begin, end] = _undominated(np.concatenate(tables))
         return self.runs[begin, end]
 
     def _path(self, path: list[tuple[str, int]], choices: list[tuple[SchemeChoice, float]]) -> np.ndarray:
@@ -210,6 +210,17 @@ class Exhaustive:
                 best = min(best, self._sequence([0, *stops], weights))
         return best
 
+    def _charged(self, states: np.ndarray, charger: Charger, level: float) -> np.ndarray:
+        """States after charging to a level, of those where some battery is below it and all of these are charged."""
+        goal = (1 - level) * self.physics.capacity_wh
+        gain = charger.gain_w / 3600.0
+        short = states[:, 3:] > goal
+        states = states[short.any(axis=1) & ~(short & (gain <= 0.0)).any(axis=1)]
+        need = np.maximum(states[:, 3:] - goal, 0.0)
+        seconds = (need / np.where(gain > 0.0, gain, 1.0)).max(axis=1, initial=0.0)[:, None]
+        left = np.where(need > 0.0, np.maximum(states[:, 3:] - gain * seconds, goal), states[:, 3:])
+        return np.column_stack([states[:, :1] + seconds, states[:, 1:3] + charger.draw_w * seconds / 3600.0, left])
+
     def _sequence(self, stops: list[int], weights: np.ndarray) -> float:
         physics, site = self.physics, self.site
         states = np.array([[0.0, 0.0, 0.0, *(physics.capacity_wh - physics.initial_wh)]])  # s, Wh, Wh, missing
@@ -220,21 +231,8 @@ class Exhaustive:
             states = states[states[:, 0] <= self.task.within.deadline.value * (1 + 1e-10)]
             charger = site.stops[after].charger
             if charger is not None:
-                made = []
-                for state in states:
-                    for level in charger.levels:
-                        need = state[3:] - (1 - level) * physics.capacity_wh
-                        gain = charger.gain_w / 3600.0
-                        short = need > 0.0
-                        if not short.any() or (gain[short] <= 0.0).any():
-                            continue
-                        seconds = max(need[short] / gain[short])
-                        left = np.where(
-                            short, np.maximum(state[3:] - gain * seconds, (1 - level) * physics.capacity_wh), state[3:]
-                        )
-                        made.append([state[0] + seconds, *(state[1:3] + charger.draw_w * seconds / 3600.0), *left])
-                states = np.array(made).reshape(-1, 5)
-            states = _undominated(np.unique(states, axis=0))
+                states = np.concatenate([self._charged(states, charger, level) for level in charger.levels])
+            states = _undominated(states)
             if not len(states):
                 return math.inf
         fine = (states[:, 3:] <= (physics.capacity_wh - physics.reserve_wh) * (1 + 1e-10)).all(axis=1)
@@ -243,10 +241,12 @@ class Exhaustive:
 
 def _undominated(states: np.ndarray) -> np.ndarray:
     """Without states that another is not above in anything: of time, energies and charges."""
-    kept: list[np.ndarray] = []
-    for state in states[np.argsort(states.sum(axis=1), kind="stable")]:
-        if not kept or not (np.array(kept) <= state).all(axis=1).any():
-            kept.append(state)
+    left = np.unique(states, axis=0)
+    left = left[np.argsort(left.sum(axis=1), kind="stable")]
+    kept = []
+    while len(left):  # the first of those left has the least sum, so that none dominates it
+        kept.append(left[0])
+        left = left[(left < left[0]).any(axis=1)]
     return np.array(kept).reshape(-1, states.shape[1])
 
 
