@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 MOST_ROUNDS = 1000
 MOST_NODES = 400_000
 """Of all rounds; beyond it the visits are made in one order."""
-LABELS = 1200
+LABELS = 800
 """Labels that the beam keeps at all rounds' ends together, and that a proof of few rounds may take for each."""
 FEW = 4
 """Rounds up to which a proof among all drives is tried."""
