@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -253,13 +254,25 @@ def _averaged(run: dict[str, ColumnData], step_s: float) -> dict[str, ColumnData
     return short
 
 
+_HASHED_BYTES = 100_000_000
+"""Larger sources are known by their size: their hash would take as long as their import."""
+
+
 def provenance(log: Run, spec: MapSpec) -> dict[str, str]:
     """Where a log comes from, for the metadata of its file: source and map with their hashes."""
     path = Path(log.source)
+    status = path.stat() if path.is_file() else None
     return {
         "missionsim.source": path.name,
-        "missionsim.source_sha256": sha256(path) if path.is_file() else "",
+        "missionsim.source_bytes": str(status.st_size) if status else "",
+        "missionsim.source_sha256": _hash(path, status.st_size, status.st_mtime_ns) if status else "",
         "missionsim.map": spec.path.name,
         "missionsim.map_sha256": spec.sha256,
         "missionsim.run": log.run,
     }
+
+
+@functools.lru_cache(maxsize=4)
+def _hash(path: Path, size: int, _changed_ns: int) -> str:
+    """Hash of a source, once for all runs in it."""
+    return sha256(path) if size <= _HASHED_BYTES else ""

@@ -82,7 +82,6 @@ _MOST_SAMPLES = 40_000
 _LEAST_SAMPLES = 60
 _SMOOTHINGS_S = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Time constants tried for a meter that smooths [s]."""
-_SHORT = 5000
 
 
 def check_clock(rows: Rows, power: dict[str, Floats]) -> None:
@@ -212,13 +211,7 @@ def _causes(grid: Floats, step: float, time_s: Floats, speed_m_s: Floats, yaw_ra
 
 
 def _low_pass(causes: Floats, step: float, tau: float) -> Floats:
-    """First-order low-pass of each row, at rest before it; short rows without `scipy.signal`, which loads for 1.6 s."""
-    if causes.shape[1] > _SHORT:
-        from scipy.signal import lfilter
-
-        keep = float(np.exp(-step / tau))
-        causes = causes + 1e-100  # at rest the filter would fade into denormal numbers, which processors are slow with
-        return np.asarray(lfilter([1.0 - keep], [1.0, -keep], causes, axis=1, zi=causes[:, :1] * keep)[0])
+    """First-order low-pass of each row, at rest before it."""
     weights = np.exp(-np.arange(math.ceil(37.0 * tau / step) + 1) * step / tau)  # what follows is below rounding
     padded = np.pad(causes, ((0, 0), (len(weights) - 1, 0)), mode="edge")
     size = 1 << (padded.shape[1] - 1).bit_length()

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import gc
+import os
+import subprocess
+import sys
 import time
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,6 +22,7 @@ from missionsim.logs.write import write_log
 from tests.logs.bag_writers import write_bag
 
 MOST_CSV, MOST_BAG = 3.0, 2.0
+KINDS = ("ros1", "sqlite3", "mcap")
 
 
 def _ratio(ours: Callable[[], object], theirs: Callable[[], object]) -> float:
@@ -33,7 +38,9 @@ def _ratio(ours: Callable[[], object], theirs: Callable[[], object]) -> float:
                 times.append(time.process_time() - begin)
     finally:
         gc.unfreeze()
-    return min(found[ours]) / min(found[theirs])
+    ratio = min(found[ours]) / min(found[theirs])
+    print(f"ratio {ratio:.2f}")
+    return ratio
 
 
 @pytest.mark.benchmark_ratio
@@ -54,18 +61,68 @@ def test_csv_beside_pandas(tmp_path: Path) -> None:
 
 
 @pytest.mark.benchmark_ratio
-@pytest.mark.parametrize("kind", ["ros1", "mcap"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_bag_beside_its_reader(tmp_path: Path, kind: str) -> None:
+    """Against a loop over the wanted topics that does not even look into the messages."""
+    bag = write_bag(tmp_path / ("run.bag" if kind == "ros1" else "run"), kind, 60.0, often=5, picture_bytes=10_000)
+    assert run_command(["import", str(bag), "--suggest", "--out", str(tmp_path / "map.yaml"), "--quiet"]) == 0
+    spec = load_map(tmp_path / "map.yaml")
+    assert _ratio(lambda: import_source(bag, spec), lambda: iterate(bag)) <= MOST_BAG
+
+
+def iterate(bag: Path) -> int:
+    """Messages of the wanted topics."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    bag = write_bag(tmp_path / ("run.bag" if kind == "ros1" else "run"), kind, 300.0)
-    assert run_command(["import", str(bag), "--suggest", "--out", str(tmp_path / "map.yaml"), "--quiet"]) == 0
-    spec = load_map(tmp_path / "map.yaml")
+    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        wanted = [c for c in reader.connections if c.topic in ("/battery", "/odom", "/imu")]
+        return sum(1 for _ in reader.messages(connections=wanted))
 
-    def bare() -> None:
-        with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            for connection, _, raw in reader.messages():
-                reader.deserialize(raw, connection.msgtype)
 
-    assert _ratio(lambda: import_source(bag, spec), bare) <= MOST_BAG
+@pytest.mark.parametrize("kind", KINDS)
+def test_memory_is_that_of_the_numbers(tmp_path: Path, kind: str) -> None:
+    """Pictures of 8 and 24 MB in a bag take no memory; three times the messages take what their numbers need."""
+    most = []
+    for seconds in (8.0, 24.0):
+        name = f"run_{seconds:g}"
+        bag = write_bag(tmp_path / (f"{name}.bag" if kind == "ros1" else name), kind, seconds, picture_bytes=100_000)
+        out = tmp_path / f"{name}.yaml"
+        assert run_command(["import", str(bag), "--suggest", "--out", str(out), "--quiet"]) == 0
+        tracemalloc.start()
+        import_source(bag, load_map(out))
+        most.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    print(f"{most[0] / 1e6:.2f} and {most[1] / 1e6:.2f} MB")
+    assert most[1] < 12e6
+    assert most[1] - most[0] < 40 * (10 + 20 + 2) * 200
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_gigabyte(tmp_path: Path, kind: str) -> None:
+    """20 minutes of odometry at 50 Hz, an IMU at 100 Hz, a battery at 10 Hz, and 960 MB of pictures."""
+    bag = write_bag(tmp_path / ("run.bag" if kind == "ros1" else "run"), kind, 1200.0, often=5, picture_bytes=80_000)
+    made, log = tmp_path / "map.yaml", tmp_path / "log.parquet"
+    iterating = f"from pathlib import Path; from {__name__} import iterate; iterate(Path({str(bag)!r}))"
+    costs = {
+        name: _cost([sys.executable, *words])
+        for name, words in {
+            "listing": ["-m", "missionsim", "import", str(bag)],
+            "suggestion": ["-m", "missionsim", "import", str(bag), "--suggest", "--out", str(made)],
+            "import": ["-m", "missionsim", "import", str(bag), "--map", str(made), "--out", str(log)],
+            "bare iteration": ["-c", iterating],
+        }.items()
+    }
+    for name, (seconds, megabytes) in costs.items():
+        print(f"{kind}: {name} {seconds:.1f} s of the processor, {megabytes:.0f} MB")
+    assert max(megabytes for _, megabytes in costs.values()) < 400
+    assert costs["import"][0] <= MOST_BAG * costs["bare iteration"][0]
+
+
+def _cost(command: list[str]) -> tuple[float, float]:
+    """Processor's time [s] and most memory [MB] of a command, with the start of its process."""
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, cwd=Path(__file__).parents[2])
+    _, status, used = os.wait4(process.pid, 0)
+    assert status == 0
+    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024

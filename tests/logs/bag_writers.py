@@ -23,8 +23,11 @@ def amps(t: float) -> float:
     return 1.0 + 2.0 * speed(t)
 
 
-def write_bag(path: Path, kind: str, duration_s: float = 30.0) -> Path:
-    """A ROS 1 bag (`kind` ros1), ROS 2 bag (sqlite3 or mcap): /battery at 2 Hz, /odom at 10 Hz, /imu at 20 Hz."""
+def write_bag(path: Path, kind: str, duration_s: float = 30.0, *, often: int = 1, picture_bytes: int = 0) -> Path:
+    """A ROS 1 bag (`kind` ros1), ROS 2 bag (sqlite3 or mcap): /battery at 2 Hz, /odom at 10 Hz, /imu at 20 Hz.
+
+    `often` times as many of each, and /camera/compressed at 10 Hz where a picture has a size.
+    """
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
@@ -88,10 +91,16 @@ def write_bag(path: Path, kind: str, duration_s: float = 30.0) -> Path:
             linear_acceleration_covariance=np.zeros(9),
         )
 
+    pixels = np.frombuffer(np.random.default_rng(1).bytes(picture_bytes), dtype=np.uint8)
+
+    def picture(t: float):  # type: ignore[no-untyped-def]
+        return types["sensor_msgs/msg/CompressedImage"](header=header(t), format="jpeg", data=pixels)
+
     topics = [
-        ("/battery", "sensor_msgs/msg/BatteryState", battery, 0.5),
-        ("/odom", "nav_msgs/msg/Odometry", odometry, STEP_S),
-        ("/imu", "sensor_msgs/msg/Imu", imu, 0.05),
+        ("/battery", "sensor_msgs/msg/BatteryState", battery, 0.5 / often),
+        ("/odom", "nav_msgs/msg/Odometry", odometry, STEP_S / often),
+        ("/imu", "sensor_msgs/msg/Imu", imu, 0.05 / often),
+        *([("/camera/compressed", "sensor_msgs/msg/CompressedImage", picture, 0.1)] if picture_bytes else []),
     ]
     messages = sorted(
         (t, index) for index, (_, _, _, step) in enumerate(topics) for t in np.arange(0.0, duration_s, step).tolist()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import array
 import contextlib
 import re
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.files import install_hint
-from missionsim.labels import Labels
 from missionsim.logs.formats.jsonlines import read_json_mcap
-from missionsim.logs.raw import ColumnData, numbers_in
+from missionsim.logs.formats.packed import Batch, Held
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 from missionsim.logs.remarks import Remark
 
@@ -81,19 +80,23 @@ def read_bag(path: Path, options: Options) -> Recording:
     if path.suffix == ".mcap" and (recording := read_json_mcap(path, options)) is not None:
         return recording
     remarks: list[Remark] = []
-    held: dict[str, _Held] = {}
+    held: dict[str, Held] = {}
     broken: list[str] = []
     with open_bag(path) as reader:
         wanted = None if options.fields is None else _wanted(options.fields)
         infos = {topic: info for topic, info in reader.topics.items() if wanted is None or topic in wanted}
         connections = [c for c in reader.connections if c.topic in infos]
         seen = dict.fromkeys(infos, 0)
+        batches = {} if wanted is None else _batches(reader, infos, wanted)
         messages = reader.messages(connections=connections) if connections else iter(())
         while True:
             try:
                 connection, received, data = next(messages)
                 topic = connection.topic
                 seen[topic] += 1
+                if topic in batches and batches[topic].takes(data, received):
+                    continue
+                batches.pop(topic, None)
                 if options.most is not None and seen[topic] > options.most:
                     if all(count > options.most or count >= infos[name].msgcount for name, count in seen.items()):
                         break
@@ -107,10 +110,15 @@ def read_bag(path: Path, options: Options) -> Recording:
             stamp = _header_ns(message, received)
             for name, values in _values(topic, message, None if wanted is None else wanted[topic]):
                 if name not in held:
-                    held[name] = _Held(infos[topic].msgtype or "", infos[topic].msgcount)
+                    held[name] = Held(infos[topic].msgtype or "", infos[topic].msgcount)
                     if hasattr(message, "goal_state"):  # what was before the first event is known as well
                         held[name].add(reader.start_time, reader.start_time, [("state", message.start_state.label)])
                 held[name].add(stamp, received, values)
+        for topic, batch in batches.items():
+            batch.flush()
+            if len(batch.held.stamps):
+                held[topic] = batch.held
+            broken += [f"{batch.held.title} is not what its type says"] * batch.broken
         expected = {topic: info.msgcount for topic, info in infos.items()}
         found = reader.message_count
     if options.most is None:
@@ -123,34 +131,16 @@ def read_bag(path: Path, options: Options) -> Recording:
     return Recording(topics, remarks)
 
 
-class _Held:
-    """What was read of one topic."""
-
-    def __init__(self, title: str, count: int) -> None:
-        self.title, self.count = title, count
-        self.stamps, self.received = array.array("q"), array.array("q")
-        self.values: dict[str, list[Any] | array.array[float]] = {}
-
-    def add(self, stamp: int, received: int, values: list[tuple[str, Any]]) -> None:
-        before = len(self.stamps)
-        self.stamps.append(stamp)
-        self.received.append(received)
-        for name, value in values:
-            column = self.values.get(name)
-            if column is None:
-                text = isinstance(value, str)
-                column = [""] * before if text else array.array("d", [np.nan] * before)
-                self.values[name] = column
-            column.append(value)
-        for column in self.values.values():
-            if len(column) <= before:  # an element that this message does not have
-                column.append("" if isinstance(column, list) else np.nan)  # type: ignore[arg-type]
-
-    def columns(self) -> dict[str, ColumnData]:
-        return {
-            name: numbers_in(Labels.of(column)) if isinstance(column, list) else np.array(column, dtype=np.float64)
-            for name, column in self.values.items()
-        }
+def _batches(
+    reader: Any, infos: Mapping[str, Any], wanted: Mapping[str, Mapping[str, _Get | None]]
+) -> dict[str, Batch]:
+    """What may be read many messages at once: topics of one type, of which fields are wanted that have a path."""
+    types = reader.typestore.fielddefs
+    return {
+        topic: Batch(types, info.msgtype, wanted[topic], reader.is2, Held(info.msgtype, info.msgcount))
+        for topic, info in infos.items()
+        if info.msgtype is not None and None not in wanted[topic].values()
+    }
 
 
 def _wanted(fields: Collection[str]) -> dict[str, dict[str, _Get | None]]:
