@@ -8,9 +8,11 @@ layout for Foxglove and a map for `missionsim import`.
 
 from __future__ import annotations
 
+import heapq
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -195,26 +197,32 @@ def _write(path: str | Path, runs: Iterable[Rows], power: str) -> list[Path]:
             "writing MCAP needs the package mcap", file=str(path), allowed=install_hint("logs")
         ) from None
     target = Path(path)
-    topics: dict[str, list[str]] = {}
+    topics: dict[str, dict[str, None]] = {}
     with atomic_write(target) as temporary, open(temporary, "wb") as stream:
         writer = Writer(stream, compression=CompressionType.ZSTD)
         writer.start("", "missionsim")
-        for rows in runs:
-            for topic, schema, messages in _messages(*rows):
-                name = str(schema["title"])
-                number = writer.register_schema(name, "jsonschema", json.dumps(schema, ensure_ascii=False).encode())
-                channel = writer.register_channel(topic, "json", number)
-                fields: dict[str, None] = {}
-                for nanoseconds, message in messages:
-                    fields |= dict.fromkeys(message)
-                    raw = json.dumps(message, ensure_ascii=False, allow_nan=False).encode()
-                    writer.add_message(channel, nanoseconds, raw, nanoseconds)
-                topics[topic] = list(fields)
+        streams = []
+        for topic, schema, messages in (one for rows in runs for one in _messages(*rows)):
+            raw = json.dumps(schema, ensure_ascii=False).encode()
+            number = writer.register_schema(str(schema["title"]), "jsonschema", raw)
+            channel = writer.register_channel(topic, "json", number)
+            streams.append(_keyed(channel, messages, topics.setdefault(topic, {})))
+        for nanoseconds, number, raw in heapq.merge(*streams, key=itemgetter(0)):  # readers warn where time goes back
+            writer.add_message(number, nanoseconds, raw, nanoseconds)
         writer.finish()  # type: ignore[no-untyped-call]
     layout, mapping = target.with_suffix(".foxglove.json"), target.with_suffix(".map.yaml")
     write_text(layout, json.dumps(_layout(topics), indent=1) + "\n")
     write_text(mapping, _map(topics, target.stem, power))
     return [target, layout, mapping]
+
+
+def _keyed(
+    channel: int, messages: Iterable[tuple[int, dict[str, Any]]], fields: dict[str, None]
+) -> Iterator[tuple[int, int, bytes]]:
+    """Time, channel and bytes of each message; its fields are noted."""
+    for nanoseconds, message in messages:
+        fields |= dict.fromkeys(message)
+        yield nanoseconds, channel, json.dumps(message, ensure_ascii=False, allow_nan=False).encode()
 
 
 def _messages(
@@ -267,7 +275,7 @@ def _poses(stamps: Sequence[int], seconds: Sequence[float], pose: Pose) -> Itera
         yield stamp, {"timestamp": when, "frame_id": "map", "time_s": time, "pose": data}
 
 
-def _layout(topics: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+def _layout(topics: Mapping[str, Collection[str]]) -> dict[str, Any]:
     """A Foxglove layout: power of each battery, charge, and the pose in 3D where there is one."""
     panels: dict[str, Any] = {}
     for topic, fields in topics.items():
@@ -298,7 +306,7 @@ def _plot(title: str, paths: Sequence[str]) -> dict[str, Any]:
     return {"title": title, "paths": drawn, "showLegend": True, "xAxisVal": "timestamp"}
 
 
-def _map(topics: Mapping[str, Sequence[str]], name: str, power: str) -> str:
+def _map(topics: Mapping[str, Collection[str]], name: str, power: str) -> str:
     """A map with which the first run's topics become a log again."""
     first = next((topic.rpartition("/power/")[0] for topic in topics if "/power/" in topic), "")
     signals, columns = {}, {}

@@ -12,6 +12,7 @@ import jsonschema
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from missionsim.cli.app import run_command
 from missionsim.engine.simulate import simulate
@@ -19,6 +20,7 @@ from missionsim.importer.mapping import import_source
 from missionsim.inputs.loading import load_map, load_mission
 from missionsim.labels import Labels
 from missionsim.logs import read_log
+from tests.exchange.mcap_doctor import Doctor
 
 ROOT = Path(__file__).resolve().parents[2]
 PATROL = ROOT / "missions/pioneer3dx/valve_patrol.yaml"
@@ -127,6 +129,36 @@ def test_layout_plots_topics_that_are_there(patrol: Path) -> None:
         return [node] if isinstance(node, str) else [*leaves(node["first"]), *leaves(node["second"])]
 
     assert sorted(leaves(layout["layout"])) == sorted(layout["configById"])
+
+
+def test_the_doctor_finds_no_fault(patrol: Path, tmp_path: Path) -> None:
+    several = tmp_path / "compared.mcap"
+    logs = [str(path) for path in sorted(RUNS.iterdir())[:3]]
+    assert run_command(["compare", "--robot", "pioneer3dx", *logs, "--mcap", str(several), "--quiet"]) == 0
+    for path in (patrol, several):
+        found = Doctor(path)
+        assert found.faults == []
+        assert len(found.times) > 90
+
+
+def test_the_doctor_sees_what_is_wrong(patrol: Path, tmp_path: Path) -> None:
+    """Messages in no order, a count that is wrong, bytes of the summary that changed."""
+    path = tmp_path / "ill.mcap"
+    with open(path, "wb") as stream:
+        writer = Writer(stream)
+        writer.start("", "a test")
+        channel = writer.register_channel("/a", "json", writer.register_schema("a", "jsonschema", b"{}"))
+        for time in (1, 3, 2):
+            writer.add_message(channel, time, b"{}", time)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert Doctor(path).faults == ["a message at 2 after one at 3"]
+    raw = bytearray(patrol.read_bytes())
+    count = raw.index(bytes([11]), int.from_bytes(raw[-28:-20], "little"))  # statistics begin with their type
+    while int.from_bytes(raw[count + 9 : count + 17], "little") != len(Doctor(patrol).times):
+        count = raw.index(bytes([11]), count + 1)
+    raw[count + 9] ^= 1
+    path.write_bytes(raw)
+    assert Doctor(path).faults == ["checksum of the summary", "messages in the statistics"]
 
 
 @pytest.mark.parametrize("part", [0.3, 0.7, 0.99])
