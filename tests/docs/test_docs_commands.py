@@ -22,6 +22,7 @@ from missionsim.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+STORIES = sorted((ROOT / "docs" / "stories").glob("*.md"))
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 STATEMENT = re.compile(r"(?:.*<<'END'\n(?:.*\n)*?END|(?:.*\\\n)*.+)(?:\n|\Z)")
 """A line with what continues it, or one with the text that it feeds to a program."""
@@ -73,19 +74,31 @@ def run(statement: str, monkeypatch: pytest.MonkeyPatch) -> int:
 def test_commands_of_page(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    assert "shared/" not in page.read_text(encoding="utf-8"), "nobody else has these files"
+    run_page(page, tmp_path, monkeypatch, capsys)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("page", STORIES, ids=lambda page: page.name)
+def test_story_on_the_measured_data(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], shared: Path
+) -> None:
+    """Where the public data are at hand, the stories' figures hold on them."""
+    (tmp_path / "repository").mkdir()
+    (tmp_path / "repository" / "data").symlink_to(shared / "data")
+    run_page(page, tmp_path, monkeypatch, capsys)
+
+
+def run_page(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     parts = list(statements(page))
     if not parts:
         pytest.skip("this page shows no command")
-    if any("../shared" in code for _, code in parts) and not (ROOT.parent / "shared" / "contract.md").is_file():
-        pytest.skip("this page reads the shared logs, which are not here")
     here = tmp_path / "repository"
-    here.mkdir()
+    here.mkdir(exist_ok=True)
     for name in ("missions", "environments", "docs", "results"):
         if (ROOT / name).is_dir():
             shutil.copytree(ROOT / name, here / name)
     (here / "missionsim").symlink_to(ROOT / "missionsim")
-    if (ROOT.parent / "shared").is_dir():
-        (tmp_path / "shared").symlink_to(ROOT.parent / "shared")
     monkeypatch.chdir(here)
     monkeypatch.setenv("COLUMNS", "100")
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
