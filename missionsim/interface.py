@@ -216,6 +216,7 @@ def compare(
     from missionsim.compare.core import compare_files
 
     found = compare_files(robot, _listed(logs), mission=mission, by=by)
+    _warn(found.left_out)
     told = [f"{name} {b.energy_error_pct:+.2f} %, {b.power_rmse_w:.3g} W" for name, b in found.batteries.items()]
 
     def rows() -> list[dict[str, Any]]:
@@ -359,17 +360,22 @@ def import_site(path: PathLike, options: SiteOptions | None = None) -> Answer[Si
 
 def _runs(robot: PathLike, logs: Logs) -> tuple[RobotSpec, list[Run]]:
     """The robot, and the runs that it may learn from; of the others a warning tells, as the commands do."""
-    import warnings
-
     from missionsim.diagnose.split import read_runs
     from missionsim.inputs.loading import load_robot
     from missionsim.inputs.power import build_power_model
 
     spec = load_robot(robot)
     runs, left_out = read_runs(spec, build_power_model(spec), _paths(logs))
-    for line in left_out:
-        warnings.warn(f"left out {line}", stacklevel=4)
+    _warn(left_out, stacklevel=5)
     return spec, runs
+
+
+def _warn(left_out: Sequence[str], stacklevel: int = 3) -> None:
+    """Tell of runs that were left out, as the commands do."""
+    import warnings
+
+    for line in left_out:
+        warnings.warn(f"left out {line}", stacklevel=stacklevel)
 
 
 def _split(robot: PathLike, logs: Logs, holdout: str | Sequence[str | Path] | None) -> tuple[RobotSpec, Split]:

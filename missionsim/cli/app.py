@@ -88,6 +88,10 @@ def run_command(arguments: Sequence[str]) -> int:
         )
         return EXIT_INPUT
     try:
+        if "" in arguments:
+            raise InputError.single(
+                "an argument is empty", got=f"number {list(arguments).index('') + 1}", allowed="text"
+            )
         call = read_call(arguments)
         if call is None:
             return EXIT_INPUT

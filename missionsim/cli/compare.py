@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.options import TERMINAL, OutFile, OutFolder, Output
+from missionsim.cli.options import TERMINAL, OutFile, OutFolder, Output, tell_left_out
 from missionsim.errors import InputError
 from missionsim.report.terminal import console
 
@@ -26,7 +26,9 @@ def compare(
     """Compare a robot's model with measured logs: energy, power, and where it fails.
 
     The logs drive the model directly; with a mission, the gap between the measured runs and the simulated mission is
-    split into what the power model misses and what the robot did otherwise than planned.
+    split into what the power model misses and what the robot did otherwise than planned. Runs that `validate` refuses,
+    copies, and runs with a fault that the others show (another unit, a column that hangs) are left out and named; the
+    exit code is 1 then.
 
     Parameters
     ----------
@@ -58,6 +60,7 @@ def compare(
     with to.progress() as bar:
         task = bar.add_task("runs", total=None)
         result = compare_files(robot, logs, mission=mission, by=by, on_run=lambda _: bar.advance(task))
+    tell_left_out(result.left_out)
     if report is not None:
         from missionsim.files import write_text
         from missionsim.report.compare_page import compare_page
@@ -86,7 +89,7 @@ def compare(
         for path in (report, out, mcap):
             if path is not None:
                 terminal.print(f"written: {path}")
-    return 0 if inside else 1
+    return 0 if inside and not result.left_out else 1
 
 
 def _footer() -> str:

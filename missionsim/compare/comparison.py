@@ -260,6 +260,8 @@ class Comparison:
         Rows of all logs.
     mission : str
         Name of the mission, empty without one.
+    left_out : tuple of str
+        Runs that are not compared, and why: refused by the checks, copies, or unlike all others by a fault of the log.
     """
 
     robot: str
@@ -269,6 +271,7 @@ class Comparison:
     logs: tuple[tuple[str, str], ...] = ()
     rows: int = 0
     mission: str = ""
+    left_out: tuple[str, ...] = ()
 
     def within(self, tolerance_pct: float) -> bool:
         """Whether the energy error of every battery is within ± `tolerance_pct`."""
@@ -283,6 +286,7 @@ class Comparison:
             "runs": list(self.runs),
             "batteries": {name: one.to_json() for name, one in self.batteries.items()},
             "notes": list(self.notes),
+            "left_out": list(self.left_out),
             "rows": self.rows,
             "logs": [
                 {"run": run, "file": source, "sha256": sha256(source) if source else None} for run, source in self.logs

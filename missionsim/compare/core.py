@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,10 +21,11 @@ from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
 from missionsim.errors import Fault, InputError
 from missionsim.logs.remarks import Remark, merge
+from missionsim.runs.admit import admit
 from missionsim.runs.drive import assume, drive_blocks
 from missionsim.runs.error import cumulative_at, error_curve, error_statistics, progress_grid
 from missionsim.runs.motion import still_of
-from missionsim.runs.run import Run
+from missionsim.runs.run import Run, coarser
 
 if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
@@ -131,7 +133,16 @@ def compare(
     notes: dict[Any, tuple[str, list[str]]] = {}
     sources: list[tuple[str, str]] = []
     wanted = tuple(by)
-    for run, source, blocks in _runs(logs, robot):
+    items = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)
+    given = _runs(items, robot)
+    # runs that are handed over were admitted by whoever read them
+    handed = [item for item in items if isinstance(item, Run)]
+    admitted, left_out = admit([sample for _, sample, _ in given if not any(sample is run for run in handed)], model)
+    kept = {id(run) for run in (*admitted, *handed)}
+    for source, sample, blocks_of in given:
+        if id(sample) not in kept:
+            continue
+        run, blocks = sample.run, blocks_of()
         first = next(blocks, None)
         if first is None:
             raise InputError.single("the log has no rows", file=source)
@@ -157,6 +168,7 @@ def compare(
         tuple(sources),
         sums.rows,
         mission,
+        tuple(left_out),
     )
 
 
@@ -224,25 +236,30 @@ def _all_or_faults(loading: Sequence[Callable[[], Any]]) -> list[Any]:
     return [*found, *([None] * (3 - len(found)))]
 
 
-def _runs(logs: Iterable[Run | PathLike] | PathLike, robot: Any) -> Iterator[tuple[str, str, Iterator[Run]]]:
-    """Name, source and blocks of each run; small files are read, and their faults told, all at once."""
+def _runs(logs: Sequence[Run | PathLike], robot: Any) -> list[tuple[str, Run, Callable[[], Iterator[Run]]]]:
+    """Source of each run, the run or the start of a long one, and its blocks; faults of small files all at once."""
     from missionsim.logs import iter_blocks, read_logs
     from missionsim.logs.read import distinct_logs, same_content
 
-    given: list[Any] = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)
-    paths = [item for item in given if not isinstance(item, Run)]
-    tables = [item for item in given if isinstance(item, Run)]
-    files = distinct_logs(paths) if paths or not given else {}
+    paths = [item for item in logs if not isinstance(item, Run)]
+    tables = [item for item in logs if isinstance(item, Run)]
+    files = distinct_logs(paths) if paths or not logs else {}
     large = [path for path in files if path.stat().st_size >= LARGE_FILE_BYTES]
     small = [file for path, twins in files.items() if path not in large for file in (path, *twins)]
-    for table in [*tables, *(read_logs(small, robot=robot) if small else [])]:
-        yield table.run, table.source, iter([table])
+    read = [*tables, *(read_logs(small, robot=robot) if small else [])]
+    found: list[tuple[str, Run, Callable[[], Iterator[Run]]]] = [
+        (table.source, table, lambda table=table: iter([table])) for table in read
+    ]
     for path in large:
-        blocks = _ahead(iter_blocks(path, rows=BLOCK_ROWS, robot=robot))
-        if twins := files[path]:
-            remark = same_content(twins)
-            blocks = (replace(block, remarks=(*block.remarks, remark)) for block in blocks)
-        yield path.stem, str(path), blocks
+        twins = files[path]
+
+        def blocks(path: Path = path, twins: Sequence[Path] = twins) -> Iterator[Run]:
+            told = (same_content(twins),) if twins else ()
+            for block in _ahead(iter_blocks(path, rows=BLOCK_ROWS, robot=robot)):
+                yield replace(block, remarks=(*block.remarks, *told)) if told else block
+
+        found.append((str(path), coarser(next(iter_blocks(path, rows=BLOCK_ROWS, robot=robot))), blocks))
+    return found
 
 
 def _ahead(blocks: Iterator[Run]) -> Iterator[Run]:

@@ -236,6 +236,9 @@ def fit_parameters(
         prior_sd = free_priors(ready, known) if free else {name: max(p.prior_sd, 1e-6) for name, p in known.items()}
         clock = make_source(ready.data(), [], prior_sd, settings).clock
         fitted = final_fit(model, logs, battery, prior_sd, clock, settings)
+        after = errors_of(fitted.model, logs, battery)
+        if not np.isfinite(after.power_rmse_w):
+            raise OverflowError("no finite power at the fitted values")
     except (np.linalg.LinAlgError, OverflowError) as error:
         raise InputError.single(
             f"the model of battery '{battery}' cannot be fitted: its values or its parameters run out of all numbers",
@@ -258,7 +261,6 @@ def fit_parameters(
         f"{name} and {twin} act on the power in the same way: {twin} is fitted, {name} stays as it is"
         for name, twin in fitted.alike.items()
     ]
-    after = errors_of(fitted.model, logs, battery)
     return ModelFit(
         battery,
         fitted.model,

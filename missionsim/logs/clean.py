@@ -215,8 +215,8 @@ def _known(rows: Rows, name: str, data: Floats) -> Bools | None:
         beyond = min(_OUTLANDISH * max(abs(limits[0]), abs(limits[1])), _DROWNING)
         wild = bool(np.any(np.abs(data[out]) > beyond))
         single = wild or count < _OUTLIER_SHARE * len(data)
-        unit = found[0].unit if found is not None else ""
-        told = f"{count} values outside {limits[0]:g} … {limits[1]:g} {unit}, first {data[at]:.6g}"
+        unit = f" {found[0].unit}" if found is not None and found[0].unit not in ("", "1") else ""
+        told = f"{count} values outside {limits[0]:g} … {limits[1]:g}{unit}, first {data[at]:.6g}"
         action = "they count as missing" if single else "left as they are: a wrong unit? (a map converts it)"
         rows.remark("range", name, told, action, "error", at, count)
         if single:

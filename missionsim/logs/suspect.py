@@ -56,6 +56,7 @@ _RATIOS: tuple[tuple[float, str], ...] = (
     (np.pi / 180, "1/57.3"),
     (-1.0, "−1 (the sign)"),
     (60.0, "60"),
+    (1 / 60.0, "1/60"),
     (100.0, "100"),
 )
 
@@ -187,9 +188,12 @@ def check_agreement(rows: Rows, batteries: Mapping[str, str]) -> None:
         )
     accel = number.get("accel_m_s2")
     if accel is not None and speed is not None and len(time) > 50:
-        slope = np.gradient(speed, time)
-        if (strength := float(slope @ slope)) > 0:
-            _ratio(rows, "accel_m_s2", "the changes of speed_m_s", float(accel @ slope) / strength, 1.0, loose=True)
+        # over a second, for the noise of two successive speeds drowns their difference
+        stride = max(1, round(1.0 / max(float(np.median(np.diff(time))), 1e-6)))
+        gained = np.r_[0.0, np.cumsum(0.5 * (accel[1:] + accel[:-1]) * np.diff(time))]
+        told, seen = gained[stride:] - gained[:-stride], speed[stride:] - speed[:-stride]
+        if (strength := float(seen @ seen)) > 0 and (both := float(told @ seen)) ** 2 > 0.5 * strength * (told @ told):
+            _ratio(rows, "accel_m_s2", "the changes of speed_m_s", both / strength, 1.0, loose=True)
 
 
 def _mean(values: Floats) -> float:
@@ -201,10 +205,15 @@ def _ratio(rows: Rows, name: str, other: str, value: float, reference: float, lo
         return
     ratio = value / reference
     spread = 1.35 if loose else 1.15
-    for factor, words in _RATIOS:
-        if factor * ratio > 0 and 1 / spread < ratio / factor < spread:
-            rows.remark("unit", name, f"{words} times {other}: another unit or sign?", _LEFT, "error")
-            return
+    near = {words: factor for factor, words in _RATIOS if factor * ratio > 0 and 1 / spread < ratio / factor < spread}
+    if near and name == "accel_m_s2":
+        told = f"{ratio:.2g} times {other}: another unit or sign of either (km/h, mph, g?), or of time_s?"
+        rows.remark("unit", name, told, _LEFT, "error")
+        return
+    if near:
+        words = min(near, key=lambda one: abs(np.log(ratio / near[one])))
+        rows.remark("unit", name, f"{words} times {other}: another unit or sign?", _LEFT, "error")
+        return
     if not loose and not 0.8 < ratio < 1.25:
         rows.remark("disagreement", name, f"{ratio:.3g} times {other}", "left as it is")
 
