@@ -18,6 +18,10 @@ def visible(text: str) -> str:
     return text.translate(_CONTROL)
 
 
+MOST_ECHOED = 400
+"""Characters of what came that a message repeats."""
+
+
 @dataclass(frozen=True, order=True)
 class Fault:
     """One fault in a file of the user.
@@ -60,12 +64,17 @@ class Fault:
         if self.path:
             text += f"\n    at: {self.path}"
         if self.got:
-            text += f"\n    got: {self.got}"
+            text += f"\n    got: {_short(self.got)}"
         if self.allowed:
             text += f"\n    allowed: {self.allowed}"
         if self.hint:
             text += f"\n    did you mean: {self.hint}"
         return visible(text)
+
+
+def _short(text: str) -> str:
+    """The two ends of a long text; nobody needs ten thousand digits back."""
+    return text if len(text) <= MOST_ECHOED else f"{text[: MOST_ECHOED // 2]} … {text[-20:]} ({len(text):,} characters)"
 
 
 class MissionsimError(Exception):

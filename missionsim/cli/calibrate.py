@@ -69,7 +69,7 @@ def calibrate(
         raise InputError.single("give at least one log", allowed="files or folders")
     given = None if robot is None else build_power_model(load_robot(robot))
     tables, left_out = admit(read_logs(list(logs)), given)
-    tell_left_out(left_out)
+    tell_left_out(left_out, to)
     fits: list[ModelFit]
     remarks: list[str]
     if new is not None and base is not None:

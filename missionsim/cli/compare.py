@@ -28,7 +28,7 @@ def compare(
     The logs drive the model directly; with a mission, the gap between the measured runs and the simulated mission is
     split into what the power model misses and what the robot did otherwise than planned. Runs that `validate` refuses,
     copies, and runs with a fault that the others show (another unit, a column that hangs) are left out and named; the
-    exit code is 1 then.
+    exit code is 1 then, and where measured energy is a thousand times that of the model or the other way round.
 
     Parameters
     ----------
@@ -51,6 +51,7 @@ def compare(
         layout for Foxglove and a map for import beside it.
     """
     from missionsim.compare import compare_files
+    from missionsim.compare.comparison import thousandfold
 
     if tolerance is not None and not tolerance >= 0.0:
         raise InputError.single("the tolerance is a percentage", got=tolerance, allowed="zero or more")
@@ -60,7 +61,7 @@ def compare(
     with to.progress() as bar:
         task = bar.add_task("runs", total=None)
         result = compare_files(robot, logs, mission=mission, by=by, on_run=lambda _: bar.advance(task))
-    tell_left_out(result.left_out)
+    tell_left_out(result.left_out, to)
     if report is not None:
         from missionsim.files import write_text
         from missionsim.report.compare_page import compare_page
@@ -89,7 +90,8 @@ def compare(
         for path in (report, out, mcap):
             if path is not None:
                 terminal.print(f"written: {path}")
-    return 0 if inside and not result.left_out else 1
+    doubtful = any(thousandfold(one.energy_measured_wh, one.energy_model_wh) for one in result.batteries.values())
+    return 0 if inside and not doubtful and not result.left_out else 1
 
 
 def _footer() -> str:

@@ -49,7 +49,7 @@ def diagnose(
         on_left_out=left_out.extend,
         on_remark=remarks.extend,
     )
-    tell_left_out(left_out)
+    tell_left_out(left_out, to)
     to.emit(result.to_json() | {"left_out": left_out})
     if report is not None:
         from missionsim.files import write_text

@@ -244,10 +244,9 @@ def _executor(address: str | None) -> Iterator[Any]:
         client = Client(address, timeout=SCHEDULER_WAIT_S)
     except (OSError, TimeoutError, ValueError) as error:
         raise InputError.single(
-            "no Dask scheduler answers at this address",
+            f"no Dask scheduler answers at this address: {str(error)[:80]}",
             got=address,
             allowed="an address such as tcp://localhost:8786",
-            hint=str(error)[:80],
         ) from error
     try:
         yield client

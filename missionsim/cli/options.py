@@ -180,7 +180,7 @@ class Search:
 
         spec = load_robot(self.robot)
         tables, left_out = read_runs(spec, build_power_model(spec), logs)
-        tell_left_out(left_out)
+        tell_left_out(left_out, to)
         for line in [] if to.quiet else [*describe(tables), *unchanging(tables)]:
             print(visible(line), file=sys.stderr)
         return spec, choose_split(tables, self.holdout), tables, left_out
@@ -192,7 +192,7 @@ TERMINAL = Output()
 AS_FILED = Changes()
 
 
-def tell_left_out(told: Sequence[str]) -> None:
-    """Say before anything else which runs were left out; the command ends with exit code 1."""
+def tell_left_out(told: Sequence[str], to: Output) -> None:
+    """Say before anything else, where the answer is read, which runs were left out; the exit code will be 1."""
     for line in told:
-        print(visible(f"LEFT OUT {line}"), file=sys.stderr)
+        print(visible(f"LEFT OUT {line}"), file=sys.stdout if to.text else sys.stderr)

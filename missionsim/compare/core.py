@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -247,9 +248,9 @@ def _runs(logs: Sequence[Run | PathLike], robot: Any) -> list[tuple[str, Run, Ca
     large = [path for path in files if path.stat().st_size >= LARGE_FILE_BYTES]
     small = [file for path, twins in files.items() if path not in large for file in (path, *twins)]
     read = [*tables, *(read_logs(small, robot=robot) if small else [])]
-    found: list[tuple[str, Run, Callable[[], Iterator[Run]]]] = [
-        (table.source, table, lambda table=table: iter([table])) for table in read
-    ]
+    found: list[tuple[str, Run, Callable[[], Iterator[Run]]]] = []
+    for table in read:
+        found.append((table.source, table, partial(iter, [table])))
     for path in large:
         twins = files[path]
 

@@ -296,6 +296,8 @@ def _solve(system: _System, done: Array, sd: Array, ends: Array, *, energy: bool
     weight = system.seconds / np.mean(system.seconds)
     normal = (x * weight[:, None]).T @ x
     prior = np.diag(1.0 / sd**2)
+    if not (np.isfinite(normal).all() and np.isfinite(y).all()):  # LAPACK may never end on such numbers
+        raise OverflowError("no finite power on the way to the best values")
     shift, cov, d = done, np.linalg.pinv(normal + prior), 1.0
     for _ in range(2):
         root = np.sqrt(weight / d)

@@ -24,6 +24,8 @@ LARGEST_W = 1e30
 """Powers from here on are no numbers to compute with: their squares must still be finite."""
 LEAST_USABLE = 0.5
 """Part of the rows in which a model must have a value to be fitted."""
+LEAST_EXPLAINED = -10.0
+"""Share of the variance below which a fit has run away: a plain mean explains nought of it."""
 LARGEST_INFLATION = 1e8
 SETTLING_ROUNDS = 30
 
@@ -237,8 +239,8 @@ def fit_parameters(
         clock = make_source(ready.data(), [], prior_sd, settings).clock
         fitted = final_fit(model, logs, battery, prior_sd, clock, settings)
         after = errors_of(fitted.model, logs, battery)
-        if not np.isfinite(after.power_rmse_w):
-            raise OverflowError("no finite power at the fitted values")
+        if not explained(after, ready) > LEAST_EXPLAINED:
+            raise OverflowError("an error far larger than the power at the values that were tried")
     except (np.linalg.LinAlgError, OverflowError) as error:
         raise InputError.single(
             f"the model of battery '{battery}' cannot be fitted: its values or its parameters run out of all numbers",

@@ -15,8 +15,10 @@ from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import Remark, read_logs
 from missionsim.runs.admit import admit, unchanging
+from missionsim.runs.copies import copies
 from missionsim.runs.run import Run
 from tests.diagnose.logs import drive
+from tests.rough import regimes
 from tests.rough.world import WORLDS, write
 
 
@@ -76,6 +78,10 @@ def test_the_command_says_it_first_and_exits_with_one(
     arguments = ["--robot", "pioneer3dx", str(logs), "--quiet"]
     assert run_command(["add-effect", "--effect", "grade", *arguments, "--out", str(tmp_path / "r.yaml")]) == 1
     assert capsys.readouterr().err.startswith("LEFT OUT run_01: power_robot_w is")
+    assert run_command(["compare", *arguments[:-1]]) == 1
+    said = capsys.readouterr().out
+    assert said.startswith("LEFT OUT run_01: power_robot_w is")
+    assert "5 runs" in said
     with pytest.warns(UserWarning, match="left out run_01: power_robot_w is"):
         fitted = missionsim.calibrate("pioneer3dx", logs)
     assert "run_01" not in fitted.to_json()["batteries"]["robot"]["runs"]
@@ -146,3 +152,65 @@ def test_rough_runs_are_no_spoilt_ones(kind: str, seed: int, tmp_path: Path) -> 
     rough = read_logs([train])
     (tmp_path / "own.yaml").write_text(calibrate_new(new, rough).text, encoding="utf-8")
     assert admit(rough, build_power_model(load_robot(tmp_path / "own.yaml")))[1] == []
+
+
+def changed(run: Run, **columns: np.ndarray) -> Run:
+    return replace(run, columns={**run.columns, **columns})
+
+
+def test_a_copy_that_is_cut_and_shifted_in_time_counts_once(runs: list[Run]) -> None:
+    rng = np.random.default_rng(3)
+    later = runs[1].rows_where(np.arange(len(runs[1])) > 30)
+    copy = changed(later, time_s=later.time_s + 1000.137)
+    noisy = {"robot": later.power_w["robot"] + rng.normal(0.0, 0.2, len(later))}
+    (line,) = told([*runs, replace(copy, run="again", power_w=noisy)])
+    assert line.startswith("again: a copy of run_01")
+
+
+def test_speeds_that_were_commanded_alike_are_no_copies(runs: list[Run]) -> None:
+    """Two runs of one mission whose logs hold commanded speeds: each a measurement of its own."""
+    ramps = np.abs((np.arange(400) % 40) - 20) / 40.0
+    alike = [changed(run.rows_where(slice(0, 400)), speed_m_s=np.resize(ramps, min(400, len(run)))) for run in runs]
+    assert copies(alike) == {}
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("gain", "power_robot_w is 1.3"),
+        ("late", "power_robot_w lies +25 s beside what the robot does"),
+        ("shuffled", "power_robot_w does not follow what the robot does"),
+        ("frozen", "speed_m_s stands at "),
+        ("switch", "on_camera is 0 in every row, while the power goes up and down by its watts"),
+        ("mph", "speed_m_s is 2.24 times too large (mph?)"),
+        ("sign", "slope_rad has the other sign"),
+    ],
+)
+def test_a_fault_of_one_run_is_named_by_what_the_others_say(fault: str, words: str, tmp_path: Path) -> None:
+    """A robot of the regimes' world, ten kilograms, that climbs; its file knows nothing of slopes."""
+    frames, robot = regimes.logs(regimes.REGIMES["plain 1 Hz"], "grade", 0.05, 4)
+    (tmp_path / "own.yaml").write_text(regimes.robot_file(robot, 0.03), encoding="utf-8")
+    model = build_power_model(load_robot(tmp_path / "own.yaml"))
+    spoilt, rng = frames[3].copy(), np.random.default_rng(1)
+    power, third = spoilt["power_robot_w"], len(spoilt) // 3
+    if fault == "gain":
+        spoilt["power_robot_w"] = 1.3 * power
+    elif fault == "late":
+        spoilt["power_robot_w"] = np.roll(power, 25)
+    elif fault == "shuffled":
+        spoilt["power_robot_w"] = rng.permutation(power)
+    elif fault == "frozen":
+        spoilt.loc[third:, "speed_m_s"] = 0.4321
+    elif fault == "switch":
+        spoilt["on_camera"] = 0
+    elif fault == "mph":
+        spoilt["speed_m_s"] *= 2.2369
+    else:
+        spoilt["slope_rad"] *= -1.0
+    logs = [tmp_path / f"run_{i:02d}.csv" for i in range(len(frames))]
+    for path, frame in zip(logs, frames, strict=True):
+        frame.to_csv(path, index=False)
+    assert admit(read_logs(logs), model)[1] == []
+    spoilt.to_csv(logs[3], index=False)
+    (line,) = admit(read_logs(logs), model)[1]
+    assert line.startswith(f"run_03: {words}")

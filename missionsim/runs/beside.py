@@ -1,0 +1,364 @@
+"""Runs that do not follow the robot as the others do, and the fault in their log that explains it.
+
+Each run is held against what all others say of it: the levels of their power against the model, and a regression of
+measured less modelled power on what is logged, within runs. What a known fault of a log undoes is named by that fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from missionsim.effects.covariates import is_moving
+from missionsim.effects.model import PowerModel
+from missionsim.errors import InputError
+from missionsim.glossary import column_of
+from missionsim.labels import Labels
+from missionsim.runs.covariates import is_switch, may_be_cause
+from missionsim.runs.drive import Driven, drive
+from missionsim.runs.run import Run
+
+Array = NDArray[np.float64]
+SPEEDS = {3.6: "km/h", 2.2369: "mph", 3.2808: "ft/s", 100.0: "cm/s", 1000.0: "mm/s", 1.0 / 3.6: "m/s divided by 3.6"}
+FEWEST, FEWEST_LEVELS = 3, 5
+"""Runs that can say what is usual, and whose levels can."""
+OFFSET, SCATTER = 0.06, 6.0
+"""An offset of one run is told from this part of the mean power on, and this many deviations of all runs (assumed)."""
+LOADS = ("cpu_load", "cpu_freq_hz")
+"""Columns of the glossary that may say why one run takes more than the others at rest and in motion alike."""
+ROUGHER, RESTORED = 1.4, 1.2
+"""Scatter of a run about what the others say of it, in times theirs, from which on a fault is looked for, and within
+which one explains it (assumed)."""
+UNRELATED = 0.4
+"""Part of its power that follows the others' law, in times theirs, below which a run has nothing to do with them."""
+APART = 2.5
+"""Distance of two groups of levels, in times the width of the wider, from which the fewer are odd (assumed)."""
+STANDS = 0.15
+"""Part of a run over which a column must stand still to be looked at."""
+ROWS = 4000
+"""Rows of each run that the regression looks at."""
+
+
+class Others:
+    """What the other runs say of each: a regression of measured less modelled power, within runs."""
+
+    def __init__(self, runs: Sequence[Driven], battery: str) -> None:
+        self.runs, self.battery = runs, battery
+        shared = set.intersection(*({*one.run.columns} for one in runs))
+        self.loads = sorted(
+            name
+            for name in shared
+            if not any(isinstance(one.run.columns[name], Labels) for one in runs)
+            and (is_switch(name) or name in LOADS or (column_of(name) is None and may_be_cause(name)))
+        )
+        designs = [self.centred(one) for one in runs]
+        self.gram = np.array([rows.T @ rows for rows, _ in designs])
+        self.towards = np.array([rows.T @ gap for rows, gap in designs])
+        self.left = np.ones(len(runs), dtype=bool)
+        self.learn()
+
+    def learn(self) -> None:
+        """What all say that are left, and how far each is from what the rest says."""
+        self.expected = [self.of_others(i) for i in range(len(self.runs))]
+        self.scatter = np.array([self.residual(i, one) for i, one in enumerate(self.runs)])
+
+    def columns(self, driven: Driven) -> Array:
+        """What power may depend on, shape (n, p)."""
+        cov = driven.covariates
+        zero = np.zeros(len(driven.time_s))
+        speed = np.abs(np.asarray(cov["speed_m_s"])) if "speed_m_s" in cov else zero
+        accel, slope, yaw = (
+            np.asarray(cov[name]) + zero if name in cov else zero
+            for name in ("accel_m_s2", "slope_rad", "yaw_rate_rad_s")
+        )
+        yaw = np.abs(yaw)
+        loads = [np.nan_to_num(np.asarray(cov[name], dtype=float) + zero) for name in self.loads]
+        return np.column_stack(
+            [speed, speed**2, yaw, yaw**2, accel * speed, np.maximum(accel, 0.0) * speed, slope * speed, *loads]
+        )
+
+    def centred(self, driven: Driven) -> tuple[Array, Array]:
+        """Columns and measured less modelled power about their means at rest and in motion; (m, p) and (m,)."""
+        gap = driven.measured_w[self.battery] - driven.model_w[self.battery]
+        rows, moving = self.columns(driven), np.asarray(is_moving(driven.covariates)) & np.ones(len(gap), dtype=bool)
+        keep = slice(None, None, 1 + len(gap) // ROWS)
+        rows, gap, moving = rows[keep], gap[keep], moving[keep]
+        for group in (moving, ~moving):
+            if group.any():
+                rows[group] -= rows[group].mean(axis=0)
+                gap[group] -= gap[group].mean()
+        return rows, gap
+
+    def of_others(self, number: int) -> Array:
+        """Coefficients from all runs but one, shape (p,)."""
+        rest = self.left & (np.arange(len(self.runs)) != number)
+        gram, towards = self.gram[rest].sum(axis=0), self.towards[rest].sum(axis=0)
+        size = np.sqrt(np.maximum(np.diag(gram), 1e-12))
+        scaled = gram / np.outer(size, size) + 1e-3 * np.eye(len(size))
+        return np.asarray(np.linalg.solve(scaled, towards / size) / size)
+
+    def residual(self, number: int, driven: Driven) -> float:
+        """Scatter of a run, as logged or mended, about what the others say of it [W]."""
+        rows, gap = self.centred(driven)
+        return float(np.std(gap - rows @ self.expected[number]))
+
+    def beside(self, number: int) -> Array:
+        """Measured power less what model and others say [W], shape (n,)."""
+        one = self.runs[number]
+        return np.asarray(one.measured_w[self.battery] - self.said(number))
+
+    def said(self, number: int) -> Array:
+        """What model and others say of a run but for a constant [W], shape (n,)."""
+        one = self.runs[number]
+        return np.asarray(one.model_w[self.battery] + self.columns(one) @ self.expected[number])
+
+    def follows(self, number: int) -> float:
+        """Part of the variance of a run's power that what the others say of it explains."""
+        measured, said = self.runs[number].measured_w[self.battery], self.said(number)
+        return float(np.corrcoef(measured, said)[0, 1]) ** 2 if np.ptp(measured) > 0.0 < np.ptp(said) else 0.0
+
+
+def runs_beside(others: Others, model: PowerModel) -> dict[str, str]:
+    """Runs that scatter more than the others or lie beside them, and what explains it."""
+    found: dict[str, str] = {}
+    follows = [others.follows(i) for i in range(len(others.runs))]
+    while others.left.sum() >= FEWEST_LEVELS:
+        # the roughest first, and what it says taken from what is held against the next
+        i = int(np.argmax(np.where(others.left, others.scatter, -1.0)))
+        rough = others.scatter[i]
+        others.left[i] = False
+        others.learn()
+        rest = np.log(np.maximum(others.scatter[others.left], 1e-9))
+        usual = float(np.median(rest))
+        least = max(np.log(ROUGHER), SCATTER * 1.4826 * float(np.median(np.abs(rest - usual))))
+        if np.log(max(rough, 1e-9)) - usual <= least:
+            others.left[i] = True
+            others.learn()
+            break
+        told = _fault(others, i, model, float(np.exp(usual)))
+        if not told and follows[i] < UNRELATED * float(np.median(follows)):
+            told = (
+                f"power_{others.battery}_w does not follow what the robot does as in the other runs: rows in another "
+                "order, a column that hangs, another robot?"
+            )
+        if told:
+            found[others.runs[i].run.run] = told
+    return _offsets(others) | _stuck(others, model) | found
+
+
+def _stuck(others: Others, model: PowerModel) -> dict[str, str]:
+    """Runs in which a switch has one value, and the power lies beside the others by what the component draws."""
+    runs, battery = others.runs, others.battery
+    beside = np.array([np.median(others.beside(i)) for i in range(len(runs))])
+    beside -= np.median(beside)
+    least = SCATTER * 1.4826 * float(np.median(np.abs(beside)))
+    found: dict[str, str] = {}
+    for name in {name for one in runs for name in one.run.columns if is_switch(name)}:
+        states = [one.run.number(name) if name in one.run.columns else np.zeros(0) for one in runs]
+        usual = float(np.median([state.mean() for state in states if len(state)]))
+        for one, state, level in zip(runs, states, beside, strict=True):
+            if not len(state) or np.ptp(state) > 0.0 or abs(state[0] - usual) < 0.5 or abs(level) < least:
+                continue
+            other = {**one.run.columns, name: np.full(one.run.rows, np.round(usual))}
+            watts = drive(model, replace(one.run, columns=other), battery).model_w[battery] - one.model_w[battery]
+            if np.median(watts) and 0.7 < level / float(np.median(watts)) < 1.3:
+                found[one.run.run] = (
+                    f"{name} is {state[0]:g} in every row, and power_{battery}_w lies {level:+.2g} W beside the other "
+                    f"runs, as if it were {np.round(usual):g}"
+                )
+    return found
+
+
+def _fault(others: Others, number: int, model: PowerModel, usual_w: float) -> str:
+    """The fault of a log that explains best why a run scatters more than the others; empty where none does."""
+    one, battery = others.runs[number], others.battery
+    tried: list[tuple[float, str]] = []
+    measured, said = one.measured_w[battery], others.said(number)
+    scale, offset = np.polyfit(said, measured, 1).tolist() if np.ptp(said) > 0.0 else (1.0, 0.0)
+    # a load that is carried scales what is needed in motion, a meter what is needed at rest too
+    if scale > 0.0 and abs(np.log(scale)) > 0.1 and abs(offset) < 0.3 * abs(scale - 1.0) * float(np.mean(said)):
+        mended = replace(one, measured_w={**one.measured_w, battery: measured / scale})
+        tried.append(
+            (others.residual(number, mended), f"power_{battery}_w is {scale:.3g} times that of the other runs")
+        )
+    late = _late(measured, said)
+    if late:
+        rows = slice(late, None) if late > 0 else slice(None, late)
+        moved = np.std((measured - np.roll(said, late))[rows] - np.mean((measured - np.roll(said, late))[rows]))
+        seconds = late * float(np.median(one.dt_s))
+        tried.append((float(moved), f"power_{battery}_w lies {seconds:+.3g} s beside what the robot does"))
+    for words, run in _mended(one.run):
+        try:
+            tried.append((others.residual(number, drive(model, run, battery)), words))
+        except InputError:
+            continue
+    tried += _unlogged_switching(others, number, model)
+    best = min(tried, default=(np.inf, ""))
+    return best[1] if best[0] < RESTORED * usual_w else ""
+
+
+def _unlogged_switching(others: Others, number: int, model: PowerModel) -> Iterator[tuple[float, str]]:
+    """Scatter if a switch that stands in this run alone went on and off with the power, and the fault in words."""
+    one, battery = others.runs[number], others.battery
+    rest = [other.run for i, other in enumerate(others.runs) if i != number]
+    for name in filter(is_switch, one.run.columns):
+        state = one.run.number(name)
+        moves = [np.ptp(run.number(name)) > 0.0 for run in rest if name in run.columns]
+        if np.ptp(state) > 0.0 or not moves or np.mean(moves) <= 0.5:
+            continue
+        other = np.full(one.run.rows, 0.0 if state[0] else 1.0)
+        watts = drive(model, replace(one.run, columns={**one.run.columns, name: other}), battery).model_w[battery]
+        watts = watts - one.model_w[battery]
+        beside = others.beside(number)
+        beside = beside - np.quantile(beside, 0.05 if np.median(watts) > 0.0 else 0.95)
+        seen = np.where(np.abs(beside) > 0.5 * np.abs(watts), other, state)
+        mended = drive(model, replace(one.run, columns={**one.run.columns, name: seen}), battery)
+        yield (
+            others.residual(number, mended),
+            f"{name} is {state[0]:g} in every row, while the power goes up and down by its watts",
+        )
+
+
+def _late(measured: Array, said: Array) -> int:
+    """Rows by which measured power comes after what explains it, where that clearly differs from none."""
+    a, b = measured - measured.mean(), said - said.mean()
+    size = 1 << int(np.ceil(np.log2(2 * len(a))))
+    along = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
+    most = len(a) // 4
+    lags = np.r_[0 : most + 1, -most:0]
+    return int(lags[int(np.argmax(along[lags]))])
+
+
+def _mended(run: Run) -> Iterator[tuple[str, Run]]:
+    """A run without one fault that its log may have, and the fault in words."""
+    for name, factors in _FACTORS.items():
+        if name in run.columns:
+            for factor, words in factors.items():
+                columns = {**run.columns, name: run.number(name) / factor}
+                if name == "speed_m_s":
+                    columns.pop("accel_m_s2", None)
+                yield f"{name} {words}", replace(run, columns=columns)
+    for name in ("speed_m_s", "slope_rad", "yaw_rate_rad_s", *(f"power_{battery}_w" for battery in run.power_w)):
+        if name in run.columns and (stretch := _standing(run.number(name))):
+            first, last = stretch
+            keep = np.ones(run.rows, dtype=bool)
+            keep[first : last + 1] = False
+            since, till = run.time_s[first], run.time_s[last]
+            yield (
+                f"{name} stands at {run.number(name)[first]:.4g} from {since:.6g} to {till:.6g} s",
+                run.rows_where(keep),
+            )
+
+
+_FACTORS: Mapping[str, Mapping[float, str]] = {
+    "slope_rad": {
+        -1.0: "has the other sign",
+        180.0 / np.pi: "is 57 or 100 times too large (degrees or per cent?)",
+        100.0: "is 57 or 100 times too large (degrees or per cent?)",
+    },
+    "speed_m_s": {factor: f"is {factor:.3g} times too large ({unit}?)" for factor, unit in SPEEDS.items()},
+    "yaw_rate_rad_s": {180.0 / np.pi: "is 57.3 times too large (degrees?)"},
+    "accel_m_s2": {-1.0: "has the other sign", 9.81: "is 9.81 times too large (g?)"},
+}
+
+
+def _standing(values: Array) -> tuple[int, int] | None:
+    """First and last row of the longest stretch of one value, where it is much of the run."""
+    starts = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
+    lengths = np.diff(np.r_[starts, len(values)])
+    longest = int(np.argmax(lengths))
+    if not STANDS * len(values) < lengths[longest] < 0.95 * len(values):
+        return None
+    return int(starts[longest]), int(starts[longest] + lengths[longest] - 1)
+
+
+def _offsets(others: Others) -> dict[str, str]:
+    """Runs whose power lies beside that of all others by one offset, at rest and in motion with the same things on."""
+    runs, battery = others.runs, others.battery
+    gaps = [others.beside(i) for i in range(len(runs))]
+    levels = [_levels(one, gap) for one, gap in zip(runs, gaps, strict=True)]
+    beside = np.full((len(runs), 2), np.nan)
+    for i, own in enumerate(levels):
+        for moving in (0, 1):
+            shifts = [
+                (level - float(np.median(there)), rows)
+                for key, (level, rows) in own.items()
+                if key[0] == moving
+                and len(there := [other[key][0] for j, other in enumerate(levels) if j != i and key in other])
+                >= (3 if moving else 1)
+            ]
+            if shifts:
+                beside[i, moving] = np.average([one[0] for one in shifts], weights=[one[1] for one in shifts])
+    if np.isnan(beside[:, 1]).sum() > 0.5 * len(runs):
+        return {}
+    towards = np.array([_towards_rest(one, gap) for one, gap in zip(runs, gaps, strict=True)])
+    beside = np.column_stack([beside, towards - np.median(towards)])
+    known = [np.abs(column[np.isfinite(column)]) for column in beside.T]
+    scatter = [1.4826 * float(np.median(one)) if len(one) >= FEWEST_LEVELS - 1 else np.inf for one in known]
+    mean = float(np.mean([abs(one.measured_w[battery].mean()) for one in runs]))
+    why = "an offset of its meter, or something on that is not logged?"
+    found: dict[str, str] = {}
+    for i, (one, apart) in enumerate(zip(runs, beside, strict=True)):
+        if (
+            abs(apart[1]) > max(OFFSET * mean, _spread(one, gaps[i]))
+            and 0.5 < (apart[2] if np.isnan(apart[0]) else apart[0]) / apart[1] < 2.0
+            and (bool((np.abs(apart) > SCATTER * np.array(scatter)).any()) or _few(beside[:, 1], i))
+            and not _explained(one, runs, battery, float(apart[1]))
+        ):
+            found[one.run.run] = (
+                f"power_{battery}_w lies {apart[1]:+.2g} W beside the other runs, at rest and in motion: {why}"
+            )
+    return found
+
+
+def _few(levels: Array, number: int) -> bool:
+    """Whether a level is among the fewer that lie together, far from all others that lie together."""
+    known = np.sort(levels[np.isfinite(levels)])
+    widest = int(np.argmax(np.diff(known)))
+    low, high = known[: widest + 1], known[widest + 1 :]
+    fewer = low if len(low) < len(high) else high
+    wide = max(float(np.ptp(low)), float(np.ptp(high)))
+    return bool(len(low) != len(high) and known[widest + 1] - known[widest] > APART * wide and levels[number] in fewer)
+
+
+def _levels(driven: Driven, gap: Array) -> dict[tuple[object, ...], tuple[float, int]]:
+    """Median of measured less expected power, and the rows, by rest or motion and by what is on."""
+    cov = driven.covariates
+    names = sorted(name for name in driven.run.columns if is_switch(name))
+    states = np.column_stack([is_moving(cov) * np.ones(len(gap)), *(np.asarray(cov[name], float) for name in names)])
+    kinds, which = np.unique(states, axis=0, return_inverse=True)
+    groups = ((tuple(kind), gap[which.ravel() == i]) for i, kind in enumerate(kinds))
+    return {kind: (float(np.median(rows)), len(rows)) for kind, rows in groups if len(rows) >= (15 if kind[0] else 5)}
+
+
+def _spread(driven: Driven, gap: Array) -> float:
+    """How far measured less expected power scatters in motion; what a model far from right leaves is no offset."""
+    own = gap[np.asarray(is_moving(driven.covariates), dtype=bool) & np.ones(len(gap), dtype=bool)]
+    return 1.4826 * float(np.median(np.abs(own - np.median(own)))) if len(own) else 0.0
+
+
+def _towards_rest(driven: Driven, gap: Array) -> float:
+    """What a straight line through measured less expected power over the speed comes to at rest."""
+    speed = np.abs(np.asarray(driven.covariates["speed_m_s"]))
+    return float(np.polyfit(speed, gap, 1)[1]) if np.ptp(speed) > 0.0 else float("nan")
+
+
+def _explained(driven: Driven, runs: Sequence[Driven], battery: str, offset: float) -> bool:
+    """Whether a load that is logged makes up half an offset, by its slope in other runs or as none of them has it."""
+    for name, data in driven.run.columns.items():
+        if isinstance(data, Labels) or not (name in LOADS or (column_of(name) is None and may_be_cause(name))):
+            continue
+        others = [one for one in runs if one is not driven and name in one.run.columns]
+        if len(others) < FEWEST:
+            continue
+        load = np.concatenate([one.run.number(name) - np.mean(one.run.number(name)) for one in others])
+        gaps = [one.measured_w[battery] - one.model_w[battery] for one in others]
+        gap = np.concatenate([one - one.mean() for one in gaps])
+        more = float(np.mean(data)) - float(np.median([np.mean(one.run.number(name)) for one in others]))
+        spread = float(load @ load)
+        if spread < len(load) * (0.1 * more) ** 2 or 0.5 < float(load @ gap) / spread * more / offset < 2.0:
+            return True
+    return False
