@@ -1,4 +1,4 @@
-"""``missionsim import``: bags, MCAP, ULog and tables of any layout into logs."""
+"""``missionsim import``: bags, MCAP, ULog, ArduPilot logs and tables of any layout into logs."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ def import_(
     strict: bool = False,
     to: Output = TERMINAL,
 ) -> int:
-    """Turn bags, MCAP, ULog or tables of any layout into logs with the columns that missionsim reads.
+    """Turn bags, MCAP, ULog, ArduPilot logs or tables of any layout into logs with the columns that missionsim reads.
 
     Without --map, the columns and fields of the source are listed; with --suggest, a first map is written for it.
 
     Parameters
     ----------
     sources
-        CSV, Parquet or other text tables, JSON lines, ROS 1 and ROS 2 bags, MCAP, ULog; a folder of such files, or a
-        pattern of names. Several files are joined by time where the map says so (files).
+        CSV, Parquet or other text tables, JSON lines, ROS 1 and ROS 2 bags, MCAP, ULog, ArduPilot logs; a folder of
+        such files, or a pattern of names. Several files are joined by time where the map says so (files).
     map_
         The map (YAML, kind: map): which columns the log gets and how.
     out

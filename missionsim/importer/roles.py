@@ -177,6 +177,9 @@ def guess_role(field: Field, role: Role) -> Guess | None:
         return Guess(role.name, field.name, "", 3.0, "a name of the glossary", "sure") if own == role.name else None
     text = isinstance(field.values, Labels)
     words, unit = words_of(field.name)
+    typical, _, typical_unit = WORDS["messages"].get(field.title, {}).get(role.name, "").partition(" ")
+    of_type = typical != "" and field.name.endswith(typical)
+    unit = typical_unit if of_type and typical_unit else unit
     dimension = UNITS[unit][0] if unit else ""
     tail = words_of(_inner(field.name))[0]
     named = re.search(role.words, tail) is not None or (words == "" and dimension == role.dimension != "")
@@ -216,8 +219,8 @@ def guess_role(field: Field, role: Role) -> Guess | None:
     if not role.low <= large * factor <= role.high:
         score -= 0.7
         reasons.append(f"its values, up to {large:.4g}, do not fit well")
-    if typical := WORDS["messages"].get(field.title, {}).get(role.name):
-        score += 0.9 if field.name.endswith(typical) else -0.3
+    if typical:
+        score += 0.9 if of_type else -0.3
         reasons.append(f"its type {field.title}")
     if score <= 0.3:
         return None
@@ -231,7 +234,7 @@ def _by_size(role: Role, large: float) -> tuple[str, float, str]:
     if role.name in ("left", "right"):
         return "", 1.0, ""
     for unit, limit in WORDS["sizes"].get(role.dimension, {}).items():
-        if large <= limit:
+        if large <= limit and large * (UNITS[unit][1] if unit else 1.0) <= role.high:
             return unit, UNITS[unit][1] if unit else 1.0, f"{unit} by its size (up to {large:.4g})" if unit else ""
     return "", 1.0, ""
 

@@ -232,3 +232,40 @@ def write_ulog(path: Path, duration_s: float = 20.0) -> Path:
         message(b"D", struct.pack("<H", number) + payload)
     path.write_bytes(out.getvalue())
     return path
+
+
+def write_ardupilot(path: Path, duration_s: float = 60.0) -> Path:
+    """An ArduPilot rover's log by its specification: BAT (two batteries) and ATT at 10 Hz, GPS at 5 Hz, a mode."""
+    out = io.BytesIO()
+
+    def message(kind: int, payload: bytes) -> None:
+        out.write(b"\xa3\x95" + bytes([kind]) + payload)
+
+    codes = {"Q": 8, "f": 4, "B": 1, "h": 2, "c": 2, "I": 4, "H": 2, "n": 4, "N": 16, "Z": 64, "b": 1, "d": 8}
+    formats = {
+        128: ("FMT", "BBnNZ", "Type,Length,Name,Format,Columns"),
+        200: ("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds"),
+        201: ("BAT", "QBff", "TimeUS,Inst,Volt,Curr"),
+        202: ("ATT", "Qcc", "TimeUS,Pitch,Yaw"),
+        203: ("GPS", "QBIHf", "TimeUS,I,GMS,GWk,Spd"),
+        204: ("MODE", "QB", "TimeUS,Mode"),
+        205: ("MSG", "QZ", "TimeUS,Message"),
+    }
+    for kind, (name, code, columns) in formats.items():
+        length = 3 + sum(codes[letter] for letter in code)
+        message(128, struct.pack("<BB4s16s64s", kind, length, name.encode(), code.encode(), columns.encode()))
+    message(200, struct.pack("<QB16s16s", 0, 201, b"s#vA", b"F-00"))
+    message(200, struct.pack("<QB16s16s", 0, 203, b"s#---n", b"F-----"))
+    message(205, struct.pack("<Q64s", 1, b"ArduRover V4.5"))
+    for index in range(round(10 * duration_s)):
+        t = 0.1 * index
+        stamp = int(1e6 * (3.0 + t))
+        message(201, struct.pack("<QBff", stamp, 0, battery_volts(t), amps(t)))
+        message(201, struct.pack("<QBff", stamp, 1, 5.0, 0.5))
+        message(202, struct.pack("<Qhh", stamp, round(100 * 2.3), 100 * 40))
+        if index % 2 == 0:
+            message(203, struct.pack("<QBIHf", stamp, 0, 1000 * 3600 + 100 * index, 2300, speed(t)))
+        if index % 100 == 0:
+            message(204, struct.pack("<QB", stamp, 10))
+    path.write_bytes(out.getvalue())
+    return path

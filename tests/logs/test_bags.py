@@ -18,7 +18,7 @@ from missionsim.importer.roles import fields_of
 from missionsim.importer.transform import Signal, merge_signals
 from missionsim.inputs.loading import load_map
 from missionsim.logs import LogTable
-from tests.logs.bag_writers import amps, battery_volts, speed, write_bag, write_ulog
+from tests.logs.bag_writers import amps, battery_volts, speed, write_ardupilot, write_bag, write_ulog
 
 pytest.importorskip("rosbags", reason="the extra 'logs' is not installed")
 pytest.importorskip("pyulog", reason="the extra 'logs' is not installed")
@@ -166,7 +166,8 @@ def test_a_cut_mcap_whose_summary_seems_to_fit_is_told(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", [b"", b"\x00\x01garbage, not a log" * 9, b"time_s,power_robot_w\n0,1\n1,2\n"])
 @pytest.mark.parametrize(
-    ("suffix", "kind"), [("ulg", "ULog"), ("mcap", "MCAP"), ("bag", "ROS 1 bag"), ("db3", "ROS 2")]
+    ("suffix", "kind"),
+    [("bin", "ArduPilot log"), ("ulg", "ULog"), ("mcap", "MCAP"), ("bag", "ROS 1 bag"), ("db3", "ROS 2")],
 )
 def test_a_file_that_is_not_what_its_suffix_says(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str, kind: str, content: bytes
@@ -220,9 +221,31 @@ def test_unknown_ulog_field(tmp_path: Path) -> None:
         run(tmp_path, write_ulog(tmp_path / "a.ulg"), ULOG_MAP.replace("q[0]", "q[7]"))
 
 
-@pytest.mark.parametrize("package", ["rosbags", "pyulog"])
+def test_ardupilot(tmp_path: Path) -> None:
+    path = write_ardupilot(tmp_path / "a.bin")
+    assert run_command(["import", str(path), "--suggest", "--out", str(tmp_path / "m.yaml"), "--quiet"]) == 0
+    spec = load_map(tmp_path / "m.yaml")
+    (log,) = import_source(path, spec)
+    time = np.arange(599) * 0.1
+    np.testing.assert_allclose(log.time_s[:599], time, atol=2e-6)
+    np.testing.assert_allclose(log.power_w["robot"][:599], battery_volts(time) * amps(time), rtol=1e-6)
+    np.testing.assert_allclose(log.number("speed_m_s")[:599:2], speed(time[::2]), rtol=1e-5)
+    np.testing.assert_allclose(log.number("slope_rad")[:599], np.radians(2.3), rtol=1e-6)
+    names = {field.name for field in fields_of(path)}
+    assert {"BAT[1].Volt", "GPS.GWk", "MODE.Mode"} <= names
+    assert not [remark for remark in log.remarks if remark.severity != "note"]
+    for data in (path.read_bytes()[:20_000], path.read_bytes()[:9000] + b"\1" * 700 + path.read_bytes()[9000:]):
+        path.write_bytes(data)
+        (log,) = import_source(path, spec)
+        assert any(remark.kind == "damaged" and "whole message" in remark.message for remark in log.remarks)
+
+
+@pytest.mark.parametrize("package", ["rosbags", "pyulog", "pymavlink"])
 def test_the_extra_is_named_when_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str) -> None:
-    path = write_bag(tmp_path / "run", "sqlite3", 2.0) if package == "rosbags" else write_ulog(tmp_path / "a.ulg")
+    if package == "rosbags":
+        path = write_bag(tmp_path / "run", "sqlite3", 2.0)
+    else:
+        path = write_ulog(tmp_path / "a.ulg") if package == "pyulog" else write_ardupilot(tmp_path / "a.bin")
     real = builtins.__import__
 
     def without(name: str, *args: Any, **kwargs: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import re
 import shutil
 import time
 from collections.abc import Iterator
@@ -17,10 +18,10 @@ from missionsim.importer.suggest import suggest_map
 from missionsim.inputs.loading import load_map
 from missionsim.logs import LogTable, read_log
 from tests.logs import loggers
-from tests.logs.bag_writers import write_bag, write_ulog
+from tests.logs.bag_writers import write_ardupilot, write_bag, write_ulog
 from tests.logs.conftest import motion, write_csv
 
-KINDS = ("csv", "parquet", "jsonl", "ulog", "ros1", "sqlite3", "mcap", "lone mcap")
+KINDS = ("csv", "parquet", "jsonl", "ulog", "ardupilot", "ros1", "sqlite3", "mcap", "lone mcap")
 SLOW_S = 10.0
 
 
@@ -39,6 +40,8 @@ def make(kind: str, folder: Path) -> Path:
         return loggers.write_states(folder / "a.jsonl")
     if kind == "ulog":
         return write_ulog(folder / "a.ulg")
+    if kind == "ardupilot":
+        return write_ardupilot(folder / "a.bin")
     bag = write_bag(folder / ("a.bag" if kind == "ros1" else "bag"), kind.removeprefix("lone "), 30.0)
     if kind == "lone mcap":
         return Path(shutil.copy(next(bag.glob("*.mcap")), folder / "a.mcap"))
@@ -112,13 +115,14 @@ def trials(kind: str, folder: Path, count: int, seed: int) -> Iterator[tuple[str
         logs = [read_log(path)]
     rows, before = sum(log.rows for log in logs), remarks_of(logs)
     whole = path.read_bytes()
-    boundaries = message_ends(whole)
+    starts = re.finditer(rb"\xa3\x95[\x80\xc8-\xcd]", whole)
+    boundaries = {found.start() for found in starts} if kind == "ardupilot" else message_ends(whole)
     rng = np.random.default_rng(seed)
     for _ in range(count):
         way, data = mutated(whole, rng)
         if kind in ("csv", "jsonl") and data in whole and data.endswith(b"\n"):
             continue  # whole lines are gone at the end: nothing in such a file can tell
-        if kind == "ulog" and len(data) in boundaries and data == whole[: len(data)]:
+        if kind in ("ulog", "ardupilot") and len(data) in boundaries and data == whole[: len(data)]:
             continue  # cut between two messages: neither
         path.write_bytes(data)
         yield way, outcome(path, map_path, rows, before)

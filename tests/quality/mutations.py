@@ -26,6 +26,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SITES = ROOT / "docs" / "examples" / "sites"
 LIMIT_S, WALL_S, LIMIT_BYTES = 10, 90.0, 3 << 30
 """Seconds of the processor; seconds of the clock, on a machine that has other things to do; address space."""
+RECORDINGS = ("run.bag", "run.mcap", "run.db3", "run.ulg", "run.bin", "run.jsonl")
 NUMBERS = (b"nan", b"-inf", b"1e999", b"9" * 400, b"-1", b"0", b"1e-320", b"0x10", b"1_000", b"1,5", b"true", b"[1]")
 
 
@@ -66,11 +67,15 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "hall.lif.json": Kind(SITES / "hall.lif.json", site),
         "track.gpx": Kind(SITES / "hill.gpx", site),
         "rover.plan": Kind(SITES / "rover.plan", site),
+        "rover.waypoints": Kind(SITES / "rover.waypoints", site),
+        "order.json": Kind(SITES / "order.json", site),
+        "lab.json": Kind(SITES / "lab.json", site),
+        "streets.graphml": Kind(SITES / "streets.graphml", site),
         "fleet.yaml": Kind(
             SITES / "cart_config.yaml", lambda path, out: ["import-robot", str(path), "--out", str(out / "r.yaml")]
         ),
     }
-    for name in ("run.bag", "run.mcap", "run.db3", "run.ulg", "run.jsonl"):
+    for name in RECORDINGS:
         found[name] = Kind(folder / name, recorded(name), True, name == "run.jsonl")
     return found
 
@@ -82,7 +87,7 @@ def prepare(folder: Path) -> None:
     from missionsim.cli.app import run_command
     from missionsim.logs import read_log
     from missionsim.logs.write import write_log
-    from tests.logs.bag_writers import write_bag, write_ulog
+    from tests.logs.bag_writers import write_ardupilot, write_bag, write_ulog
     from tests.logs.loggers import write_states
 
     write_log(read_log(ROOT / "docs" / "examples" / "ramp_runs" / "run_00.csv"), folder / "log.parquet")
@@ -91,8 +96,9 @@ def prepare(folder: Path) -> None:
         bag = write_bag(folder / f"bag_{suffix}", kind, 8.0)
         shutil.copy(next(bag.rglob(f"*.{suffix}")), folder / f"run.{suffix}")
     write_ulog(folder / "run.ulg")
+    write_ardupilot(folder / "run.bin", 20.0)
     write_states(folder / "run.jsonl")
-    for name in ("run.bag", "run.mcap", "run.db3", "run.ulg", "run.jsonl"):
+    for name in RECORDINGS:
         run_command(["import", str(folder / name), "--suggest", "--out", str(folder / f"{name}.yaml"), "--quiet"])
 
 
@@ -198,6 +204,7 @@ def study(each: int, seed: int, only: Sequence[str], keep: Path | None) -> dict[
     import pandas
     import pyarrow.csv
     import pyarrow.parquet
+    import pymavlink.DFReader
     import pyulog
     import rosbags.highlevel
     import scipy.signal
@@ -209,7 +216,7 @@ def study(each: int, seed: int, only: Sequence[str], keep: Path | None) -> dict[
     import missionsim.importer.mapping
     import missionsim.logs.read
 
-    assert all((networkx, pandas, pyarrow, pyulog, rosbags, scipy, missionsim))
+    assert all((networkx, pandas, pyarrow, pymavlink, pyulog, rosbags, scipy, missionsim))
 
     counts: dict[str, Counter[str]] = {}
     with tempfile.TemporaryDirectory() as name:
