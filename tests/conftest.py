@@ -13,6 +13,8 @@ SHARED = Path(os.environ.get("MISSIONSIM_SHARED", ROOT.parent / "shared"))
 # one thread a process: the suite shares its cores, and sums repeat to the last bit
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+# processes that tests start keep bytecode, as a user's do
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
 @pytest.fixture(scope="session")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import json
 import tempfile
 from pathlib import Path
@@ -10,8 +11,9 @@ from typing import Any
 
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
-from missionsim.inputs.loading import load_mission
+from missionsim.inputs.loading import load_mission, load_robot
 from missionsim.inputs.mission import MissionSpec
+from missionsim.inputs.robot import RobotSpec
 
 ROBOT: dict[str, Any] = {
     "kind": "robot",
@@ -67,13 +69,23 @@ def load(
     """Load a mission from mappings, through files (JSON is YAML)."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        (folder / "robot.yaml").write_text(json.dumps(ROBOT if robot_data is None else robot_data))
         data = {"kind": "mission", "name": "test", "robot": "robot.yaml", **mission}
         if environment is not None:
             (folder / "world.yaml").write_text(json.dumps({"kind": "environment", "name": "world", **environment}))
             data["environment"] = "world.yaml"
         (folder / "mission.yaml").write_text(json.dumps(data))
-        return load_mission(folder / "mission.yaml")
+        return load_mission(
+            folder / "mission.yaml", robot=_robot(json.dumps(ROBOT if robot_data is None else robot_data))
+        )
+
+
+@functools.lru_cache(maxsize=16)
+def _robot(text: str) -> RobotSpec:
+    """Read once for all missions of a test."""
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "robot.yaml"
+        path.write_text(text)
+        return load_robot(path)
 
 
 def run(
