@@ -149,13 +149,17 @@ class Tour:
         objective = -made if self.by_value else float(self.site.objective(use))
         return np.array([objective, *use, *([-made] if self.counted else [])])
 
-    def rest(self, prices: Array) -> Array:
-        """Least objective from each state and stop to the end, with prices on all resources but the objective."""
+    def rest(self, prices: Array, ahead: Array | None = None) -> Array:
+        """Least objective from each state and stop to the end, with prices on all resources but the objective.
+
+        With `ahead` by way of a dock, these prices on top as far as there.
+        """
         count = len(self.site.weights)
         worth = None
         if self.values is not None:
             worth = self.values * (1.0 if self.by_value else float(prices[count]))
-        return rest_of(self.site, self.site.weights + prices[:count], worth)
+        weights = self.site.weights + prices[:count]
+        return rest_of(self.site, weights, worth, None if ahead is None else weights + ahead[:count])
 
 
 def matrix(site: Site, payload_kg: float, weights: Array) -> Array:
@@ -167,24 +171,50 @@ def matrix(site: Site, payload_kg: float, weights: Array) -> Array:
     return np.where(places[:, None] == places[None, :], 0.0, found)
 
 
-def rest_of(site: Site, weights: Array, worth: Array | None = None) -> Array:
+def rest_of(site: Site, weights: Array, worth: Array | None = None, ahead: Array | None = None) -> Array:
     """Least weighted seconds and Wh from each state and stop to the end, shape (states, stops).
 
-    Charging is left out; `worth` is taken off for each visit made. Held and Karp (1962), backwards over the visits
-    that are left.
+    What charging takes is left out; with `ahead` the way leads by a dock, and these are the weights as far as there.
+    `worth` is taken off for each visit made. Held and Karp (1962), backwards over the visits that are left.
     """
-    order, size, goal = site.order, len(site.stops), site.goal
+    if ahead is not None:
+        table = rest_of(site, weights, worth)
+        return _back(site, ahead, worth, _by_dock(site, ahead, table))
+    order, goal = site.order, site.goal
     apart = _by_load(site, weights)
-    which, ends = order.loads[1], order.ends
+    table = np.full((order.count, len(site.stops)), math.inf)
+    table[order.ends] = apart[order.loads[1][order.ends], :, goal]
+    table[order.ends, goal] = 0.0
+    return _back(site, weights, worth, table)
+
+
+def _by_dock(site: Site, weights: Array, table: Array) -> Array:
+    """Least weighted use of going straight to a dock and what a table says from there on."""
+    which = site.order.loads[1]
+    apart = _by_load(site, weights)
+    docks = [i for i, stop in enumerate(site.stops) if stop.charger is not None]
+    found = np.full_like(table, math.inf)
+    full = (site.physics.missing_wh() <= 0.0).all()
+    for dock in docks:
+        by = apart[which, :, dock] + table[:, dock, None]
+        if full and site.stops[dock].place == site.task.start:
+            by[:, 0] = math.inf  # nothing to charge yet
+        found = np.minimum(found, by)
+    found[:, site.goal] = math.inf
+    return found
+
+
+def _back(site: Site, weights: Array, worth: Array | None, table: Array) -> Array:
+    """A table of what the end takes, filled in backwards over the visits."""
+    order, goal = site.order, site.goal
+    apart = _by_load(site, weights)
+    which = order.loads[1]
     stands = np.zeros((len(order.loads[0]), len(site.task.visits)))
     for _, visits, afters in order.steps:
         for load, visit in set(zip(which[afters].tolist(), visits.tolist(), strict=True)):
             stands[load, visit] = site.standing(1 + visit, float(order.loads[0][load])) @ weights
             if worth is not None:
                 stands[load, visit] -= worth[visit]
-    table = np.full((order.count, size), math.inf)
-    table[ends] = apart[which[ends], :, goal]
-    table[ends, goal] = 0.0
     for states, visits, afters in order.steps:
         there = stands[which[afters], visits] + table[afters, 1 + visits]
         through = apart[which[states], :, 1 + visits] + there[:, None]
@@ -218,7 +248,9 @@ def to_docks(site: Site, weights: Array, served: NDArray[np.bool_]) -> Array:
     return np.asarray(found)
 
 
-def bounds_of(tour: Tour, multipliers: list[Array]) -> Bounds:
+def bounds_of(
+    tour: Tour, multipliers: list[Array], uncharged: list[Array] | None = None, ahead: list[Array] | None = None
+) -> Bounds:
     """What the search may know of the rest of each way.
 
     Parameters
@@ -226,6 +258,10 @@ def bounds_of(tour: Tour, multipliers: list[Array]) -> Bounds:
     tour : Tour
     multipliers : list of ndarray, shape (resources - 1,)
         Prices on all but the objective; the row of zeros is added.
+    uncharged : list of ndarray, optional
+        Prices for ways on which there is no more charging; then the others are for ways that lead by a dock.
+    ahead : list of ndarray, optional
+        Prices on top of the first multiplier's as far as the next dock, where each battery must last.
     """
     site = tour.site
     physics, task = site.physics, site.task
@@ -260,13 +296,18 @@ def bounds_of(tour: Tour, multipliers: list[Array]) -> Bounds:
                 stand = float(site.standing(1 + i, max(0.0, site.order.payload_kg(state)))[0])
                 least[node, 1] = max(least[node, 1], most[1] - visit.window.until.value - stand)
     rows, rests, offsets = [], [], []
-    for multiplier in [np.zeros(len(most) - 1), *multipliers]:
-        priced = multiplier > 0.0
-        rows.append(np.concatenate([[1.0], multiplier]))
-        rests.append(tour.over(tour.rest(multiplier)))
-        offsets.append(float(multiplier[priced] @ tour.limits[1:][priced]))
+    zero = np.zeros(len(most) - 1)
+    first = [] if uncharged is None else [zero, *uncharged]
+    later = [(multiplier, None if uncharged is None else zero) for multiplier in [zero, *multipliers]]
+    for multiplier, more in [*((m, None) for m in first), *later, *((multipliers[0], one) for one in ahead or ())]:
+        on_top = zero if more is None else more
+        priced, lasting = multiplier > 0.0, on_top > 0.0
+        rows.append(np.concatenate([[1.0], multiplier + on_top]))
+        rests.append(tour.over(tour.rest(multiplier, more)))
+        offsets.append(float(multiplier[priced] @ tour.limits[1:][priced] + on_top[lasting] @ most[1:][lasting]))
     shear = None
     if tour.waits:
         shear = tour.waiting()
         shear[1] = 0.0
-    return Bounds(most, least, np.array(rows), np.stack(rests, axis=1), np.array(offsets), shear)
+    apart = len(first) or None
+    return Bounds(most, least, np.array(rows), np.stack(rests, axis=1), np.array(offsets), shear, apart)

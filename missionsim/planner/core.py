@@ -87,6 +87,8 @@ class Bounds:
     shear : ndarray, shape (resources,), optional
         What waiting for a unit of the second resource takes of each: where labels may have to wait, an earlier one is
         no better than a later one by more than waiting would cost it.
+    apart : int, optional
+        So many of the first rows bound the ways without, the others those with at least one more refill.
     """
 
     most: Array
@@ -95,6 +97,7 @@ class Bounds:
     rest: Array
     offset: Array
     shear: Array | None = None
+    apart: int | None = None
 
     @cached_property
     def room(self) -> Array:
@@ -108,7 +111,10 @@ class Bounds:
 
     def of(self, nodes: Any, x: Array) -> Array:
         """Lower bounds of the objective by way of vectors ``x`` at nodes, shape (n,)."""
-        return np.asarray((x @ self.weights.T + self.rest[nodes] - self.offset).max(axis=-1))
+        values = x @ self.weights.T + self.rest[nodes] - self.offset
+        if self.apart is None:
+            return np.asarray(values.max(axis=-1))
+        return np.asarray(np.minimum(values[..., : self.apart].max(axis=-1), values[..., self.apart :].max(axis=-1)))
 
 
 @dataclass

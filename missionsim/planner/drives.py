@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,10 @@ from missionsim.planner.core import Bounds, Label, Leaving, chain_of, search
 from missionsim.planner.pieces import Piece, Road
 
 Array = NDArray[np.float64]
+
+
+PATIENCE = 15_000
+"""Labels after which the search for more drives on one road ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +68,7 @@ class Drives:
         self.road = road
         self._network = _OnRoad(road)
         self.complete = True
+        self.patience = PATIENCE
         pairs = road.tails * len(road.states) + road.heads
         self._by_pair = np.argsort(pairs, kind="stable")
         self._pairs, self._begins, self._counts = np.unique(pairs[self._by_pair], return_index=True, return_counts=True)
@@ -83,18 +89,38 @@ class Drives:
             self._distances[key] = self._solve(self._graph(weights, back)[0], nodes, paths=False)[0]
         return self._distances[key]
 
-    def shortest(self, weights: Array, source: int, target: int) -> Drive:
-        """The drive of least weighted use."""
-        graph, chosen = self._graph(weights, False)
+    def shortest(self, weights: Array, source: int, target: int) -> Drive | None:
+        """The drive of least weighted use; None where there is no way."""
         key = (weights.tobytes(), source)
         if key not in self._trees:
             self._trees = {known: tree for known, tree in self._trees.items() if known[0] == key[0]}
-            self._trees[key] = self._solve(graph, np.array([source], dtype=np.intp), paths=True)[1][0]
-        before = self._trees[key]
+            graph, chosen = self._graph(weights, False)
+            self._trees[key] = self._solve(graph, np.array([source], dtype=np.intp), paths=True)[1][0], chosen
+        before, arcs = self._trees[key]
+        return self._way(before, arcs, source, target)
+
+    def supported(
+        self, weights: Sequence[Array], sources: NDArray[np.intp], targets: NDArray[np.intp]
+    ) -> dict[tuple[int, int], list[Drive]]:
+        """The drives of least weighted use by any of some weights, between all sources and targets."""
+        found: dict[tuple[int, int], list[Drive]] = {}
+        for row in weights:
+            graph, chosen = self._graph(row, False)
+            for source, before in zip(sources.tolist(), self._solve(graph, sources, paths=True)[1], strict=True):
+                for target in targets.tolist():
+                    known = found.setdefault((source, target), [])
+                    drive = None if source == target else self._way(before, chosen, source, target)
+                    if drive is not None and not any((other.use <= drive.use).all() for other in known):
+                        known.append(drive)
+        return found
+
+    def _way(self, before: Any, chosen: NDArray[np.intp], source: int, target: int) -> Drive | None:
         arcs: list[int] = []
         here, size = target, len(self.road.states)
         while here != source:
             earlier = int(before[here])
+            if earlier < 0:
+                return None
             arcs.append(int(chosen[np.searchsorted(self._pairs, earlier * size + here)]))
             here = earlier
         return self._drive(arcs[::-1])
@@ -158,7 +184,6 @@ class Drives:
         weights: Array | None = None,
         gap: float = math.inf,
         most: Array | None = None,
-        most_labels: int = 400_000,
     ) -> dict[int, list[Drive]]:
         """The undominated drives from a state to others.
 
@@ -172,7 +197,6 @@ class Drives:
         gap : float
         most : ndarray, shape (1 + batteries,), optional
             Seconds and Wh that no drive may take more than.
-        most_labels : int
 
         Returns
         -------
@@ -203,9 +227,10 @@ class Drives:
             bounds,
             best=gap,
             every_goal=True,
-            most_labels=most_labels,
+            most_labels=max(1, self.patience),
         )
-        self.complete = self.complete and outcome.labels <= most_labels
+        self.complete = self.complete and outcome.labels <= self.patience
+        self.patience -= outcome.labels
         found: dict[int, list[Drive]] = {int(target): [] for target in targets}
         for label in outcome.runners_up:
             if label.parent is not None:

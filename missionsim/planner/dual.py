@@ -89,18 +89,19 @@ def tour_label(tour: Tour, steps: list[tuple[int, int]], weights: Array) -> Labe
     for head, after in steps:
         payload = site.order.payload_kg(state)
         if site.stops[stop].place == site.stops[head].place:
-            drive = Drive(np.zeros(len(weights)))
+            drive: Drive | None = Drive(np.zeros(len(weights)))
         else:
             out, into = site.nodes[payload]
             drive = site.road(payload).shortest(weights, int(out[stop]), int(into[head]))
+        assert drive is not None, "the tour leads this way"
         use = tour.arc_use(drive, head, after)
         label = Label(after * tour.size + head, label.points + use, label, (head, drive, use))
         stop, state = head, after
     return label
 
 
-def best_prices(tour: Tour) -> Prices:
-    """Prices by cutting planes (Kelley 1960).
+def best_prices(tour: Tour, *, charging: bool = True) -> Prices:
+    """Prices by cutting planes (Kelley 1960); of plans without charging only, where that is said.
 
     A price on charge that a dock sells is at most what charging costs there, so that a plan may charge as it likes
     and the bound holds.
@@ -110,9 +111,9 @@ def best_prices(tour: Tour) -> Prices:
     site = tour.site
     left = tour.left
     count = len(site.weights)
-    chargers = [charger for charger in tour.chargers if charger is not None]
+    chargers = [charger for charger in tour.chargers if charger is not None and charging]
     result = Prices(np.zeros(len(left)))
-    scale = max(1e-6, float(site.weights.max()), 0.0 if tour.values is None else float(tour.values.max()))
+    scale = unit(tour)
     # ten thousand times what a unit is worth: high enough for every price
     highest = np.where(np.isfinite(left), 1e4 * scale, 0.0)
     room = np.where(np.isfinite(left), left, 0.0)
@@ -180,3 +181,31 @@ def _lasts(tour: Tour, label: Label) -> bool:
     if tour.site.task.within.reserve_throughout:
         most = most - np.maximum(physics.reserve_wh, 0.0)
     return all(bool((step.points[0][2 : 2 + len(most)] <= most * (1 + 1e-12)).all()) for step in chain_of(label))
+
+
+def prices_ahead(tour: Tour, prices: Array) -> list[Array]:
+    """Prices on the charge until the next dock, on top of others: some that raise the bound at the start, most last.
+
+    Each battery must last until that dock. Sought one battery after the other (coordinate ascent).
+    """
+    site = tour.site
+    most = site.physics.capacity_wh
+    if site.task.within.reserve_throughout:
+        most = most - np.maximum(site.physics.reserve_wh, 0.0)
+    room = most - tour.first[2 : 2 + len(most)]
+    best, bound = np.zeros(len(prices)), -math.inf
+    for steps in (unit(tour) * np.array([0.1, 0.5, 2.5]), np.array([0.5, 1.6])):
+        for b in range(1, 1 + len(most)):
+            base = best.copy()
+            for step in steps.tolist():
+                tried = base.copy()
+                tried[b] = base[b] * step if base[b] else step
+                found = float(tour.rest(prices, tried)[0, 0] - tried[1 : 1 + len(most)] @ room)
+                if found > bound:
+                    best, bound = tried, found
+    return [0.3 * best, 3.0 * best, best]
+
+
+def unit(tour: Tour) -> float:
+    """The order of size of a price."""
+    return max(1e-6, float(tour.site.weights.max()), 0.0 if tour.values is None else float(tour.values.max()))

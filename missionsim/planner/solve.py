@@ -14,8 +14,8 @@ from missionsim.inputs.task import TaskSpec
 from missionsim.planner.answer import Answer, answer_of
 from missionsim.planner.bounds import Tour, bounds_of
 from missionsim.planner.core import Label, Outcome, quick, search, within
-from missionsim.planner.drives import Drive
-from missionsim.planner.dual import best_prices
+from missionsim.planner.drives import Drive, Drives
+from missionsim.planner.dual import best_prices, prices_ahead, unit
 from missionsim.planner.large import solve_large
 from missionsim.planner.orders import MOST_FREE
 from missionsim.planner.tour import Site, make_site
@@ -23,6 +23,37 @@ from missionsim.planner.tour import Site, make_site
 Array = NDArray[np.float64]
 Watch = Callable[[str, float, float], bool]
 """``(what is done, objective so far, bound) -> stop?``"""
+
+
+class Supported:
+    """The drives between stops that are the cheapest for some prices, found when first asked for.
+
+    Parameters
+    ----------
+    site : Site
+    weights : ndarray, shape (1 + batteries,)
+        About which the prices of time and of each battery's charge are varied.
+    """
+
+    def __init__(self, site: Site, weights: Array) -> None:
+        self.site, self.weights = site, weights
+        self._found: dict[float, dict[tuple[int, int], list[Drive]]] = {}
+
+    def __call__(self, payload_kg: float, stop: int, head: int) -> list[Drive]:
+        site = self.site
+        if site.stops[stop].place == site.stops[head].place:
+            return [Drive(np.zeros(len(self.weights)))]
+        road = site.road(payload_kg)
+        out, into = site.nodes[payload_kg]
+        if payload_kg not in self._found:
+            self._found[payload_kg] = road.supported(self._varied(road), np.unique(out), np.unique(into))
+        return self._found[payload_kg][int(out[stop]), int(into[head])]
+
+    def _varied(self, road: Drives) -> list[Array]:
+        """Weights, each resource's raised in steps by what all of the mean arc costs."""
+        mean = np.maximum(road.road.use.mean(axis=0), 1e-9)
+        unit = np.diag(max(float(self.weights @ mean), 1e-9) / mean)
+        return [self.weights, *(self.weights + share * row for row in unit for share in VARIED)]
 
 
 class Fronts:
@@ -58,6 +89,10 @@ class Fronts:
         return self._found[key].get(int(into[head]), [])
 
 
+VARIED = (0.3, 1.5)
+"""By so much of what the mean arc costs the price of each resource is raised for the first drives."""
+MOST_LABELS = 12_000
+"""After which a search that has a plan gives up its proof; among the first drives after a quarter of them."""
 MOST_GAP = 300.0
 """Drives whose price is not within so much of the first gap are tried all together."""
 PROVED = 1e-10
@@ -113,17 +148,34 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
     scale = max(abs(bound), 1e-6)
     if best is not None and objective - bound <= PROVED * scale:
         return answer_of(tour, best, objective, objective)
-    stopped = False
-    bounds = bounds_of(tour, [prices.best, *prices.others])
-    gap = min(objective - prices.bound, FIRST_GAP * scale)
+    stopped, base, more = False, prices.bound, [prices.best, *prices.others]
+    weights = site.weights + prices.best[: len(site.weights)]
+    first: list[Callable[..., list[Drive]]] = []
+    if any(charger is not None for charger in tour.chargers):
+        alone = best_prices(tour, charging=False)
+        if alone.plan is not None and alone.objective < objective:
+            best, objective = alone.plan, alone.objective
+        bounds = bounds_of(tour, more, [alone.best, *alone.others, *_steep(tour)], prices_ahead(tour, prices.best))
+        first = [Supported(site, weights)]
+    else:
+        bounds = bounds_of(tour, more)
     start = Label(0, tour.first[None, :])
     if not len(within(start.points, bounds.room[0])):
         return Answer(site, False)
+    bound = max(bound, _up(sums, float(bounds.of(0, start.points).min())))
+    gap = min(objective - base, FIRST_GAP * scale)
     while not stopped:
         gap = max(gap, 1e-9 * scale)
-        tour = network(Fronts(site, site.weights + prices.best[: len(site.weights)], gap))
+        drives = first.pop() if first else Fronts(site, weights, gap)
+        exact = isinstance(drives, Fronts)
+        tour = network(drives)
+        most = MOST_LABELS if exact else MOST_LABELS // 4
 
-        def told(outcome: Outcome, waiting: int, low: float = bound, high: float = prices.bound + gap) -> bool:
+        def told(
+            outcome: Outcome, waiting: int, low: float = bound, high: float = base + gap, enough: int = most
+        ) -> bool:
+            if math.isfinite(outcome.objective) and outcome.labels > enough:
+                return True
             return watch is not None and watch("search", outcome.objective, min(max(outcome.bound, low), high))
 
         for way in (quick, search):
@@ -133,13 +185,14 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
                 outcome = Outcome(interrupted=True)
             if outcome.label is not None:
                 best, objective = outcome.label, outcome.objective
-            bound = max(bound, _up(sums, min(outcome.bound, prices.bound + gap)))
-            if stopped := outcome.interrupted:
+            if exact and _complete(site):
+                bound = max(bound, _up(sums, min(outcome.bound, base + gap)))
+            if stopped := outcome.interrupted or (best is not None and not _complete(site)):
                 break
-        needed = _below(sums, objective) - prices.bound
-        if needed <= gap or math.isinf(gap):
+        needed = _below(sums, objective) - base
+        if exact and (needed <= gap or math.isinf(gap)):
             break
-        gap = min(16.0 * gap, needed)
+        gap = min(16.0 * gap if exact or math.isinf(needed) else needed, needed)
         if gap > MOST_GAP * FIRST_GAP * scale:
             gap = math.inf
     if best is None:
@@ -155,6 +208,17 @@ def charges_tried(tour: Tour) -> list[str]:
     """What a search leaves out of the charges: of two batteries, a point between is found for the last charge only."""
     some = len(tour.site.physics.names) > 1 and any(c is not None and c.levels is None for c in tour.chargers)
     return ["of several charges in one mission only the last to any level"] if some else []
+
+
+def _complete(site: Site) -> bool:
+    return all(road.complete for road in site.roads.values())
+
+
+def _steep(tour: Tour) -> list[Array]:
+    """High prices on the charge of each battery: what they say where it is nearly too little."""
+    count = len(tour.site.physics.names)
+    rows = np.eye(len(tour.left))[1 : 1 + count]
+    return [share * unit(tour) * row for row in rows for share in (0.3, 1.0, 4.0)]
 
 
 def _sums(tour: Tour) -> Array:
