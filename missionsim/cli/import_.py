@@ -22,6 +22,7 @@ def import_(
     map_: Path | None = None,
     out: OutPath | None = None,
     suggest: bool = False,
+    robot: str | None = None,
     strict: bool = False,
     to: Output = TERMINAL,
 ) -> int:
@@ -41,6 +42,8 @@ def import_(
     suggest
         Write a first map: names, units in them, ranges of values and types of messages are read, and each guess says
         how sure it is.
+    robot
+        With --suggest: the robot (a shipped name, or a file) whose battery was measured, for the names of the columns.
     strict
         Refuse everything where a file cannot be read or a recording is damaged, in place of leaving it out.
 
@@ -56,7 +59,9 @@ def import_(
     if suggest:
         if map_ is not None:
             raise InputError.single("--suggest writes a map, --map reads one", allowed="one of them")
-        return _suggest(sources, out, to)
+        return _suggest(sources, out, robot, to)
+    if robot is not None:
+        raise InputError.single("--robot names the battery of a suggested map", allowed="--suggest --robot ROBOT")
     if map_ is None:
         if out is not None:
             raise InputError.single("--out needs --map", allowed="--map MAP.yaml --out LOG.parquet, or --suggest")
@@ -237,7 +242,7 @@ def _list(sources: Sequence[Path], to: Output) -> int:
     return 0
 
 
-def _suggest(sources: Sequence[Path], out: Path | None, to: Output) -> int:
+def _suggest(sources: Sequence[Path], out: Path | None, robot: str | None, to: Output) -> int:
     from missionsim.errors import InputError
     from missionsim.files import write_text
     from missionsim.importer.sources import find_files
@@ -245,7 +250,7 @@ def _suggest(sources: Sequence[Path], out: Path | None, to: Output) -> int:
 
     if out is not None and out.suffix not in (".yaml", ".yml"):
         raise InputError.single("--suggest writes a map", got=str(out), allowed="--out MAP.yaml")
-    found = suggest_map(find_files(sources))
+    found = suggest_map(find_files(sources), _battery(robot) if robot is not None else "robot")
     if out is not None:
         write_text(out, found.text)
     to.emit(
@@ -265,3 +270,11 @@ def _suggest(sources: Sequence[Path], out: Path | None, to: Output) -> int:
     for line in found.missing:
         print(visible(line), file=sys.stderr)
     return 1 if found.missing else 0
+
+
+def _battery(robot: str) -> str:
+    """The battery that a robot drives with."""
+    from missionsim.inputs import load_robot
+
+    spec = load_robot(robot)
+    return spec.motion.battery if spec.motion is not None else next(iter(spec.batteries))

@@ -74,7 +74,7 @@ class Fleet:
     robots: tuple[str, ...]
     remarks: dict[str, Remark] = field(default_factory=dict)
 
-    def robot_text(self, battery: str = "main") -> str:
+    def robot_text(self, battery: str = "robot") -> str:
         """The robot file.
 
         Parameters

@@ -113,13 +113,18 @@ class Draft:
         self.columns[name] = (formula, guess)
 
 
-def suggest_map(paths: Sequence[Path]) -> Suggestion:
+_BATTERY = re.compile(r"(power|voltage|current|energy)_robot_(?=[wva]h?\Z)")
+
+
+def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
     """Read a file, or the files of a run, and write a first map for it.
 
     Parameters
     ----------
     paths : sequence of Path
         One file (the first of several of the same kind), or files of one run that have to be joined.
+    battery : str
+        What the robot calls the battery that was measured.
 
     Raises
     ------
@@ -138,6 +143,7 @@ def suggest_map(paths: Sequence[Path]) -> Suggestion:
     suggest_motion.suggest_others(draft)
     if draft.direct:
         draft.head |= recognised_runs(draft.fields, draft.time_s, {draft.columns["time_s"][1].field})
+    draft.columns = {_BATTERY.sub(rf"\1_{battery}_", name): column for name, column in draft.columns.items()}
     used = {guess.field for _, guess in draft.columns.values()}
     return Suggestion(
         _text(draft, joined or [paths[0]], used),

@@ -48,8 +48,8 @@ def test_fleet_config_becomes_a_robot_of_the_same_formula(tmp_path: Path) -> Non
     robot = cart()
     # friction m g v + ambient, with g as rmf_battery has it
     expected = 0.1 * 40 * 9.81 * np.array([0.2, 0.8]) + 15.0
-    assert steady_power(robot, [(0.0, 0.2), (0.0, 0.8)])["main"] == pytest.approx(expected)
-    battery = robot.batteries["main"]
+    assert steady_power(robot, [(0.0, 0.2), (0.0, 0.8)])["robot"] == pytest.approx(expected)
+    battery = robot.batteries["robot"]
     assert (battery.capacity_wh, battery.reserve.value) == pytest.approx((480.0, 0.2))
     assert battery.max_charge_power.value == pytest.approx(144.0)
     assert robot.body.max_acceleration.value == 0.5
@@ -89,7 +89,7 @@ def test_shared_fleets_become_robots(shared: Path) -> None:
         expected = (
             mechanics["friction_coefficient"] * mechanics["mass"] * 9.81 * speed + numbers["ambient_system"]["power"]
         )
-        assert steady_power(robot, [(0.0, speed)])["main"] == pytest.approx([expected])
+        assert steady_power(robot, [(0.0, speed)])["robot"] == pytest.approx([expected])
 
 
 def graphs(shared_folder: Path) -> list[Path]:
@@ -139,7 +139,7 @@ def logs(folder: Path) -> Path:
     rate = np.gradient(speed, time)
     power = 0.06 * 40 * 9.81 * speed + 40 * np.abs(rate) * speed + 12.0
     rows = [f"{t:.1f},{p:.9g},{v:.9g}" for t, p, v in zip(time, power, speed, strict=True)]
-    (folder / "run.csv").write_text("\n".join(["time_s,power_main_w,speed_m_s", *rows]) + "\n")
+    (folder / "run.csv").write_text("\n".join(["time_s,power_robot_w,speed_m_s", *rows]) + "\n")
     return folder / "run.csv"
 
 

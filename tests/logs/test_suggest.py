@@ -160,3 +160,18 @@ def test_rover_and_floors(tmp_path: Path, shared: Path) -> None:
     (log,) = suggested(tmp_path / "husky", path)
     assert log.energy_wh("robot") == pytest.approx(read_log(path).energy_wh("robot"), rel=1e-9)
     assert log.columns["surface"].names == ("ice",)  # type: ignore[union-attr]
+
+
+def test_the_battery_is_called_as_the_robot_calls_it(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("t,volts,amps\n" + "".join(f"{i},24,{2 + i % 3}\n" for i in range(60)))
+    (tmp_path / "rover.yaml").write_text(
+        "kind: robot\nname: rover\nbody: {mass: 20 kg, drive: skid_steer, max_speed: 1 m/s}\n"
+        "batteries: {main: {capacity: 10 Ah, nominal_voltage: 24 V}}\n"
+        "motion: {battery: main, model: polynomial, parameters: {c2: 12, c3: 30, c4: 15, standing: 9}}\n"
+    )
+    made, log = tmp_path / "map.yaml", tmp_path / "log.parquet"
+    suggest = ["import", str(tmp_path / "run.csv"), "--suggest", "--robot", str(tmp_path / "rover.yaml")]
+    assert main([*suggest, "--out", str(made), "--quiet"]) == 0
+    assert main(["import", str(tmp_path / "run.csv"), "--map", str(made), "--out", str(log), "--quiet"]) == 0
+    assert read_log(log).batteries == ("main",)
+    assert main([*suggest[:2], "--map", str(made), "--robot", "pioneer3dx", "--out", str(log)]) == 2
