@@ -295,7 +295,7 @@ def _print(site: Site, out: Path | None, mission: Path | None) -> None:
         terminal.print(f"written: {path}", soft_wrap=True)
 
 
-def import_robot(config: Path, /, *, out: Path | None = None, battery: str = "main", to: Output = TERMINAL) -> int:
+def import_robot(config: Path, /, *, out: Path | None = None, battery: str = "robot", to: Output = TERMINAL) -> int:
     """Turn a fleet config of Open-RMF into a robot file.
 
     Its power is the one that Open-RMF plans with: friction, acceleration, ambient and tool watts.
