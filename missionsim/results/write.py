@@ -111,21 +111,16 @@ def segments_table(result: RunResult) -> dict[str, Sequence[Any]]:
 
 def energy_table(result: RunResult) -> dict[str, Sequence[Any]]:
     """One row a cell: segment × battery × component × term, with its energy [Wh]; the cells add up to the drain."""
-    table: dict[str, list[Any]] = {
-        "segment": [],
-        "segment_name": [],
-        "battery": [],
-        "component": [],
-        "term": [],
-        "energy_wh": [],
-    }
+    names = ("segment", "segment_name", "battery", "component", "term", "energy_wh")
+    columns: list[list[Any]] = [[] for _ in names]
+    segments = [segment.name for segment in result.segments]
+    rows = len(segments)
     for battery in result.batteries:
         for key, cells in result.cells_wh(battery).items():
-            for index, energy in enumerate(cells.tolist()):
-                row = (index, result.segments[index].name, battery, key.component, key.name, energy)
-                for column, value in zip(table.values(), row, strict=True):
-                    column.append(value)
-    return {**table}
+            same = ([text] * rows for text in (battery, key.component, key.name))
+            for column, values in zip(columns, (range(rows), segments, *same, cells.tolist()), strict=True):
+                column.extend(values)
+    return dict(zip(names, columns, strict=True))
 
 
 def summary_table(result: RunResult) -> dict[str, Sequence[Any]]:
@@ -265,4 +260,7 @@ def _tidy(path: Path) -> str:
 
 
 def _cells(values: Sequence[Any]) -> list[Any]:
-    return ["" if value is None or value != value else csv_cell(value) for value in values]
+    texts = {value: csv_cell(value) for value in {value for value in values if isinstance(value, str)}}
+    return [
+        texts[value] if isinstance(value, str) else "" if value is None or value != value else value for value in values
+    ]

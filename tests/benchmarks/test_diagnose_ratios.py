@@ -7,6 +7,7 @@ several times faster; what each names is printed beside its time. One thread eac
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 from missionsim.diagnose import diagnose_files
+from tests.benchmarks.test_montecarlo_ratios import peak_gb
 from tests.hidden_effects import features, peers
 from tests.hidden_effects.world import Case, make, write
 
@@ -120,3 +122,42 @@ def test_time_grows_no_faster_than_rows(folder: Path) -> None:
     one, two = cpu_seconds(lambda: named(4), lambda: named(8), rounds=1)
     print(f"4 runs {one:.2f} s, 8 runs {two:.2f} s, exponent {np.log2(two / one):.2f}")
     assert two < 2.6 * one
+
+
+def write_hours(folder: Path, runs: int) -> None:
+    """Runs of an hour at 10 Hz as Parquet, whose turning costs more than the robot's file knows."""
+    import pandas as pd
+    from scipy.signal import lfilter
+
+    folder.mkdir()
+    count = 36_000
+    for number in range(runs):
+        rng = np.random.default_rng(number)
+        piece = np.arange(count) // 150
+        speed = lfilter([0.1], [1.0, -0.9], rng.choice([0.0, 0.2, 0.4, 0.6], size=count // 150)[piece])
+        speed[speed < 0.01] = 0.0
+        yaw = rng.choice([0.0, 0.0, 0.4, -0.6, 0.9], size=count // 150)[np.roll(piece, 40)] * (speed > 0.0)
+        kinect = rng.choice([0.0, 1.0], size=count // 150)[np.roll(piece, 70)]
+        moving = (speed >= 0.005) | (np.abs(yaw) >= 0.02)
+        power = np.where(moving, 6.25 * speed**2 + 9.79 * speed + 3.66, 2.67) + 2.34 + 2.82 * kinect
+        power += 3.0 * np.abs(yaw) + lfilter([0.02], [1.0, -0.98], rng.normal(0.0, 1.0, count))
+        columns = {"power_robot_w": power, "speed_m_s": speed, "yaw_rate_rad_s": yaw, "on_kinect": kinect}
+        frame = {"time_s": (np.arange(count) + 0.5) * 0.1, **columns, "on_laser": 1.0, "on_sonar": 0.0}
+        pd.DataFrame(frame).to_parquet(folder / f"run_{number:03d}.parquet")
+
+
+@pytest.mark.study
+def test_memory_does_not_grow_with_long_logs(tmp_path: Path) -> None:
+    """3.6 and 10.8 million rows: beyond 500,000 they are averaged as they are read, and stretches are learnt from."""
+    most = []
+    for runs in (100, 300):
+        write_hours(tmp_path / str(runs), runs)
+        out = tmp_path / f"{runs}.json"
+        words = ["diagnose", "--robot", "pioneer3dx", str(tmp_path / str(runs)), "--quiet", "--json", str(out)]
+        begin = time.perf_counter()
+        most.append(peak_gb(words))
+        print(f"{runs} hours at 10 Hz: {most[-1]:.2f} GB, {time.perf_counter() - begin:.0f} s")
+        effects = json.loads(out.read_text(encoding="utf-8"))["batteries"]["robot"]["effects"]
+        assert [effect["effect"] for effect in effects] == ["turning_scrub"]
+    assert most[0] < 1.0
+    assert most[1] < most[0] + 0.5
