@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import struct
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
 STEP_S = 0.1
+Drive = Mapping[str, Callable[[float], float]]
 
 
 def battery_volts(t: float) -> float:
@@ -23,7 +25,18 @@ def amps(t: float) -> float:
     return 1.0 + 2.0 * speed(t)
 
 
-def write_bag(path: Path, kind: str, duration_s: float = 30.0, *, often: int = 1, picture_bytes: int = 0) -> Path:
+DRIVE: dict[str, Callable[[float], float]] = {
+    "speed": speed,
+    "amps": amps,
+    "slope": lambda t: 0.05,
+    "turn": lambda t: 0.2 * np.cos(t),
+}
+"""What a bag tells, over time: m/s, A, rad (uphill), rad/s."""
+
+
+def write_bag(
+    path: Path, kind: str, duration_s: float = 30.0, *, often: int = 1, picture_bytes: int = 0, drive: Drive = DRIVE
+) -> Path:
     """A ROS 1 bag (`kind` ros1), ROS 2 bag (sqlite3 or mcap): /battery at 2 Hz, /odom at 10 Hz, /imu at 20 Hz.
 
     `often` times as many of each, and /camera/compressed at 10 Hz where a picture has a size.
@@ -44,14 +57,15 @@ def write_bag(path: Path, kind: str, duration_s: float = 30.0, *, often: int = 1
     vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
     point, pose = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Pose"]
     twist = types["geometry_msgs/msg/Twist"]
-    slope = 0.05
-    attitude = quaternion(x=0.0, y=-np.sin(slope / 2), z=0.0, w=np.cos(slope / 2))
+
+    def attitude(t: float):  # type: ignore[no-untyped-def]
+        return quaternion(x=0.0, y=-np.sin(drive["slope"](t) / 2), z=0.0, w=np.cos(drive["slope"](t) / 2))
 
     def battery(t: float):  # type: ignore[no-untyped-def]
         return types["sensor_msgs/msg/BatteryState"](
             header=header(t),
             voltage=battery_volts(t),
-            current=-amps(t),
+            current=-drive["amps"](t),
             charge=1.0,
             capacity=2.0,
             design_capacity=2.0,
@@ -73,19 +87,19 @@ def write_bag(path: Path, kind: str, duration_s: float = 30.0, *, often: int = 1
             header=header(t),
             child_frame_id="base",
             pose=types["geometry_msgs/msg/PoseWithCovariance"](
-                pose=pose(position=point(x=t, y=0.0, z=0.0), orientation=attitude), covariance=np.zeros(36)
+                pose=pose(position=point(x=t, y=0.0, z=0.0), orientation=attitude(t)), covariance=np.zeros(36)
             ),
             twist=types["geometry_msgs/msg/TwistWithCovariance"](
-                twist=twist(linear=vector(x=speed(t), y=0.0, z=0.0), angular=zero), covariance=np.zeros(36)
+                twist=twist(linear=vector(x=drive["speed"](t), y=0.0, z=0.0), angular=zero), covariance=np.zeros(36)
             ),
         )
 
     def imu(t: float):  # type: ignore[no-untyped-def]
         return types["sensor_msgs/msg/Imu"](
             header=header(t),
-            orientation=attitude,
+            orientation=attitude(t),
             orientation_covariance=np.zeros(9),
-            angular_velocity=vector(x=0.0, y=0.0, z=0.2 * np.cos(t)),
+            angular_velocity=vector(x=0.0, y=0.0, z=drive["turn"](t)),
             angular_velocity_covariance=np.zeros(9),
             linear_acceleration=vector(x=0.0, y=0.0, z=9.8),
             linear_acceleration_covariance=np.zeros(9),
