@@ -49,11 +49,14 @@ def plan(
         Write an interactive page, which opens from disk, to this HTML file.
     """
     from missionsim.cli.parse import check_picture
+    from missionsim.errors import InputError
     from missionsim.files import write_text
     from missionsim.inputs.loading import load_task
     from missionsim.planner.write import mission_text
 
     check_picture(plot)
+    if seconds is not None and not seconds > 0.0:
+        raise InputError.single("--seconds must be more than nothing", got=f"{seconds:g}", allowed="such as 60")
     spec = load_task(task, changes.pairs, changes.robot)
     to.warn(spec.warnings)
     answer, run = _solved(spec, seconds, to)
@@ -104,7 +107,9 @@ def _extend(answer: Answer, with_pareto: bool, with_alternatives: bool) -> None:
     from missionsim.planner import why
 
     if not answer.feasible and answer.notes:
-        answer.extra["why"] = {"short": [], "would_do": [], "text": answer.notes}
+        would_do = answer.extra.pop("would_do", [])
+        told = [f"this would do: {change['text']}" for change in would_do]
+        answer.extra["why"] = {"short": [], "would_do": would_do, "text": [*answer.notes, *told]}
         return
     if not answer.feasible:
         answer.extra["why"] = why.explain(answer.site)

@@ -223,4 +223,10 @@ def plan_rounds(site: Site, watch: Watch | None = None) -> Answer:
     if at_most == asked:
         note = f"no plan of {asked} rounds was found, one of {done} was"
     charged = "" if site.task.docks else "; no dock may be used (choose: docks)"
-    return Answer(site, False, notes=[note + charged], extra={"rounds": done})
+    would_do = [{"change": "repeat.rounds", "to": done, "unit": "", "text": f"{done} rounds"}]
+    longer = replace(site, deadline_s=math.inf)
+    made = _drive(longer, asked, every, _prices(longer, asked), watch) if math.isfinite(site.deadline_s) else None
+    if made is not None and made.feasible:
+        text = f"an end {(made.duration_s - site.deadline_s) / 60.0:.1f} min later"
+        would_do.append({"change": "repeat.until", "to": made.duration_s, "unit": "s", "text": text})
+    return Answer(site, False, notes=[note + charged], extra={"rounds": done, "would_do": would_do})

@@ -65,6 +65,17 @@ def explain(site: Site) -> dict[str, Any]:
         leg = _falls_below(answer, name, initial - reserve)
         short.append({"what": name, "short_wh": lacking, "leg": _name(leg), "to": leg.place})
         capacity = float(site.physics.capacity_wh[b])
+        if needed + reserve <= capacity:
+            level, before = 100.0 * (needed + reserve) / capacity, 100.0 * initial / capacity
+            changes.append(
+                {
+                    "change": f"initial_charge.{name}",
+                    "to": level / 100.0,
+                    "unit": "",
+                    "text": f"'{name}' at {level:.1f} % at the start in place of {before:.1f} %",
+                    "relative": lacking / capacity,
+                }
+            )
         usable = (initial - reserve) / capacity
         if usable <= 0.0:
             continue
@@ -87,7 +98,7 @@ def explain(site: Site) -> dict[str, Any]:
         where = f"first on {item['leg']} to {item['to']}, all else as asked{unserved.get(item['what'], '')}"
         lines.append(f"{what}: {amount} short, {where}")
     if not short:
-        lines.append("more than one limit is short: no single one, taken away, gives a plan")
+        lines += _together(site)
     if changes:
         lines.append("smallest single change that would do: " + changes[0]["text"])
         lines += [f"or: {change['text']}" for change in changes[1:4]]
@@ -96,6 +107,22 @@ def explain(site: Site) -> dict[str, Any]:
             "no single change that was tried would do: a later deadline, a larger battery, a visit less, a dock"
         )
     return {"short": short, "would_do": changes, "text": lines}
+
+
+def _together(site: Site) -> list[str]:
+    """What lacks where taking away one limit is not enough: of the plan that takes least of the first battery."""
+    answer = with_ample(replace(site, deadline_s=math.inf), 0, every=True)
+    if answer is None:
+        return [f"no way does all that is asked, not with {AMPLE_WH:g} Wh in each battery and no deadline either"]
+    lines = ["more than one limit is short: no single one, taken away, gives a plan; without any of them"]
+    if answer.duration_s > site.deadline_s:
+        lines.append(f"time: {answer.duration_s - site.deadline_s:.1f} s short")
+    for b, name in enumerate(site.physics.names):
+        left = float(site.physics.initial_wh[b] - site.physics.reserve_wh[b])
+        if (lacking := _deepest(answer, name) - left) > 0.0:
+            leg = _falls_below(answer, name, left)
+            lines.append(f"battery '{name}': {lacking:.3f} Wh short, first on {_name(leg)} to {leg.place}")
+    return lines
 
 
 def with_ample(site: Site, battery: int, *, every: bool = False) -> Answer | None:

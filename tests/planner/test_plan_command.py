@@ -47,6 +47,22 @@ def test_no_plan_names_what_would_do_and_it_does(root: Path, tmp_path: Path) -> 
     assert plan(root, tmp_path, TWO, f"{change['change']}={change['to'] * (1 + 1e-9)} Wh")["feasible"]
 
 
+def test_no_plan_says_what_start_would_do_and_what_of_rounds(root: Path, tmp_path: Path) -> None:
+    low = plan(root, tmp_path, TWO, "initial_charge={drive: 22 %}", code=1)
+    change = next(item for item in low["why"]["would_do"] if item["change"] == "initial_charge.drive")
+    assert plan(root, tmp_path, TWO, f"initial_charge={{drive: {change['to'] * (1 + 1e-9)}}}")["feasible"]
+    few = ("choose.speeds=[0.9]", "choose.schemes=[mapped]")
+    none = plan(root, tmp_path, "repeat={rounds: 5, until: 20 min}", *few, task="shift", code=1)
+    by = {item["change"]: item["to"] for item in none["why"]["would_do"]}
+    end = f"{{rounds: 5, until: {by['repeat.until'] * (1 + 1e-9)} s}}"
+    for repeat in (f"{{rounds: {by['repeat.rounds']}, until: 20 min}}", end):
+        assert plan(root, tmp_path, f"repeat={repeat}", *few, task="shift")["feasible"]
+    longer = plan(root, tmp_path, TWO, "visits=[{place: pump, inspect: 90 h}]", code=1)
+    told = " ".join(longer["why"]["text"])
+    assert 322_500.0 < float(told.split("time: ")[1].split(" s")[0]) < 325_000.0
+    assert "battery 'drive': " in told
+
+
 def test_a_dock_is_used_where_the_charge_does_not_suffice(root: Path, tmp_path: Path) -> None:
     settings = (TWO, "robot.batteries.drive.capacity=5 Wh", "choose.docks=all")
     charged = plan(root, tmp_path, *settings)
