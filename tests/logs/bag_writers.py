@@ -192,7 +192,12 @@ def write_diagnostics_bag(path: Path, duration_s: float = 40.0) -> Path:
             goal_state=after,
         )
 
+    def joystick(t: float):  # type: ignore[no-untyped-def]
+        pressed = np.array([0, int(5 <= t < 12)], dtype=np.int32)
+        return types["sensor_msgs/msg/Joy"](header=header(t), axes=np.zeros(2, dtype=np.float32), buttons=pressed)
+
     topics = [
+        ("/joy", "sensor_msgs/msg/Joy", joystick, np.arange(0.0, duration_s, 0.1)),
         ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", diagnostics, np.arange(0.0, duration_s, 0.5)),
         ("/joint_states", "sensor_msgs/msg/JointState", joints, np.arange(0.0, duration_s, 0.1)),
         ("/lidar/transition_event", "lifecycle_msgs/msg/TransitionEvent", lidar, np.array([10.0, 20.0])),

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from missionsim.cli.app import run_command as main
+from missionsim.importer.mapping import import_source
+from missionsim.inputs.loading import load_map
 from missionsim.logs import LogTable, read_log, read_logs
 from tests.logs import loggers
 from tests.logs.bag_writers import amps, battery_volts, speed, write_bag, write_diagnostics_bag, write_ulog
@@ -68,6 +70,15 @@ def test_a_battery_that_speaks_in_diagnostics(tmp_path: Path, capsys: pytest.Cap
     out = capsys.readouterr().out
     assert "/diagnostics[Power System].Charge" in out
     assert "/joint_states.effort[wheel_left]" in out
+    assert "/joy.buttons[1]" in out
+    (tmp_path / "lamp.yaml").write_text(
+        "kind: map\nsignals: {volts: '/diagnostics[Power System].Battery voltage', lamp: '/joy.buttons[1]',\n"
+        "  amps: '/diagnostics[Power System].Battery current', effort: '/joint_states.effort[wheel_left]'}\n"
+        "timeline: lamp\ncolumns: {time_s: time_s, power_robot_w: volts * amps, on_lamp: lamp, effort: effort}\n"
+    )
+    (log,) = import_source(bag, load_map(tmp_path / "lamp.yaml"))
+    assert ((log.number("on_lamp") == 1) == ((log.time_s > 4.95) & (log.time_s < 11.95))).all()
+    near(log, "effort", 1 + speed(log.time_s), 0.05)
 
 
 def test_ulog(tmp_path: Path) -> None:
