@@ -1,6 +1,6 @@
 """One spoilt run of eight: is it named, is nothing named for it, is nothing excluded that is there?
 
-``python -m tests.rough.spoilt --seeds 0:3`` makes logs with nothing and with grade hidden, spoils them in seven ways,
+``python -m tests.rough.spoilt --seeds 0:3`` makes logs with nothing and with grade hidden, spoils them in fifteen ways,
 runs ``diagnose`` and prints a table. It ends with 1 where a wrong effect was named, an effect that is there was
 excluded, or fewer than nine tenths of the spoilt runs were named.
 """
@@ -50,6 +50,42 @@ def _shuffled(log: Log, rng: np.random.Generator) -> None:
             log[name] = np.asarray(log[name])[order]
 
 
+def _late(log: Log, rng: np.random.Generator) -> None:
+    log["power_robot_w"] = np.roll(log["power_robot_w"], 25)
+
+
+def _power_shuffled(log: Log, rng: np.random.Generator) -> None:
+    log["power_robot_w"] = rng.permutation(log["power_robot_w"])
+
+
+def _speed_stands(log: Log, rng: np.random.Generator) -> None:
+    third = len(log["speed_m_s"]) // 3
+    log["speed_m_s"] = np.array(log["speed_m_s"])
+    log["speed_m_s"][third:] = np.max(log["speed_m_s"][:third]) * 0.7
+
+
+def _switch_stuck(log: Log, rng: np.random.Generator) -> None:
+    log["on_laser"] = 0 * np.asarray(log["on_laser"])
+
+
+def _three(logs: dict[str, Log], rng: np.random.Generator) -> str:
+    names = sorted(rng.choice(sorted(logs), 3, replace=False).tolist())
+    for name in names:
+        logs[name]["power_robot_w"] = logs[name]["power_robot_w"] + 2.0
+    return str(names[0])
+
+
+def _cut_copies(logs: dict[str, Log], rng: np.random.Generator) -> str:
+    """Copies that begin later, on a clock of their own, with noise on power and temperature."""
+    first, *others = sorted(logs)
+    for number, name in enumerate(others[:3]):
+        log = {key: np.array(values)[5 * (number + 1) :] for key, values in logs[first].items()}
+        log["time_s"] = log["time_s"] + 1000.0 * number + 0.137
+        log["power_robot_w"] = log["power_robot_w"] + rng.normal(0.0, 0.2, len(log["time_s"]))
+        logs[name] = log
+    return others[0]
+
+
 def _frozen(logs: dict[str, Log], rng: np.random.Generator) -> str:
     for log in logs.values():
         log["on_kinect"] = 0 * np.asarray(log["on_kinect"])
@@ -78,7 +114,15 @@ SPOILS: dict[str, Spoil] = {
     "km/h in one run": _one(_scaled("speed_m_s", 3.6)),
     "mW in one run": _one(_scaled("power_robot_w", 1000.0)),
     "+2 W in one run": _one(_scaled("power_robot_w", 1.0, 2.0)),
+    "+2 W in three runs": _three,
+    "power times 1.3 in one run": _one(_scaled("power_robot_w", 1.3)),
+    "power 25 s late in one run": _one(_late),
+    "only the power of one run shuffled": _one(_power_shuffled),
+    "speed of one run stands still": _one(_speed_stands),
+    "a switch stuck in one run": _one(_switch_stuck),
+    "mph in one run": _one(_scaled("speed_m_s", 2.2369)),
     "near-copies of one run": _copies,
+    "copies, cut and shifted": _cut_copies,
     "rows of one run shuffled": _one(_shuffled),
     "another robot's run": _other_robot,
 }
