@@ -261,6 +261,7 @@ def diagnose_battery(
             # where the base is far from right, effects that predict come first, unless a law predicts far better
             proposed = tuple(law for law in proposed if law.far_better)
     effects, candidates = without_stand_ins(proposed, found.effects, found.candidates)
+    effects = models.of_all_braking(effects)
     fits = {"recalibrated": models.fit(()), "with_effects": models.fit(effects)}
     effects = models.told(effects, fits["with_effects"])
     powers = {"nominal": subject.model, **{kind: fit.model for kind, fit in fits.items()}}

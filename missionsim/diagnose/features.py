@@ -294,7 +294,8 @@ def _grid(effect: Effect, runs: Covariates, charged: float) -> list[dict[str, fl
     """All combinations of the grids of an effect's shape parameters that these runs can tell."""
     from itertools import product
 
-    free = [spec for spec in effect.shape if spec.name != effect.back or _tells_back(effect, runs, charged)]
+    asked = [spec for spec in effect.shape if spec.grid or not spec.optional]
+    free = [spec for spec in asked if spec.name != effect.back or _tells_back(effect, runs, charged)]
     axes = [spec.grid or _default_grid(spec.low, spec.high, spec.default) for spec in free]
     return [dict(zip((spec.name for spec in free), values, strict=True)) for values in product(*axes)] if free else []
 
@@ -305,7 +306,7 @@ def _tells_back(effect: Effect, runs: Covariates, charged: float) -> bool:
     A descent first saves what the drive needs; where the battery is never charged there is no more to tell.
     """
     decided = any(float(cov.get("regeneration", 0.0)) > 0.0 for cov in runs)
-    return not decided and (not effect.recovers or charged >= CHARGED)
+    return not decided and (effect.one_sided or charged >= CHARGED)
 
 
 def _default_grid(low: float, high: float, default: float) -> tuple[float, ...]:

@@ -17,7 +17,7 @@ from missionsim.diagnose.features import Features
 from missionsim.effects.families import FLOORS
 from missionsim.effects.library import get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
-from missionsim.fit.final import FREE_SD, FinalFit, final_fit
+from missionsim.fit.final import CLEARLY, FREE_SD, FinalFit, final_fit
 from missionsim.identify.align import Clock
 from missionsim.identify.design import Source
 from missionsim.identify.estimates import Z95
@@ -105,6 +105,33 @@ class Models:
     def told(self, effects: Sequence[Finding], fitted: FinalFit) -> tuple[Finding, ...]:
         """The effects with the coefficients of a fit; their intervals hold the noise model's and those of the runs."""
         return tuple(effect if self.lowers(effect) else _with_values(effect, fitted) for effect in effects)
+
+    def of_all_braking(self, effects: Sequence[Finding]) -> tuple[Finding, ...]:
+        """The effects as they act where braking first relieves the drive, if that predicts left-out runs better.
+
+        Each alone, braking and a descent give back a share of their own power; together they act on the force at the
+        wheels, and only what is beyond the drive's need comes back. The difference looks like heat in the windings,
+        which has to predict left-out runs better beside the new form to stay.
+        """
+        back = [one for one in effects if (e := one.parameters.get("regeneration")) is not None and e.value > 0.0]
+        if not back:
+            return tuple(effects)
+        relief = Estimate(1.0, 1.0, 1.0, "1")
+        new = [replace(e, parameters={**e.parameters, "relief": relief}) if e in back else e for e in effects]
+        cold = [effect for effect in new if effect.effect != "copper_loss"]
+        errors = [self._of_other_half(some) for some in (effects, new, cold)]
+        if min(errors[1:]) > errors[0]:
+            return tuple(effects)
+        return tuple(cold if errors[2] <= errors[1] * (1.0 + CLEARLY) else new)
+
+    def _of_other_half(self, effects: Sequence[Finding]) -> float:
+        """Mean square error of half of the runs, predicted from a fit to the other; of one run, of its fit [W2]."""
+        halves = [self.runs[::2], self.runs[1::2]] if len(self.runs) > 1 else [self.runs]
+        other = halves[::-1]
+        errors = [
+            self.errors(self.fit(effects, runs=fitted).model, out) for fitted, out in zip(halves, other, strict=True)
+        ]
+        return float(np.average([e.power_rmse_w**2 for e in errors], weights=[e.total.seconds for e in errors]))
 
     def errors(self, model: PowerModel, runs: Sequence[Run]) -> Errors:
         """Errors of a model on runs."""

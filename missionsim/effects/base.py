@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, TypeVar
 
+import numpy as np
+
 from missionsim.effects.covariates import Covariates, number
 from missionsim.errors import InputError
 from missionsim.expressions import Place
@@ -104,6 +106,8 @@ class Effect:
     back: str = ""
     """The parameter that says which share of its power braking or a descent gives back. It may be left out; the
     robot's own ``regeneration`` decides then."""
+    one_sided: bool = False
+    """Whether it gives nothing back, nor relieves the drive, where nothing says that the robot regenerates."""
     covariate: str = ""
     """The covariate that it is mostly about, for reports and shifted splits; the first that it needs, if not given."""
     place: Place = field(default=Place(), repr=False, compare=False)
@@ -119,10 +123,14 @@ class Effect:
         In a model `PowerModel.evaluate` limits all such terms together.
         """
         power = self.power(cov, p)
-        if not self.recovers or (self.back and self.back in p):
+        if not self.limits(p):
             return power
         part = 1.0 if self.relief is None else self.relief(p)
-        return recovered_power(power, part * number(cov, "drive_w"), number(cov, "regeneration"))
+        return recovered_power(power, part * number(cov, "drive_w"), p.get(self.back, number(cov, "regeneration")))
+
+    def limits(self, p: Mapping[str, Any]) -> bool:
+        """Whether what it gives back ends where the drive needs nothing any more, but for what regeneration returns."""
+        return self.recovers and (self.back not in p or bool(np.any(np.asarray(p.get("relief", 0.0)) > 0.0)))
 
     @property
     def coefficient(self) -> ParameterSpec:

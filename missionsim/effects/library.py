@@ -47,14 +47,19 @@ def _drive(
 
 def _grade(cov: Covariates, p: Mapping[str, Any]) -> Any:
     lifting = motion.grade_power(cov["speed_m_s"], cov["slope_rad"], number(cov, "mass_kg", 1.0), p["k"])
-    if "regeneration" in p:
-        return motion.two_sided(lifting, p["regeneration"])
-    return lifting
+    return _given_back(lifting, p["regeneration"], p) if "regeneration" in p else lifting
+
+
+def _given_back(power_w: Any, regeneration: Any, p: Mapping[str, Any]) -> Any:
+    """Its share of what braking gives back; all of it where the model limits all such terms together."""
+    return motion.two_sided(power_w, np.where(np.asarray(p.get("relief", 0.0)) > 0.0, 1.0, regeneration))
 
 
 def _acceleration(cov: Covariates, p: Mapping[str, Any]) -> Any:
-    back = p["regeneration"] if "regeneration" in p else number(cov, "regeneration")
-    return motion.acceleration_power(cov["speed_m_s"], cov["accel_m_s2"], number(cov, "mass_kg", 1.0), p["k"], back)
+    kinetic = motion.acceleration_power(cov["speed_m_s"], cov["accel_m_s2"], number(cov, "mass_kg", 1.0), p["k"], 1.0)
+    if "regeneration" in p:
+        return _given_back(kinetic, p["regeneration"], p)
+    return kinetic if np.any(np.asarray(number(cov, "regeneration")) > 0.0) else np.maximum(kinetic, 0.0)
 
 
 def _copper(cov: Covariates, p: Mapping[str, Any]) -> Any:
@@ -75,6 +80,14 @@ _BACK = ParameterSpec(
     grid=(0.0, 0.7),
     optional=True,
 )
+_RELIEF = ParameterSpec(
+    "relief",
+    "1",
+    "1 where what it gives back first takes over what the drive needs, with all such terms together; 0: by itself",
+    high=1.0,
+    default=0.0,
+    optional=True,
+)
 _ROLLING = ParameterSpec("rolling", "1", "C_r of the rolling force", high=0.5, default=0.02, grid=(0.0, 0.02, 0.06))
 
 _EFFECTS: tuple[Effect, ...] = (
@@ -86,7 +99,7 @@ _EFFECTS: tuple[Effect, ...] = (
         "lifting the robot on a slope",
         ("slope_rad", "speed_m_s"),
         _grade,
-        shape=(_BACK,),
+        shape=(_BACK, _RELIEF),
         back="regeneration",
         recovers=True,
         relief=lambda p: motion.relieved_part(p["k"]),
@@ -109,8 +122,10 @@ _EFFECTS: tuple[Effect, ...] = (
         ("speed_m_s", "accel_m_s2"),
         covariate="accel_m_s2",
         power=_acceleration,
-        shape=(_BACK,),
+        shape=(_BACK, _RELIEF),
         back="regeneration",
+        recovers=True,
+        one_sided=True,
     ),
     _drive(
         "copper_loss",

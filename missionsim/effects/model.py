@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -99,12 +99,13 @@ class Term:
     @property
     def limited(self) -> bool:
         """Whether what it gives back ends where the drive needs nothing any more, but for the robot's regeneration."""
-        return self.effect.recovers and self.effect.back not in self.parameters
+        own = {name: parameter.value for name, parameter in self.parameters.items()}
+        return self.effect.recovers and self.effect.limits(own)
 
     @property
     def gives_back(self) -> bool:
         """Whether the robot's regeneration acts on it."""
-        return self.limited or (bool(self.effect.back) and self.effect.back not in self.parameters)
+        return self.effect.recovers and self.effect.back not in self.parameters
 
     def name_of(self, parameter: str) -> str:
         """Name of a parameter within its battery."""
@@ -237,6 +238,7 @@ class PowerModel:
         drive: Any = 0.0
         relieving: dict[TermKey, Any] = {}
         parts: list[Any] = []
+        back: list[Any] = []
         if f"{battery}/regeneration" in values:
             cov = {**cov, "regeneration": values[f"{battery}/regeneration"]}
         for term in self.of(battery):
@@ -245,7 +247,7 @@ class PowerModel:
                 if name not in cov:
                     raise InputError(self.lacking(cov, battery))
             if relieving and effect.stage > 1:
-                powers.update(_relieved(relieving, drive, cov, parts))
+                powers.update(zip(relieving, relieved_powers([*relieving.values()], drive, back, parts), strict=True))
                 relieving = {}
             own = self._values(term, values)
             load = {**cov, "load_w": sum(powers.values(), start=0.0)} if effect.of_load else cov
@@ -259,10 +261,11 @@ class PowerModel:
             if term.limited:
                 relieving[term.key] = power
                 parts.append(1.0 if effect.relief is None else effect.relief(own))
+                back.append(own.get(effect.back, number(cov, "regeneration")))
             elif effect.drive:
                 drive = drive + (np.maximum(power, 0.0) if effect.back else power)
         if relieving:
-            powers.update(_relieved(relieving, drive, cov, parts))
+            powers.update(zip(relieving, relieved_powers([*relieving.values()], drive, back, parts), strict=True))
         return powers
 
     def _values(self, term: Term, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -308,7 +311,7 @@ class PowerModel:
             found[name] = found[name] + slope if name in found else slope
 
         if "regeneration" in self.parameters_of(battery) or any(
-            (term.effect.recovers or term.effect.of_load) and any(p.value != 0.0 for p in term.parameters.values())
+            (self._limits(term) or term.effect.of_load) and any(p.value != 0.0 for p in term.parameters.values())
             for term in self.of(battery)
         ):
             for name, parameter in self.parameters_of(battery).items():
@@ -325,6 +328,13 @@ class PowerModel:
                     up, down = (term.effect.power(cov, values) for values in moved)
                     add(term.name_of(name), up, down, term.scale)
         return found
+
+    def _limits(self, term: Term) -> bool:
+        """Whether a term is limited by what the drive needs, so that the powers of the model are not a plain sum."""
+        asked = (
+            not term.effect.one_sided or "relief" in term.parameters or self.constants.get("regeneration", 0.0) > 0.0
+        )
+        return term.limited and asked
 
     def with_values(self, values: Mapping[str, float]) -> PowerModel:
         """A model with other parameter values, by ``battery/name``.
@@ -360,9 +370,3 @@ class PowerModel:
             if regeneration is not None and (new := values.get(f"{battery}/regeneration")) is not None:
                 regeneration, constants = replace(regeneration, value=new), {**constants, "regeneration": new}
         return replace(self, terms=terms, constants=constants, regeneration=regeneration)
-
-
-def _relieved(powers: Mapping[TermKey, Any], drive_w: Any, cov: Covariates, parts: Sequence[Any]) -> dict[TermKey, Any]:
-    """Terms that may be negative, limited together."""
-    left = relieved_powers(list(powers.values()), drive_w, number(cov, "regeneration"), parts)
-    return dict(zip(powers, left, strict=True))

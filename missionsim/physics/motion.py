@@ -157,7 +157,10 @@ def relieved_part(k: Value) -> Value:
 
 
 def relieved_powers(
-    powers_w: Sequence[Value], drive_w: Value, regeneration: Value, parts: Sequence[Value] | None = None
+    powers_w: Sequence[Value],
+    drive_w: Value,
+    regeneration: Value | Sequence[Value],
+    parts: Sequence[Value] | None = None,
 ) -> list[Value]:
     """What several terms that may be negative leave on the battery together; see `recovered_power`.
 
@@ -171,8 +174,8 @@ def relieved_powers(
         The terms, negative when they help [W].
     drive_w : float or ndarray
         The power that the drive takes without them [W].
-    regeneration : float
-        Fraction of the surplus given back, 0 to 1.
+    regeneration : float or sequence of float
+        Fraction of the surplus given back, 0 to 1; of several terms, each its own, in the part it has in them.
     parts : sequence of float or ndarray, optional
         The part of `drive_w` that each term can relieve, all of it where not given.
 
@@ -182,15 +185,21 @@ def relieved_powers(
         Their parts of the battery power [W], in the same order.
     """
     parts = [1.0] * len(powers_w) if parts is None else parts
+    back = list(regeneration) if isinstance(regeneration, Sequence) else [regeneration] * len(powers_w)
     if len(powers_w) == 1:
-        return [recovered_power(powers_w[0], parts[0] * drive_w, regeneration)]
+        return [recovered_power(powers_w[0], parts[0] * drive_w, back[0])]
     helping = sum((np.minimum(watts, 0.0) for watts in powers_w), start=0.0)
-    part: Value = 1.0
-    if any(np.any(np.asarray(p) != 1.0) for p in parts):
-        weighed = sum((p * np.minimum(watts, 0.0) for p, watts in zip(parts, powers_w, strict=True)), start=0.0)
-        part = weighed / np.where(helping < 0.0, helping, 1.0)
+
+    def of_all(values: Sequence[Value]) -> Value:
+        """One value for all terms together, each in the part that it helps."""
+        if all(one is values[0] or np.all(np.asarray(one) == values[0]) for one in values):
+            return values[0]
+        weighed = sum((one * np.minimum(watts, 0.0) for one, watts in zip(values, powers_w, strict=True)), start=0.0)
+        return np.asarray(weighed / np.where(helping < 0.0, helping, 1.0))
+
+    part = of_all(parts)
     taken = sum((np.maximum(watts, 0.0) for watts in powers_w), start=part * np.maximum(drive_w, 0.0))
-    share = recovered_power(helping, taken, regeneration) / np.where(helping < 0.0, helping, 1.0)
+    share = recovered_power(helping, taken, of_all(back)) / np.where(helping < 0.0, helping, 1.0)
     return [np.maximum(watts, 0.0) + share * np.minimum(watts, 0.0) for watts in powers_w]
 
 

@@ -111,9 +111,9 @@ def _without_fixed_terms(made: ArrayMission) -> ArrayMission:
             and f"{battery}/{term.name_of(next(iter(term.parameters)))}" not in values
             and not np.any(watts[term.key])
         }
-        relieved = any(term.effect.recovers and term.key in changing - nought for term in terms)
+        relieved = any(term.limited and term.key in changing - nought for term in terms)
         for term in terms:
-            together = relieved and (term.effect.drive or term.effect.recovers) and term.key not in nought
+            together = relieved and (term.effect.drive or term.limited) and term.key not in nought
             if whole or term.key in changing - nought or together:
                 kept.append(term)
             elif term.key not in nought:

@@ -50,13 +50,30 @@ def test_braking_gives_its_own_share_back() -> None:
     assert power[3] < 0.0  # the battery is charged
 
 
-def test_without_a_share_of_its_own_the_body_s_decides() -> None:
+def at_the_wheels(kinetic: np.ndarray, share: float) -> np.ndarray:
+    """What the battery gives, written as a drive does: motor or generator by the sign of the net power."""
+    net = np.where(base(V) > 2.0, base(V), 0.0) + kinetic
+    return np.where(base(V) > 2.0, np.where(net > 0.0, net, share * net), base(V))
+
+
+def test_without_a_share_of_its_own_the_body_s_decides_what_the_net_power_gives_back() -> None:
     effect = "  - {effect: acceleration, battery: robot, parameters: {k: 1.5}}\n"
     cov = {"speed_m_s": V, "accel_m_s2": A}
-    kinetic = MASS_KG * A * V
-    for body, share in (("", 0.0), (", regeneration: 60 %", 0.6)):
-        wanted = base(V) + 1.5 * np.where(kinetic > 0.0, kinetic, share * kinetic)
-        assert model(effect, body).total(cov, "robot") == pytest.approx(wanted, rel=1e-12)
+    kinetic = 1.5 * MASS_KG * A * V
+    assert model(effect).total(cov, "robot") == pytest.approx(base(V) + np.maximum(kinetic, 0.0), rel=1e-12)
+    given = model(effect, ", regeneration: 60 %").total(cov, "robot")
+    assert given == pytest.approx(at_the_wheels(kinetic, 0.6), rel=1e-12)
+
+
+def test_braking_and_descents_together_relieve_the_drive_first() -> None:
+    effects = "".join(
+        f"  - {{effect: {name}, battery: robot, parameters: {{k: {k}, regeneration: 0.5, relief: 1}}}}\n"
+        for name, k in (("acceleration", 1.5), ("grade", 1.2))
+    )
+    slope = np.array([-0.2, 0.1, -0.1, 0.0, 0.0])
+    cov = {"speed_m_s": V, "accel_m_s2": A, "slope_rad": slope}
+    both = 1.5 * MASS_KG * A * V + 1.2 * MASS_KG * G * np.sin(slope) * V
+    assert model(effects).total(cov, "robot") == pytest.approx(at_the_wheels(both, 0.5), rel=1e-12)
 
 
 def test_a_robot_that_drives_backwards_brakes_where_its_speed_shrinks() -> None:
