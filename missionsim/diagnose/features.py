@@ -286,7 +286,7 @@ def _add_columns(effect: Effect, runs: Covariates, columns: list[dict[str, Array
         refit,
         covariate=effect.covariate,
         levels=levels,
-        shape_bounds={spec.name: (spec.low, spec.high) for spec in effect.shape if shape},
+        shape_bounds={spec.name: (spec.low, spec.high) for spec in effect.shape if shape and spec.name in shape[0]},
     )
 
 

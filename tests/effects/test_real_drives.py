@@ -52,8 +52,9 @@ def test_braking_gives_its_own_share_back() -> None:
 
 def at_the_wheels(kinetic: np.ndarray, share: float) -> np.ndarray:
     """What the battery gives, written as a drive does: motor or generator by the sign of the net power."""
-    net = np.where(base(V) > 2.0, base(V), 0.0) + kinetic
-    return np.where(base(V) > 2.0, np.where(net > 0.0, net, share * net), base(V))
+    moving = V >= 0.005
+    net = 4.0 * V**2 + 10.0 * V + kinetic
+    return np.where(moving, np.where(net > 0.0, net, share * net) + 3.0, 2.0)
 
 
 def test_without_a_share_of_its_own_the_body_s_decides_what_the_net_power_gives_back() -> None:
@@ -149,7 +150,7 @@ def test_scrub_by_floor() -> None:
 
 
 def stop_and_go(seed: int, back: float, **more: object) -> Run:
-    """A cart of 30 kg that speeds up and brakes; braking gives back `back` of the kinetic power, and so do descents."""
+    """A cart of 30 kg that speeds up and brakes; the battery gets `back` of what is too much at the wheels."""
     rng = np.random.default_rng(seed)
     count = 400
     goal = np.repeat(rng.choice([0.0, 0.5, 1.0, 1.5], count // 10 + 1), 10)[:count]
@@ -160,11 +161,9 @@ def stop_and_go(seed: int, back: float, **more: object) -> Run:
     slope = np.repeat(rng.choice([-0.15, -0.05, 0.0, 0.1], count // 40 + 1), 40)[:count]
     kinetic, lifting = 1.4 * MASS_KG * accel * speed, 1.4 * MASS_KG * G * speed * np.sin(slope)
     drive = 4.0 * speed**2 + 10.0 * speed
-    taken = drive + np.maximum(kinetic, 0.0)  # what a descent can pay for before anything is left to give back
-    lifted = np.maximum(lifting, -taken) + back * np.minimum(lifting + taken, 0.0)
-    power = np.where(speed >= 0.005, drive + 3.0, 2.0)
-    power = power + np.maximum(kinetic, 0.0) + back * np.minimum(kinetic, 0.0)
-    power = power + lifted + rng.normal(0.0, 0.1, count)
+    net = drive + kinetic + lifting
+    power = np.where(speed >= 0.005, np.maximum(net, 0.0) + back * np.minimum(net, 0.0) + 3.0, 2.0)
+    power = power + rng.normal(0.0, 0.1, count)
     columns = {"time_s": np.arange(count) + 0.5, "speed_m_s": speed, "accel_m_s2": accel, "slope_rad": slope, **more}
     return Run(f"run_{seed}", columns, np.ones(count), {"robot": power}, {"robot": None}, {"robot": "power"})
 
