@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cProfile
+import csv
 import gc
 import math
 import pstats
@@ -21,6 +22,7 @@ from missionsim.inputs.loading import load_mission
 from missionsim.inputs.mission import MissionSpec
 from missionsim.results import write_results
 from missionsim.results.whatif import Alternative, run_alternatives, varied
+from missionsim.results.write import tables
 from tests.benchmarks import patrol
 from tests.engine.making import load
 from tests.engine.test_batteries import PLACES, simple
@@ -123,6 +125,24 @@ def test_segments_and_their_tables_cost_the_same_each(tmp_path: Path) -> None:
     growth = exponent(125, 1000, work)
     print(f"time over segments, run and tables: exponent {growth:.2f}")
     assert growth <= 1.1
+
+
+def test_tables_beside_a_bare_writer(tmp_path: Path) -> None:
+    """All files of a run, computed, checked and renamed, against the bare writer of the standard library."""
+    result = simulate(rounds(500, False))
+    made = tables(result)
+
+    def bare() -> None:
+        for name, table in made.items():
+            with (tmp_path / f"{name}.csv").open("w", newline="", encoding="utf-8") as handle:
+                csv.writer(handle).writerows(zip(*table.values(), strict=True))
+
+    ours = theirs = float("inf")
+    for _ in range(5):  # in turns
+        ours = min(ours, best(lambda: write_results(result, tmp_path / "ours"), 1))
+        theirs = min(theirs, best(bare, 1))
+    print(f"files of a run take {ours / theirs:.1f} times as long as a bare writer of their cells")
+    assert ours / theirs <= 6.0
 
 
 def test_alternatives_share_what_they_can(root: Path) -> None:

@@ -63,7 +63,7 @@ def test_csv_beside_pandas(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_bag_beside_its_reader(tmp_path: Path, kind: str) -> None:
     """Against a loop over the wanted topics that does not even look into the messages."""
-    bag = write_bag(tmp_path / ("run.bag" if kind == "ros1" else "run"), kind, 60.0, often=5, picture_bytes=10_000)
+    bag = write_bag(tmp_path / ("run.bag" if kind == "ros1" else "run"), kind, 30.0, often=5, picture_bytes=10_000)
     assert run_command(["import", str(bag), "--suggest", "--out", str(tmp_path / "map.yaml"), "--quiet"]) == 0
     spec = load_map(tmp_path / "map.yaml")
     assert _ratio(lambda: import_source(bag, spec), lambda: iterate(bag)) <= MOST_BAG
