@@ -259,8 +259,11 @@ def _tidy(path: Path) -> str:
     return short if os.path.exists(short) and os.path.samefile(short, path) else str(path)
 
 
-def _cells(values: Sequence[Any]) -> list[Any]:
-    texts = {value: csv_cell(value) for value in {value for value in values if isinstance(value, str)}}
-    return [
-        texts[value] if isinstance(value, str) else "" if value is None or value != value else value for value in values
-    ]
+def _cells(values: Sequence[Any]) -> Sequence[Any]:
+    kinds = set(map(type, values))
+    if kinds <= {float, int, bool} and not np.isnan(values).any():
+        return values
+    if kinds == {str}:
+        texts = {value: csv_cell(value) for value in set(values)}
+        return list(map(texts.__getitem__, values))
+    return ["" if value is None or value != value else csv_cell(value) for value in values]
