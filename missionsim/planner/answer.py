@@ -18,6 +18,8 @@ from missionsim.planner.tour import Site
 
 Array = NDArray[np.float64]
 SCHEMA = "missionsim.plan/1"
+SAME = 1e-9
+"""Gap that is told as none: rounding, and the hair's breadth by which batteries are charged more than is needed."""
 ROUNDING = 1e-12
 """Relative difference of plan and bound that is none."""
 
@@ -96,7 +98,7 @@ class Answer:
     @property
     def claim(self) -> str:
         """What is proved of the plan, in words, with what the proof leaves out."""
-        text = "proved best" if self.gap == 0.0 else f"at most {100 * self.gap:.2g} % from the best"
+        text = "proved best" if self.gap <= SAME else f"at most {100 * self.gap:.2g} % from the best"
         left_out = list(self.extra.get("assumed", ()))
         if not all(road.complete for road in self.site.roads.values()):
             left_out.append("among the drives between stops that were tried")

@@ -73,7 +73,6 @@ class Drives:
         self._by_pair = np.argsort(pairs, kind="stable")
         self._pairs, self._begins, self._counts = np.unique(pairs[self._by_pair], return_index=True, return_counts=True)
         self._distances: dict[tuple[bytes, bytes, bool], Array] = {}
-        self._trees: dict[tuple[bytes, int], Any] = {}
 
     def distances(self, weights: Array, nodes: NDArray[np.intp], *, back: bool = False) -> Array:
         """Least weighted use from nodes to every state, shape (nodes, states); with `back`, from every state to them.
@@ -88,16 +87,6 @@ class Drives:
         if key not in self._distances:
             self._distances[key] = self._solve(self._graph(weights, back)[0], nodes, paths=False)[0]
         return self._distances[key]
-
-    def shortest(self, weights: Array, source: int, target: int) -> Drive | None:
-        """The drive of least weighted use; None where there is no way."""
-        key = (weights.tobytes(), source)
-        if key not in self._trees:
-            self._trees = {known: tree for known, tree in self._trees.items() if known[0] == key[0]}
-            graph, chosen = self._graph(weights, False)
-            self._trees[key] = self._solve(graph, np.array([source], dtype=np.intp), paths=True)[1][0], chosen
-        before, arcs = self._trees[key]
-        return self._way(before, arcs, source, target)
 
     def supported(
         self, weights: Sequence[Array], sources: NDArray[np.intp], targets: NDArray[np.intp]

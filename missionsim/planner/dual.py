@@ -89,11 +89,10 @@ def tour_label(tour: Tour, steps: list[tuple[int, int]], weights: Array) -> Labe
     for head, after in steps:
         payload = site.order.payload_kg(state)
         if site.stops[stop].place == site.stops[head].place:
-            drive: Drive | None = Drive(np.zeros(len(weights)))
+            drive = Drive(np.zeros(len(weights)))
         else:
-            out, into = site.nodes[payload]
-            drive = site.road(payload).shortest(weights, int(out[stop]), int(into[head]))
-        assert drive is not None, "the tour leads this way"
+            ends = [nodes[[number]] for nodes, number in zip(site.nodes[payload], (stop, head), strict=True)]
+            drive = next(iter(site.road(payload).supported([weights], *ends).values()))[0]
         use = tour.arc_use(drive, head, after)
         label = Label(after * tour.size + head, label.points + use, label, (head, drive, use))
         stop, state = head, after

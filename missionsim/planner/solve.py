@@ -10,7 +10,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.inputs.task import TaskSpec
 from missionsim.planner.answer import Answer, answer_of
 from missionsim.planner.bounds import Tour, bounds_of
 from missionsim.planner.core import Label, Outcome, quick, search, within
@@ -18,56 +17,26 @@ from missionsim.planner.drives import Drive, Drives
 from missionsim.planner.dual import best_prices, prices_ahead, unit
 from missionsim.planner.large import solve_large
 from missionsim.planner.orders import MOST_FREE
-from missionsim.planner.tour import Site, make_site
+from missionsim.planner.tour import Site
 
 Array = NDArray[np.float64]
 Watch = Callable[[str, float, float], bool]
 """``(what is done, objective so far, bound) -> stop?``"""
 
 
-class Supported:
-    """The drives between stops that are the cheapest for some prices, found when first asked for.
-
-    Parameters
-    ----------
-    site : Site
-    weights : ndarray, shape (1 + batteries,)
-        About which the prices of time and of each battery's charge are varied.
-    """
-
-    def __init__(self, site: Site, weights: Array) -> None:
-        self.site, self.weights = site, weights
-        self._found: dict[float, dict[tuple[int, int], list[Drive]]] = {}
-
-    def __call__(self, payload_kg: float, stop: int, head: int) -> list[Drive]:
-        site = self.site
-        if site.stops[stop].place == site.stops[head].place:
-            return [Drive(np.zeros(len(self.weights)))]
-        road = site.road(payload_kg)
-        out, into = site.nodes[payload_kg]
-        if payload_kg not in self._found:
-            self._found[payload_kg] = road.supported(self._varied(road), np.unique(out), np.unique(into))
-        return self._found[payload_kg][int(out[stop]), int(into[head])]
-
-    def _varied(self, road: Drives) -> list[Array]:
-        """Weights, each resource's raised in steps by what all of the mean arc costs."""
-        mean = np.maximum(road.road.use.mean(axis=0), 1e-9)
-        unit = np.diag(max(float(self.weights @ mean), 1e-9) / mean)
-        return [self.weights, *(self.weights + share * row for row in unit for share in VARIED)]
-
-
 class Fronts:
-    """The undominated drives between stops, found when first asked for.
+    """The drives between stops, found when first asked for: all that none is better than, or those cheapest for prices.
 
     Parameters
     ----------
     site : Site
     weights : ndarray, shape (1 + batteries,), optional
         With `gap`, see `missionsim.planner.drives.Drives.between`.
-    gap : float
+    gap : float or None
+        None for those that are the cheapest for prices about `weights`.
     """
 
-    def __init__(self, site: Site, weights: Array | None = None, gap: float = math.inf) -> None:
+    def __init__(self, site: Site, weights: Array | None = None, gap: float | None = math.inf) -> None:
         self.site, self.weights, self.gap = site, weights, gap
         self._found: dict[tuple[float, int], dict[int, list[Drive]]] = {}
 
@@ -78,15 +47,22 @@ class Fronts:
         road = site.road(payload_kg)
         out, into = site.nodes[payload_kg]
         key = (payload_kg, int(out[stop]))
-        if key not in self._found:
-            most = None
-            if math.isfinite(site.deadline_s):
-                most = np.full(1 + len(site.physics.names), math.inf)
-                most[0] = site.deadline_s
-            self._found[key] = road.between(
-                int(out[stop]), np.unique(into), weights=self.weights, gap=self.gap, most=most
-            )
+        if key not in self._found and self.gap is None:
+            for (source, target), drives in road.supported(self._varied(road), np.unique(out), np.unique(into)).items():
+                self._found.setdefault((payload_kg, source), {})[target] = drives
+        elif key not in self._found and self.gap is not None:
+            most = np.full(1 + len(site.physics.names), math.inf)
+            most[0] = site.deadline_s
+            limit = most if math.isfinite(site.deadline_s) else None
+            self._found[key] = road.between(key[1], np.unique(into), weights=self.weights, gap=self.gap, most=limit)
         return self._found[key].get(int(into[head]), [])
+
+    def _varied(self, road: Drives) -> list[Array]:
+        """Weights, each resource's raised in steps by what all of the mean arc costs."""
+        assert self.weights is not None
+        mean = np.maximum(road.road.use.mean(axis=0), 1e-9)
+        unit = np.diag(max(float(self.weights @ mean), 1e-9) / mean)
+        return [self.weights, *(self.weights + share * row for row in unit for share in VARIED)]
 
 
 VARIED = (0.3, 1.5)
@@ -101,18 +77,6 @@ SAME = 1e-10
 """Sums of values that differ by less (relative to all) are the same."""
 FIRST_GAP = 0.002
 """Drives whose price is within this (relative to the bound) of the cheapest are tried first."""
-
-
-def solve(task: TaskSpec, watch: Watch | None = None) -> Answer:
-    """The best plan of a task, or an answer that says that there is none.
-
-    Parameters
-    ----------
-    task : TaskSpec
-    watch : callable, optional
-        Told of the progress; stops the search where it returns True.
-    """
-    return solve_site(make_site(task), watch)
 
 
 def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True) -> Answer:
@@ -150,13 +114,13 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
         return answer_of(tour, best, objective, objective)
     stopped, base, more = False, prices.bound, [prices.best, *prices.others]
     weights = site.weights + prices.best[: len(site.weights)]
-    first: list[Callable[..., list[Drive]]] = []
+    first = []
     if any(charger is not None for charger in tour.chargers):
         alone = best_prices(tour, charging=False)
         if alone.plan is not None and alone.objective < objective:
             best, objective = alone.plan, alone.objective
         bounds = bounds_of(tour, more, [alone.best, *alone.others, *_steep(tour)], prices_ahead(tour, prices.best))
-        first = [Supported(site, weights)]
+        first = [Fronts(site, weights, None)]
     else:
         bounds = bounds_of(tour, more)
     start = Label(0, tour.first[None, :])
@@ -167,7 +131,7 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
     while not stopped:
         gap = max(gap, 1e-9 * scale)
         drives = first.pop() if first else Fronts(site, weights, gap)
-        exact = isinstance(drives, Fronts)
+        exact = drives.gap is not None
         tour = network(drives)
         most = MOST_LABELS if exact else MOST_LABELS // 4
 

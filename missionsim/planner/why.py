@@ -38,7 +38,8 @@ def explain(site: Site) -> dict[str, Any]:
         free = solve_site(replace(site, deadline_s=math.inf, weights=seconds), valued=False)
         if free.feasible:
             lacking = free.duration_s - site.deadline_s
-            late = next((leg for leg, end in _ends(free) if end > site.deadline_s), free.legs[-1])
+            ends = np.cumsum([leg.duration_s for leg in free.legs])
+            late = free.legs[min(int(np.searchsorted(ends, site.deadline_s, side="right")), len(ends) - 1)]
             short.append({"what": "time", "short_s": lacking, "leg": _name(late), "to": late.place})
             changes.append(
                 {
@@ -150,27 +151,12 @@ def with_ample(site: Site, battery: int, *, every: bool = False) -> Answer | Non
 
 
 def _deepest(answer: Answer, name: str) -> float:
-    spent, most = 0.0, 0.0
-    for leg in answer.legs:
-        spent += leg.energy_wh[name]
-        most = max(most, spent)
-    return most
+    return float(np.cumsum([0.0, *(leg.energy_wh[name] for leg in answer.legs)]).max())
 
 
 def _falls_below(answer: Answer, name: str, left_wh: float) -> Any:
-    spent = 0.0
-    for leg in answer.legs:
-        spent += leg.energy_wh[name]
-        if spent > left_wh:
-            return leg
-    return answer.legs[-1]
-
-
-def _ends(answer: Answer) -> Iterator[tuple[Any, float]]:
-    clock = 0.0
-    for leg in answer.legs:
-        clock += leg.duration_s
-        yield leg, clock
+    spent = np.cumsum([leg.energy_wh[name] for leg in answer.legs])
+    return answer.legs[int(np.argmax(spent > left_wh)) if (spent > left_wh).any() else -1]
 
 
 def _name(leg: Any) -> str:
@@ -185,7 +171,7 @@ def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
         if count == 1 or visit.take_up is not None or visit.set_down is not None or count > 8:
             continue
         rest = tuple(_without(other, visit.label) for k, other in enumerate(task.visits) if k != i)
-        if solve_site(make_site(_changed(task, visits=rest))).feasible:
+        if solve_site(make_site(task.model_copy(update={"visits": rest}))).feasible:
             yield {
                 "change": f"visits.{i}",
                 "to": None,
@@ -196,8 +182,7 @@ def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
     chargers = [name for name, place in task.environment.places.items() if place.charger is not None]
     unused = sorted(set(chargers) - set(task.docks))
     if unused and task.docks != tuple(chargers):
-        free = _changed(task, choose=task.choose.model_copy(update={"docks": "all"}))
-        answer = solve_site(make_site(free))
+        answer = solve_site(_site(task, docks="all"))
         if answer.feasible:
             minutes = sum(leg.duration_s for leg in answer.legs if leg.kind == "charge") / 60.0
             where = ", ".join(dict.fromkeys(leg.place for leg in answer.legs if leg.kind == "charge"))
@@ -214,10 +199,6 @@ def _without(visit: Any, label: str) -> Any:
     before = tuple(name for name in visit.before if name != label)
     after = tuple(name for name in visit.after if name != label)
     return visit.model_copy(update={"before": before, "after": after})
-
-
-def _changed(task: TaskSpec, **changes: Any) -> TaskSpec:
-    return task.model_copy(update=changes)
 
 
 def alternatives(answer: Answer) -> list[dict[str, Any]]:
@@ -267,7 +248,7 @@ def _scheme_name(scheme: SchemeChoice) -> str:
 
 
 def _site(task: TaskSpec, **choices: Any) -> Site:
-    return make_site(_changed(task, choose=task.choose.model_copy(update=choices)))
+    return make_site(task.model_copy(update={"choose": task.choose.model_copy(update=choices)}))
 
 
 def pareto(site: Site, points: int = 9, watch: Watch | None = None) -> list[Answer]:

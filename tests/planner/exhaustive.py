@@ -252,8 +252,8 @@ def _undominated(states: np.ndarray) -> np.ndarray:
 
 def compare(seed: int, folder: Path) -> tuple[float, float, dict]:
     """Objective by enumeration and of the plan, and what the plan is, of one random site."""
-    from missionsim.planner.solve import solve
+    from missionsim.planner.solve import solve_site
 
     task = load_task(random_task(np.random.default_rng(seed), folder))
-    answer = solve(task)
+    answer = solve_site(make_site(task))
     return Exhaustive(task).best(), answer.objective, answer
