@@ -144,6 +144,24 @@ def test_broken_files_are_told(tmp_path: Path, kind: str) -> None:
     assert told > 0
 
 
+@pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
+@pytest.mark.parametrize("part", ["messages", "metadata"])
+def test_half_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, part: str) -> None:
+    """The messages, or what describes them, are gone, empty or cut: a message, and nothing is written."""
+    bag, out = write_bag(tmp_path / "run", kind, 3.0), tmp_path / "log.parquet"
+    (tmp_path / "m.yaml").write_text(BAG_MAP)
+    path = next(p for p in bag.iterdir() if (p.name == "metadata.yaml") == (part == "metadata"))
+    whole = path.read_bytes()
+    for data in (None, b"", whole[: len(whole) // 2]):
+        if data is None and part == "metadata":
+            continue  # a folder with a lone file of messages is read as such
+        path.unlink() if data is None else path.write_bytes(data)
+        for more in ([], ["--strict"]):
+            assert run_command(["import", str(bag), "--map", str(tmp_path / "m.yaml"), "--out", str(out), *more]) == 2
+            assert "error: the bag cannot be read" in capsys.readouterr().err
+        assert not out.exists()
+
+
 def test_a_cut_mcap_whose_summary_seems_to_fit_is_told(tmp_path: Path) -> None:
     """So many bytes are missing that its footer points behind the names of the topics, and readers scan."""
     path = next(write_bag(tmp_path / "run", "mcap", 8.0).glob("*.mcap"))
