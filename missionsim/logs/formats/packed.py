@@ -19,6 +19,10 @@ from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, numbers_in
 
 Floats = NDArray[np.float64]
+Types = Mapping[str, tuple[Any, Any]]
+"""Type of a message → its constants and fields, as rosbags has them."""
+Place = tuple[int, np.dtype[Any]]
+"""Offset in a message [bytes], and kind of number."""
 
 _SIZES = {
     "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4",
@@ -57,7 +61,7 @@ class Layout:
         Bytes that another message of the same size has to share, to have this layout.
     """
 
-    def __init__(self, types: Mapping[str, Any], kind: str, data: bytes, cdr: bool) -> None:
+    def __init__(self, types: Types, kind: str, data: bytes, cdr: bool) -> None:
         if cdr and data[:2] not in (b"\0\0", b"\0\1"):
             raise Unfit
         self._types, self._data, self._cdr = types, data, cdr
@@ -70,7 +74,7 @@ class Layout:
         if not 0 <= len(data) - self._at <= (3 if cdr else 0):
             raise Unfit
 
-    def find(self, field: str) -> tuple[int, np.dtype[Any]] | None:
+    def find(self, field: str) -> Place | None:
         """Offset and type of a number: ``a.b``, ``a.b[3]`` or ``velocity[joint]``; None where there is none."""
         match = _ELEMENT.match(field)
         offset, number, count = self._found.get(f"{match[1]}[]" if match else field, (0, np.dtype("u1"), 0))
@@ -148,7 +152,7 @@ class Held:
         self.stamps, self.received = array.array("q"), array.array("q")
         self.values: dict[str, list[Any] | array.array[float]] = {}
 
-    def add(self, stamp: int, received: int, values: list[tuple[str, Any]]) -> None:
+    def add(self, stamp: int, received: int, values: list[tuple[str, float | str]]) -> None:
         before = len(self.stamps)
         self.stamps.append(stamp)
         self.received.append(received)
@@ -158,7 +162,7 @@ class Held:
                 text = isinstance(value, str)
                 column = [""] * before if text else array.array("d", [np.nan] * before)
                 self.values[name] = column
-            column.append(value)
+            column.append(value)  # type: ignore[arg-type]
         for column in self.values.values():
             if len(column) <= before:  # an element that this message does not have
                 column.append("" if isinstance(column, list) else np.nan)  # type: ignore[arg-type]
@@ -188,7 +192,7 @@ class Batch:
         Where the numbers go to.
     """
 
-    def __init__(self, types: Mapping[str, Any], kind: str, fields: Collection[str], cdr: bool, held: Held) -> None:
+    def __init__(self, types: Types, kind: str, fields: Collection[str], cdr: bool, held: Held) -> None:
         self.held, self.broken = held, 0
         self._types, self._kind, self._fields, self._cdr = types, kind, tuple(fields), cdr
         self._first = True
