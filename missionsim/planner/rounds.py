@@ -147,9 +147,11 @@ def _drive(site: Site, rounds: int, every_s: float, prices: Prices, watch: Watch
     tour = Rounds(site, Fronts(site, weights, gap), rounds, every_s)
     bounds = bounds_of(tour, [prices.best, *prices.others])
     start = Label(0, tour.first[None, :])
-    width = max(4, min(300, LABELS // rounds))
-    outcome = quick(tour, [start], tour.is_goal, bounds, watch=told, width=width)
-    best, objective, lower, stopped = outcome.label, outcome.objective, bound, outcome.interrupted
+    best, objective, lower, stopped = None, math.inf, bound, False
+    for width, ask in ((3, None), (max(4, min(300, LABELS // rounds)), told)):  # soon a plan, then a good one
+        if not stopped:
+            outcome = quick(tour, [start], tour.is_goal, bounds, best=objective, watch=ask, width=width)
+            best, objective, stopped = outcome.label or best, outcome.objective, outcome.interrupted
     if best is not None and rounds <= FEW and not stopped:
         gap = max(gap, objective - bound)
         wider = Rounds(site, Fronts(site, weights, gap), rounds, every_s)

@@ -96,6 +96,18 @@ def test_charges_on_a_round_that_the_battery_cannot_do_whole(root: Path, tmp_pat
     assert max(homes) >= 3000.0 * (1 - 1e-12)
 
 
+def test_a_shift_that_is_stopped_is_a_plan_with_its_gap(root: Path, tmp_path: Path) -> None:
+    choose = {"speeds": ["0.9 m/s"], "schemes": ["mapped"], "docks": ["hall"]}
+    task = task_of(root, tmp_path, choose=choose, repeat={"rounds": "as_often_as_possible", "until": "40 min"})
+    words = ["plan", str(task), "--seconds", "0.000001", "--json", str(tmp_path / "early.json"), "--quiet"]
+    assert run_command(words) == 0
+    early = json.loads((tmp_path / "early.json").read_text())
+    best = plan(task)
+    assert "stopped" in early["claim"]
+    assert early["rounds"] <= best["rounds"] <= early["rounds_at_most"]
+    assert early["bound"] <= early["objective"]
+
+
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
