@@ -54,16 +54,17 @@ class Others:
             if not any(isinstance(one.run.columns[name], Labels) for one in runs)
             and (is_switch(name) or name in LOADS or (column_of(name) is None and may_be_cause(name)))
         )
-        designs = [self.centred(one) for one in runs]
-        self.gram = np.array([rows.T @ rows for rows, _ in designs])
-        self.towards = np.array([rows.T @ gap for rows, gap in designs])
+        self.designs = [self.centred(one) for one in runs]
+        self.gram = np.array([rows.T @ rows for rows, _ in self.designs])
+        self.towards = np.array([rows.T @ gap for rows, gap in self.designs])
         self.left = np.ones(len(runs), dtype=bool)
         self.learn()
 
     def learn(self) -> None:
         """What all say that are left, and how far each is from what the rest says."""
         self.expected = [self.of_others(i) for i in range(len(self.runs))]
-        self.scatter = np.array([self.residual(i, one) for i, one in enumerate(self.runs)])
+        left = [gap - rows @ own for (rows, gap), own in zip(self.designs, self.expected, strict=True)]
+        self.scatter = np.array([float(np.std(one)) for one in left])
 
     def columns(self, driven: Driven) -> Array:
         """What power may depend on, shape (n, p)."""
