@@ -68,7 +68,9 @@ def calibrate(
     if not logs:
         raise InputError.single("give at least one log", allowed="files or folders")
     given = None if robot is None else build_power_model(load_robot(robot))
-    tables, left_out = admit(read_logs(list(logs)), given)
+    refused: list[str] = []
+    tables, left_out = admit(read_logs(list(logs), left_out=refused), given)
+    left_out += refused
     tell_left_out(left_out, to)
     fits: list[ModelFit]
     remarks: list[str]

@@ -135,7 +135,8 @@ def compare(
     sources: list[tuple[str, str]] = []
     wanted = tuple(by)
     items = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)
-    given = _runs(items, robot)
+    refused: list[str] = []
+    given = _runs(items, robot, refused)
     # runs that are handed over were admitted by whoever read them
     handed = [item for item in items if isinstance(item, Run)]
     admitted, left_out = admit([sample for _, sample, _ in given if not any(sample is run for run in handed)], model)
@@ -169,7 +170,7 @@ def compare(
         tuple(sources),
         sums.rows,
         mission,
-        tuple(left_out),
+        (*left_out, *refused),
     )
 
 
@@ -237,7 +238,9 @@ def _all_or_faults(loading: Sequence[Callable[[], Any]]) -> list[Any]:
     return [*found, *([None] * (3 - len(found)))]
 
 
-def _runs(logs: Sequence[Run | PathLike], robot: Any) -> list[tuple[str, Run, Callable[[], Iterator[Run]]]]:
+def _runs(
+    logs: Sequence[Run | PathLike], robot: Any, refused: list[str]
+) -> list[tuple[str, Run, Callable[[], Iterator[Run]]]]:
     """Source of each run, the run or the start of a long one, and its blocks; faults of small files all at once."""
     from missionsim.logs import iter_blocks, read_logs
     from missionsim.logs.read import distinct_logs, same_content
@@ -247,7 +250,7 @@ def _runs(logs: Sequence[Run | PathLike], robot: Any) -> list[tuple[str, Run, Ca
     files = distinct_logs(paths) if paths or not logs else {}
     large = [path for path in files if path.stat().st_size >= LARGE_FILE_BYTES]
     small = [file for path, twins in files.items() if path not in large for file in (path, *twins)]
-    read = [*tables, *(read_logs(small, robot=robot) if small else [])]
+    read = [*tables, *(read_logs(small, robot=robot, left_out=refused) if small else [])]
     found: list[tuple[str, Run, Callable[[], Iterator[Run]]]] = []
     for table in read:
         found.append((table.source, table, partial(iter, [table])))

@@ -53,9 +53,10 @@ def read_runs(robot: RobotSpec, model: PowerModel, logs: Sequence[str | Path]) -
     from missionsim.logs import read_logs
 
     bounded = Bounded()
-    read, averaged = bounded.all(read_logs(list(logs), robot=robot, each=bounded))
+    refused: list[str] = []
+    read, averaged = bounded.all(read_logs(list(logs), robot=robot, each=bounded, left_out=refused))
     runs, left_out = admit(read, model)
-    return list(runs), [*left_out, *filter(None, [averaged])]
+    return list(runs), [*left_out, *refused, *filter(None, [averaged])]
 
 
 def choose_split(logs: Sequence[Any], holdout: str | Sequence[str | Path] | None = None) -> Split:

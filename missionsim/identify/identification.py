@@ -10,7 +10,7 @@ import numpy as np
 
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.design import Source, make_source
-from missionsim.identify.estimates import Pair, estimated, pairs
+from missionsim.identify.estimates import Z95, Pair, estimated, pairs
 from missionsim.identify.evidence import smallest_detectable
 from missionsim.identify.findings import Finding, Findings, Judged, Recalibrated, Structure, Unexplained
 from missionsim.identify.forward import Choice
@@ -18,7 +18,7 @@ from missionsim.identify.gram import Constraints, project
 from missionsim.identify.model import Model
 from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import dependences, low_frequency_noise, periodic, runs_apart, wrong_form
-from missionsim.identify.rules import Question, Remains, demoted, refusal
+from missionsim.identify.rules import GATES, Question, Remains, demoted, refusal
 from missionsim.identify.settings import AS_MUCH, AT_LEVEL, LEAST_FREE_SD, LEVEL_SHARE, SEVERAL_RUNS, Settings
 from missionsim.identify.stepwise import choose, confirmed, forced
 from missionsim.identify.verdict import decide
@@ -240,14 +240,18 @@ def _judged(
             reason = "adds nothing beyond what is in the model" if best is None else refusal(best)
         # the shape that would be seen first: smaller than that nothing of the effect is seen
         limit = min((float(limits[k]) for k in own), default=math.inf)
+        # what is there by every test but that of runs it was not fitted to, one of which may be spoilt, is not excluded
+        unsure = [e for e in tried if not inside and all(e.passed.get(g.name, True) for g in GATES) and not e.accepted]
+        shares = {e.share: e.share + Z95 * e.share_sd for e in unsure}
+        limit = max([limit, *shares.values()])
         out.append(
             Judged(
                 name,
                 bool(inside) and name not in unnamed,
                 reason,
                 limit if math.isfinite(limit) else None,
-                name in rival_of or name in unnamed,
-                share if inside and name in unnamed else None,
+                name in rival_of or name in unnamed or bool(unsure),
+                share if inside and name in unnamed else max(shares, default=None),
             )
         )
     return tuple(out)

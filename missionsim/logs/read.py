@@ -62,7 +62,11 @@ def read_log(path: PathLike, *, robot: RobotSpec | None = None) -> Run:
 
 
 def read_logs(
-    paths: Iterable[PathLike] | PathLike, *, robot: RobotSpec | None = None, each: Callable[[Run], Run] | None = None
+    paths: Iterable[PathLike] | PathLike,
+    *,
+    robot: RobotSpec | None = None,
+    each: Callable[[Run], Run] | None = None,
+    left_out: list[str] | None = None,
 ) -> list[Run]:
     """Read several logs; a folder stands for every ``.csv`` and ``.parquet`` in it, by name.
 
@@ -72,7 +76,8 @@ def read_logs(
     Raises
     ------
     missionsim.errors.InputError
-        With the faults of all files at once.
+        With the faults of all files at once; where `left_out` is given and some file is good, they are told there, a
+        line a file.
     """
     logs: list[Run] = []
     faults: list[Fault] = []
@@ -83,8 +88,10 @@ def read_logs(
             logs.append(replace(log, remarks=(*log.remarks, same_content(twins))) if twins else log)
         except InputError as error:
             faults.extend(error.faults)
-    if faults:
+    if faults and (left_out is None or not logs):
         raise InputError(faults)
+    if left_out is not None:
+        left_out += [f"{Path(fault.file).stem}: {fault.message} (line {fault.line})" for fault in faults]
     names = [log.run for log in logs]
     return [
         replace(log, run=f"{Path(log.source).resolve().parent.name}/{log.run}") if names.count(log.run) > 1 else log

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from missionsim.effects.model import PowerModel
-from missionsim.errors import InputError
+from missionsim.errors import Fault, InputError
 from missionsim.runs.copies import copies
 from missionsim.runs.covariates import is_switch
 from missionsim.runs.odd import odd_runs
@@ -26,11 +26,16 @@ def admit(runs: Sequence[Run], model: PowerModel | None = None) -> tuple[list[Ru
     """
     kept: list[Run] = []
     told: list[str] = []
-    good = [run for run in runs if not _errors(run)]
+    refused = [remark.column for run in runs for remark in _errors(run) if remark.kind in ("range", "unit")]
+    # a unit that is wrong in most runs is wrong in those too whose values happen to be small
+    wrong = {name for name in refused if len(runs) > 2 and refused.count(name) >= 0.5 * len(runs)}
+    good = [run for run in runs if not _errors(run) and not wrong & {*run.columns}]
     twins = copies(good)
     for run in runs:
         if errors := _errors(run):
             told.append(f"{run.run}: {'; '.join(str(remark) for remark in errors)}")
+        elif columns := wrong & {*run.columns}:
+            told.append(f"{run.run}: {', '.join(sorted(columns))} is in another unit in most of these runs: here too?")
     for i, run in enumerate(good):
         if i in twins:
             told.append(f"{run.run}: a copy of {good[twins[i]].run} but for noise; one measurement counts once")
@@ -41,7 +46,10 @@ def admit(runs: Sequence[Run], model: PowerModel | None = None) -> tuple[list[Ru
     if model is not None:
         odd = odd_runs(kept, model)
         told = [*(f"{name}: {why}" for name, why in odd.items()), *told]
+        faults = [Fault(run.source, 0, 0, odd[run.run]) for run in kept if run.run in odd]
         kept = [run for run in kept if run.run not in odd]
+        if faults and not kept:
+            raise InputError(faults)
     return kept, told
 
 

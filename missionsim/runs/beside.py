@@ -32,7 +32,9 @@ LOADS = ("cpu_load", "cpu_freq_hz")
 ROUGHER, RESTORED = 1.4, 1.2
 """Scatter of a run about what the others say of it, in times theirs, from which on a fault is looked for, and within
 which one explains it (assumed)."""
-UNRELATED = 0.4
+MENDS = 0.75
+"""Scatter of a run after what mends it, in times that before (assumed)."""
+UNRELATED = 0.1
 """Part of its power that follows the others' law, in times theirs, below which a run has nothing to do with them."""
 APART = 2.5
 """Distance of two groups of levels, in times the width of the wider, from which the fewer are odd (assumed)."""
@@ -125,21 +127,14 @@ class Others:
 def runs_beside(others: Others, model: PowerModel) -> dict[str, str]:
     """Runs that scatter more than the others or lie beside them, and what explains it."""
     found: dict[str, str] = {}
-    follows = [others.follows(i) for i in range(len(others.runs))]
-    while others.left.sum() >= FEWEST_LEVELS:
+    follows = np.array([others.follows(i) for i in range(len(others.runs))])
+    for i in np.argsort(-others.scatter).tolist():
         # the roughest first, and what it says taken from what is held against the next
-        i = int(np.argmax(np.where(others.left, others.scatter, -1.0)))
-        rough = others.scatter[i]
+        if others.left.sum() < FEWEST_LEVELS or others.scatter[i] <= ROUGHER * np.median(others.scatter[others.left]):
+            break
         others.left[i] = False
         others.learn()
-        rest = np.log(np.maximum(others.scatter[others.left], 1e-9))
-        usual = float(np.median(rest))
-        least = max(np.log(ROUGHER), SCATTER * 1.4826 * float(np.median(np.abs(rest - usual))))
-        if np.log(max(rough, 1e-9)) - usual <= least:
-            others.left[i] = True
-            others.learn()
-            break
-        told = _fault(others, i, model, float(np.exp(usual)))
+        told = _fault(others, i, model)
         if not told and follows[i] < UNRELATED * float(np.median(follows)):
             told = (
                 f"power_{others.battery}_w does not follow what the robot does as in the other runs: rows in another "
@@ -147,6 +142,9 @@ def runs_beside(others: Others, model: PowerModel) -> dict[str, str]:
             )
         if told:
             found[others.runs[i].run.run] = told
+        else:
+            others.left[i] = True
+            others.learn()
     return _offsets(others) | _stuck(others, model) | found
 
 
@@ -173,7 +171,7 @@ def _stuck(others: Others, model: PowerModel) -> dict[str, str]:
     return found
 
 
-def _fault(others: Others, number: int, model: PowerModel, usual_w: float) -> str:
+def _fault(others: Others, number: int, model: PowerModel) -> str:
     """The fault of a log that explains best why a run scatters more than the others; empty where none does."""
     one, battery = others.runs[number], others.battery
     tried: list[tuple[float, str]] = []
@@ -198,7 +196,9 @@ def _fault(others: Others, number: int, model: PowerModel, usual_w: float) -> st
             continue
     tried += _unlogged_switching(others, number, model)
     best = min(tried, default=(np.inf, ""))
-    return best[1] if best[0] < RESTORED * usual_w else ""
+    rest = others.scatter[others.left]
+    usual = max(RESTORED * float(np.median(rest)), float(np.quantile(rest, 0.75)))
+    return best[1] if best[0] < min(usual, MENDS * others.scatter[number]) else ""
 
 
 def _unlogged_switching(others: Others, number: int, model: PowerModel) -> Iterator[tuple[float, str]]:
@@ -224,13 +224,19 @@ def _unlogged_switching(others: Others, number: int, model: PowerModel) -> Itera
 
 
 def _late(measured: Array, said: Array) -> int:
-    """Rows by which measured power comes after what explains it, where that clearly differs from none."""
+    """Rows by which measured power comes after what explains it."""
+    lags, along = correlation(measured, said)
+    return int(lags[int(np.argmax(along))])
+
+
+def correlation(measured: Array, said: Array) -> tuple[NDArray[np.int64], Array]:
+    """Rows by which one follows the other, up to a quarter of the run either way, and the correlation there."""
     a, b = measured - measured.mean(), said - said.mean()
     size = 1 << int(np.ceil(np.log2(2 * len(a))))
     along = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
     most = len(a) // 4
     lags = np.r_[0 : most + 1, -most:0]
-    return int(lags[int(np.argmax(along[lags]))])
+    return lags, np.asarray(along[lags] / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-300))
 
 
 def _mended(run: Run) -> Iterator[tuple[str, Run]]:

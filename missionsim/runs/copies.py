@@ -14,7 +14,7 @@ from missionsim.runs.run import Run
 SHARE = 0.003
 """Standard deviation of the difference of two powers, in parts of their mean, below which they are one measurement.
 Noise of meters and drives is ten times as large."""
-WINDOW, LEAST, PART, UNLIKE = 6, 60, 0.5, 0.9
+WINDOW, LEAST, PART, UNLIKE = 6, 60, 0.3, 0.9
 """Changes of the speed in a fingerprint; fingerprints that a run must have, the part of them that a copy shares, and
 the part that must be unlike all others of the run: a measured speed never comes twice alike to its last digit, a
 commanded one does."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
-from missionsim.runs.beside import FEWEST, FEWEST_LEVELS, SPEEDS, Others, runs_beside
+from missionsim.runs.beside import FEWEST, FEWEST_LEVELS, SPEEDS, Others, correlation, runs_beside
 from missionsim.runs.drive import Driven, drive
 from missionsim.runs.run import Run
 
@@ -20,26 +20,56 @@ SUSPECT, EXPLAINED = 1.5, 1.25
 ALIKE, ALONE = 4.0, 12.0
 """Levels of runs differ among themselves, by floors or loads: one is looked at beyond so many times that, and odd
 without any known factor beyond so many (assumed)."""
+ROWS_TO_TELL, VARIES = 100, 0.15
+"""Rows, and variation of the modelled power relative to its mean, from which power is held against the motion."""
+NEAR_S, CLEARLY_BETTER, UNRELATED_AT_ALL = 10.0, 0.3, 0.02
+"""Delay that a meter may have; rise of the correlation beyond it, and its square in all runs, that no robot shows."""
 STEEP_RAD, STEEPER = 0.3, 12.0
 """Slope that no robot climbs for long, and how many times that of the other runs it must be to be another unit."""
 
 
 def odd_runs(runs: Sequence[Run], model: PowerModel) -> dict[str, str]:
-    """Runs that are not as the others, and why, in words; none where most are, for then it is the model that is odd."""
-    found = _units(runs)
+    """Runs that are not as the others, and why, in words; none where most are, for then it is the model that is odd.
+
+    Power that has nothing to do with the motion, or does long after it, is told of any number of runs.
+    """
+    found, apart = _units(runs), dict[str, str]()
     for battery in model.batteries:
         own = [run for run in runs if battery in run.power_w and run.run not in found]
-        if len(own) < FEWEST:
-            continue
         try:
             driven = [drive(model, run, battery) for run in own]
         except InputError:
             continue  # told where the battery is looked at
+        apart |= _of_another_time(driven, battery)
+        if len(own) < FEWEST:
+            continue
         found |= _factors(own, driven, model, battery)
-        left = [one for one in driven if one.run.run not in found]
+        left = [one for one in driven if one.run.run not in found and one.run.run not in apart]
         if len(left) >= FEWEST_LEVELS:
             found |= runs_beside(Others(left, battery), model)
-    return found if len(found) < 0.5 * len(runs) else {}
+    return apart | (found if len(found) < 0.5 * len(runs) else {})
+
+
+def _of_another_time(runs: Sequence[Driven], battery: str) -> dict[str, str]:
+    """Runs whose power follows the model only long before or after it; and all of them where none follows it at all."""
+    found: dict[str, str] = {}
+    follows = []
+    for one in runs:
+        measured, model = one.measured_w[battery], one.model_w[battery]
+        step_s = float(np.median(one.dt_s))
+        if len(measured) < ROWS_TO_TELL or np.std(model) < VARIES * abs(float(np.mean(model))) or not np.ptp(measured):
+            return {}
+        lags, along = correlation(measured, model)
+        near = float(np.max(along[np.abs(lags) * step_s <= NEAR_S]))
+        best = int(np.argmax(along))
+        follows.append(near**2)
+        if along[best] > max(0.5, near + CLEARLY_BETTER):
+            told = f"power_{battery}_w lies {lags[best] * step_s:+.3g} s beside what the robot does"
+            found[one.run.run] = told
+    if len(runs) >= FEWEST and max(follows) < UNRELATED_AT_ALL:
+        why = "rows in another order, another robot's power?"
+        return {one.run.run: f"power_{battery}_w has nothing to do with what the robot does: {why}" for one in runs}
+    return found if len(found) > 0.5 * len(runs) else {}
 
 
 def _units(runs: Sequence[Run]) -> dict[str, str]:

@@ -201,5 +201,8 @@ def test_the_page_shows_what_looks_alike() -> None:
     assert alike(BATTERY) == []
     (chart,) = alike(replace(BATTERY, confounding={"grade": {"payload": -0.2, "acceleration": 0.93, "turning": 0.1}}))
     (trace,) = chart.traces
-    assert trace["x"] == ["acceleration", "payload", "turning"]
-    assert trace["z"] == [[0.93, -0.2, 0.1]]
+    assert trace["hovertext"] == [
+        "grade and acceleration: r = 0.93",
+        "grade and payload: r = -0.20",
+        "grade and turning: r = 0.10",
+    ]
