@@ -32,7 +32,7 @@ LOADS = ("cpu_load", "cpu_freq_hz")
 ROUGHER, RESTORED = 1.4, 1.2
 """Scatter of a run about what the others say of it, in times theirs, from which on a fault is looked for, and within
 which one explains it (assumed)."""
-MENDS = 0.75
+MENDS = 0.6
 """Scatter of a run after what mends it, in times that before (assumed)."""
 UNRELATED = 0.1
 """Part of its power that follows the others' law, in times theirs, below which a run has nothing to do with them."""
@@ -205,6 +205,8 @@ def _unlogged_switching(others: Others, number: int, model: PowerModel) -> Itera
     """Scatter if a switch that stands in this run alone went on and off with the power, and the fault in words."""
     one, battery = others.runs[number], others.battery
     rest = [other.run for i, other in enumerate(others.runs) if i != number]
+    if others.scatter[number] < ROUGHER * float(np.max(others.scatter[others.left])):
+        return  # a load that nobody logged comes and goes in other runs too
     for name in filter(is_switch, one.run.columns):
         state = one.run.number(name)
         moves = [np.ptp(run.number(name)) > 0.0 for run in rest if name in run.columns]
