@@ -34,8 +34,9 @@ ROUGHER, RESTORED = 1.4, 1.2
 which one explains it (assumed)."""
 MENDS = 0.6
 """Scatter of a run after what mends it, in times that before (assumed)."""
-UNRELATED = 0.1
-"""Part of its power that follows the others' law, in times theirs, below which a run has nothing to do with them."""
+RELATED, UNRELATED = 0.6, 0.1
+"""Part of its power that follows the others' law in the usual run at least, and in times that of the usual run, below
+which a run has nothing to do with them."""
 APART = 2.5
 """Distance of two groups of levels, in times the width of the wider, from which the fewer are odd (assumed)."""
 STANDS = 0.15
@@ -135,7 +136,7 @@ def runs_beside(others: Others, model: PowerModel) -> dict[str, str]:
         others.left[i] = False
         others.learn()
         told = _fault(others, i, model)
-        if not told and follows[i] < UNRELATED * float(np.median(follows)):
+        if not told and follows[i] < UNRELATED * float(np.median(follows)) and np.median(follows) > RELATED:
             told = (
                 f"power_{others.battery}_w does not follow what the robot does as in the other runs: rows in another "
                 "order, a column that hangs, another robot?"
@@ -250,6 +251,13 @@ def _mended(run: Run) -> Iterator[tuple[str, Run]]:
                 if name == "speed_m_s":
                     columns.pop("accel_m_s2", None)
                 yield f"{name} {words}", replace(run, columns=columns)
+    for name in filter(is_switch, run.columns):
+        state = run.number(name)
+        if {*np.unique(state).tolist()} == {0.0, 1.0}:
+            yield (
+                f"{name} is 1 where it should be 0 (inverted?)",
+                replace(run, columns={**run.columns, name: 1.0 - state}),
+            )
     for name in ("speed_m_s", "slope_rad", "yaw_rate_rad_s", *(f"power_{battery}_w" for battery in run.power_w)):
         if name in run.columns and (stretch := _standing(run.number(name))):
             first, last = stretch

@@ -73,7 +73,7 @@ def _of_another_time(runs: Sequence[Driven], battery: str) -> dict[str, str]:
 
 
 def _units(runs: Sequence[Run]) -> dict[str, str]:
-    """Runs whose slope or temperature is that of the others in another unit, whatever the power says."""
+    """Runs whose slope, temperature or load is not logged as in the others, whatever the power says."""
     found: dict[str, str] = {}
     for run in runs:
         for name in ("slope_rad", "temp_ambient_c"):
