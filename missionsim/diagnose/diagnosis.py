@@ -164,6 +164,9 @@ class Examined:
     held: tuple[Run, ...]
 
 
+NOTHING_LEFT = "comes to nothing beside the others once all are fitted together"
+
+
 def examine(subject: Subject, split: Split, battery: str, settings: Settings, clock: Clock | None = None) -> Examined:
     """Features and identification of one battery, before anything is said about it."""
     own, batteries = subject.own.get(battery, ()), subject.model.batteries
@@ -262,8 +265,13 @@ def diagnose_battery(
             proposed = tuple(law for law in proposed if law.far_better)
     effects, candidates = without_stand_ins(proposed, found.effects, found.candidates)
     effects = models.of_all_braking(effects)
-    fits = {"recalibrated": models.fit(()), "with_effects": models.fit(effects)}
-    effects = models.told(effects, fits["with_effects"])
+    effects, fitted = models.certain(effects)
+    kept = {effect.effect for effect in effects}
+    candidates = tuple(
+        c if c.effect in kept or not c.accepted else replace(c, accepted=False, open=True, reason=NOTHING_LEFT)
+        for c in candidates
+    )
+    fits = {"recalibrated": models.fit(()), "with_effects": fitted}
     powers = {"nominal": subject.model, **{kind: fit.model for kind, fit in fits.items()}}
     heldout: HeldOut | None = None
     if held:

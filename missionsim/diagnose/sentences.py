@@ -198,10 +198,11 @@ def errors(battery: BatteryDiagnosis) -> str:
             energy = (energy[0], battery.proposed_laws[0].heldout_energy_pct[1])
     if not battery.effects and not battery.proposed_laws:
         return ""
-    verb = "was" if after <= before else "WAS ONLY"
+    alone = held.power_rmse_w["recalibrated"]
+    verb = "was" if after <= min(before, alone) else "WAS ONLY"
     return (
-        f"On runs not used the power error {verb} {power(before)} and is {power(after)} with it "
-        f"(energy {energy[0]:.2g} → {energy[1]:.2g} %)."
+        f"On runs not used the power error {verb} {power(before)} ({power(alone)} recalibrated) and is "
+        f"{power(after)} with it (energy {energy[0]:.2g} → {energy[1]:.2g} %)."
     )
 
 

@@ -49,14 +49,17 @@ class Split:
 
 
 def read_runs(robot: RobotSpec, model: PowerModel, logs: Sequence[str | Path]) -> tuple[list[Run], list[str]]:
-    """The runs of some logs that a robot may learn from, and in words what was left out or averaged."""
-    from missionsim.logs import read_logs
+    """The runs of some logs that a robot may learn from, and in words what was left out."""
+    from missionsim.logs import Remark, read_logs
 
     bounded = Bounded()
     refused: list[str] = []
     read, averaged = bounded.all(read_logs(list(logs), robot=robot, each=bounded, left_out=refused))
     runs, left_out = admit(read, model)
-    return list(runs), [*left_out, *refused, *filter(None, [averaged])]
+    if averaged:
+        note = Remark("averaged", "time_s", averaged, "shorter rows tell no more", "note")
+        runs[0] = replace(runs[0], remarks=(*runs[0].remarks, note))
+    return runs, [*left_out, *refused]
 
 
 def choose_split(logs: Sequence[Any], holdout: str | Sequence[str | Path] | None = None) -> Split:

@@ -17,8 +17,11 @@ Truth = bool | NDArray[np.bool_]
 """Yes or no, or an array of them."""
 Covariates = Mapping[str, Any]
 """Glossary name → `Value`, or a str / `Labels` for text columns."""
-SMOOTHING_S = 0.5
-"""Width over which a noisy speed is smoothed before it is differentiated (a raw difference biases max(a, 0))."""
+SMOOTHING_S = (0.5, 1.0, 1.5, 2.0)
+"""Widths over which a speed is smoothed before it is differentiated: the least that its noise allows."""
+QUIET = 0.15
+"""Part of the robot's acceleration that noise may make up: what is beyond counts as speeding up, max(a, 0), all the
+time."""
 
 
 def is_text(value: object) -> bool:
@@ -108,18 +111,23 @@ def elapsed(active: NDArray[np.bool_], dt_s: NDArray[np.float64], *, reset: bool
     return np.where(active, middle - np.maximum.accumulate(before), 0.0)
 
 
-def acceleration(speed_m_s: NDArray[np.float64], time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rate of a noisy speed: slope of a local least-squares line over `SMOOTHING_S` or three rows [m/s²].
+def acceleration(
+    speed_m_s: NDArray[np.float64], time_s: NDArray[np.float64], smoothing_s: float | None = None
+) -> NDArray[np.float64]:
+    """Rate of a noisy speed: slope of a local least-squares line over a width or three rows [m/s²].
 
     Parameters
     ----------
     speed_m_s, time_s : ndarray, shape (n,)
+    smoothing_s : float, optional
+        Width; by default that of `smoothing_of`.
     """
     count = len(time_s)
     if count < 3:
         return np.gradient(speed_m_s, time_s) if count == 2 and time_s[1] > time_s[0] else np.zeros(count)
+    width = smoothing_of(speed_m_s, time_s) if smoothing_s is None else smoothing_s
     step = float(np.median(np.diff(time_s)))
-    reach = max(1, round(0.5 * SMOOTHING_S / max(step, 1e-6)))
+    reach = max(1, round(0.5 * width / max(step, 1e-6)))
     first = np.maximum(np.arange(count) - reach, 0)
     last = np.minimum(np.arange(count) + reach + 1, count)
     clock = time_s - time_s[0]
@@ -132,3 +140,26 @@ def acceleration(speed_m_s: NDArray[np.float64], time_s: NDArray[np.float64]) ->
     number = last - first
     spread = stt - st * st / number
     return np.asarray(np.where(spread > 0.0, (stv - st * sv / number) / np.where(spread > 0.0, spread, 1.0), 0.0))
+
+
+def smoothing_of(speed_m_s: NDArray[np.float64], time_s: NDArray[np.float64]) -> float:
+    """The least of `SMOOTHING_S` over which a line leaves little of the noise of a speed in its rate [s].
+
+    The noise is that of second differences, whose median a robot's own changes of speed do not reach; its part in the
+    slope of a line over n rows is σ sqrt(12 / (n (n² − 1))) per row.
+    """
+    if len(time_s) < 50:
+        return SMOOTHING_S[0]
+    step = max(float(np.median(np.diff(time_s))), 1e-6)
+    bend = np.abs(np.diff(speed_m_s, 2))
+    noise = float(np.median(bend)) / (0.6745 * np.sqrt(6.0))
+    if not noise > 0.0:
+        return SMOOTHING_S[0]
+
+    def left(width_s: float) -> float:
+        rows = 2 * max(1, round(0.5 * width_s / step)) + 1
+        return float(noise * np.sqrt(12.0 / (rows * (rows**2 - 1.0))) / step)
+
+    seen = acceleration(speed_m_s, time_s, SMOOTHING_S[-1])
+    own = float(np.sqrt(max(float(np.mean(seen**2)) - left(SMOOTHING_S[-1]) ** 2, 0.0)))
+    return next((width for width in SMOOTHING_S if left(width) <= QUIET * own), SMOOTHING_S[-1])
