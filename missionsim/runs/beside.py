@@ -32,6 +32,8 @@ LOADS = ("cpu_load", "cpu_freq_hz")
 ROUGHER, RESTORED = 1.4, 1.2
 """Scatter of a run about what the others say of it, in times theirs, from which on a fault is looked for, and within
 which one explains it (assumed)."""
+GAINS = 1.5
+"""Gain of a run, in times the largest of the others (floors and loads have one too), from which its meter is odd."""
 MENDS = 0.6
 """Scatter of a run after what mends it, in times that before (assumed)."""
 RELATED, UNRELATED = 0.6, 0.1
@@ -119,6 +121,12 @@ class Others:
         one = self.runs[number]
         return np.asarray(one.model_w[self.battery] + self.columns(one) @ self.expected[number])
 
+    def gains(self, number: int) -> float:
+        """Largest logarithm of the gain by which the other runs that are left differ from what is said of them."""
+        left = [i for i in np.flatnonzero(self.left).tolist() if i != number and np.ptp(self.said(i)) > 0.0]
+        gains = [float(np.polyfit(self.said(i), self.runs[i].measured_w[self.battery], 1)[0]) for i in left]
+        return max((abs(float(np.log(max(gain, 1e-3)))) for gain in gains), default=0.0)
+
     def follows(self, number: int) -> float:
         """Part of the variance of a run's power that what the others say of it explains."""
         measured, said = self.runs[number].measured_w[self.battery], self.said(number)
@@ -179,7 +187,8 @@ def _fault(others: Others, number: int, model: PowerModel) -> str:
     measured, said = one.measured_w[battery], others.said(number)
     scale, offset = np.polyfit(said, measured, 1).tolist() if np.ptp(said) > 0.0 else (1.0, 0.0)
     # a load that is carried scales what is needed in motion, a meter what is needed at rest too
-    if scale > 0.0 and abs(np.log(scale)) > 0.1 and abs(offset) < 0.3 * abs(scale - 1.0) * float(np.mean(said)):
+    alone = scale > 0.0 and abs(np.log(scale)) > max(0.1, GAINS * others.gains(number))
+    if alone and abs(offset) < 0.3 * abs(scale - 1.0) * float(np.mean(said)):
         mended = replace(one, measured_w={**one.measured_w, battery: measured / scale})
         tried.append(
             (others.residual(number, mended), f"power_{battery}_w is {scale:.3g} times that of the other runs")

@@ -7,17 +7,16 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.runs.run import Run
 
 SHARE = 0.003
 """Standard deviation of the difference of two powers, in parts of their mean, below which they are one measurement.
 Noise of meters and drives is ten times as large."""
-WINDOW, LEAST, PART, UNLIKE = 6, 60, 0.3, 0.9
-"""Changes of the speed in a fingerprint; fingerprints that a run must have, the part of them that a copy shares, and
-the part that must be unlike all others of the run: a measured speed never comes twice alike to its last digit, a
-commanded one does."""
+WINDOW, LEAST, PART, UNLIKE = 6, 60, 0.15, 0.9
+"""Changes of the speed in a fingerprint; fingerprints that a run must have, the part of them that a copy shares at one
+shift, and the part that must be unlike all others of the run: a measured speed never comes twice alike to its last
+digit, a commanded one does."""
 MOST = 4000
 """Fingerprints of a run that are compared."""
 
@@ -26,17 +25,23 @@ def copies(runs: Sequence[Run]) -> dict[int, int]:
     """Number of a run that is a copy → number of the first run that it copies."""
     seen = [_fingerprints(run) for run in runs]
     rare = 1 + max((len(one) for one in seen), default=0) // MOST
-    chosen = [one[one % np.uint64(rare) == 0] for one in seen]  # by content, so that copies choose the same ones
+    # by content, so that copies choose the same ones
+    chosen = [{value: at for value, at in one.items() if value % rare == 0} for one in seen]
     owners: dict[int, list[int]] = {}
     for i, one in enumerate(chosen):
-        for value in one.tolist():
+        for value in one:
             owners.setdefault(value, []).append(i)
-    shared = Counter(pair for own in owners.values() if len(own) > 1 for pair in combinations(own, 2))
+    shifts: dict[tuple[int, int], Counter[int]] = {}
+    for value, own in owners.items():
+        for i, j in combinations(own, 2):
+            shifts.setdefault((i, j), Counter())[chosen[j][value] - chosen[i][value]] += 1
     found: dict[int, int] = {}
     for j, run in enumerate(runs):
         for i in range(j):
             least = min(len(chosen[i]), len(chosen[j]))
-            alike = least >= LEAST / rare and shared[i, j] > PART * least
+            # of two runs of one mission some speeds are alike here and there, of a copy at one shift throughout
+            shared = max(shifts.get((i, j), Counter({0: 0})).values())
+            alike = least >= LEAST / rare and shared > PART * least
             if i not in found and set(run.power_w) == set(runs[i].power_w) and (alike or _same_power(runs[i], run)):
                 found[j] = i
                 break
@@ -50,20 +55,19 @@ def _same_power(one: Run, other: Run) -> bool:
     )
 
 
-def _fingerprints(run: Run) -> NDArray[np.uint64]:
-    """One number for each few successive speeds, none where speeds come again; shape (m,)."""
-    none = np.zeros(0, dtype=np.uint64)
+def _fingerprints(run: Run) -> dict[int, int]:
+    """One number for each few successive speeds → where they stand; none where speeds come again."""
     if "speed_m_s" not in run.columns:
-        return none
+        return {}
     speed = np.round(run.number("speed_m_s"), 9)
     speed = speed[np.isfinite(speed)]
     speed = speed[np.diff(speed, prepend=np.nan) != 0.0]
     if len(speed) < LEAST + WINDOW:
-        return none
+        return {}
     factor = np.uint64(0x9E3779B97F4A7C15)
     bits = (speed + 0.0).view(np.uint64) * factor
     mixed = np.zeros(len(bits) - WINDOW + 1, dtype=np.uint64)
     for k in range(WINDOW):
         mixed = (mixed ^ (bits[k : k + len(mixed)] >> np.uint64(13 + k))) * factor
-    found = np.unique(mixed)
-    return found >> np.uint64(8) if len(found) > UNLIKE * len(mixed) else none
+    values, first = np.unique(mixed >> np.uint64(8), return_index=True)
+    return dict(zip(values.tolist(), first.tolist(), strict=True)) if len(values) > UNLIKE * len(mixed) else {}

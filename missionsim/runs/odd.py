@@ -128,15 +128,21 @@ def _ratio(driven: Driven, battery: str) -> float:
 
 
 def _other_speeds(run: Run, runs: Sequence[Run]) -> list[float]:
-    """Factors that make a run's speeds more like those of the others, the likeliest first."""
+    """Factors that make a run's speeds more like those of the others, the likeliest first; none unless it is faster or
+    slower than any of them."""
     fast = {
-        one.run: float(np.quantile(np.abs(one.number("speed_m_s")), 0.95)) for one in runs if "speed_m_s" in one.columns
+        one.run: np.quantile(np.abs(one.number("speed_m_s")), (0.95, 0.99))
+        for one in runs
+        if "speed_m_s" in one.columns
     }
-    own, usual = fast.get(run.run, 0.0), float(np.median([*fast.values()])) if fast else 0.0
-    if not (own > 0.0 and usual > 0.0):
+    own, others = fast.pop(run.run, np.zeros(2)), np.array([*fast.values()])
+    if not (own[0] > 0.0 and len(others) and np.median(others[:, 0]) > 0.0):
         return []
-    apart = {factor: abs(np.log(own / factor / usual)) for factor in SPEEDS}
-    return sorted((factor for factor in SPEEDS if apart[factor] < abs(np.log(own / usual))), key=apart.__getitem__)
+    if others[:, 0].min() / SUSPECT < own[1] and own[0] < SUSPECT * others[:, 1].max():
+        return []
+    off = float(own[0] / np.median(others[:, 0]))
+    apart = {factor: abs(np.log(off / factor)) for factor in SPEEDS}
+    return sorted((factor for factor in SPEEDS if apart[factor] < abs(np.log(off))), key=apart.__getitem__)
 
 
 def _slower(run: Run, factor: float) -> Run:
