@@ -6,7 +6,7 @@ measured less modelled power on what is logged, within runs. What a known fault 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,10 +19,9 @@ from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.runs.covariates import is_switch, may_be_cause
 from missionsim.runs.drive import Driven, drive
-from missionsim.runs.run import Run
+from missionsim.runs.mends import mended
 
 Array = NDArray[np.float64]
-SPEEDS = {3.6: "km/h", 2.2369: "mph", 3.2808: "ft/s", 100.0: "cm/s", 1000.0: "mm/s", 1.0 / 3.6: "m/s divided by 3.6"}
 FEWEST, FEWEST_LEVELS = 3, 5
 """Runs that can say what is usual, and whose levels can."""
 OFFSET, SCATTER = 0.06, 6.0
@@ -41,8 +40,6 @@ RELATED, UNRELATED = 0.6, 0.1
 which a run has nothing to do with them."""
 APART = 2.5
 """Distance of two groups of levels, in times the width of the wider, from which the fewer are odd (assumed)."""
-STANDS = 0.15
-"""Part of a run over which a column must stand still to be looked at."""
 ROWS = 4000
 """Rows of each run that the regression looks at."""
 
@@ -189,9 +186,9 @@ def _fault(others: Others, number: int, model: PowerModel) -> str:
     # a load that is carried scales what is needed in motion, a meter what is needed at rest too
     alone = scale > 0.0 and abs(np.log(scale)) > max(0.1, GAINS * others.gains(number))
     if alone and abs(offset) < 0.3 * abs(scale - 1.0) * float(np.mean(said)):
-        mended = replace(one, measured_w={**one.measured_w, battery: measured / scale})
+        evened = replace(one, measured_w={**one.measured_w, battery: measured / scale})
         tried.append(
-            (others.residual(number, mended), f"power_{battery}_w is {scale:.3g} times that of the other runs")
+            (others.residual(number, evened), f"power_{battery}_w is {scale:.3g} times that of the other runs")
         )
     late = _late(measured, said)
     if late:
@@ -199,7 +196,7 @@ def _fault(others: Others, number: int, model: PowerModel) -> str:
         moved = np.std((measured - np.roll(said, late))[rows] - np.mean((measured - np.roll(said, late))[rows]))
         seconds = late * float(np.median(one.dt_s))
         tried.append((float(moved), f"power_{battery}_w lies {seconds:+.3g} s beside what the robot does"))
-    for words, run in _mended(one.run):
+    for words, run in mended(one.run, [other.run for other in others.runs if other is not one]):
         try:
             tried.append((others.residual(number, drive(model, run, battery)), words))
         except InputError:
@@ -228,9 +225,9 @@ def _unlogged_switching(others: Others, number: int, model: PowerModel) -> Itera
         beside = others.beside(number)
         beside = beside - np.quantile(beside, 0.05 if np.median(watts) > 0.0 else 0.95)
         seen = np.where(np.abs(beside) > 0.5 * np.abs(watts), other, state)
-        mended = drive(model, replace(one.run, columns={**one.run.columns, name: seen}), battery)
+        switched = drive(model, replace(one.run, columns={**one.run.columns, name: seen}), battery)
         yield (
-            others.residual(number, mended),
+            others.residual(number, switched),
             f"{name} is {state[0]:g} in every row, while the power goes up and down by its watts",
         )
 
@@ -249,56 +246,6 @@ def correlation(measured: Array, said: Array) -> tuple[NDArray[np.int64], Array]
     most = len(a) // 4
     lags = np.r_[0 : most + 1, -most:0]
     return lags, np.asarray(along[lags] / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-300))
-
-
-def _mended(run: Run) -> Iterator[tuple[str, Run]]:
-    """A run without one fault that its log may have, and the fault in words."""
-    for name, factors in _FACTORS.items():
-        if name in run.columns:
-            for factor, words in factors.items():
-                columns = {**run.columns, name: run.number(name) / factor}
-                if name == "speed_m_s":
-                    columns.pop("accel_m_s2", None)
-                yield f"{name} {words}", replace(run, columns=columns)
-    for name in filter(is_switch, run.columns):
-        state = run.number(name)
-        if {*np.unique(state).tolist()} == {0.0, 1.0}:
-            yield (
-                f"{name} is 1 where it should be 0 (inverted?)",
-                replace(run, columns={**run.columns, name: 1.0 - state}),
-            )
-    for name in ("speed_m_s", "slope_rad", "yaw_rate_rad_s", *(f"power_{battery}_w" for battery in run.power_w)):
-        if name in run.columns and (stretch := _standing(run.number(name))):
-            first, last = stretch
-            keep = np.ones(run.rows, dtype=bool)
-            keep[first : last + 1] = False
-            since, till = run.time_s[first], run.time_s[last]
-            yield (
-                f"{name} stands at {run.number(name)[first]:.4g} from {since:.6g} to {till:.6g} s",
-                run.rows_where(keep),
-            )
-
-
-_FACTORS: Mapping[str, Mapping[float, str]] = {
-    "slope_rad": {
-        -1.0: "has the other sign",
-        180.0 / np.pi: "is 57 or 100 times too large (degrees or per cent?)",
-        100.0: "is 57 or 100 times too large (degrees or per cent?)",
-    },
-    "speed_m_s": {factor: f"is {factor:.3g} times too large ({unit}?)" for factor, unit in SPEEDS.items()},
-    "yaw_rate_rad_s": {180.0 / np.pi: "is 57.3 times too large (degrees?)"},
-    "accel_m_s2": {-1.0: "has the other sign", 9.81: "is 9.81 times too large (g?)"},
-}
-
-
-def _standing(values: Array) -> tuple[int, int] | None:
-    """First and last row of the longest stretch of one value, where it is much of the run."""
-    starts = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
-    lengths = np.diff(np.r_[starts, len(values)])
-    longest = int(np.argmax(lengths))
-    if not STANDS * len(values) < lengths[longest] < 0.95 * len(values):
-        return None
-    return int(starts[longest]), int(starts[longest] + lengths[longest] - 1)
 
 
 def _offsets(others: Others) -> dict[str, str]:

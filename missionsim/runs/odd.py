@@ -9,8 +9,9 @@ import numpy as np
 
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
-from missionsim.runs.beside import FEWEST, FEWEST_LEVELS, SPEEDS, Others, correlation, runs_beside
+from missionsim.runs.beside import FEWEST, FEWEST_LEVELS, LOADS, Others, correlation, runs_beside
 from missionsim.runs.drive import Driven, drive
+from missionsim.runs.mends import SPEEDS, larger
 from missionsim.runs.run import Run
 
 LEVEL = 6.0
@@ -89,6 +90,10 @@ def _units(runs: Sequence[Run]) -> dict[str, str]:
                 found[run.run] = (
                     f"temp_ambient_c reaches {high:.3g}, in the other runs {usual:.3g}: degrees Fahrenheit?"
                 )
+        for name in LOADS:
+            moves = [np.ptp(one.number(name)) > 0.0 for one in runs if one is not run and name in one.columns]
+            if name in run.columns and len(moves) >= FEWEST_LEVELS - 1 and all(moves) and not np.ptp(run.number(name)):
+                found[run.run] = f"{name} is {run.number(name)[0]:g} in every row, as in no other run: was it logged?"
     return found
 
 
@@ -130,17 +135,13 @@ def _ratio(driven: Driven, battery: str) -> float:
 def _other_speeds(run: Run, runs: Sequence[Run]) -> list[float]:
     """Factors that make a run's speeds more like those of the others, the likeliest first; none unless it is faster or
     slower than any of them."""
-    fast = {
-        one.run: np.quantile(np.abs(one.number("speed_m_s")), (0.95, 0.99))
-        for one in runs
-        if "speed_m_s" in one.columns
-    }
-    own, others = fast.pop(run.run, np.zeros(2)), np.array([*fast.values()])
-    if not (own[0] > 0.0 and len(others) and np.median(others[:, 0]) > 0.0):
+    if "speed_m_s" not in run.columns or not larger("speed_m_s", run, [one for one in runs if one is not run]):
         return []
-    if others[:, 0].min() / SUSPECT < own[1] and own[0] < SUSPECT * others[:, 1].max():
+    fast = [float(np.quantile(np.abs(one.number("speed_m_s")), 0.95)) for one in runs if "speed_m_s" in one.columns]
+    usual = float(np.median(fast))
+    off = float(np.quantile(np.abs(run.number("speed_m_s")), 0.95)) / usual if usual > 0.0 else 0.0
+    if not off > 0.0:
         return []
-    off = float(own[0] / np.median(others[:, 0]))
     apart = {factor: abs(np.log(off / factor)) for factor in SPEEDS}
     return sorted((factor for factor in SPEEDS if apart[factor] < abs(np.log(off))), key=apart.__getitem__)
 
