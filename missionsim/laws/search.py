@@ -40,6 +40,8 @@ HELPS = 0.995
 HARDLY_WORSE = 1.03
 """At a glance a law lowers the error of left-out runs to this part at least (with a noise of its own it must do far
 better, see `missionsim.laws.gates`), and misses the best by no more than this."""
+CLOCKS, CLOCK_ERROR = ("moving_time_s", "time_s"), 1.02
+"""A clock in a law must predict left-out runs so much better than the same law without it."""
 CLOSE_ERROR = 1.005
 """Of two forms whose left-out errors come this close, likelihood decides."""
 
@@ -236,7 +238,18 @@ class Search:
             if other.errors.with_law < CLOSE_ERROR * top.errors.with_law:
                 top = other
                 near = self._near(top, listed)
+        plain = tuple(i for i in top.form if self.grammar.factors[i].variable not in CLOCKS)
+        if plain and plain != top.form:
+            # a slow wander looks like a clock within the pieces of a run
+            other = self.fit(plain, top.model.noise)
+            if other.errors.with_law < CLOCK_ERROR * top.errors.with_law:
+                top, listed = other, [self._without_clocks(forms) for forms in listed]
+                near = self._near(top, listed)
         return Searched(top, tuple(near), self.tried) if near else None
+
+    def _without_clocks(self, forms: NDArray[np.intp]) -> NDArray[np.intp]:
+        clocks = np.array([factor.variable in CLOCKS for factor in self.grammar.factors])
+        return forms[~clocks[forms].any(axis=1)]
 
     def _promising(self, forms: Iterable[tuple[int, ...]]) -> list[tuple[int, ...]]:
         """Forms that are worth a noise of their own: those that predict left-out runs, at noise that is at hand, better
