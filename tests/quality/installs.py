@@ -101,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         wheel = build_wheel(Path(name))
         for python in given.python:
             for resolution in given.resolution:
-                folder = Path(name) / f"{python}-{resolution}"
+                folder = Path(name) / f"{Path(python).name}-{resolution}"
                 found = list(failures(install(wheel, folder, python, resolution), folder))
                 bad += len(found)
                 count = len(COMMANDS.splitlines()) + 1
