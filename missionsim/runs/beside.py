@@ -56,7 +56,8 @@ class Others:
             if not any(isinstance(one.run.columns[name], Labels) for one in runs)
             and (is_switch(name) or name in LOADS or (column_of(name) is None and may_be_cause(name)))
         )
-        self.designs = [self.centred(one) for one in runs]
+        self.rows = [self.columns(one) for one in runs]
+        self.designs = [self.centred(one, rows) for one, rows in zip(runs, self.rows, strict=True)]
         self.gram = np.array([rows.T @ rows for rows, _ in self.designs])
         self.towards = np.array([rows.T @ gap for rows, gap in self.designs])
         self.left = np.ones(len(runs), dtype=bool)
@@ -83,12 +84,12 @@ class Others:
             [speed, speed**2, yaw, yaw**2, accel * speed, np.maximum(accel, 0.0) * speed, slope * speed, *loads]
         )
 
-    def centred(self, driven: Driven) -> tuple[Array, Array]:
+    def centred(self, driven: Driven, rows: Array) -> tuple[Array, Array]:
         """Columns and measured less modelled power about their means at rest and in motion; (m, p) and (m,)."""
         gap = driven.measured_w[self.battery] - driven.model_w[self.battery]
-        rows, moving = self.columns(driven), np.asarray(is_moving(driven.covariates)) & np.ones(len(gap), dtype=bool)
+        moving = np.asarray(is_moving(driven.covariates)) & np.ones(len(gap), dtype=bool)
         keep = slice(None, None, 1 + len(gap) // ROWS)
-        rows, gap, moving = rows[keep], gap[keep], moving[keep]
+        rows, gap, moving = rows[keep].copy(), gap[keep], moving[keep]
         for group in (moving, ~moving):
             if group.any():
                 rows[group] -= rows[group].mean(axis=0)
@@ -105,7 +106,7 @@ class Others:
 
     def residual(self, number: int, driven: Driven) -> float:
         """Scatter of a run, as logged or mended, about what the others say of it [W]."""
-        rows, gap = self.centred(driven)
+        rows, gap = self.centred(driven, self.columns(driven))
         return float(np.std(gap - rows @ self.expected[number]))
 
     def beside(self, number: int) -> Array:
@@ -115,13 +116,13 @@ class Others:
 
     def said(self, number: int) -> Array:
         """What model and others say of a run but for a constant [W], shape (n,)."""
-        one = self.runs[number]
-        return np.asarray(one.model_w[self.battery] + self.columns(one) @ self.expected[number])
+        return np.asarray(self.runs[number].model_w[self.battery] + self.rows[number] @ self.expected[number])
 
     def gains(self, number: int) -> float:
         """Largest logarithm of the gain by which the other runs that are left differ from what is said of them."""
-        left = [i for i in np.flatnonzero(self.left).tolist() if i != number and np.ptp(self.said(i)) > 0.0]
-        gains = [float(np.polyfit(self.said(i), self.runs[i].measured_w[self.battery], 1)[0]) for i in left]
+        said = {i: self.said(i) for i in np.flatnonzero(self.left).tolist() if i != number}
+        measured = {i: self.runs[i].measured_w[self.battery] for i in said}
+        gains = [float(np.polyfit(own, measured[i], 1)[0]) for i, own in said.items() if np.ptp(own) > 0.0]
         return max((abs(float(np.log(max(gain, 1e-3)))) for gain in gains), default=0.0)
 
     def follows(self, number: int) -> float:
@@ -161,7 +162,7 @@ def _stuck(others: Others, model: PowerModel) -> dict[str, str]:
     beside -= np.median(beside)
     least = SCATTER * 1.4826 * float(np.median(np.abs(beside)))
     found: dict[str, str] = {}
-    for name in {name for one in runs for name in one.run.columns if is_switch(name)}:
+    for name in sorted({name for one in runs for name in one.run.columns if is_switch(name)}):
         states = [one.run.number(name) if name in one.run.columns else np.zeros(0) for one in runs]
         usual = float(np.median([state.mean() for state in states if len(state)]))
         for one, state, level in zip(runs, states, beside, strict=True):
@@ -193,7 +194,7 @@ def _fault(others: Others, number: int, model: PowerModel) -> str:
     late = _late(measured, said)
     if late:
         rows = slice(late, None) if late > 0 else slice(None, late)
-        moved = np.std((measured - np.roll(said, late))[rows] - np.mean((measured - np.roll(said, late))[rows]))
+        moved = np.std((measured - np.roll(said, late))[rows])
         seconds = late * float(np.median(one.dt_s))
         tried.append((float(moved), f"power_{battery}_w lies {seconds:+.3g} s beside what the robot does"))
     for words, run in mended(one.run, [other.run for other in others.runs if other is not one]):

@@ -28,6 +28,13 @@ def larger(name: str, run: Run, others: Sequence[Run]) -> int:
     return int(low > LARGER * sizes[:, 1].max()) - int(high < sizes[:, 0].min() / LARGER)
 
 
+def divided(run: Run, name: str, factor: float) -> Run:
+    """A run with a column divided by a factor; an acceleration that belongs to another speed goes."""
+    gone = "accel_m_s2" if name == "speed_m_s" else ""
+    columns = {own: data for own, data in run.columns.items() if own != gone}
+    return replace(run, columns={**columns, name: run.number(name) / factor})
+
+
 def mended(run: Run, others: Sequence[Run]) -> Iterator[tuple[str, Run]]:
     """A run without one fault that its log may have, and the fault in words."""
     for name, factors in _FACTORS.items():
@@ -36,10 +43,7 @@ def mended(run: Run, others: Sequence[Run]) -> Iterator[tuple[str, Run]]:
             for factor, words in factors.items():
                 if (factor > 0.0 and (factor > 1.0) != (size > 0)) or size == 0 < factor:
                     continue
-                columns = {**run.columns, name: run.number(name) / factor}
-                if name == "speed_m_s":
-                    columns.pop("accel_m_s2", None)
-                yield f"{name} {words}", replace(run, columns=columns)
+                yield f"{name} {words}", divided(run, name, factor)
     for name in filter(is_switch, run.columns):
         state = run.number(name)
         if {*np.unique(state).tolist()} == {0.0, 1.0}:

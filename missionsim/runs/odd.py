@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.runs.beside import FEWEST, FEWEST_LEVELS, LOADS, Others, correlation, runs_beside
 from missionsim.runs.drive import Driven, drive
-from missionsim.runs.mends import SPEEDS, larger
+from missionsim.runs.mends import SPEEDS, divided, larger
 from missionsim.runs.run import Run
 
 LEVEL = 6.0
@@ -113,7 +112,7 @@ def _factors(runs: Sequence[Run], driven: Sequence[Driven], model: PowerModel, b
         speeds = [
             factor
             for factor in _other_speeds(run, runs)
-            if _near(_ratio(drive(model, _slower(run, factor), battery), battery) / usual)
+            if _near(_ratio(drive(model, divided(run, "speed_m_s", factor), battery), battery) / usual)
         ]
         if speeds:
             found[run.run] = f"speed_m_s is {speeds[0]:.3g} times too large ({SPEEDS[speeds[0]]}?)"
@@ -144,11 +143,6 @@ def _other_speeds(run: Run, runs: Sequence[Run]) -> list[float]:
         return []
     apart = {factor: abs(np.log(off / factor)) for factor in SPEEDS}
     return sorted((factor for factor in SPEEDS if apart[factor] < abs(np.log(off))), key=apart.__getitem__)
-
-
-def _slower(run: Run, factor: float) -> Run:
-    columns = {name: data for name, data in run.columns.items() if name != "accel_m_s2"}
-    return replace(run, columns={**columns, "speed_m_s": run.number("speed_m_s") / factor})
 
 
 def _near(off: float) -> bool:
