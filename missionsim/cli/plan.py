@@ -146,7 +146,8 @@ def show(answer: Answer) -> None:
     rows = []
     for leg in answer.legs:
         piece = leg.piece
-        scheme = piece.legs[0].settings.scheme if piece is not None else ""
+        chosen = None if leg.visit is None else leg.scheme or task.visits[leg.visit]
+        scheme = piece.legs[0].settings.scheme if piece is not None else (chosen and chosen.scheme) or ""
         speed = f"{piece.limit_m_s:.2f}" if piece is not None else ""
         edge = piece.name if piece is not None else ""
         cells = [leg.kind, leg.place, edge, scheme, speed, f"{leg.duration_s:.1f}"]

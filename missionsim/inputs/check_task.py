@@ -110,6 +110,9 @@ class _TaskCheck:
             check.known(("defaults", "scheme"), task.defaults.scheme, robot.schemes, "control scheme")
         for index, visit in enumerate(task.visits):
             self.scheme(("visits", index), visit.scheme, visit.navigation, visit.sensors, moving=False)
+            for number, choice in enumerate(visit.schemes or ()):
+                where = ("visits", index, "schemes", number)
+                self.scheme(where, choice.scheme, choice.navigation, choice.sensors, moving=False)
         self.choices(("choose",), task.choose)
         for name, edge in task.edges.items():
             self.choices(("edges", name), edge)
@@ -123,8 +126,12 @@ class _TaskCheck:
         if speeds is not None and speeds[-1] > top * (1 + 1e-12):
             allowed = f"at most {top:g} m/s (body.max_speed of {self.task.robot.name})"
             self.check.add((*where, "speeds"), "faster than the robot", f"{speeds[-1]:g} m/s", allowed)
+        known = self.task.robot.schemes
+        some = any(c.scheme not in known or known[c.scheme].motion for c in given.schemes or ())
+        # beside schemes to drive with, those of the task that stand still are for inspections
+        moving = given is not self.task.choose or not some
         for index, choice in enumerate(given.schemes or ()):
-            self.scheme((*where, "schemes", index), choice.scheme, choice.navigation, choice.sensors, moving=True)
+            self.scheme((*where, "schemes", index), choice.scheme, choice.navigation, choice.sensors, moving=moving)
 
     def scheme(
         self, where: Where, scheme: str | None, navigation: str | None, sensors: dict[str, int] | None, *, moving: bool

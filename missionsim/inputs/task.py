@@ -35,6 +35,26 @@ class WindowSpec(Model):
         return self
 
 
+class SchemeChoice(Model):
+    """A control scheme that may be driven with, with its navigation and sensors."""
+
+    scheme: Identifier
+    navigation: Identifier | None = None
+    sensors: Sensors | None = None
+
+
+def _as_scheme(raw: Any) -> Any:
+    return {"scheme": raw} if isinstance(raw, str) else raw
+
+
+def _as_list(raw: Any) -> Any:
+    return raw if isinstance(raw, (dict, list, tuple)) else [raw]
+
+
+Choice = Annotated[SchemeChoice, BeforeValidator(_as_scheme, json_schema_input_type=str | SchemeChoice)]
+Schemes = Annotated[tuple[Choice, ...], BeforeValidator(_as_list), Field(min_length=1, max_length=100)]
+
+
 class VisitSpec(Model):
     """A place to go to, and what is done there: inspect or wait, take up or set down a load."""
 
@@ -45,6 +65,7 @@ class VisitSpec(Model):
     scheme: Identifier | None = None
     navigation: Identifier | None = None
     sensors: Sensors | None = None
+    schemes: Schemes | None = None
     take_up: Mass | None = None
     set_down: Mass | None = None
     before: Places = ()
@@ -56,20 +77,16 @@ class VisitSpec(Model):
     def _one(self) -> VisitSpec:
         if self.inspect is not None and self.wait is not None:
             raise wrong("a visit inspects or waits", "both", "inspect: 30 s, or wait: 30 s", "wait")
+        own = [key for key in ("scheme", "navigation", "sensors") if getattr(self, key) is not None]
+        if self.schemes is not None and own:
+            allowed = "scheme for one that is required, schemes for those to choose from"
+            raise wrong("a visit's scheme is given or chosen", f"{own[0]} and schemes", allowed, own[0])
         return self
 
     @property
     def label(self) -> str:
         """Name of the visit; its place where it has none of its own."""
         return self.name or self.place
-
-
-class SchemeChoice(Model):
-    """A control scheme that may be driven with, with its navigation and sensors."""
-
-    scheme: Identifier
-    navigation: Identifier | None = None
-    sensors: Sensors | None = None
 
 
 class SpeedRange(Model):
@@ -93,16 +110,6 @@ class SpeedRange(Model):
         return tuple(low + (high - low) * i / last for i in range(self.steps))
 
 
-def _as_scheme(raw: Any) -> Any:
-    return {"scheme": raw} if isinstance(raw, str) else raw
-
-
-def _as_list(raw: Any) -> Any:
-    return raw if isinstance(raw, (dict, list, tuple)) else [raw]
-
-
-Choice = Annotated[SchemeChoice, BeforeValidator(_as_scheme, json_schema_input_type=str | SchemeChoice)]
-Schemes = Annotated[tuple[Choice, ...], BeforeValidator(_as_list), Field(min_length=1, max_length=100)]
 SpeedList = Annotated[tuple[Speed, ...], Field(min_length=1, max_length=100)]
 Speeds = Annotated[
     Annotated[SpeedList, Tag("list")] | Annotated[SpeedRange, Tag("range")],
@@ -254,6 +261,21 @@ class TaskSpec(FileModel):
     def goal(self) -> str:
         """Where the mission ends: `end`, else where it starts."""
         return self.end or self.start
+
+    def choices_of(self, visit: VisitSpec) -> tuple[SchemeChoice | None, ...]:
+        """Schemes to choose from for what is done at a visit; None for its own or the default."""
+        if visit.schemes is not None:
+            return visit.schemes
+        own = visit.inspect is None or visit.scheme or visit.navigation or visit.sensors is not None
+        return (None,) if own else self._chosen(moving=False)
+
+    @property
+    def drives_with(self) -> tuple[SchemeChoice | None, ...]:
+        """Schemes to choose from where an edge has none of its own; None for the default."""
+        return self._chosen(moving=True)
+
+    def _chosen(self, *, moving: bool) -> tuple[SchemeChoice | None, ...]:
+        return tuple(c for c in self.choose.schemes or () if self.robot.schemes[c.scheme].motion == moving) or (None,)
 
     @property
     def docks(self) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.inputs.task import SchemeChoice
 from missionsim.planner.bounds import Tour
 from missionsim.planner.core import Label, chain_of
 from missionsim.planner.pieces import Piece
@@ -42,6 +43,8 @@ class Leg:
     piece : Piece or None
         The edge, of a drive.
     visit : int or None
+    scheme : SchemeChoice or None
+        Of a visit, where it was chosen.
     payload_kg : float
     level : float or None
         Fraction charged to; None where charging lasts for `duration_s`.
@@ -54,6 +57,7 @@ class Leg:
     charge_wh: Mapping[str, float]
     piece: Piece | None = None
     visit: int | None = None
+    scheme: SchemeChoice | None = None
     payload_kg: float = 0.0
     level: float | None = None
 
@@ -201,7 +205,9 @@ def answer_of(tour: Tour, label: Label, objective: float, bound: float) -> Answe
             add("wait", stop.place, site.waiting * waited, payload_kg=payload)
         if stop.visit is not None:
             load = site.order.payload_kg(state[0])
-            add("visit", stop.place, site.standing(state[1], load), visit=stop.visit, payload_kg=load)
+            use, number = site.standing(state[1], load)[step.move[3]], stop.visit
+            chosen = site.task.choices_of(site.task.visits[number])[step.move[3]]
+            add("visit", stop.place, use, visit=number, scheme=chosen, payload_kg=load)
     made.duration_s = clock
     made.energy_wh = dict(zip(names, used.tolist(), strict=True))
     made.charge_left_wh = dict(zip(names, (capacity - missing).tolist(), strict=True))
@@ -262,7 +268,9 @@ def _leg_json(answer: Answer, leg: Leg) -> dict[str, Any]:
             "sensors": dict(settings.sensors),
         }
     if leg.visit is not None:
-        made["visit"] = answer.site.task.visits[leg.visit].label
+        visit = answer.site.task.visits[leg.visit]
+        given = leg.scheme or visit
+        made |= {"visit": visit.label, "scheme": given.scheme, "navigation": given.navigation, "sensors": given.sensors}
     if leg.kind == "charge":
         made["until"] = leg.level
     return made

@@ -98,7 +98,7 @@ class Tour:
         if window is None or window.from_.value <= 0.0:
             return None
         state = node // self.size
-        stand = float(self.site.standing(node % self.size, self.site.order.payload_kg(state))[0])
+        stand = float(self.site.standing(node % self.size, self.site.order.payload_kg(state))[0, 0])
         return self.until(window.from_.value + stand)
 
     def until(self, begin: float) -> Callable[[Array], Array]:
@@ -134,16 +134,22 @@ class Tour:
         moves: list[Any] = []
         for head, after in nexts:
             for drive in self._drives(payload, stop, head):
-                use.append(self.arc_use(drive, head, after))
-                heads.append(after * self.size + head)
-                moves.append((head, drive, use[-1]))
+                for choice, whole in self.arc_uses(drive, head, after):
+                    use.append(whole)
+                    heads.append(after * self.size + head)
+                    moves.append((head, drive, whole, choice))
         return Leaving(np.array(heads, dtype=np.intp), np.array(use).reshape(len(heads), len(self.first)), moves)
 
-    def arc_use(self, drive: Drive, head: int, after: int) -> Array:
-        """What driving to a stop and what is done there add to the vector."""
+    def arc_uses(self, drive: Drive, head: int, after: int) -> list[tuple[int, Array]]:
+        """What driving to a stop and what is done there add to the vector, for each scheme that none is better than."""
         visit = self.site.stops[head].visit
         made = 0.0 if self.values is None or visit is None else float(self.values[visit])
-        return self._vector(drive.use + self.site.standing(head, self.site.order.payload_kg(after)), made)
+        stands = self.site.standing(head, self.site.order.payload_kg(after))
+        kept: list[int] = []
+        for i in np.lexsort(stands.T[::-1]).tolist():  # whatever is no better in anything comes later
+            if not (stands[kept] <= stands[i]).all(axis=1).any():
+                kept.append(i)
+        return [(i, self._vector(drive.use + stands[i], made)) for i in kept]
 
     def _vector(self, use: Array, made: float) -> Array:
         objective = -made if self.by_value else float(self.site.objective(use))
@@ -212,7 +218,7 @@ def _back(site: Site, weights: Array, worth: Array | None, table: Array) -> Arra
     stands = np.zeros((len(order.loads[0]), len(site.task.visits)))
     for _, visits, afters in order.steps:
         for load, visit in set(zip(which[afters].tolist(), visits.tolist(), strict=True)):
-            stands[load, visit] = site.standing(1 + visit, float(order.loads[0][load])) @ weights
+            stands[load, visit] = (site.standing(1 + visit, float(order.loads[0][load])) @ weights).min()
             if worth is not None:
                 stands[load, visit] -= worth[visit]
     for states, visits, afters in order.steps:
@@ -293,7 +299,7 @@ def bounds_of(
         if visit.window is not None and visit.window.until is not None:
             for state in range(site.order.count):
                 node = state * tour.size + 1 + i
-                stand = float(site.standing(1 + i, max(0.0, site.order.payload_kg(state)))[0])
+                stand = float(site.standing(1 + i, max(0.0, site.order.payload_kg(state)))[0, 0])
                 least[node, 1] = max(least[node, 1], most[1] - visit.window.until.value - stand)
     rows, rests, offsets = [], [], []
     zero = np.zeros(len(most) - 1)

@@ -72,7 +72,8 @@ def cheapest(tour: Tour, prices: Array) -> tuple[list[tuple[int, int]], float] |
         apart = known[payload][here]
         options = []
         for visit, after in order.after(state):
-            there = float(site.standing(1 + visit, order.payload_kg(after)) @ weights) - worth[visit]
+            stands = site.standing(1 + visit, order.payload_kg(after)) @ weights
+            there = float(stands.min()) - worth[visit]
             options.append((apart[1 + visit] + there + table[after, 1 + visit], 1 + visit, after))
         if order.may_end(state):
             options.append((apart[site.goal], site.goal, state))
@@ -93,8 +94,10 @@ def tour_label(tour: Tour, steps: list[tuple[int, int]], weights: Array) -> Labe
         else:
             ends = [nodes[[number]] for nodes, number in zip(site.nodes[payload], (stop, head), strict=True)]
             drive = next(iter(site.road(payload).supported([weights], *ends).values()))[0]
-        use = tour.arc_use(drive, head, after)
-        label = Label(after * tour.size + head, label.points + use, label, (head, drive, use))
+        uses = dict(tour.arc_uses(drive, head, after))
+        stands = site.standing(head, site.order.payload_kg(after)) @ weights
+        choice = min(uses, key=lambda i: float(stands[i]))
+        label = Label(after * tour.size + head, label.points + uses[choice], label, (head, drive, uses[choice], choice))
         stop, state = head, after
     return label
 

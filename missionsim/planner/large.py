@@ -59,7 +59,7 @@ def _bound(site: Site, apart: Array) -> float:
     if count:
         cost[0, count] = 1e12
     rows, columns = linear_sum_assignment(cost)
-    standing = sum(float(site.standing(1 + i, site.order.load_kg) @ site.weights) for i in range(count))
+    standing = sum(float((site.standing(1 + i, site.order.load_kg) @ site.weights).min()) for i in range(count))
     return float(cost[rows, columns].sum()) + standing
 
 
@@ -69,7 +69,7 @@ def orders(site: Site, apart: Array) -> list[tuple[int, ...]]:
     seconds = np.zeros_like(site.weights)
     seconds[0] = 1.0
     fast = matrix(site, site.order.load_kg, seconds)
-    stands = [float(site.standing(1 + i, site.order.load_kg)[0]) for i in range(len(visits))]
+    stands = [float(site.standing(1 + i, site.order.load_kg)[0, 0]) for i in range(len(visits))]
     earlier = earlier_of(visits)
     scale = LATE * float(np.nanmean(apart[np.isfinite(apart)])) / max(float(np.nanmean(fast[np.isfinite(fast)])), 1e-9)
 

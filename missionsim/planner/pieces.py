@@ -93,7 +93,7 @@ def pieces_of(task: TaskSpec, physics: Physics, payload_kg: float) -> dict[str, 
             name = edge_name(task, way)
             if name is None or (own is not None and own.closed):
                 continue
-            schemes = (own.schemes if own is not None else None) or task.choose.schemes or (None,)
+            schemes = (own.schemes if own is not None else None) or task.drives_with
             speeds = speeds_of(own.speeds if own is not None else None) or speeds_of(task.choose.speeds) or (None,)
             for scheme in schemes:
                 of_scheme = task.robot.schemes.get(scheme.scheme if scheme else task.defaults.scheme or "")

@@ -87,7 +87,7 @@ class Rounds(Tour):
 
     def _still(self, heads: list[int]) -> Leaving:
         nothing, use = Drive(np.zeros(len(self.site.weights))), np.zeros((len(heads), len(self.first)))
-        return Leaving(np.array(heads, dtype=np.intp), use, [(self.at(head)[1], nothing, use[0]) for head in heads])
+        return Leaving(np.array(heads, dtype=np.intp), use, [(self.at(head)[1], nothing, use[0], 0) for head in heads])
 
     def opens(self, node: int) -> Callable[[Array], Array] | None:
         """Waiting until a round is due."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.inputs.segments import DockSegment, InspectSegment, RechargeSpec, WaitSegment
-from missionsim.inputs.task import TaskSpec, VisitSpec
+from missionsim.inputs.task import SchemeChoice, TaskSpec, VisitSpec
 from missionsim.inputs.values import Parameter
 from missionsim.plan.build import legs_of
 from missionsim.plan.legs import Leg
@@ -31,15 +31,15 @@ class Stop:
     Attributes
     ----------
     place : str
-    use : ndarray, shape (1 + batteries,)
-        Seconds and Wh of what is done there.
+    lasts_s : float
+        Time of what is done there.
     visit : int or None
         Of the task.
     charger : Charger or None
     """
 
     place: str
-    use: Array
+    lasts_s: float = 0.0
     visit: int | None = None
     charger: Charger | None = None
 
@@ -179,15 +179,13 @@ class Site:
         return self.roads[payload_kg]
 
     def standing(self, number: int, payload_kg: float) -> Array:
-        """Seconds and Wh of what is done at a stop under a load, shape (1 + batteries,)."""
+        """Seconds and Wh of what is done at a stop under a load, shape (choices, 1 + batteries): for each scheme."""
         stop = self.stops[number]
         if stop.visit is None:
-            return stop.use
+            return np.zeros((1, 1 + len(self.physics.names)))
         key = (number, payload_kg)
         if key not in self._standing:
-            segment = visit_segment(self.task.visits[stop.visit], payload_kg)
-            legs = next(legs_of(self.physics.mission, [(stop.place, segment)]))
-            self._standing[key] = _standing(self.physics, legs)
+            self._standing[key] = _standing(self, self.task.visits[stop.visit], payload_kg)
         return self._standing[key]
 
     def charger(self, number: int) -> Charger | None:
@@ -216,16 +214,17 @@ class Site:
 
 def _leaving(physics: Physics, stop: Stop, number: int) -> State:
     """The state in which the robot drives off: at rest, unless it never stood (which only starts cost)."""
-    stood = number == 0 or stop.charger is not None or stop.use[0] > 0.0 or not physics.impulsive
+    stood = number == 0 or stop.charger is not None or stop.lasts_s > 0.0 or not physics.impulsive
     return State(stop.place, 0.0, FREE if stood else ROLLED)
 
 
-def visit_segment(visit: VisitSpec, payload_kg: float) -> Any:
+def visit_segment(visit: VisitSpec, payload_kg: float, choice: SchemeChoice | None = None) -> Any:
     """The segment of a mission in which a visit is made."""
+    chosen = visit if choice is None else choice
     common: dict[str, Any] = {
-        "scheme": visit.scheme,
-        "navigation": visit.navigation,
-        "sensors": visit.sensors,
+        "scheme": chosen.scheme,
+        "navigation": chosen.navigation,
+        "sensors": chosen.sensors,
         "payload": Parameter(payload_kg, unit="kg"),
         "name": visit.label,
     }
@@ -251,17 +250,16 @@ def make_site(task: TaskSpec, order: Order | None = None) -> Site:
     weights = np.array([time, *(energy[name] for name in physics.names)])
     deadline = math.inf if task.within.deadline is None else task.within.deadline.value
     site = Site(task, physics, order, deadline_s=deadline, weights=weights)
-    nothing = np.zeros(1 + len(physics.names))
-    site.stops.append(Stop(task.start, nothing))
-    stands = [(visit.place, visit_segment(visit, 0.0)) for visit in task.visits]
-    for i, legs in enumerate(legs_of(physics.mission, stands)):
-        site.stops.append(Stop(task.visits[i].place, _standing(physics, legs), i))
-    site.stops.append(Stop(task.goal, nothing))
+    site.stops.append(Stop(task.start))
+    for i, visit in enumerate(task.visits):
+        lasting = visit.inspect or visit.wait
+        site.stops.append(Stop(visit.place, 0.0 if lasting is None else lasting.value, i))
+    site.stops.append(Stop(task.goal))
     dock = DockSegment.model_construct(
         kind="dock", recharge=RechargeSpec.model_construct(until=Parameter(1.0), batteries=())
     )
     for place, legs in zip(task.docks, legs_of(physics.mission, [(place, dock) for place in task.docks]), strict=True):
-        site.stops.append(Stop(place, nothing, None, _charger(site, legs[0])))
+        site.stops.append(Stop(place, charger=_charger(site, legs[0])))
     return site
 
 
@@ -269,12 +267,15 @@ def _refused(task: TaskSpec, message: str, allowed: str, *where: str) -> InputEr
     return InputError(task.document.fault(where, message, allowed=allowed))
 
 
-def _standing(physics: Physics, legs: list[Leg]) -> Array:
-    use = np.zeros(1 + len(physics.names))
-    for leg in legs:
-        use[0] += leg.duration_s
-        use[1:] += physics.standing_wh(leg.settings, leg.duration_s)
-    return use
+def _standing(site: Site, visit: VisitSpec, payload_kg: float) -> Array:
+    physics = site.physics
+    segments = [(visit.place, visit_segment(visit, payload_kg, choice)) for choice in site.task.choices_of(visit)]
+    made = np.zeros((len(segments), 1 + len(physics.names)))
+    for use, legs in zip(made, legs_of(physics.mission, segments), strict=True):
+        for leg in legs:
+            use[0] += leg.duration_s
+            use[1:] += physics.standing_wh(leg.settings, leg.duration_s)
+    return made
 
 
 def _charger(site: Site, leg: Leg) -> Charger:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from missionsim.inputs.examples import shipped_robots
+from missionsim.inputs.task import SchemeChoice, VisitSpec
 from missionsim.planner.answer import Answer, Leg
 
 
@@ -65,21 +66,14 @@ def _segment(answer: Answer, leg: Leg) -> list[str]:
         body: dict[str, Any] = {"along": [piece.name]}
         if piece.speed is not None:
             body["speed"] = piece.speed
-        if piece.scheme is not None:
-            body["scheme"] = piece.scheme.scheme
-            if piece.scheme.navigation is not None:
-                body["navigation"] = piece.scheme.navigation
-            if piece.scheme.sensors is not None:
-                body["sensors"] = dict(piece.scheme.sensors)
+        body |= {} if piece.scheme is None else _equipment(piece.scheme)
         why = f"to {leg.place}"
     elif leg.kind == "visit":
         assert leg.visit is not None
         visit = task.visits[leg.visit]
         kind, given = ("inspect", visit.inspect) if visit.inspect is not None else ("wait", visit.wait)
         body = {"name": visit.label, "duration": given.value if given is not None else 0.0}
-        for key in ("scheme", "navigation", "sensors"):
-            if getattr(visit, key) is not None:
-                body[key] = getattr(visit, key)
+        body |= _equipment(visit if leg.scheme is None else leg.scheme)
         body["payload"] = leg.payload_kg
         return [f"  - {kind}: {flow(body)}  # {_charges(leg)}"]
     elif leg.kind == "wait":
@@ -91,6 +85,11 @@ def _segment(answer: Answer, leg: Leg) -> list[str]:
     if leg.payload_kg != (0.0 if task.defaults.payload is None else task.defaults.payload.value):
         body["payload"] = leg.payload_kg
     return [f"  - drive: {flow(body)}  # {why}: {_charges(leg)}"]
+
+
+def _equipment(given: SchemeChoice | VisitSpec) -> dict[str, Any]:
+    asked = {"scheme": given.scheme, "navigation": given.navigation, "sensors": given.sensors}
+    return {key: value for key, value in asked.items() if value is not None}
 
 
 def _charges(leg: Leg) -> str:

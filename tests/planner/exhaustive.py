@@ -225,7 +225,7 @@ class Exhaustive:
         physics, site = self.physics, self.site
         states = np.array([[0.0, 0.0, 0.0, *(physics.capacity_wh - physics.initial_wh)]])  # s, Wh, Wh, missing
         for before, after in itertools.pairwise(stops):
-            runs = self.run(site.stops[before].place, site.stops[after].place) + site.standing(after, 0.0)
+            runs = self.run(site.stops[before].place, site.stops[after].place) + site.standing(after, 0.0)[0]
             states = (states[:, None, :] + np.concatenate([runs, runs[:, 1:]], axis=1)[None, :, :]).reshape(-1, 5)
             states = states[(states[:, 3:] <= physics.capacity_wh * (1 + 1e-10)).all(axis=1)]
             states = states[states[:, 0] <= self.task.within.deadline.value * (1 + 1e-10)]

@@ -102,7 +102,7 @@ def test_orders_of_visits_beside_or_tools_and_pyvrp(
             return []
         return [1 + i for i in orders(site, matrix(site, 0.0, site.weights))[0]]
 
-    stands = sum(float(site.standing(1 + i, 0.0) @ site.weights) for i in range(visits))
+    stands = sum(float(site.standing(1 + i, 0.0)[0] @ site.weights) for i in range(visits))
     found, seconds = _timed(own if visits > 13 else lambda: float(rest_of(site, site.weights)[0, 0]) - stands)
     best = found if isinstance(found, float) else length(found)
     whole = np.rint(apart * 1e6).astype(int)
