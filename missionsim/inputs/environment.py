@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Container, Iterator
 from typing import Annotated, Any, Literal
@@ -121,14 +122,19 @@ class EnvironmentSpec(FileModel):
         """
         to_place: list[tuple[float, int]] = []
         by_name: tuple[int, str] | None = None
-        for index, edge, begin, end in self.open_ways():
-            if begin != here:
-                continue
+        for index, edge, end in self._open_from.get(here, ()):
             if end == name:
                 to_place.append((self.length_m(edge) or 0.0, index))
             if edge.name == name and by_name is None:
                 by_name = index, end
         return (min(to_place)[1], name) if to_place else by_name
+
+    @functools.cached_property
+    def _open_from(self) -> dict[str, list[tuple[int, EdgeSpec, str]]]:
+        found: dict[str, list[tuple[int, EdgeSpec, str]]] = {}
+        for index, edge, begin, end in self.open_ways():
+            found.setdefault(begin, []).append((index, edge, end))
+        return found
 
     def open_ways(self) -> Iterator[tuple[int, EdgeSpec, str, str]]:
         """Every way that may be driven: the edge's index, the edge, begin and end in the direction of travel."""

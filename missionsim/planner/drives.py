@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -85,7 +86,7 @@ class Drives:
         """
         key = (weights.tobytes(), nodes.tobytes(), back)
         if key not in self._distances:
-            self._distances[key] = self._solve(self._graph(weights, back)[0], nodes, paths=False)[0]
+            self._distances[key] = self._solve(weights, nodes, back=back)[0]
         return self._distances[key]
 
     def supported(
@@ -94,8 +95,8 @@ class Drives:
         """The drives of least weighted use by any of some weights, between all sources and targets."""
         found: dict[tuple[int, int], list[Drive]] = {}
         for row in weights:
-            graph, chosen = self._graph(row, False)
-            for source, before in zip(sources.tolist(), self._solve(graph, sources, paths=True)[1], strict=True):
+            _, befores, chosen = self._solve(row, sources)
+            for source, before in zip(sources.tolist(), befores, strict=True):
                 for target in targets.tolist():
                     known = found.setdefault((source, target), [])
                     drive = None if source == target else self._way(before, chosen, source, target)
@@ -114,12 +115,11 @@ class Drives:
             here = earlier
         return self._drive(arcs[::-1])
 
-    def _graph(self, weights: Array, back: bool) -> tuple[Any, NDArray[np.intp]]:
+    def _graph(self, cost: Array, back: bool) -> tuple[Any, NDArray[np.intp]]:
         """The cheapest arc between any two states, as a graph; which arcs these are."""
         from scipy.sparse import csr_array
 
-        road = self.road
-        cost = (road.use @ weights)[self._by_pair]
+        road, cost = self.road, cost[self._by_pair]
         least = np.minimum.reduceat(cost, self._begins) if len(cost) else cost
         same = np.flatnonzero(cost == np.repeat(least, self._counts))
         first = same[np.searchsorted(same, self._begins)] if len(cost) else same
@@ -131,16 +131,37 @@ class Drives:
         tails, heads = (ends[chosen].astype(np.int32) for ends in (road.tails, road.heads))
         return csr_array((weight, (heads, tails) if back else (tails, heads)), shape=(size, size)), chosen
 
-    def _solve(self, graph: Any, nodes: NDArray[np.intp], *, paths: bool) -> tuple[Array, Any]:
-        from scipy.sparse.csgraph import NegativeCycleError, bellman_ford, dijkstra
+    def _solve(self, weights: Array, nodes: NDArray[np.intp], *, back: bool = False) -> tuple[Array, Any, Any]:
+        """Distances and predecessors by Dijkstra's method, on costs that potentials keep from being negative."""
+        from scipy.sparse.csgraph import dijkstra
 
-        solve = bellman_ford if (graph.data < 0.0).any() else dijkstra
-        try:
-            found = solve(graph, indices=nodes, return_predecessors=paths)
-        except NegativeCycleError:
-            raise self._endless(graph) from None
-        distance = found[0] if paths else found
-        return np.asarray(distance).reshape(len(nodes), -1), found[1].reshape(len(nodes), -1) if paths else None
+        height, road = self._potentials @ weights, self.road
+        cost = np.maximum(road.use @ weights + height[road.tails] - height[road.heads], 0.0)
+        graph, chosen = self._graph(cost, back)
+        found, before = dijkstra(graph, indices=nodes, return_predecessors=True)
+        step = height[None, :] - height[nodes][:, None]
+        return found - step if back else found + step, before, chosen
+
+    @cached_property
+    def _potentials(self) -> Array:
+        """For each state the least use of each resource on any way there, at most 0 (Johnson 1977)."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import NegativeCycleError, bellman_ford
+
+        road = self.road
+        size = len(road.states)
+        made = np.zeros((size, road.use.shape[1]))
+        for r in np.flatnonzero((road.use < 0.0).any(axis=0)):
+            graph = self._graph(road.use[:, r], False)[0]
+            ends = coo_array(graph).coords
+            tails = np.append(ends[0], np.full(size, size)).astype(np.int32)
+            heads = np.append(ends[1], np.arange(size)).astype(np.int32)
+            whole = coo_array((np.append(graph.data, np.full(size, 1e-300)), (tails, heads)), shape=(size + 1,) * 2)
+            try:
+                made[:, r] = bellman_ford(whole.tocsr(), indices=size)[:size]
+            except NegativeCycleError:
+                raise self._endless(graph) from None
+        return made
 
     def _endless(self, graph: Any) -> InputError:
         """Slopes that lead downhill all the way round."""

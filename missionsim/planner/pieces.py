@@ -12,7 +12,7 @@ import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,17 +115,17 @@ def pieces_of(task: TaskSpec, physics: Physics, payload_kg: float) -> dict[str, 
     return pieces
 
 
+_DRIVE = DriveSegment.model_construct(kind="drive")
+
+
 def drive(name: str, scheme: SchemeChoice | None, speed: float | None, payload_kg: float) -> DriveSegment:
     """The segment of a mission that drives an edge."""
-    return DriveSegment.model_construct(
-        kind="drive",
-        along=(name,),
-        speed=None if speed is None else Parameter(speed, unit="m/s"),
-        scheme=None if scheme is None else scheme.scheme,
-        navigation=None if scheme is None else scheme.navigation,
-        sensors=None if scheme is None else scheme.sensors,
-        payload=Parameter(payload_kg, unit="kg"),
-    )
+    asked: dict[str, Any] = {"along": (name,), "payload": Parameter(payload_kg, unit="kg")}
+    if speed is not None:
+        asked["speed"] = Parameter(speed, unit="m/s")
+    if scheme is not None:
+        asked |= {"scheme": scheme.scheme, "navigation": scheme.navigation, "sensors": scheme.sensors}
+    return _DRIVE.model_copy(update=asked)
 
 
 class State(NamedTuple):
@@ -283,29 +283,28 @@ def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDAr
         Seconds and Wh.
     """
     use = np.zeros((len(driven), 1 + len(physics.names)))
-    groups: dict[tuple[int, bool], list[int]] = {}
-    for i, piece in enumerate(driven):
-        groups.setdefault((len(piece.legs), _instant(piece)), []).append(i)
-    numbers: dict[int, int] = {}
+    number: dict[Piece, int] = {}
+    which = np.array([number.setdefault(piece, len(number)) for piece in driven], dtype=np.intp)
+    groups: dict[tuple[int, bool], list[Piece]] = {}
+    for piece in number:
+        groups.setdefault((len(piece.legs), _instant(piece)), []).append(piece)
     parts: list[tuple[Array, Array, Array, Array, Array, Array]] = []
     for (count, instant), members in groups.items():
-        rows = np.array(members)
-        distance = np.array([[leg.distance_m for leg in driven[i].legs] for i in members])
-        limit = np.array([[leg.speed_m_s for leg in driven[i].legs] for i in members])
-        settings = np.array(
-            [
-                [numbers.setdefault(id(leg.settings), physics.settings_index(leg.settings)) for leg in driven[i].legs]
-                for i in members
-            ]
-        )
+        place = np.full(len(number), -1)
+        place[[number[piece] for piece in members]] = np.arange(len(members))
+        rows = np.flatnonzero(place[which] >= 0)
+        mine = place[which[rows]]
+        distance = np.array([[leg.distance_m for leg in piece.legs] for piece in members])[mine]
+        limit = np.array([[leg.speed_m_s for leg in piece.legs] for piece in members])[mine]
+        settings = np.array([[physics.settings_index(leg.settings) for leg in piece.legs] for piece in members])[mine]
         if instant:
             made = phases(distance, limit)
         else:
-            accel = np.full(len(members), physics.limits.accel_m_s2)
-            decel = np.full(len(members), physics.limits.decel_m_s2)
+            accel = np.full(len(rows), physics.limits.accel_m_s2)
+            decel = np.full(len(rows), physics.limits.decel_m_s2)
             made = ramp_phases(distance, limit, accel, decel, speeds[rows, 0], speeds[rows, 1])
-        shape = (len(members), count, 3)
-        first = np.cumsum(made.duration_s.reshape(len(members), -1) > 0.0, axis=1).reshape(shape) == 1
+        shape = (len(rows), count, 3)
+        first = np.cumsum(made.duration_s.reshape(len(rows), -1) > 0.0, axis=1).reshape(shape) == 1
         starts = first & (made.duration_s > 0.0) & rest[rows][:, None, None]
         owner = np.broadcast_to(rows[:, None, None], shape)
         kept = made.duration_s > 0.0
