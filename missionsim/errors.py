@@ -105,6 +105,12 @@ class InputError(MissionsimError):
         """One fault without a position in a file."""
         return cls(Fault(file, 0, 0, message, path, str(got) if got != "" else "", allowed, hint))
 
+    @classmethod
+    def unknown(cls, message: str, got: str, known: Iterable[str], *, allowed: str = "") -> InputError:
+        """A name that is none of the known ones, with the closest of them; `allowed` where they are not all of it."""
+        names = list(known)
+        return cls.single(message, got=got, allowed=allowed or ", ".join(names), hint=did_you_mean(got, names))
+
 
 def did_you_mean(word: str, known: Sequence[str] | Iterable[str], cutoff: float = 0.6) -> str:
     """Closest known name, or an empty string.

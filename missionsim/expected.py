@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.errors import InputError, did_you_mean
+from missionsim.errors import InputError
 from missionsim.runs.motion import distances
 
 if TYPE_CHECKING:
@@ -62,12 +62,7 @@ def expected_run(mission: MissionSpec, battery: str) -> ExpectedRun:
     from missionsim.engine.simulate import simulate
 
     if battery not in mission.robot.batteries:
-        raise InputError.single(
-            f"no battery '{battery}'",
-            got=battery,
-            allowed=", ".join(mission.robot.batteries),
-            hint=did_you_mean(battery, mission.robot.batteries),
-        )
+        raise InputError.unknown(f"no battery '{battery}'", battery, mission.robot.batteries)
     capacity = mission.robot.batteries[battery].capacity
     # the whole plan is wanted, also of a mission that the real battery cannot finish
     result = simulate(mission, values={f"robot.{capacity.path}": capacity.value * 1e6})

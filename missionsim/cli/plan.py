@@ -198,7 +198,7 @@ def reach(
         Draw the map into this PNG or SVG file.
     """
     from missionsim.cli.parse import check_picture
-    from missionsim.errors import InputError, did_you_mean
+    from missionsim.errors import InputError
     from missionsim.inputs.loading import load_environment
     from missionsim.planner import reach as planner
 
@@ -210,17 +210,13 @@ def reach(
     spec = load_environment(environment)
     for option, name in (("--from", from_), ("--back-to", back_to)):
         if name is not None and name not in spec.places:
-            raise InputError.single(
-                f"{option}: no place '{name}' in {environment}",
-                got=name,
-                allowed=", ".join(list(spec.places)[:24]),
-                hint=did_you_mean(name, spec.places),
-            )
+            told, shown = f"{option}: no place '{name}' in {environment}", ", ".join(list(spec.places)[:24])
+            raise InputError.unknown(told, name, spec.places, allowed=shown)
     task = planner.reach_task(environment, changes.robot, from_, changes.pairs, back_to)
     to.warn(task.warnings)
     with to.progress() as bar:
-        told = bar.add_task("places", total=len(task.environment.places))
-        found = planner.reach(task, probability, lambda: bar.advance(told))
+        row = bar.add_task("places", total=len(task.environment.places))
+        found = planner.reach(task, probability, lambda: bar.advance(row))
     answer = planner.summary(task, found, probability)
     if plot is not None:
         from missionsim.report.site_map import map_of_reach, write_map

@@ -164,12 +164,12 @@ def schema(*kind: str, robot: str | None = None, out: OutFolder | None = None, t
     """
     from missionsim.errors import InputError
     from missionsim.files import write_text
-    from missionsim.inputs.loading import load_robot
+    from missionsim.inputs.loading import KINDS, load_robot
     from missionsim.inputs.schemas import schema as make
-    from missionsim.inputs.schemas import schema_kinds, schema_text
+    from missionsim.inputs.schemas import schema_text
 
     spec = None if robot is None else load_robot(robot)
-    kinds = kind or schema_kinds()
+    kinds = kind or KINDS
     made = {name: make(name, spec) for name in kinds}
     to.emit({"schema": "missionsim.schemas/1", "kinds": made})
     if out is not None:

@@ -347,12 +347,7 @@ class PowerModel:
         known = self.parameters
         for name in values:
             if name not in known:
-                raise InputError.single(
-                    f"the robot has no parameter '{name}'",
-                    got=name,
-                    allowed=", ".join(sorted(known)),
-                    hint=did_you_mean(name, known),
-                )
+                raise InputError.unknown(f"the robot has no parameter '{name}'", name, sorted(known))
         terms = tuple(
             replace(
                 term,

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from missionsim import effects
 from missionsim.effects.base import Effect, ParameterSpec, plugins
 from missionsim.effects.model import ModelParameter, Term, TermKey
-from missionsim.errors import InputError, did_you_mean
+from missionsim.errors import InputError
 
 _PREFIX = "motion_"
 
@@ -96,9 +96,4 @@ def get_motion_model(id: str) -> MotionModel:
     if id in others:
         return others[id]
     ids = motion_model_ids()
-    raise InputError.single(
-        f"unknown motion model '{id}'",
-        got=id,
-        allowed=", ".join((*ids, "expression", "none")),
-        hint=did_you_mean(id, ids),
-    )
+    raise InputError.unknown(f"unknown motion model '{id}'", id, ids, allowed=", ".join((*ids, "expression", "none")))

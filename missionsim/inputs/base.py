@@ -1,9 +1,11 @@
 """Base of all YAML models: frozen, unknown keys refused, with file and line of each object."""
 
+from collections.abc import Callable, Iterable, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, StringConstraints
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
 from missionsim.errors import Fault
@@ -34,10 +36,44 @@ Expression = Annotated[
 Sensors = dict[Identifier, Count]
 
 
-def wrong(message: str, got: object, allowed: str, *at: str) -> PydanticCustomError:
+def told(entries: Iterable[Mapping[str, object]]) -> PydanticCustomError:
+    """What is wrong, each with message, got, allowed, hint and the keys below here that it stands `at`."""
+    listed = list(entries)
+    return PydanticCustomError(
+        "quantity", "{text}", {"text": "; ".join(str(entry["message"]) for entry in listed), "entries": listed}
+    )
+
+
+def wrong(message: str, got: object, allowed: str, *at: str, hint: str = "") -> PydanticCustomError:
     """The fault of a whole object, at a key of it."""
-    entry = {"message": message, "got": str(got), "allowed": allowed, "hint": "", "at": at}
-    return PydanticCustomError("quantity", "{text}", {"text": message, "entries": [entry]})
+    return told([{"message": message, "got": str(got), "allowed": allowed, "hint": hint, "at": at}])
+
+
+def either(one: str, other: str, message: str, allowed: str) -> object:
+    """Validator of a model that has to give just one of two keys."""
+
+    def check(model: "Model") -> "Model":
+        if (getattr(model, one) is None) == (getattr(model, other) is None):
+            raise wrong(message, "neither" if getattr(model, one) is None else "both", allowed)
+        return model
+
+    return model_validator(mode="after")(check)
+
+
+def check_rising(values: list[float], message: str, allowed: str, *at: str) -> None:
+    """Refuse values that do not increase."""
+    if any(later <= earlier for earlier, later in pairwise(values)):
+        raise wrong(message, values, allowed, *at)
+
+
+def alone(key: str, *kinds: type) -> Callable[[object], object]:
+    """A value of these kinds that stands for a mapping with one key."""
+    return lambda raw: {key: raw} if type(raw) in kinds else raw
+
+
+def as_list(raw: object) -> object:
+    """A value that stands for a list of one."""
+    return raw if isinstance(raw, (dict, list, tuple)) else [raw]
 
 
 class Model(BaseModel):

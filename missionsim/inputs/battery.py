@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from missionsim.inputs import units
-from missionsim.inputs.base import Model, wrong
+from missionsim.inputs.base import Model, alone, check_rising, wrong
 from missionsim.inputs.values import (
     Efficiency,
     Fraction,
@@ -67,8 +67,7 @@ class EquivalentCircuit(Model):
     def _increasing(self) -> "EquivalentCircuit":
         charges = [point[0].value for point in self.open_circuit_voltage]
         voltages = [point[1].value for point in self.open_circuit_voltage]
-        if any(later <= earlier for earlier, later in pairwise(charges)):
-            raise wrong("states of charge must increase", charges, "0 … 1 in order", "open_circuit_voltage")
+        check_rising(charges, "states of charge must increase", "0 … 1 in order", "open_circuit_voltage")
         if charges[0] != 0.0 or charges[-1] != 1.0:
             raise wrong("the curve must run from 0 to 1", charges, "first 0, last 1", "open_circuit_voltage")
         if any(later < earlier for earlier, later in pairwise(voltages)):
@@ -80,13 +79,9 @@ class EquivalentCircuit(Model):
         return self
 
 
-def _named_kind(raw: Any) -> Any:
-    return {"kind": raw} if isinstance(raw, str) else raw
-
-
 BatteryModel = Annotated[
     Annotated[ConstantEnergy | EquivalentCircuit, Field(discriminator="kind")],
-    BeforeValidator(_named_kind, json_schema_input_type=str | ConstantEnergy | EquivalentCircuit),
+    BeforeValidator(alone("kind", str), json_schema_input_type=str | ConstantEnergy | EquivalentCircuit),
 ]
 
 
@@ -117,8 +112,7 @@ class TemperatureSpec(Model):
     def _rising(self) -> "TemperatureSpec":
         for key in ("capacity", "resistance"):
             degrees = [point[0].value for point in getattr(self, key) or ()]
-            if any(later <= earlier for earlier, later in pairwise(degrees)):
-                raise wrong("temperatures must increase", degrees, "[[0 degC, 80 %], [25 degC, 100 %]]", key)
+            check_rising(degrees, "temperatures must increase", "[[0 degC, 80 %], [25 degC, 100 %]]", key)
         return self
 
 
@@ -137,8 +131,7 @@ class BatterySpec(Model):
 
     @model_validator(mode="after")
     def _voltage_known(self) -> "BatterySpec":
-        needs_voltage = self.capacity.unit == "C" or isinstance(self.model, EquivalentCircuit)
-        if needs_voltage and self.nominal_voltage is None and self.capacity.unit == "C":
+        if self.nominal_voltage is None and self.capacity.unit == "C":
             raise wrong(
                 "a capacity in Ah needs nominal_voltage", "no nominal_voltage", "nominal_voltage: 14.8 V", "capacity"
             )

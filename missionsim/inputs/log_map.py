@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field, PlainValidator, StringConstraints, 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import compile_expression
 from missionsim.glossary import column_of
-from missionsim.inputs.base import FileModel, Model, Name, Text
+from missionsim.inputs.base import FileModel, Model, Name, Text, alone
 from missionsim.inputs.tree import Document, dotted
 from missionsim.inputs.values import AnyNumber, Parameter, Period, quantity
 
@@ -54,10 +54,6 @@ class SignalMap(Model):
 
     field: Text
     fill: Literal["hold", "linear", "mean"] | None = None
-
-
-def _signal(raw: Any) -> Any:
-    return {"field": raw} if isinstance(raw, str) else raw
 
 
 class FileMap(Model):
@@ -156,12 +152,10 @@ class ColumnMap(Model):
             yield index, formula
 
 
-def _column(raw: Any) -> Any:
-    return {"value": raw} if isinstance(raw, (str, int, float)) and not isinstance(raw, bool) else raw
-
-
-Signal = Annotated[SignalMap, BeforeValidator(_signal, json_schema_input_type=str | SignalMap)]
-Target = Annotated[ColumnMap, BeforeValidator(_column, json_schema_input_type=str | float | ColumnMap)]
+Signal = Annotated[SignalMap, BeforeValidator(alone("field", str), json_schema_input_type=str | SignalMap)]
+Target = Annotated[
+    ColumnMap, BeforeValidator(alone("value", str, int, float), json_schema_input_type=str | float | ColumnMap)
+]
 
 
 class RunsMap(Model):

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from typing import Annotated, Any, Literal, TypeVar, cast
 
-from pydantic import Discriminator, Field, JsonValue, PrivateAttr, Tag, WrapValidator, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, JsonValue, PrivateAttr, Tag, model_validator
 
-from missionsim.inputs.base import Count, FileModel, Identifier, Model, Name, Text, wrong
+from missionsim.inputs.base import Count, FileModel, Identifier, Model, Name, Text, alone, wrong
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.robot import BehaviourSpec, RobotSpec
 from missionsim.inputs.segments import DefaultSpec, Segment, SegmentSpec
@@ -29,11 +29,7 @@ class AnchorSpec(Model):
         return self
 
 
-def _place_anchor(raw: Any, handler: Any) -> Any:
-    return handler({"place": raw} if isinstance(raw, (str, int)) and not isinstance(raw, bool) else raw)
-
-
-Anchor = Annotated[AnchorSpec, WrapValidator(_place_anchor, json_schema_input_type=str | AnchorSpec)]
+Anchor = Annotated[AnchorSpec, BeforeValidator(alone("place", str, int), json_schema_input_type=str | AnchorSpec)]
 
 
 class ActivitySpec(Model):

@@ -6,7 +6,18 @@ from typing import Annotated, Literal
 from pydantic import Field, JsonValue, model_validator
 
 from missionsim.errors import Fault
-from missionsim.inputs.base import Expression, FileModel, Identifier, Model, Name, ParameterName, Sensors, Text, wrong
+from missionsim.inputs.base import (
+    Expression,
+    FileModel,
+    Identifier,
+    Model,
+    Name,
+    ParameterName,
+    Sensors,
+    Text,
+    either,
+    wrong,
+)
 from missionsim.inputs.battery import BatterySpec
 from missionsim.inputs.tree import Document
 from missionsim.inputs.values import (
@@ -39,12 +50,7 @@ class LawSpec(Model):
     rate: Frequency | None = None
     parameters: dict[ParameterName, AnyNumber] = Field(default_factory=dict)
 
-    @model_validator(mode="after")
-    def _one(self) -> "LawSpec":
-        if (self.power is None) == (self.model is None):
-            got, allowed = "both" if self.power else "neither", 'power: "k*rate", or model: multicore_cpu'
-            raise wrong("a law has either a power or a model", got, allowed)
-        return self
+    _one = either("power", "model", "a law has either a power or a model", 'power: "k*rate", or model: multicore_cpu')
 
 
 class LoadSpec(Model):
@@ -55,12 +61,7 @@ class LoadSpec(Model):
     law: LawSpec | None = None
     through: Identifier | None = None
 
-    @model_validator(mode="after")
-    def _one(self) -> "LoadSpec":
-        if (self.power is None) == (self.law is None):
-            got, allowed = "both" if self.power else "neither", "power: 2.3 W, or law: {power: …}"
-            raise wrong("a load has either a power or a law", got, allowed)
-        return self
+    _one = either("power", "law", "a load has either a power or a law", "power: 2.3 W, or law: {power: …}")
 
 
 class StartupSpec(Model):
@@ -240,11 +241,15 @@ class EffectSpec(Model):
     candidate: bool = False
     origin: dict[str, JsonValue] = Field(default_factory=dict)
 
+    _one = either(
+        "effect",
+        "power",
+        "an effect is one of the library or an expression",
+        'effect: grade, or name: my_term with power: "k * …"',
+    )
+
     @model_validator(mode="after")
-    def _one(self) -> "EffectSpec":
-        if (self.effect is None) == (self.power is None):
-            got, allowed = "both" if self.effect else "neither", 'effect: grade, or name: my_term with power: "k * …"'
-            raise wrong("an effect is one of the library or an expression", got, allowed)
+    def _named(self) -> "EffectSpec":
         if self.effect is None and self.name is None:
             raise wrong("an effect of your own needs a name", "no name", "name: my_term")
         return self

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from missionsim.errors import InputError, did_you_mean
+from missionsim.errors import InputError
 from missionsim.inputs import units
 from missionsim.inputs.loading import KINDS, model_of
 from missionsim.inputs.segments import SEGMENT_KINDS
@@ -20,11 +20,6 @@ if TYPE_CHECKING:
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 SCHEMA_FOLDER = Path(__file__).resolve().parent.parent / "schemas"
-
-
-def schema_kinds() -> tuple[str, ...]:
-    """Kinds of YAML files that have a schema."""
-    return KINDS
 
 
 def schema(kind: str, robot: RobotSpec | None = None) -> Schema:
@@ -42,10 +37,8 @@ def schema(kind: str, robot: RobotSpec | None = None) -> Schema:
     InputError
         Unknown kind.
     """
-    if kind not in schema_kinds():
-        raise InputError.single(
-            f"no schema '{kind}'", got=kind, allowed=", ".join(schema_kinds()), hint=did_you_mean(kind, schema_kinds())
-        )
+    if kind not in KINDS:
+        raise InputError.unknown(f"no schema '{kind}'", kind, KINDS)
     raw = model_of(kind).model_json_schema(by_alias=True)
     shared: dict[str, Any] = {}
     body = _tidy(raw, shared)

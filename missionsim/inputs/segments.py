@@ -7,7 +7,7 @@ from pydantic import Field, GetJsonSchemaHandler, WrapValidator, model_validator
 from pydantic_core import PydanticCustomError, core_schema
 
 from missionsim.errors import did_you_mean
-from missionsim.inputs.base import Identifier, Model, Name, Sensors, wrong
+from missionsim.inputs.base import Identifier, Model, Name, Sensors, either, wrong
 from missionsim.inputs.robot import BehaviourSpec
 from missionsim.inputs.tree import as_written
 from missionsim.inputs.values import (
@@ -140,11 +140,7 @@ class RechargeSpec(Model):
     duration: Duration | None = None
     batteries: tuple[Identifier, ...] = ()
 
-    @model_validator(mode="after")
-    def _one(self) -> "RechargeSpec":
-        if (self.until is None) == (self.duration is None):
-            raise wrong("recharge until a charge or for a duration", "both" if self.until else "neither", "until: 95 %")
-        return self
+    _one = either("until", "duration", "recharge until a charge or for a duration", "until: 95 %")
 
 
 class DockSegment(SegmentSpec):
@@ -173,12 +169,7 @@ class RepeatSegment(Model):
     until: Period | None = None
     segments: Annotated[tuple["Segment", ...], Field(min_length=1)]
 
-    @model_validator(mode="after")
-    def _one(self) -> "RepeatSegment":
-        if (self.times is None) == (self.until is None):
-            got = "both" if self.times else "neither"
-            raise wrong("repeat some times or until a time", got, "times: 5, or until: 8 h")
-        return self
+    _one = either("times", "until", "repeat some times or until a time", "times: 5, or until: 8 h")
 
     @property
     def least(self) -> int:
@@ -212,8 +203,7 @@ def _unwrap(raw: Any, handler: Any) -> Any:
 
 
 def _segment_fault(message: str, got: str, hint: str, *at: str) -> PydanticCustomError:
-    entry = {"message": message, "got": got, "allowed": "one of " + ", ".join(SEGMENT_KINDS), "hint": hint, "at": at}
-    return PydanticCustomError("quantity", "{text}", {"text": message, "entries": [entry]})
+    return wrong(message, got, "one of " + ", ".join(SEGMENT_KINDS), *at, hint=hint)
 
 
 class _SegmentSchema:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, PrivateAttr, Tag, model_validator
 
-from missionsim.inputs.base import FileModel, Identifier, Model, Name, Sensors, Text, wrong
+from missionsim.inputs.base import FileModel, Identifier, Model, Name, Sensors, Text, alone, as_list, wrong
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import Reserve, reserve_of
 from missionsim.inputs.robot import RobotSpec
@@ -43,16 +43,8 @@ class SchemeChoice(Model):
     sensors: Sensors | None = None
 
 
-def _as_scheme(raw: Any) -> Any:
-    return {"scheme": raw} if isinstance(raw, str) else raw
-
-
-def _as_list(raw: Any) -> Any:
-    return raw if isinstance(raw, (dict, list, tuple)) else [raw]
-
-
-Choice = Annotated[SchemeChoice, BeforeValidator(_as_scheme, json_schema_input_type=str | SchemeChoice)]
-Schemes = Annotated[tuple[Choice, ...], BeforeValidator(_as_list), Field(min_length=1, max_length=100)]
+Choice = Annotated[SchemeChoice, BeforeValidator(alone("scheme", str), json_schema_input_type=str | SchemeChoice)]
+Schemes = Annotated[tuple[Choice, ...], BeforeValidator(as_list), Field(min_length=1, max_length=100)]
 
 
 class VisitSpec(Model):
@@ -114,7 +106,7 @@ SpeedList = Annotated[tuple[Speed, ...], Field(min_length=1, max_length=100)]
 Speeds = Annotated[
     Annotated[SpeedList, Tag("list")] | Annotated[SpeedRange, Tag("range")],
     Discriminator(lambda raw: "range" if isinstance(raw, (dict, SpeedRange)) else "list"),
-    BeforeValidator(_as_list),
+    BeforeValidator(as_list),
 ]
 
 
@@ -124,7 +116,7 @@ def _word_or(*words: str) -> tuple[Any, ...]:
     def tag(raw: Any) -> str:
         return "word" if isinstance(raw, str) and raw in words else "other"
 
-    return Discriminator(tag), BeforeValidator(lambda raw: raw if raw in words else _as_list(raw))
+    return Discriminator(tag), BeforeValidator(lambda raw: raw if raw in words else as_list(raw))
 
 
 def speeds_of(given: tuple[Parameter, ...] | SpeedRange | None) -> tuple[float, ...] | None:

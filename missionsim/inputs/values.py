@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from pydantic import GetJsonSchemaHandler
-from pydantic_core import PydanticCustomError, core_schema
+from pydantic_core import core_schema
 
 from missionsim.inputs import units
+from missionsim.inputs.base import told
 from missionsim.inputs.distributions import KINDS
 from missionsim.inputs.parameter import STATUSES, Issue, Issues, Parameter
 from missionsim.inputs.tree import as_written
@@ -117,11 +118,7 @@ class QuantityOf(UncertainReader):
         except Issue as issue:
             issues.append(issue)
         if issues or parameter is None:
-            raise PydanticCustomError(
-                "quantity",
-                "{text}",
-                {"text": "; ".join(str(issue) for issue in issues), "entries": [issue.entry for issue in issues]},
-            )
+            raise told(issue.entry for issue in issues)
         return parameter
 
     def _number(self, raw: Any, at: tuple[str | int, ...] = (), unit: str = "") -> tuple[float, str]:

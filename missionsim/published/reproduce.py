@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from missionsim.errors import InputError, did_you_mean
+from missionsim.errors import InputError
 from missionsim.files import write_text
 from missionsim.published.figures import ABOUT, HEAD, PAPERS, STATUSES, Item, judge_all, numbers_of_robot
 
@@ -31,9 +31,7 @@ def papers_of(robots: Sequence[str]) -> list[str]:
     known = {**PAPERS, **{paper: paper for paper in PAPERS.values()}}
     for name in robots:
         if name not in known:
-            raise InputError.single(
-                f"no published robot '{name}'", got=name, allowed=", ".join(PAPERS), hint=did_you_mean(name, known)
-            )
+            raise InputError.unknown(f"no published robot '{name}'", name, known, allowed=", ".join(PAPERS))
     return list(dict.fromkeys(known[name] for name in robots)) or list(PAPERS.values())
 
 

@@ -12,8 +12,8 @@ import pytest
 
 from missionsim.errors import InputError
 from missionsim.inputs import units
-from missionsim.inputs.loading import load_robot
-from missionsim.inputs.schemas import SCHEMA_FOLDER, key_words, schema, schema_kinds, schema_text, unit_pattern
+from missionsim.inputs.loading import KINDS, load_robot
+from missionsim.inputs.schemas import SCHEMA_FOLDER, key_words, schema, schema_text, unit_pattern
 from missionsim.inputs.tree import parse_document
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,13 +24,13 @@ SHIPPED = sorted(
 )
 
 
-@pytest.mark.parametrize("kind", schema_kinds())
+@pytest.mark.parametrize("kind", KINDS)
 def test_committed_schemas_are_fresh(kind: str) -> None:
     path = SCHEMA_FOLDER / f"{kind}.schema.json"
     assert path.read_text(encoding="utf-8") == schema_text(kind), "run: missionsim schema --out missionsim/schemas"
 
 
-@pytest.mark.parametrize("kind", schema_kinds())
+@pytest.mark.parametrize("kind", KINDS)
 def test_schemas_are_schemas(kind: str) -> None:
     jsonschema.Draft202012Validator.check_schema(schema(kind))
 
@@ -124,7 +124,7 @@ def test_schema_of_one_robot_knows_its_batteries_and_components(tmp_path: Path) 
     assert not mission.is_valid(MISSION | {"defaults": {"sensors": {"lasr": 1}}})
 
 
-@pytest.mark.parametrize("kind", schema_kinds())
+@pytest.mark.parametrize("kind", KINDS)
 def test_every_property_has_a_description_and_a_default(kind: str) -> None:
     made = schema(kind)
     for name, definition in [(kind, made), *made["$defs"].items()]:
