@@ -5,13 +5,17 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import importlib
 import json
 import math
 import os
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import ModuleType
 from typing import TypeVar
+
+from missionsim.errors import InputError
 
 T = TypeVar("T")
 
@@ -105,6 +109,26 @@ def csv_cell(value: T) -> T | str:
     except ValueError:
         return f"'{value}"
     return value
+
+
+def needed(package: str, doing: str, file: str = "", extra: str = "logs") -> ModuleType:
+    """A module of an optional package.
+
+    Raises
+    ------
+    missionsim.errors.InputError
+        It is not installed; with the command that installs it.
+    """
+    try:
+        return importlib.import_module(package)
+    except ImportError:
+        told = f"{doing} needs the package {package.partition('.')[0]}"
+        raise InputError.single(told, file=file, allowed=install_hint(extra)) from None
+
+
+def first_line(error: Exception, most: int = 200) -> str:
+    """What an error of another package says in its first line, or its name."""
+    return (str(error) or type(error).__name__).splitlines()[0][:most]
 
 
 def install_hint(extra: str) -> str:

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from missionsim.cli.options import TERMINAL, Output, RobotFile, tell_left_out
+from missionsim.errors import InputError
+from missionsim.files import write_text
 from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
@@ -52,8 +54,6 @@ def calibrate(
     drive
         differential, skid_steer, mecanum, omni or ackermann.
     """
-    from missionsim.errors import InputError
-    from missionsim.files import write_text
     from missionsim.inputs.loading import load_robot
     from missionsim.inputs.power import build_power_model
     from missionsim.logs import describe, read_logs

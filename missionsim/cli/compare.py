@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from missionsim.cli.options import TERMINAL, OutFile, OutFolder, Output, tell_left_out
 from missionsim.errors import InputError
+from missionsim.files import write_text
 from missionsim.report.terminal import console
 
 
@@ -63,7 +64,6 @@ def compare(
         result = compare_files(robot, logs, mission=mission, by=by, on_run=lambda _: bar.advance(task))
     tell_left_out(result.left_out, to)
     if report is not None:
-        from missionsim.files import write_text
         from missionsim.report.compare_page import compare_page
 
         write_text(report, compare_page(result, tolerance_pct=tolerance, footer=_footer()))

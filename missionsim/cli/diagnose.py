@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from missionsim.cli.options import TERMINAL, OutFile, Output, RobotFile, Search, tell_left_out
+from missionsim.errors import InputError
+from missionsim.files import write_text
 from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
@@ -52,7 +54,6 @@ def diagnose(
     tell_left_out(left_out, to)
     to.emit(result.to_json() | {"left_out": left_out})
     if report is not None:
-        from missionsim.files import write_text
         from missionsim.report.diagnosis_page import diagnosis_page
 
         write_text(report, diagnosis_page(result, footer=_footer(), robot=search.robot, logs=logs))
@@ -120,8 +121,6 @@ def improve(
         Write an interactive page to this HTML file.
     """
     from missionsim.diagnose.improve import improve as run_improve
-    from missionsim.errors import InputError
-    from missionsim.files import write_text
     from missionsim.inputs.edit import for_folder, robot_text
 
     search.check(logs)
@@ -256,8 +255,6 @@ def add_effect(
     """
     from missionsim.diagnose.adopt import NotSignificant, adopt
     from missionsim.diagnose.words import heldout_line
-    from missionsim.errors import InputError
-    from missionsim.files import write_text
     from missionsim.inputs.edit import for_folder, robot_text
     from missionsim.inputs.loading import robot_from_text
 

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 from cyclopts import App
 
 from missionsim.cli.options import TERMINAL, OutFile, Output
+from missionsim.errors import InputError
+from missionsim.files import atomic_write, write_text
 from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
@@ -52,7 +54,6 @@ def nav2(
     payload
         Carried, kg.
     """
-    from missionsim.errors import InputError
     from missionsim.exchange.nav2 import export_costs
     from missionsim.inputs.loading import load_robot
 
@@ -173,7 +174,6 @@ def qgc(
     origin
         LATITUDE,LONGITUDE of the map's point 0, 0 in degrees; what the map's notes say unless given.
     """
-    from missionsim.errors import InputError
     from missionsim.exchange.qgc import plan_of
     from missionsim.inputs.loading import load_mission
 
@@ -202,7 +202,6 @@ def _mission(data: dict[str, Any], title: str, remarks: Sequence[str], out: Path
 
 
 def _write(out: Path, raw: bytes) -> None:
-    from missionsim.files import atomic_write
 
     with atomic_write(out) as temporary:
         temporary.write_bytes(raw)
@@ -253,7 +252,6 @@ def import_site(
     smooth
         m to each side over which elevations of a track are smoothed (GPX).
     """
-    from missionsim.errors import InputError
     from missionsim.exchange.formats import import_site as read
     from missionsim.exchange.site import SiteOptions, write_site
     from missionsim.inputs.loading import load_robot
@@ -277,7 +275,6 @@ def import_site(
 
 
 def _print(site: Site, out: Path | None, mission: Path | None) -> None:
-    from missionsim.report.terminal import console
 
     terminal = console()
     one_way = sum(not edge.get("both_ways", True) for edge in site.edges)
@@ -310,9 +307,7 @@ def import_robot(config: Path, /, *, out: Path | None = None, battery: str = "ro
         Name of the robot's battery, as logs call it.
     """
     from missionsim.exchange.rmf_fleet import read_fleet
-    from missionsim.files import write_text
     from missionsim.inputs.loading import robot_from_text
-    from missionsim.report.terminal import console
 
     fleet = read_fleet(config)
     text = fleet.robot_text(battery)

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from missionsim.cli.options import TERMINAL, OutPath, Output
-from missionsim.errors import visible
+from missionsim.errors import Fault, InputError, visible
+from missionsim.files import write_text
+from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
-    from missionsim.errors import Fault
     from missionsim.logs import LogTable
     from missionsim.logs.write import LongRun
 
@@ -52,7 +53,6 @@ def import_(
     int
         0 when everything was read, 1 when a file was left out or is damaged, or a suggestion has no power or no time.
     """
-    from missionsim.errors import InputError
 
     if not sources:
         raise InputError.single("no file was given", allowed="missionsim import FILE…")
@@ -124,7 +124,6 @@ def _told(
 
 def _targets(logs: list[LogTable], out: Path) -> list[Path]:
     """One file a run: `out` itself for a single run, files in it for several or where it is a folder."""
-    from missionsim.errors import InputError
 
     is_file = out.suffix in (".csv", ".parquet") and not out.is_dir()
     if is_file and len(logs) > 1:
@@ -147,7 +146,6 @@ def _targets(logs: list[LogTable], out: Path) -> list[Path]:
 
 def _spare_sources(logs: list[LogTable], targets: list[Path]) -> None:
     """Refuse to write over what was read: a folder of Parquet files that is read into itself."""
-    from missionsim.errors import Fault, InputError
 
     sources = {Path(log.source).resolve() for log in logs if log.source}
     if faults := [
@@ -178,7 +176,6 @@ def _summary(log: LogTable | LongRun, target: Path) -> dict[str, Any]:
 
 def _print(logs: Sequence[LogTable | LongRun], targets: Sequence[Path]) -> None:
     from missionsim.logs import describe
-    from missionsim.report.terminal import console, simple_table
 
     rows = [
         (
@@ -202,7 +199,6 @@ def _print(logs: Sequence[LogTable | LongRun], targets: Sequence[Path]) -> None:
 def _list(sources: Sequence[Path], to: Output) -> int:
     from missionsim.importer.roles import fields_of, folded, guess_all
     from missionsim.importer.sources import find_files
-    from missionsim.report.terminal import console, simple_table
 
     paths = find_files(sources)
     listed = []
@@ -243,8 +239,6 @@ def _list(sources: Sequence[Path], to: Output) -> int:
 
 
 def _suggest(sources: Sequence[Path], out: Path | None, robot: str | None, to: Output) -> int:
-    from missionsim.errors import InputError
-    from missionsim.files import write_text
     from missionsim.importer.sources import find_files
     from missionsim.importer.suggest import suggest_map
 

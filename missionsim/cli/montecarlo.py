@@ -14,6 +14,7 @@ from cyclopts import Parameter
 
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFolder, Output
 from missionsim.errors import Fault, InputError
+from missionsim.files import install_hint, to_json, write_text
 from missionsim.report.terminal import console, simple_table
 
 if TYPE_CHECKING:
@@ -148,7 +149,6 @@ def _only(prepared: Prepared, seed: int, run: int, out: Path | None, to: Output)
 
     drawn, result, limited = simulate_run(prepared.mission, prepared.model, prepared.sampler, seed, run)
     if out is not None:
-        from missionsim.files import to_json, write_text
         from missionsim.results.write import write_results
 
         folder = out / f"run_{run:09d}"
@@ -169,7 +169,6 @@ def _only(prepared: Prepared, seed: int, run: int, out: Path | None, to: Output)
 
 
 def _batch(task: Task, prepared: Prepared, batch: Batch, out: Path, to: Output) -> int:
-    from missionsim.files import to_json, write_text
     from missionsim.uncertainty.batch import batch_answer, block_runs, block_span, identity, run_batch
     from missionsim.uncertainty.importance import refuse_correlated
     from missionsim.uncertainty.store import BlockStore
@@ -230,8 +229,6 @@ def _executor(address: str | None) -> Iterator[Any]:
     try:
         from distributed import Client
     except ImportError:
-        from missionsim.files import install_hint
-
         raise InputError.single(
             "--scheduler needs the extra 'dask'", got="no package 'distributed'", allowed=install_hint("dask")
         ) from None

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from missionsim.errors import InputError, visible
+from missionsim.errors import Fault, InputError, visible
 from missionsim.files import to_json, write_text
+from missionsim.report.terminal import console
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
     from missionsim.diagnose.split import Split
-    from missionsim.errors import Fault
     from missionsim.identify.settings import Settings
     from missionsim.inputs.robot import RobotSpec
     from missionsim.logs import LogTable
@@ -84,8 +84,6 @@ class Output:
             TimeRemainingColumn,
         )
         from rich.text import Text
-
-        from missionsim.report.terminal import console
 
         class Rate(ProgressColumn):
             """How many a second."""

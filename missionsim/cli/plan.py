@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, Output
+from missionsim.errors import InputError
+from missionsim.files import write_text
 from missionsim.report.terminal import console, simple_table, titled
 
 if TYPE_CHECKING:
@@ -49,8 +51,6 @@ def plan(
         Write an interactive page, which opens from disk, to this HTML file.
     """
     from missionsim.cli.parse import check_picture
-    from missionsim.errors import InputError
-    from missionsim.files import write_text
     from missionsim.inputs.loading import load_task
     from missionsim.planner.write import mission_text
 
@@ -198,7 +198,6 @@ def reach(
         Draw the map into this PNG or SVG file.
     """
     from missionsim.cli.parse import check_picture
-    from missionsim.errors import InputError
     from missionsim.inputs.loading import load_environment
     from missionsim.planner import reach as planner
 

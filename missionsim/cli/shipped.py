@@ -8,6 +8,8 @@ from typing import Any
 from cyclopts import App
 
 from missionsim.cli.options import TERMINAL, OutFolder, Output
+from missionsim.errors import InputError
+from missionsim.files import write_text
 from missionsim.report.terminal import console, simple_table, titled
 
 effects_app = App(
@@ -162,8 +164,6 @@ def schema(*kind: str, robot: str | None = None, out: OutFolder | None = None, t
     out
         Folder for the files, made if need be. Without it, the schema of one kind goes to standard output.
     """
-    from missionsim.errors import InputError
-    from missionsim.files import write_text
     from missionsim.inputs.loading import KINDS, load_robot
     from missionsim.inputs.schemas import schema as make
     from missionsim.inputs.schemas import schema_text

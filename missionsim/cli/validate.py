@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from missionsim.cli.options import TERMINAL, Output
+from missionsim.errors import Fault, InputError
 
 _YAML = (".yaml", ".yml")
 
@@ -24,7 +25,6 @@ def validate(*files: Path, to: Output = TERMINAL) -> int:
     int
         0 when there are no errors (warnings are allowed), 2 otherwise.
     """
-    from missionsim.errors import Fault, InputError
     from missionsim.inputs.loading import check_files
 
     if not files:

@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.errors import InputError
 from missionsim.exchange.site import scalar
-from missionsim.files import atomic_write, write_text
+from missionsim.files import atomic_write, needed, write_text
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 
@@ -188,18 +187,11 @@ def _planned_pose(mission: MissionSpec, driven_m: Array) -> Pose | None:
 
 def _write(path: str | Path, runs: Iterable[Rows], power: str) -> list[Path]:
     """The MCAP file, and beside it a layout for Foxglove and a map for ``missionsim import``."""
-    try:
-        from mcap.writer import CompressionType, Writer
-    except ImportError:
-        from missionsim.files import install_hint
-
-        raise InputError.single(
-            "writing MCAP needs the package mcap", file=str(path), allowed=install_hint("logs")
-        ) from None
+    mcap = needed("mcap.writer", "writing MCAP", str(path))
     target = Path(path)
     topics: dict[str, dict[str, None]] = {}
     with atomic_write(target) as temporary, open(temporary, "wb") as stream:
-        writer = Writer(stream, compression=CompressionType.ZSTD)
+        writer = mcap.Writer(stream, compression=mcap.CompressionType.ZSTD)
         writer.start("", "missionsim")
         streams = []
         for topic, schema, messages in (one for rows in runs for one in _messages(*rows)):
@@ -209,7 +201,7 @@ def _write(path: str | Path, runs: Iterable[Rows], power: str) -> list[Path]:
             streams.append(_keyed(channel, messages, topics.setdefault(topic, {})))
         for nanoseconds, number, raw in heapq.merge(*streams, key=itemgetter(0)):  # readers warn where time goes back
             writer.add_message(number, nanoseconds, raw, nanoseconds)
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
     layout, mapping = target.with_suffix(".foxglove.json"), target.with_suffix(".map.yaml")
     write_text(layout, json.dumps(_layout(topics), indent=1) + "\n")
     write_text(mapping, _map(topics, target.stem, power))

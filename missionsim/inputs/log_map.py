@@ -7,10 +7,10 @@ from pydantic import BeforeValidator, Field, PlainValidator, StringConstraints, 
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import compile_expression
-from missionsim.glossary import column_of
 from missionsim.inputs.base import FileModel, Model, Name, Text, alone
 from missionsim.inputs.tree import Document, dotted
 from missionsim.inputs.values import AnyNumber, Parameter, Period, quantity
+from missionsim.logs.power import MEASURED, measured_batteries
 
 Formula = Annotated[
     str,
@@ -40,38 +40,14 @@ WordOrNumber = Annotated[str | float, PlainValidator(_word_or_number, json_schem
 
 
 class SignalMap(Model):
-    """A column of the source file, or a field of a topic, under a short name.
-
-    Attributes
-    ----------
-    field : str
-        Table: the column's name, or ``#3`` by number. ROS bag: ``/topic.field.sub[0]``, ``/joint_states.effort[left]``,
-        ``/diagnostics[status].key``. ULog: ``topic.field``, ``topic[1].field[0]``. Joined files: ``file.column``.
-    fill : str
-        Bags and joined files: between two messages the value is held (`hold`) or interpolated (`linear`), or averaged
-        over the time of the row (`mean`). By default numbers that come more often than rows are averaged, others held.
-    """
+    """A column of the source file, or a field of a topic, under a short name."""
 
     field: Text
     fill: Literal["hold", "linear", "mean"] | None = None
 
 
 class FileMap(Model):
-    """One of several files of a run, which are joined by time.
-
-    Attributes
-    ----------
-    name : str
-        The file's name as a pattern: ``power*.csv``; ``{run}`` in it tells several runs apart: ``{run}_power.csv``.
-    time : list of names
-        Tables: the column of times, or those of a date and a time of day.
-    unit : str
-        Of times that are numbers; epochs are recognised without.
-    zone : str
-        Of local times: ``Europe/Berlin``, ``+02:00``.
-    lag : duration
-        The file's clock is that much late; its times are shifted back.
-    """
+    """One of several files of a run, which are joined by time."""
 
     name: Text
     time: Names = ()
@@ -81,42 +57,8 @@ class FileMap(Model):
 
 
 class ColumnMap(Model):
-    """How one column of the log comes about, by exactly one of `value`, `stamp`, `quaternion`, `differentiate`, `text`,
-    `lookup` and `file_name`.
-
-    Attributes
-    ----------
-    value : formula
-        Expression over the source.
-    stamp : list of names
-        Of `time_s`: a column of time stamps, or those of a date and a time of day.
-    zone : str
-        Of local time stamps: ``Europe/Berlin``, ``+02:00``.
-    quaternion : list of four formulas
-        Components x, y, z, w of the attitude (body to world, x forward, z up).
-    give : str
-        What of the attitude: `slope` (uphill positive), `heading`, `roll`, `pitch`.
-    differentiate : formula
-        Its rate over time, after averaging over `average`.
-    text : str
-        The same word in every row.
-    lookup : formula
-        A column whose values are looked up in `values`.
-    values : mapping
-        Value as written → word or number.
-    file_name : list of str
-        Words: the one that the file's name holds is the value.
-    unit : str
-        Unit of the source; converted to the glossary's.
-    average : duration
-        Moving average over that time.
-    lag : duration
-        The source comes that much too late; it is shifted back.
-    travel : formula
-        The forward speed: where it is negative the column changes its sign (a slope of the body, driven backwards).
-    hold : bool
-        Refresh: take the value at the refresh instead of the mean since the one before. Found out by default.
-    """
+    """How one column of the log comes about, by exactly one of value, stamp, quaternion, differentiate, text,
+    lookup and file_name."""
 
     value: Formula | None = None
     stamp: Annotated[Names, Field(min_length=1, max_length=2)] | None = None
@@ -159,19 +101,7 @@ Target = Annotated[
 
 
 class RunsMap(Model):
-    """Where one file holds several runs.
-
-    Attributes
-    ----------
-    by : list of names
-        Columns whose change begins another run; their values go into the run's name.
-    restart : bool
-        A time that jumps back begins another run.
-    gap : duration
-        A hole in time that is longer begins another run (after `keep`).
-    shortest : duration
-        Shorter runs are left out, and told.
-    """
+    """Where one file holds several runs."""
 
     by: Names = ()
     restart: bool = False
@@ -180,51 +110,14 @@ class RunsMap(Model):
 
 
 class TableMap(Model):
-    """How a text table is written, where that cannot be found out: files without a header.
-
-    Attributes
-    ----------
-    header : list of names
-        Names of the columns of a file that has none.
-    delimiter : str
-        One character; found out by default.
-    """
+    """How a text table is written, where that cannot be found out: files without a header."""
 
     header: tuple[Name, ...] = ()
     delimiter: Annotated[str, StringConstraints(min_length=1, max_length=1)] | None = None
 
 
 class MapSpec(FileModel):
-    """A map (``kind: map``).
-
-    Attributes
-    ----------
-    name, title : str
-    table : TableMap
-    files : mapping
-        Several files of one run: short name → `FileMap`; signals are then ``file.column``.
-    signals : mapping
-        Short name → column or field of the source; needed for bags and for columns whose names are no identifiers.
-    timeline : str or None
-        Bags: the signal whose messages give the rows; by default the one with most messages.
-    stamp : str
-        Bags: time of a message from its `header`, or when the `bag` received it.
-    constants : mapping
-        Name → number, with a unit or without (then in SI units).
-    let : mapping
-        Helper columns, name → formula.
-    keep : formula
-        Rows to keep, such as ``"volts > 30"``.
-    runs : RunsMap
-    refresh : list of names
-        Signals of a slow topic: one row for each refresh of them, all else averaged since the one before.
-    step : duration
-        Rows are averaged over steps of this length (after the formulas).
-    columns : mapping
-        Column of the log → how it comes about.
-    others : bool
-        Whether to keep the numeric and text columns of a table that the map does not use.
-    """
+    """A map: how a file of any layout becomes a log."""
 
     kind: Literal["map"]
     name: Name = "map"
@@ -256,18 +149,11 @@ class MapSpec(FileModel):
         written = document.data.get("columns") if isinstance(document.data, dict) else None
         present = set(self.columns) | (set(written) if isinstance(written, dict) else set())
         if "time_s" not in present:
-            allowed, hint = (
-                "time_s: and a formula; for a bag or ULog `time_s: time_s`",
-                did_you_mean("time_s", self.columns),
-            )
-            message = "the column 'time_s' is missing"
+            allowed = "time_s: and a formula; for a bag or ULog `time_s: time_s`"
+            message, hint = "the column 'time_s' is missing", did_you_mean("time_s", self.columns)
             found.append(document.fault(("columns",), message, allowed=allowed, hint=hint, key=True))
-        kinds = {known[0].name for name in present if (known := column_of(name)) is not None}
-        if not kinds & {"power_<battery>_w", "energy_<battery>_wh"} and not (
-            {"voltage_<battery>_v", "current_<battery>_a"} <= kinds
-        ):
-            allowed = "power_<battery>_w, or voltage_<battery>_v and current_<battery>_a, or energy_<battery>_wh"
-            found.append(document.fault(("columns",), "no battery is measured", allowed=allowed, key=True))
+        if not measured_batteries(present):
+            found.append(document.fault(("columns",), "no battery is measured", allowed=MEASURED, key=True))
         return found
 
     def formulas(self) -> Iterable[tuple[tuple[str | int, ...], str]]:

@@ -21,6 +21,10 @@ _SLOWEST_S = 15.0
 """A refresh slower than this is not a topic's rate but a value that stays."""
 
 
+MEASURED = "power_<battery>_w, or voltage_<battery>_v and current_<battery>_a, or energy_<battery>_wh"
+"""Columns of which a log needs some."""
+
+
 def measured_batteries(names: Iterable[str]) -> dict[str, str]:
     """Battery → what its power comes from: ``power``, ``voltage*current`` or ``energy``, in column order."""
     kinds: dict[str, set[str]] = {}
@@ -50,7 +54,6 @@ def missing_columns(names: Iterable[str], file: str, header_line: Callable[[], i
         told, got = "the column 'time_s' is missing", ", ".join(names)[:200]
         faults.append(Fault(file, header_line(), 0, told, "time_s", got, allowed, hint))
     if not measured_batteries(names):
-        allowed = "power_<battery>_w, or voltage_<battery>_v and current_<battery>_a, or energy_<battery>_wh"
         half = {"voltage_<battery>_v": "current_{}_a", "current_<battery>_a": "voltage_{}_v"}
         of = {name: found for name in names if (found := column_of(name)) is not None}
         hints = [f"'{half[c.name].format(b)}' beside '{name}'" for name, (c, b) in of.items() if c.name in half]
@@ -59,7 +62,7 @@ def missing_columns(names: Iterable[str], file: str, header_line: Callable[[], i
             near = did_you_mean(name, known, 0.5)
             hints = [f"'{name}' as {near or 'power_robot_w'} (rename it, or use a map)"]
         told, got = "no battery is measured", ", ".join(names)[:200]
-        faults.append(Fault(file, header_line(), 0, told, "power_<battery>_w", got, allowed, *hints[:1]))
+        faults.append(Fault(file, header_line(), 0, told, "power_<battery>_w", got, MEASURED, *hints[:1]))
     return faults
 
 

@@ -65,32 +65,23 @@ def check_names(rows: Rows, known_batteries: tuple[str, ...] = (), known_compone
     """Tell names that nearly are a glossary name, and batteries or components that the robot does not have."""
     from missionsim.errors import did_you_mean
 
-    plain = [column.name for column in COLUMNS if "<" not in column.name]
+    plain, own = [column.name for column in COLUMNS if "<" not in column.name], "kept as a column of its own"
     for name in rows.columns:
         found = column_of(name)
         if found is None:
             near = did_you_mean(name, plain, 0.75)
             if near and near not in rows.columns:
-                rows.remark(
-                    "name", name, f"not a name of the glossary; did you mean {near}?", "kept as a column of its own"
-                )
-        elif known_batteries and "<battery>" in found[0].name and found[1] not in known_batteries:
-            near = did_you_mean(found[1], known_batteries)
-            rows.remark(
-                "name",
-                name,
-                f"the robot has no battery '{found[1]}' (it has {', '.join(known_batteries)})"
-                + (f"; did you mean {near}?" if near else ""),
-                "kept, not compared",
-            )
-        elif known_components and "<component>" in found[0].name and found[1] not in known_components:
-            near = did_you_mean(found[1], known_components)
-            rows.remark(
-                "name",
-                name,
-                f"the robot has no component '{found[1]}'" + (f"; did you mean {near}?" if near else ""),
-                "kept as a column of its own",
-            )
+                rows.remark("name", name, f"not a name of the glossary; did you mean {near}?", own)
+            continue
+        listed = f" (it has {', '.join(known_batteries)})"
+        for what, known, more, action in (
+            ("battery", known_batteries, listed, "kept, not compared"),
+            ("component", known_components, "", own),
+        ):
+            if known and f"<{what}>" in found[0].name and found[1] not in known:
+                near = did_you_mean(found[1], known)
+                told = f"the robot has no {what} '{found[1]}'{more}" + (f"; did you mean {near}?" if near else "")
+                rows.remark("name", name, told, action)
 
 
 def check_magnitudes(rows: Rows, max_speed_m_s: float | None = None) -> None:
@@ -112,9 +103,8 @@ def check_magnitudes(rows: Rows, max_speed_m_s: float | None = None) -> None:
         if name == "cpu_freq_hz" and 0 < large < 1e6:
             rows.remark("unit", name, f"the values reach only {large:.4g} Hz; perhaps MHz or GHz", _LEFT)
         if found[0].name == "voltage_<battery>_v" and 0 < large < 0.5:
-            rows.remark(
-                "unit", name, f"the values reach only {large:.4g} V; perhaps kilovolts or a wrong column", _LEFT
-            )
+            told = f"the values reach only {large:.4g} V; perhaps kilovolts or a wrong column"
+            rows.remark("unit", name, told, _LEFT)
 
 
 def _fits_a_vehicle(rows: Rows, name: str) -> bool:
@@ -145,18 +135,15 @@ def _check_steps(rows: Rows) -> None:
         return
     usual = float(np.median(step))
     if usual > _SLOW_STEP_S and float(np.quantile(step, 0.9)) < 3 * usual:
-        rows.remark(
-            "unit",
-            "time_s",
-            f"steps of {usual:.4g} s, {rows.time[-1] / 3600.0:.4g} h in all; perhaps milliseconds",
-            "left as it is; a map converts it: time_s: time_s / 1000",
-        )
+        told = f"steps of {usual:.4g} s, {rows.time[-1] / 3600.0:.4g} h in all; perhaps milliseconds"
+        rows.remark("unit", "time_s", told, f"{_LEFT}: time_s: time_s / 1000")
 
 
 def check_agreement(rows: Rows, batteries: Mapping[str, str]) -> None:
     """Compare what is said twice: power, V·I, energy; speed, path, acceleration; heading, yaw rate."""
     number = {name: data[:_SAMPLE] for name, data in rows.columns.items() if not isinstance(data, Labels)}
     time = number["time_s"]
+    second = max(1, round(1.0 / max(float(np.median(np.diff(time))), 1e-6)))  # rows of one
     for battery in batteries:
         power, energy = number.get(f"power_{battery}_w"), number.get(f"energy_{battery}_wh")
         volt, ampere = number.get(f"voltage_{battery}_v"), number.get(f"current_{battery}_a")
@@ -171,28 +158,21 @@ def check_agreement(rows: Rows, batteries: Mapping[str, str]) -> None:
         _sign(rows, battery, power, product, energy, ampere)
     speed = number.get("speed_m_s")
     if speed is not None and {"x_m", "y_m"} <= number.keys():
-        stride = max(1, round(1.0 / max(float(np.median(np.diff(time))), 1e-6)))
-        path = float(np.hypot(np.diff(number["x_m"][::stride]), np.diff(number["y_m"][::stride])).sum())
+        path = float(np.hypot(np.diff(number["x_m"][::second]), np.diff(number["y_m"][::second])).sum())
         _ratio(rows, "speed_m_s", "the path of x_m, y_m", float(np.trapezoid(np.abs(speed), time)), path, loose=True)
     yaw, heading = number.get("yaw_rate_rad_s"), number.get("heading_rad")
     if yaw is not None and heading is not None:
         full = 360.0 if float(np.ptp(heading)) > 4 * np.pi and float(np.abs(heading).max()) <= 360.0 else 2 * np.pi
         turned = float(np.abs(np.diff(np.unwrap(heading, period=full))).sum())
-        _ratio(
-            rows,
-            "yaw_rate_rad_s",
-            "the changes of heading_rad",
-            float(np.trapezoid(np.abs(yaw), time)),
-            turned,
-            loose=True,
-        )
+        told = float(np.trapezoid(np.abs(yaw), time))
+        _ratio(rows, "yaw_rate_rad_s", "the changes of heading_rad", told, turned, loose=True)
     accel = number.get("accel_m_s2")
     if accel is not None and speed is not None and len(time) > 50:
         # over a second, for the noise of two successive speeds drowns their difference
-        stride = max(1, round(1.0 / max(float(np.median(np.diff(time))), 1e-6)))
         gained = np.r_[0.0, np.cumsum(0.5 * (accel[1:] + accel[:-1]) * np.diff(time))]
-        told, seen = gained[stride:] - gained[:-stride], speed[stride:] - speed[:-stride]
-        if (strength := float(seen @ seen)) > 0 and (both := float(told @ seen)) ** 2 > 0.5 * strength * (told @ told):
+        logged, seen = gained[second:] - gained[:-second], speed[second:] - speed[:-second]
+        strength, both = float(seen @ seen), float(logged @ seen)
+        if strength > 0 and both**2 > 0.5 * strength * (logged @ logged):
             _ratio(rows, "accel_m_s2", "the changes of speed_m_s", both / strength, 1.0, loose=True)
 
 
@@ -223,21 +203,11 @@ def _sign(
 ) -> None:
     watt, name = (power, f"power_{battery}_w") if power is not None else (product, f"current_{battery}_a")
     if watt is not None and float(np.median(watt)) < 0 and _mean(watt) < 0:
-        rows.remark(
-            "sign",
-            name,
-            f"the battery seems to be charged all the time (mean {_mean(watt):.4g} W); what it delivers is positive",
-            _LEFT,
-            "error",
-        )
+        told = f"the battery seems to be charged all the time (mean {_mean(watt):.4g} W); what it delivers is positive"
+        rows.remark("sign", name, told, _LEFT, "error")
     if watt is None and energy is not None and energy[-1] < energy[0]:
-        rows.remark(
-            "sign",
-            f"energy_{battery}_wh",
-            "the energy falls: it should be what was delivered so far, not what is left",
-            _LEFT,
-            "error",
-        )
+        told = "the energy falls: it should be what was delivered so far, not what is left"
+        rows.remark("sign", f"energy_{battery}_wh", told, _LEFT, "error")
 
 
 def check_dead_meter(rows: Rows, battery: str, power_w: Floats) -> None:
@@ -248,15 +218,9 @@ def check_dead_meter(rows: Rows, battery: str, power_w: Floats) -> None:
     dead = (power_w == 0.0) & (np.abs(speed) > 10 * STILL_SPEED_M_S)
     count = int(dead.sum())
     if count > 0.02 * len(power_w) and count >= 5:
-        rows.remark(
-            "frozen",
-            f"power_{battery}_w",
-            f"exactly zero in {count} rows in which the robot drives: was the meter on?",
-            "kept; a map with 'keep' leaves such rows out",
-            "warning",
-            int(np.argmax(dead)),
-            count,
-        )
+        told = f"exactly zero in {count} rows in which the robot drives: was the meter on?"
+        action = "kept; a map with 'keep' leaves such rows out"
+        rows.remark("frozen", f"power_{battery}_w", told, action, "warning", int(np.argmax(dead)), count)
 
 
 def check_order(rows: Rows) -> None:
@@ -270,13 +234,8 @@ def check_order(rows: Rows) -> None:
         return
     kept = float(np.corrcoef(speed[1:], speed[:-1])[0, 1])
     if kept < 0.15:
-        rows.remark(
-            "order",
-            "speed_m_s",
-            f"the speed jumps from row to row, as if the rows were shuffled (correlation from row to row {kept:.2g})",
-            "left as it is; sort the rows by their time",
-            "error",
-        )
+        told = f"the speed jumps from row to row, as if the rows were shuffled (correlation from row to row {kept:.2g})"
+        rows.remark("order", "speed_m_s", told, "left as it is; sort the rows by their time", "error")
 
 
 def check_standstill(rows: Rows) -> None:
@@ -298,22 +257,20 @@ def check_standstill(rows: Rows) -> None:
     if yaw is not None and np.count_nonzero(slow & (yaw >= STILL_YAW_RATE_RAD_S)) > beyond / 2:
         name, values, limit, unit = ("yaw_rate_rad_s", yaw, STILL_YAW_RATE_RAD_S, "rad/s")
     high = float(np.quantile(values[slow], 0.99))
-    rows.remark(
-        "standstill",
-        name,
-        f"noise at rest: {beyond} of {count} rows at rest are above {limit:g} {unit} (up to {high:.2g}) and count as "
-        "driving",
-        f"left as it is; a map can set it to zero there: where(abs({name}) < {_round_up(high):g}, 0, {name})",
-        "warning",
-        int(np.argmax(slow & ~still)),
-        beyond,
-    )
+    told = f"noise at rest: {beyond} of {count} rows at rest are above {limit:g} {unit} (up to {high:.2g})"
+    action = f"left as it is; a map can set it to zero there: where(abs({name}) < {_round_up(high):g}, 0, {name})"
+    at = int(np.argmax(slow & ~still))
+    rows.remark("standstill", name, f"{told} and count as driving", action, "warning", at, beyond)
 
 
 def _round_up(value: float) -> float:
     """The next number with one digit."""
     size = 10.0 ** np.floor(np.log10(value))
     return float(np.ceil(value / size) * size)
+
+
+_STAYS = ("time_s", "payload_kg", "temp_ambient_c", "access_point_distance_m", "cpu_freq_hz")
+"""Columns that may stand for long."""
 
 
 def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools]:
@@ -334,11 +291,9 @@ def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools
     time = rows.time
     for name, data in rows.columns.items():
         found = column_of(name)
-        if isinstance(data, Labels) or name == "time_s" or found is None or found[0].kind != "number" or fresh_of(name):
+        if isinstance(data, Labels) or found is None or found[0].kind != "number" or fresh_of(name) or len(data) < 20:
             continue
-        if name in ("payload_kg", "temp_ambient_c", "access_point_distance_m", "cpu_freq_hz") or len(data) < 20:
-            continue
-        if name.startswith("energy_"):
+        if name in _STAYS or name.startswith("energy_"):
             continue
         if not 19 <= np.count_nonzero(data[1:] == data[:-1]) < len(data) - 1:
             continue  # changes in nearly every row, or never: nothing to find, at the price of one comparison
@@ -346,30 +301,16 @@ def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools
         if slow is not None:
             step = float(np.median(np.diff(time[:_SAMPLE])))
             count = len(data) - int(slow.fresh.sum())
-            rows.remark(
-                "repeated",
-                name,
-                f"values repeat: about {1 / slow.period_s:.2g} Hz in rows of {1 / step:.3g} Hz",
-                "kept; each refresh counts once",
-                "note",
-                None,
-                count,
-            )
+            told = f"values repeat: about {1 / slow.period_s:.2g} Hz in rows of {1 / step:.3g} Hz"
+            rows.remark("repeated", name, told, "kept; each refresh counts once", "note", None, count)
             result[name] = slow.fresh
             continue
         hung = _hung(data, time)
         if hung is not None:
             first, last, fresh = hung
-            rows.remark(
-                "frozen",
-                name,
-                f"stands at {data[first]:.6g} for {time[last] - time[first]:.3g} s "
-                f"from {time[first]:.6g} s, although it changes in most other rows",
-                "kept; counted once",
-                "warning",
-                first,
-                last - first,
-            )
+            told = f"stands at {data[first]:.6g} for {time[last] - time[first]:.3g} s from {time[first]:.6g} s"
+            told += ", although it changes in most other rows"
+            rows.remark("frozen", name, told, "kept; counted once", "warning", first, last - first)
             result[name] = fresh
     return result
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import builtins
 import shutil
+import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -264,14 +263,8 @@ def test_the_extra_is_named_when_it_is_missing(tmp_path: Path, monkeypatch: pyte
         path = write_bag(tmp_path / "run", "sqlite3", 2.0)
     else:
         path = write_ulog(tmp_path / "a.ulg") if package == "pyulog" else write_ardupilot(tmp_path / "a.bin")
-    real = builtins.__import__
-
-    def without(name: str, *args: Any, **kwargs: Any) -> Any:
-        if name.split(".")[0] == package:
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    for name in {package, *(name for name in sys.modules if name.split(".")[0] == package)}:
+        monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(InputError, match=r"pip install .*\[logs\]'"):
         fields_of(path)
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.errors import InputError
-from missionsim.files import install_hint
+from missionsim.files import first_line, needed
 from missionsim.logs.formats.jsonlines import column
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 from missionsim.logs.remarks import Remark
@@ -33,12 +33,8 @@ def read_ardupilot(path: Path, options: Options) -> Recording:
         pymavlink is not installed, or an unreadable file.
     """
     file, said = str(path), io.StringIO()
-    try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):  # it prints what it finds corrupt
-            from pymavlink.DFReader import DFReader_binary
-    except ImportError:
-        told = "reading ArduPilot logs needs the package pymavlink"
-        raise InputError.single(told, file=file, allowed=install_hint("logs")) from None
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):  # it prints what it finds corrupt
+        reader = needed("pymavlink.DFReader", "reading ArduPilot logs", file)
     wanted = None
     if options.fields is not None:
         wanted = defaultdict[str, set[str]](set)
@@ -52,14 +48,13 @@ def read_ardupilot(path: Path, options: Options) -> Recording:
         with (
             contextlib.redirect_stdout(said),
             contextlib.redirect_stderr(said),
-            contextlib.closing(DFReader_binary(file, zero_time_base=True)) as log,
+            contextlib.closing(reader.DFReader_binary(file, zero_time_base=True)) as log,
         ):
             held, counts = _messages(log, wanted, options.most)
             lost = _lost(log)
     except Exception as error:  # pymavlink lets struct and index errors of a broken file through
-        reason = (str(error) or type(error).__name__).splitlines()[0][:200]
-        allowed = "a whole ArduPilot log"
-        raise InputError.single("the log cannot be read", file=file, got=reason, allowed=allowed) from None
+        told, allowed = "the log cannot be read", "a whole ArduPilot log"
+        raise InputError.single(told, file=file, got=first_line(error), allowed=allowed) from None
     topics = []
     for name, (times, rows) in sorted(held.items()):
         fields = dict.fromkeys(field for row in rows for field in row)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.errors import Fault, InputError
+from missionsim.files import first_line
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, numbers_in
 from missionsim.logs.readers import Options, Reader, Recording, Topic
@@ -200,9 +201,8 @@ def read_json_mcap(path: Path, options: Options) -> Recording | None:
     except Exception as error:  # a damaged file raises whatever its parser meets
         if not counts:
             return None
-        reason = (str(error) or type(error).__name__).splitlines()[0][:200]
-        told = "the MCAP file cannot be read"
-        raise InputError.single(told, file=str(path), got=reason, allowed="a whole file") from None
+        told, got = "the MCAP file cannot be read", first_line(error)
+        raise InputError.single(told, file=str(path), got=got, allowed="a whole file") from None
     if not counts:
         return None
     topics = []

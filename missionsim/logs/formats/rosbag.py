@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import InputError
-from missionsim.files import install_hint
+from missionsim.files import first_line, needed
 from missionsim.logs.formats.jsonlines import read_json_mcap
 from missionsim.logs.formats.packed import Batch, Held
 from missionsim.logs.readers import Options, Reader, Recording, Topic
@@ -39,26 +39,18 @@ def open_bag(path: Path) -> Iterator[Any]:
         rosbags is not installed, or it cannot read the bag.
     """
     file = str(path)
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise InputError.single(
-            "reading bags needs the package rosbags", file=file, allowed=install_hint("logs")
-        ) from None
+    bags, types = needed("rosbags.highlevel", "reading bags", file), needed("rosbags.typesys", "reading bags", file)
     if path.is_file() and path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists():
         path = path.parent
     try:
         # bags of older ROS 2 carry no message definitions; the common types have not changed since
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with bags.AnyReader([path], default_typestore=types.get_typestore(types.Stores.ROS2_HUMBLE)) as reader:
             yield reader
     except InputError:
         raise
     except Exception as error:  # a broken bag raises whatever its parsers and databases meet
-        reason = (str(error) or type(error).__name__).splitlines()[0][:200]
-        raise InputError.single(
-            "the bag cannot be read", file=file, got=reason, allowed="a whole ROS 1, ROS 2 or MCAP bag"
-        ) from None
+        told, allowed = "the bag cannot be read", "a whole ROS 1, ROS 2 or MCAP bag"
+        raise InputError.single(told, file=file, got=first_line(error), allowed=allowed) from None
 
 
 def read_bag(path: Path, options: Options) -> Recording:
@@ -105,7 +97,7 @@ def read_bag(path: Path, options: Options) -> Recording:
             except StopIteration:
                 break
             except Exception as error:  # a damaged bag raises whatever its parsers meet
-                broken.append((str(error) or type(error).__name__).splitlines()[0][:120])
+                broken.append(first_line(error, 120))
                 continue  # a reader that failed itself is at its end; the next message may be whole
             stamp = _header_ns(message, received)
             for name, values in _values(topic, message, None if wanted is None else wanted[topic]):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.errors import InputError
-from missionsim.files import install_hint
+from missionsim.files import first_line, needed
 from missionsim.logs.raw import ColumnData
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 from missionsim.logs.remarks import Remark
@@ -32,21 +32,16 @@ def read_ulog(path: Path, options: Options) -> Recording:
         pyulog is not installed, or an unreadable file.
     """
     file = str(path)
-    try:
-        from pyulog import ULog
-    except ImportError:
-        raise InputError.single(
-            "reading ULog needs the package pyulog", file=file, allowed=install_hint("logs")
-        ) from None
+    pyulog = needed("pyulog", "reading ULog", file)
     matches = [match for field in options.fields or () if (match := _FIELD.match(field.strip()))]
     names = None if options.fields is None else sorted({match["topic"].split("[")[0] for match in matches})
     said = io.StringIO()
     try:
         with contextlib.redirect_stdout(said):  # it prints what it finds corrupt
-            log = ULog(file, names)
+            log = pyulog.ULog(file, names)
     except Exception as error:  # pyulog lets struct, index and type errors of a broken file through
-        reason = (str(error) or type(error).__name__).splitlines()[0][:200]
-        raise InputError.single("the ULog cannot be read", file=file, got=reason, allowed="a whole PX4 ULog") from None
+        told, allowed = "the ULog cannot be read", "a whole PX4 ULog"
+        raise InputError.single(told, file=file, got=first_line(error), allowed=allowed) from None
     wanted = {(match["topic"].removesuffix("[0]"), match["field"]) for match in matches}
     topics: dict[str, Topic] = {}
     for data in sorted(log.data_list, key=lambda item: (item.name, item.multi_id)):
