@@ -182,7 +182,7 @@ def _print(logs: Sequence[LogTable | LongRun], targets: Sequence[Path]) -> None:
             log.run,
             log.rows,
             f"{log.duration_s:.1f}",
-            ", ".join(f"{name} {log.energy_wh(name):.4g}" for name in log.batteries),
+            ", ".join(f"{name} {log.energy_wh(name):.3f}" for name in log.batteries),
         )
         for log in logs[:20]
     ]

@@ -152,7 +152,7 @@ def show(answer: Answer) -> None:
         edge = piece.name if piece is not None else ""
         cells = [leg.kind, leg.place, edge, scheme, speed, f"{leg.duration_s:.1f}"]
         cells += [f"{leg.energy_wh[name]:.3f}" for name in batteries]
-        cells += [f"{leg.charge_wh[name]:.1f}" for name in batteries]
+        cells += [f"{leg.charge_wh[name]:.3f}" for name in batteries]
         rows.append(cells)
     columns = ["leg", "to", "along", "scheme", ">m/s", ">s"]
     columns += [f">{name} Wh" for name in batteries] + [f">{name} left" for name in batteries]
@@ -246,7 +246,7 @@ def _show(answer: dict[str, Any]) -> None:
         word = "yes" if item["sure"] else f"fewer than {percent}" if item["reachable"] else "NO"
         cells = [place, word, "–" if holds is None else f"{100 * holds['value']:.1f} %", clock(item["duration_s"])]
         cells += [f"{item['energy_wh'][name]:.3f}" for name in names]
-        cells += [f"{item['margin_wh'][name]:.2f}" for name in names]
+        cells += [f"{item['margin_wh'][name]:.3f}" for name in names]
         rows.append(cells)
     terminal.print(simple_table("Places", columns, rows))
     for place, item in answer["places"].items():

@@ -90,11 +90,11 @@ def show(result: RunResult) -> None:
             f"{b.energy_wh:.3f}",
             f"{b.mean_power_w:.2f}",
             f"{b.capacity_wh:.1f}",
-            f"{b.charge_left_wh:.2f}",
+            f"{b.charge_left_wh:.3f}",
             f"{100 * b.charge_left_fraction:.1f} %",
-            f"{b.reserve_required_wh:.2f}",
-            "unknown" if b.home_wh is None else f"{b.home_wh:.2f}",
-            f"{b.reserve_wh:.2f}",
+            f"{b.reserve_required_wh:.3f}",
+            "unknown" if b.home_wh is None else f"{b.home_wh:.3f}",
+            f"{b.reserve_wh:.3f}",
         )
         for name, b in result.batteries.items()
     ]
@@ -146,7 +146,7 @@ def show(result: RunResult) -> None:
                 "Energy by control scheme [Wh]",
                 ["scheme", *(f">{b}" for b in schemes)],
                 [
-                    (told.get(name, name), *(f"{energies.get(name, 0.0):.4f}" for energies in schemes.values()))
+                    (told.get(name, name), *(f"{energies.get(name, 0.0):.3f}" for energies in schemes.values()))
                     for name in names
                 ],
             )
@@ -201,16 +201,16 @@ def segment_rows(result: RunResult, most: int = 14) -> Table:
     return simple_table(
         title,
         columns,
-        [(label, kind, times, *(f"{part:.4f}" for part in parts)) for _, label, kind, times, parts in shown],
+        [(label, kind, times, *(f"{part:.3f}" for part in parts)) for _, label, kind, times, parts in shown],
     )
 
 
 def trouble(battery: BatteryResult) -> str:
     """What goes wrong with a battery, in few words."""
     if battery.empty_at_s is not None:
-        return f"empty at {clock(battery.empty_at_s)} in {battery.empty_in_segment}, {battery.deficit_wh:.2f} Wh short"
+        return f"empty at {clock(battery.empty_at_s)} in {battery.empty_in_segment}, {battery.deficit_wh:.3f} Wh short"
     if battery.deficit_wh > 0.0:
-        return f"{battery.deficit_wh:.2f} Wh short of the whole mission"
+        return f"{battery.deficit_wh:.3f} Wh short of the whole mission"
     if battery.charge_left_wh < battery.reserve_required_wh * (1 - 1e-9):
         return "below its reserve"
     return ""

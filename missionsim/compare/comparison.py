@@ -197,7 +197,7 @@ class BatteryComparison(_Totals):
         """The verdict in sentences."""
         error = self.energy_error_pct
         power = (
-            f"its power is off by {self.power_rmse_w:.2f} W (root mean square), {self.power_bias_w:+.2f} W on average."
+            f"its power is off by {self.power_rmse_w:.3g} W (root mean square), {self.power_bias_w:+.3g} W on average."
         )
         if math.isfinite(error) and self.energy_measured_wh > 0.0:
             way = "more" if error > 0.0 else "less"

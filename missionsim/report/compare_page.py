@@ -21,10 +21,10 @@ from missionsim.report.page import (
     Table,
     Tiles,
     Verdict,
-    format_cell,
     label,
     page,
 )
+from missionsim.report.terminal import signed
 from missionsim.report.traces import (
     MARGIN,
     MEASURED,
@@ -112,14 +112,14 @@ def _result(one: BatteryComparison, tolerance_pct: float | None) -> list[Block]:
         verdict = Verdict(text, "good" if inside else "bad")
     gap = one.gap_wh
     tiles = [
-        ("Energy measured", f"{format_cell(one.energy_measured_wh)} Wh", f"battery {one.battery}"),
-        ("Energy of the model", f"{format_cell(one.energy_model_wh)} Wh", "driven by the logs"),
-        ("Energy error", f"{_signed(error)} %", "model minus measured"),
-        ("Power error", f"{format_cell(one.power_rmse_w, 3)} W", "root mean square"),
-        ("Bias", f"{_signed(one.power_bias_w)} W", "mean of model minus measured"),
+        ("Energy measured", f"{one.energy_measured_wh:.3f} Wh", f"battery {one.battery}"),
+        ("Energy of the model", f"{one.energy_model_wh:.3f} Wh", "driven by the logs"),
+        ("Energy error", f"{signed(error, 2)} %", "model minus measured"),
+        ("Power error", f"{one.power_rmse_w:.3g} W", "root mean square"),
+        ("Bias", f"{signed(one.power_bias_w)} W", "mean of model minus measured"),
     ]
     if gap["behaviour"] is not None:
-        tiles.append(("Behaviour's part", f"{_signed(gap['behaviour'])} Wh", "replayed minus simulated"))
+        tiles.append(("Behaviour's part", f"{signed(gap['behaviour'], 4)} Wh", "replayed minus simulated"))
     return [verdict, Tiles(tiles)]
 
 
@@ -148,10 +148,10 @@ def _where(one: BatteryComparison) -> list[Block]:
             w.title,
             f"{w.value} {w.unit}".strip(),
             w.explains,
-            _signed(w.bias_w),
+            signed(w.bias_w),
             w.seconds,
             w.share_of_squared_error,
-            _signed(w.gap_wh),
+            signed(w.gap_wh, 3),
         ]
         for w in one.where[:TABLE_ROWS]
         if w.explains > 0.0
@@ -308,7 +308,7 @@ def _behaviour(one: BatteryComparison) -> list[Block]:
     rows = [
         [
             *(s.scheme or "–", s.path_stretch, s.speed_tracking, s.dwell_s, s.planned_m, s.driven_m),
-            *(_signed(s.wh[one.battery][part]) for part in PARTS),
+            *(signed(s.wh[one.battery][part], 4) for part in PARTS),
         ]
         for s in mission.schemes
     ]
@@ -321,11 +321,11 @@ def _runs(one: BatteryComparison) -> list[Block]:
         [
             run.run,
             run.seconds,
-            run.energy_measured_wh,
-            run.energy_model_wh,
-            _signed(run.energy_error_pct),
-            run.power_rmse_w,
-            _signed(run.power_bias_w),
+            f"{run.energy_measured_wh:.3f}",
+            f"{run.energy_model_wh:.3f}",
+            signed(run.energy_error_pct, 2),
+            f"{run.power_rmse_w:.3g}",
+            signed(run.power_bias_w),
         ]
         for run in one.runs
     ]
@@ -344,11 +344,3 @@ def _notes(comparison: Comparison) -> list[Block]:
     files = [[run, source] for run, source in comparison.logs if source]
     logs: list[Block] = [Details("Files", [Table(["run", "file"], files)])] if files else []
     return [notes, *logs]
-
-
-def _signed(value: float | None) -> str:
-    if value is None or not np.isfinite(value):
-        return "–"
-    rounded = round(float(value), 4) + 0.0
-    text = format_cell(rounded, 3)
-    return text if rounded <= 0.0 else f"+{text}"

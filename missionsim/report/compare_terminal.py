@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from missionsim.compare import BatteryComparison, Comparison
 from missionsim.compare.behaviour import PARTS
 from missionsim.files import atomic_write, csv_cell
-from missionsim.report.terminal import simple_table
+from missionsim.report.terminal import signed, simple_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,7 +48,7 @@ def _summary(comparison: Comparison, console: Console) -> None:
     for one in comparison.batteries.values():
         found = one.error_statistics
         row = [one.battery, f"{one.energy_measured_wh:.3f}", f"{one.energy_model_wh:.3f}"]
-        row += [_plain(one.energy_error_pct, "+.2f"), f"{one.power_rmse_w:.3f}", f"{one.power_bias_w:+.3f}"]
+        row += [_plain(one.energy_error_pct, "+.2f"), f"{one.power_rmse_w:.3g}", f"{one.power_bias_w:+.3g}"]
         row += map(_plain, (found.peak_pct, found.final_pct, found.mean_pct, found.std_pct))
         rows.append(row)
     console.print(simple_table(title, columns, rows))
@@ -66,7 +66,7 @@ def _where(one: BatteryComparison, console: Console) -> None:
             where.title,
             f"{where.value} {where.unit}".strip(),
             f"{100.0 * where.explains:.1f}",
-            f"{where.bias_w:+.2f}",
+            f"{where.bias_w:+.3g}",
             f"{where.seconds:.0f}",
             f"{100.0 * where.share_of_squared_error:.0f}",
             f"{where.gap_wh:+.3f}",
@@ -86,15 +86,15 @@ def _behaviour(one: BatteryComparison, console: Console) -> None:
         return
     gap = one.gap_wh
     console.print(
-        f"measured − simulated {_signed(gap['total'])} Wh = power model {_signed(gap['power_model'])} Wh "
-        f"+ behaviour {_signed(gap['behaviour'])} Wh"
+        f"measured − simulated {signed(gap['total'], 4)} Wh = power model {signed(gap['power_model'], 4)} Wh "
+        f"+ behaviour {signed(gap['behaviour'], 4)} Wh"
     )
     rows = [
         (
             scheme.scheme or "–",
             *("–" if ratio is None else f"{ratio:.3f}" for ratio in (scheme.path_stretch, scheme.speed_tracking)),
             f"{scheme.dwell_s:+.0f}",
-            *(_signed(scheme.wh[one.battery][part]) for part in PARTS),
+            *(signed(scheme.wh[one.battery][part], 4) for part in PARTS),
         )
         for scheme in one.mission.schemes
     ]
@@ -114,7 +114,7 @@ def _runs(one: BatteryComparison, console: Console) -> None:
             f"{run.energy_measured_wh:.3f}",
             f"{run.energy_model_wh:.3f}",
             _plain(run.energy_error_pct, "+.2f"),
-            f"{run.power_rmse_w:.3f}",
+            f"{run.power_rmse_w:.3g}",
         )
         for run in one.runs
         if run in shown
@@ -125,13 +125,6 @@ def _runs(one: BatteryComparison, console: Console) -> None:
 
 def _plain(value: float, form: str = ".2f") -> str:
     return format(value, form) if math.isfinite(value) else "–"
-
-
-def _signed(value: float | None) -> str:
-    if value is None or not math.isfinite(value):
-        return "–"
-    # adding zero makes a negative zero positive
-    return f"{round(value, 4) + 0.0:+.4f}".replace("-", "−")
 
 
 RUNS = (

@@ -341,7 +341,7 @@ def _alike(battery: BatteryDiagnosis) -> Chart:
 def _heldout_table(battery: BatteryDiagnosis) -> Table:
     models = {"nominal": "robot file", "recalibrated": "recalibrated", "with_effects": "with what was found"}
     rows = [
-        [held.how, text, held.energy_error_pct[kind], held.power_rmse_w[kind]]
+        [held.how, text, f"{held.energy_error_pct[kind]:.2f}", f"{held.power_rmse_w[kind]:.3g}"]
         for held in (battery.heldout, battery.shifted)
         if held is not None
         for kind, text in models.items()

@@ -72,7 +72,7 @@ def _result(one: Improved) -> list[Block]:
     tone: Tone = "bad" if one.worse else "good" if one.added and last.power_rmse_w < first.power_rmse_w else "neutral"
     table = Table(
         ["model", "energy error, %", "power error (RMS), W"],
-        [[s.name, s.energy_error_pct, s.power_rmse_w] for s in one.steps],
+        [[s.name, f"{s.energy_error_pct:.2f}", f"{s.power_rmse_w:.3g}"] for s in one.steps],
         measured_note(one),
         3,
     )

@@ -148,7 +148,7 @@ AXIS = {
     "tickcolor": "#aab2bd",
     "automargin": True,
 }
-_SIGNED = re.compile(r"[+−][0-9][0-9.,]*(e[-−+]?[0-9]+)?")
+_NUMBER = re.compile(r"[-+−]?[0-9][0-9.,]*(e[-−+]?[0-9]+)?")
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f3c8d", "#666666")
 """Okabe and Ito's colours, told apart with any colour vision, and two more."""
 HOUSE_LAYOUT: dict[str, Any] = {
@@ -262,9 +262,9 @@ def _chart(block: Chart) -> dict[str, Any]:
 
 
 def _is_number(value: object) -> TypeGuard[int | float | str]:
-    """Whether a cell stands at the right: a number, or one written with its sign."""
+    """Whether a cell stands at the right: a number, or the text of one."""
     if isinstance(value, str):
-        return _SIGNED.fullmatch(value) is not None
+        return _NUMBER.fullmatch(value) is not None
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 

@@ -27,7 +27,7 @@ def plan_page(answer: Answer, *, footer: str = "") -> str:
     names = list(answer.energy_wh)
     tiles = [("Duration", f"{answer.duration_s / 60.0:.1f} min", "")]
     tiles += [
-        (f"Battery {name}", f"{answer.energy_wh[name]:.3f} Wh", f"{answer.charge_left_wh[name]:.2f} Wh left")
+        (f"Battery {name}", f"{answer.energy_wh[name]:.3f} Wh", f"{answer.charge_left_wh[name]:.3f} Wh left")
         for name in names
     ]
     if sure := answer.extra.get("probability"):
@@ -46,7 +46,7 @@ def plan_page(answer: Answer, *, footer: str = "") -> str:
         ]
         sections.append(Section("What else there was", [Table(["plan", "worse, %", "s"], rows)]))
     if front := answer.extra.get("pareto"):
-        rows = [[point["duration_s"], *point["energy_wh"].values()] for point in front]
+        rows = [[point["duration_s"], *(f"{wh:.3f}" for wh in point["energy_wh"].values())] for point in front]
         sections.append(Section("Energy against time", [Table(["s", *(f"{name}, Wh" for name in names)], rows)]))
     return page(title, sections, footer=footer)
 
@@ -64,8 +64,8 @@ def _legs(answer: Answer, names: list[str]) -> Table:
                 settings.scheme if settings is not None else "",
                 piece.limit_m_s if piece is not None else None,
                 leg.duration_s,
-                *(leg.energy_wh[name] for name in names),
-                *(leg.charge_wh[name] for name in names),
+                *(f"{leg.energy_wh[name]:.3f}" for name in names),
+                *(f"{leg.charge_wh[name]:.3f}" for name in names),
             ]
         )
     columns = ["leg", "to", "along", "scheme", "m/s", "s", *(f"{name}, Wh" for name in names)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -47,3 +48,11 @@ def simple_table(title: str, columns: Iterable[str], rows: Iterable[Iterable[obj
     for row in rows:
         table.add_row(*(str(cell) for cell in row))
     return table
+
+
+def signed(value: float | None, decimals: int | None = None) -> str:
+    """A number with its sign, so many decimals or else three significant digits; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    form = "+.3g" if decimals is None else f"+.{decimals}f"
+    return f"{round(value, 4) + 0.0:{form}}".replace("-", "−")  # adding zero makes a negative zero positive
