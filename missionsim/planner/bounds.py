@@ -160,12 +160,14 @@ class Tour:
 
         With `ahead` by way of a dock, these prices on top as far as there.
         """
+        weights, worth = self.priced(prices)
+        return rest_of(self.site, weights, worth, None if ahead is None else weights + ahead[: len(weights)])
+
+    def priced(self, prices: Array) -> tuple[Array, Array | None]:
+        """Weights of seconds and Wh, and what each visit is worth, with prices on top."""
         count = len(self.site.weights)
-        worth = None
-        if self.values is not None:
-            worth = self.values * (1.0 if self.by_value else float(prices[count]))
-        weights = self.site.weights + prices[:count]
-        return rest_of(self.site, weights, worth, None if ahead is None else weights + ahead[:count])
+        worth = None if self.values is None else self.values * (1.0 if self.by_value else float(prices[count]))
+        return self.site.weights + prices[:count], worth
 
 
 def matrix(site: Site, payload_kg: float, weights: Array) -> Array:
@@ -213,14 +215,8 @@ def _by_dock(site: Site, weights: Array, table: Array) -> Array:
 def _back(site: Site, weights: Array, worth: Array | None, table: Array) -> Array:
     """A table of what the end takes, filled in backwards over the visits."""
     order, goal = site.order, site.goal
-    apart = _by_load(site, weights)
+    apart, stands = _by_load(site, weights), _stands(site, weights, worth)
     which = order.loads[1]
-    stands = np.zeros((len(order.loads[0]), len(site.task.visits)))
-    for _, visits, afters in order.steps:
-        for load, visit in set(zip(which[afters].tolist(), visits.tolist(), strict=True)):
-            stands[load, visit] = (site.standing(1 + visit, float(order.loads[0][load])) @ weights).min()
-            if worth is not None:
-                stands[load, visit] -= worth[visit]
     for states, visits, afters in order.steps:
         there = stands[which[afters], visits] + table[afters, 1 + visits]
         through = apart[which[states], :, 1 + visits] + there[:, None]
@@ -230,6 +226,59 @@ def _back(site: Site, weights: Array, worth: Array | None, table: Array) -> Arra
         table[one] = np.minimum(table[one], np.minimum.reduceat(through, begins, axis=0))
         table[one, goal] = at_goal
     return table
+
+
+def _stands(site: Site, weights: Array, worth: Array | None) -> Array:
+    """Least weighted use of what is done at each visit less what it is worth, shape (loads, visits)."""
+    order, which = site.order, site.order.loads[1]
+    made = np.zeros((len(order.loads[0]), len(site.task.visits)))
+    for _, visits, afters in order.steps:
+        for load, visit in set(zip(which[afters].tolist(), visits.tolist(), strict=True)):
+            made[load, visit] = (site.standing(1 + visit, float(order.loads[0][load])) @ weights).min()
+            made[load, visit] -= 0.0 if worth is None else worth[visit]
+    return made
+
+
+def slack_of(tour: Tour, prices: Array) -> Array:
+    """By how much the cheapest tour with prices on top that drives between two stops is above the cheapest of all.
+
+    Without limits, and by docks where it likes.
+
+    Returns
+    -------
+    ndarray, shape (loads, stops, stops)
+        From, to.
+    """
+    site, order, goal = tour.site, tour.site.order, tour.site.goal
+    weights, worth = tour.priced(prices)
+    apart, stands, after = _by_load(site, weights), _stands(site, weights, worth), rest_of(site, weights, worth)
+    which = order.loads[1]
+    docks = list(range(goal + 1, tour.size))
+    found = np.full(apart.shape, math.inf)
+    before = np.full_like(after, math.inf)
+    before[0, 0] = 0.0
+
+    def way(states: NDArray[np.intp], heads: NDArray[np.intp], rest: Array) -> Array:
+        through = before[states] + apart[which[states], :, heads]
+        ends = which[states][:, None], np.arange(tour.size)[None, :], heads[:, None]
+        np.minimum.at(found, ends, through + rest[:, None])
+        return np.asarray(through.min(axis=1))
+
+    def leave(states: NDArray[np.intp]) -> None:
+        for dock in docks:
+            before[states, dock] = np.minimum(
+                before[states, dock], way(states, np.full(len(states), dock), after[states, dock])
+            )
+
+    for states, visits, afters in reversed(order.steps):
+        leave(np.unique(states))
+        there = stands[which[afters], visits]
+        best = way(states, 1 + visits, there + after[afters, 1 + visits])
+        np.minimum.at(before, (afters, 1 + visits), best + there)
+    ends = np.flatnonzero(order.ends)
+    leave(ends)
+    way(ends, np.full(len(ends), goal), np.zeros(len(ends)))
+    return np.asarray(np.maximum(found - after[0, 0], 0.0))
 
 
 def _by_load(site: Site, weights: Array) -> Array:
@@ -316,4 +365,4 @@ def bounds_of(
         shear = tour.waiting()
         shear[1] = 0.0
     apart = len(first) or None
-    return Bounds(most, least, np.array(rows), np.stack(rests, axis=1), np.array(offsets), shear, apart)
+    return Bounds(most, least, np.array(rows), np.stack(rests, axis=1), np.array(offsets), shear, site.timeless, apart)

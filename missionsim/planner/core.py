@@ -87,6 +87,8 @@ class Bounds:
     shear : ndarray, shape (resources,), optional
         What waiting for a unit of the second resource takes of each: where labels may have to wait, an earlier one is
         no better than a later one by more than waiting would cost it.
+    timeless : bool
+        The second resource, time, counts for nothing where labels are compared.
     apart : int, optional
         So many of the first rows bound the ways without, the others those with at least one more refill.
     """
@@ -97,6 +99,7 @@ class Bounds:
     rest: Array
     offset: Array
     shear: Array | None = None
+    timeless: bool = False
     apart: int | None = None
 
     @cached_property
@@ -105,8 +108,14 @@ class Bounds:
         with np.errstate(invalid="ignore"):  # without a limit and without a way to a goal: nothing fits
             return np.asarray(self.most + EPSILON * (1.0 + np.abs(self.most)) - self.least)
 
+    @cached_property
+    def _without_time(self) -> NDArray[np.intp]:
+        return np.delete(np.arange(len(self.most)), 1)
+
     def sheared(self, points: Array) -> Array:
         """Vectors as they are compared."""
+        if self.timeless:
+            return np.asarray(points[:, self._without_time])
         return points if self.shear is None else points - points[:, 1:2] * self.shear
 
     def of(self, nodes: Any, x: Array) -> Array:
@@ -173,7 +182,7 @@ class _Front:
 
 def _shares(points: Array, limit: Array) -> tuple[Array, Array]:
     """From and up to which share each piece of a chain keeps to limits; none of it where the first is greater."""
-    first, step = points[:-1], np.diff(points, axis=0)
+    first, step = points[:-1], points[1:] - points[:-1]
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (limit - first) / step
     never = (step == 0.0) & (first > limit)
@@ -266,8 +275,9 @@ def search(
                 push(label)
                 continue
             # whatever dominates a label has no larger bound, so that it was taken before
-            front = fronts.setdefault(label.node, _Front(label.points.shape[1]))
-            if not front.add(bounds.sheared(label.points)):
+            compared = bounds.sheared(label.points)
+            front = fronts.setdefault(label.node, _Front(compared.shape[1]))
+            if not front.add(compared):
                 continue
             outcome.labels += 1
             if most_labels is not None and outcome.labels > most_labels:
@@ -326,8 +336,10 @@ def quick(
                     heapq.heappush(ranked, (_settle(network, label, bounds, room), number, label))
                 elif goal(label.node):
                     outcome.label, outcome.objective = label, float(label.points[:, 0].min())
-                elif fronts.setdefault(label.node, _Front(label.points.shape[1])).add(bounds.sheared(label.points)):
-                    layer.append(label)
+                else:
+                    compared = bounds.sheared(label.points)
+                    if fronts.setdefault(label.node, _Front(compared.shape[1])).add(compared):
+                        layer.append(label)
             outcome.labels += len(layer)
             if watch is not None and watch(outcome, len(layer)):
                 outcome.interrupted = True

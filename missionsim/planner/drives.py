@@ -19,10 +19,6 @@ from missionsim.planner.pieces import Piece, Road
 Array = NDArray[np.float64]
 
 
-PATIENCE = 15_000
-"""Labels after which the search for more drives on one road ends."""
-
-
 @dataclass(frozen=True, eq=False)
 class Drive:
     """A way from a stop to another: seconds and Wh of each battery, its pieces, and those of each piece."""
@@ -33,14 +29,14 @@ class Drive:
 
 
 class _OnRoad:
-    def __init__(self, road: Road) -> None:
+    def __init__(self, road: Road, use: Array) -> None:
         count = len(road.states)
         order = np.argsort(road.tails, kind="stable")
         begins = np.searchsorted(road.tails[order], np.arange(count + 1))
         self._leaving = []
         for node in range(count):
             arcs = order[begins[node] : begins[node + 1]]
-            self._leaving.append(Leaving(road.heads[arcs], road.use[arcs], arcs.tolist()))
+            self._leaving.append(Leaving(road.heads[arcs], use[arcs], arcs.tolist()))
 
     def leaving(self, node: int) -> Leaving:
         return self._leaving[node]
@@ -58,18 +54,11 @@ class Drives:
     Parameters
     ----------
     road : Road
-
-    Attributes
-    ----------
-    complete : bool
-        False as soon as a search had to stop before it had all drives.
     """
 
     def __init__(self, road: Road) -> None:
         self.road = road
-        self._network = _OnRoad(road)
-        self.complete = True
-        self.patience = PATIENCE
+        self._networks: dict[bool, _OnRoad] = {}
         pairs = road.tails * len(road.states) + road.heads
         self._by_pair = np.argsort(pairs, kind="stable")
         self._pairs, self._begins, self._counts = np.unique(pairs[self._by_pair], return_index=True, return_counts=True)
@@ -190,11 +179,14 @@ class Drives:
         self,
         source: int,
         targets: NDArray[np.intp],
+        more: Array | None = None,
         *,
         weights: Array | None = None,
         gap: float = math.inf,
         most: Array | None = None,
-    ) -> dict[int, list[Drive]]:
+        timeless: bool = False,
+        patience: int = 10**9,
+    ) -> tuple[dict[int, list[Drive]], int]:
         """The undominated drives from a state to others.
 
         Parameters
@@ -204,22 +196,32 @@ class Drives:
             States.
         weights : ndarray, shape (1 + batteries,), optional
             With `gap`: only drives whose weighted use is within `gap` of the least one's.
+        more : ndarray, shape (targets,), optional
+            What is added to the weighted use of all drives to each target.
         gap : float
         most : ndarray, shape (1 + batteries,), optional
             Seconds and Wh that no drive may take more than.
+        timeless : bool
+            A drive is not kept for being quicker; then `weights` has nothing for seconds.
+        patience : int
+            Labels after which the search ends.
 
         Returns
         -------
         dict
             Target → drives, by weighted use.
+        int
+            Labels that this took; where that is more than `patience`, there may be more drives.
         """
         road = self.road
         resources = road.use.shape[1]
+        kept = slice(1 if timeless else 0, None)
         chosen = np.ones(resources) if weights is None else weights
         to_targets = self.distances(chosen, targets, back=True)
         start = to_targets[:, source]
         with np.errstate(invalid="ignore"):
             slack = np.where(np.isfinite(start)[:, None], to_targets - start[:, None], math.inf)
+            slack += 0.0 if more is None else more[:, None]
         rest = slack.min(axis=0)
         limit = np.full(resources, math.inf) if most is None else most
         least = np.where(np.isfinite(rest), 0.0, math.inf)[:, None] * np.ones(resources)
@@ -228,21 +230,22 @@ class Drives:
                 unit = np.zeros(resources)
                 unit[r] = 1.0
                 least[:, r] = np.maximum(least[:, r], self.distances(unit, targets, back=True).min(axis=0))
-        bounds = Bounds(limit, np.where(np.isnan(least), math.inf, least), chosen[None, :], rest[:, None], np.zeros(1))
+        least = np.where(np.isnan(least), math.inf, least)
+        bounds = Bounds(limit[kept], least[:, kept], chosen[None, kept], rest[:, None], np.zeros(1))
         wanted = set(targets.tolist())
+        if timeless not in self._networks:
+            self._networks[timeless] = _OnRoad(road, road.use[:, kept])
         outcome = search(
-            self._network,
-            [Label(source, np.zeros((1, resources)))],
+            self._networks[timeless],
+            [Label(source, np.zeros((1, resources))[:, kept])],
             lambda node: node in wanted,
             bounds,
             best=gap,
             every_goal=True,
-            most_labels=max(1, self.patience),
+            most_labels=max(1, patience),
         )
-        self.complete = self.complete and outcome.labels <= self.patience
-        self.patience -= outcome.labels
         found: dict[int, list[Drive]] = {int(target): [] for target in targets}
         for label in outcome.runners_up:
             if label.parent is not None:
                 found[label.node].append(self._drive([step.move for step in chain_of(label)[1:]]))
-        return found
+        return found, outcome.labels

@@ -56,11 +56,7 @@ def cheapest(tour: Tour, prices: Array) -> tuple[list[tuple[int, int]], float] |
     site, table = tour.site, tour.rest(prices)
     if not math.isfinite(table[0, 0]):
         return None
-    count = len(site.weights)
-    weights = site.weights + prices[:count]
-    worth = np.zeros(len(site.task.visits))
-    if tour.values is not None:
-        worth = tour.values * (1.0 if tour.by_value else prices[count])
+    weights, worth = tour.priced(prices)
     order = site.order
     known: dict[float, Array] = {}
     here, state = 0, 0
@@ -73,7 +69,7 @@ def cheapest(tour: Tour, prices: Array) -> tuple[list[tuple[int, int]], float] |
         options = []
         for visit, after in order.after(state):
             stands = site.standing(1 + visit, order.payload_kg(after)) @ weights
-            there = float(stands.min()) - worth[visit]
+            there = float(stands.min()) - (0.0 if worth is None else float(worth[visit]))
             options.append((apart[1 + visit] + there + table[after, 1 + visit], 1 + visit, after))
         if order.may_end(state):
             options.append((apart[site.goal], site.goal, state))

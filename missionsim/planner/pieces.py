@@ -288,7 +288,7 @@ def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDAr
     groups: dict[tuple[int, bool], list[Piece]] = {}
     for piece in number:
         groups.setdefault((len(piece.legs), _instant(piece)), []).append(piece)
-    parts: list[tuple[Array, Array, Array, Array, Array, Array]] = []
+    parts: list[tuple[NDArray[Any], ...]] = []
     for (count, instant), members in groups.items():
         place = np.full(len(number), -1)
         place[[number[piece] for piece in members]] = np.arange(len(members))

@@ -154,9 +154,11 @@ def _drive(site: Site, rounds: int, every_s: float, prices: Prices, watch: Watch
             best, objective, stopped = outcome.label or best, outcome.objective, outcome.interrupted
     if best is not None and rounds <= FEW and not stopped:
         gap = max(gap, objective - bound)
-        wider = Rounds(site, Fronts(site, weights, gap), rounds, every_s)
+        drives = Fronts(site, weights, gap)
+        wider = Rounds(site, drives, rounds, every_s)
         proof = search(wider, [start], wider.is_goal, bounds, best=objective, watch=told, most_labels=LABELS * rounds)
-        lower, stopped = max(bound, min(proof.bound, bound + gap)), proof.interrupted
+        lower = max(bound, min(proof.bound, bound + gap)) if drives.complete else bound
+        stopped = proof.interrupted
         if proof.label is not None:
             best, objective = proof.label, proof.objective
     if best is None:

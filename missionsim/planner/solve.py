@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.planner.answer import Answer, answer_of
-from missionsim.planner.bounds import Tour, bounds_of
+from missionsim.planner.bounds import Tour, bounds_of, slack_of
 from missionsim.planner.core import Label, Outcome, quick, search, within
 from missionsim.planner.drives import Drive, Drives
 from missionsim.planner.dual import best_prices, prices_ahead, unit
@@ -34,11 +34,21 @@ class Fronts:
         With `gap`, see `missionsim.planner.drives.Drives.between`.
     gap : float or None
         None for those that are the cheapest for prices about `weights`.
+    slack : ndarray, shape (loads, stops, stops), optional
+        By how much any tour that drives between two stops is above the cheapest, with the same weights.
     """
 
-    def __init__(self, site: Site, weights: Array | None = None, gap: float | None = math.inf) -> None:
-        self.site, self.weights, self.gap = site, weights, gap
+    def __init__(
+        self, site: Site, weights: Array | None = None, gap: float | None = math.inf, slack: Array | None = None
+    ) -> None:
+        self.site, self.weights, self.gap, self.slack = site, weights, gap, slack
         self._found: dict[tuple[float, int], dict[int, list[Drive]]] = {}
+        self._patience = dict.fromkeys(site.order.loads[0].tolist(), PATIENCE)
+
+    @property
+    def complete(self) -> bool:
+        """Whether no search for drives had to end before it had all."""
+        return min(self._patience.values()) >= 0
 
     def __call__(self, payload_kg: float, stop: int, head: int) -> list[Drive]:
         site = self.site
@@ -54,7 +64,22 @@ class Fronts:
             most = np.full(1 + len(site.physics.names), math.inf)
             most[0] = site.deadline_s
             limit = most if math.isfinite(site.deadline_s) else None
-            self._found[key] = road.between(key[1], np.unique(into), weights=self.weights, gap=self.gap, most=limit)
+            targets, more = np.unique(into), None
+            if self.slack is not None:
+                rows = self.slack[np.searchsorted(site.order.loads[0], payload_kg)][out == key[1]].min(axis=0)
+                more = np.array([rows[into == target].min() for target in targets])
+            patience = self._patience[payload_kg]
+            self._found[key], taken = road.between(
+                key[1],
+                targets,
+                more,
+                weights=self.weights,
+                gap=self.gap,
+                most=limit,
+                timeless=site.timeless,
+                patience=max(patience, 1),
+            )
+            self._patience[payload_kg] = patience - taken
         return self._found[key].get(int(into[head]), [])
 
     def _varied(self, road: Drives) -> list[Array]:
@@ -67,14 +92,18 @@ class Fronts:
 
 VARIED = (0.3, 1.5)
 """By so much of what the mean arc costs the price of each resource is raised for the first drives."""
-MOST_LABELS = 12_000
-"""After which a search that has a plan gives up its proof; among the first drives after a quarter of them."""
+MOST_LABELS = 6_000
+"""After which a search that has a plan gives up its proof."""
+PATIENCE = 6_000
+"""Labels after which the search for more drives on one road ends."""
 MOST_GAP = 300.0
 """Drives whose price is not within so much of the first gap are tried all together."""
 PROVED = 1e-10
 """A plan whose objective is within this of the bound (relative) is the best."""
 SAME = 1e-10
 """Sums of values that differ by less (relative to all) are the same."""
+STEP = 8.0
+"""By which that grows."""
 FIRST_GAP = 0.002
 """Drives whose price is within this (relative to the bound) of the cheapest are tried first."""
 
@@ -84,14 +113,14 @@ def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True) -
     if site.order.sequence is None and len(site.task.visits) > MOST_FREE:
         return solve_large(site, lambda one: solve_site(one, watch))
     if not valued or not any(visit.value is not None for visit in site.task.visits):
-        return _solve(site, partial(Tour, site), watch)
+        return _solve(site, Tour, watch)
     values = np.array([visit.value or 0.0 for visit in site.task.visits])
     first = replace(site, weights=np.zeros_like(site.weights))
-    most = _solve(first, partial(Tour, first, values=values, by_value=True), watch)
+    most = _solve(first, partial(Tour, values=values, by_value=True), watch)
     if not most.feasible:
         return most
     missed = most.objective + 1e-9 * float(values.sum())
-    best = _solve(site, partial(Tour, site, values=values, most_missed=missed), watch)
+    best = _solve(site, partial(Tour, values=values, most_missed=missed), watch)
     if not best.feasible:
         use = np.array([most.duration_s, *most.energy_wh.values()])
         best = replace(most, site=site, objective=float(site.objective(use)), bound=0.0)
@@ -102,7 +131,7 @@ def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True) -
 
 def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Answer:
     """The plan of least objective of a network of stops, whose drives are still to be chosen."""
-    tour = network(Fronts(site))
+    tour = network(site, Fronts(site))
     prices = best_prices(tour)
     if prices.impossible:
         return Answer(site, False)
@@ -112,8 +141,14 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
     scale = max(abs(bound), 1e-6)
     if best is not None and objective - bound <= PROVED * scale:
         return answer_of(tour, best, objective, objective)
+    if not (site.timeless or site.weights[0] or prices.best[0] or site.windowed):
+        # where the best plan of all takes no longer than it may, nothing is to be chosen for its time
+        free = _solve(replace(site, deadline_s=math.inf, timeless=True), network, watch)
+        if free.duration_s <= site.deadline_s * (1.0 + PROVED) if free.feasible else not free.stopped:
+            return replace(free, site=site)
+        bound = max(bound, free.bound)
     stopped, base, more = False, prices.bound, [prices.best, *prices.others]
-    weights = site.weights + prices.best[: len(site.weights)]
+    weights, slack = tour.priced(prices.best)[0], slack_of(tour, prices.best)
     first = []
     if any(charger is not None for charger in tour.chargers):
         alone = best_prices(tour, charging=False)
@@ -128,19 +163,19 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
         return Answer(site, False)
     bound = max(bound, _up(sums, float(bounds.of(0, start.points).min())))
     gap = min(objective - base, FIRST_GAP * scale)
-    while not stopped:
+    while True:
         gap = max(gap, 1e-9 * scale)
-        drives = first.pop() if first else Fronts(site, weights, gap)
+        drives = first.pop() if first else Fronts(site, weights, gap, slack)
         exact = drives.gap is not None
-        tour = network(drives)
-        most = MOST_LABELS if exact else MOST_LABELS // 4
+        tour = network(site, drives)
+        tired = False
 
-        def told(
-            outcome: Outcome, waiting: int, low: float = bound, high: float = base + gap, enough: int = most
-        ) -> bool:
-            if math.isfinite(outcome.objective) and outcome.labels > enough:
-                return True
-            return watch is not None and watch("search", outcome.objective, min(max(outcome.bound, low), high))
+        def told(outcome: Outcome, waiting: int, low: float = bound, high: float = base + gap) -> bool:
+            nonlocal tired
+            tired = math.isfinite(outcome.objective) and outcome.labels > MOST_LABELS
+            return tired or (
+                watch is not None and watch("search", outcome.objective, min(max(outcome.bound, low), high))
+            )
 
         for way in (quick, search):
             try:
@@ -149,19 +184,22 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
                 outcome = Outcome(interrupted=True)
             if outcome.label is not None:
                 best, objective = outcome.label, outcome.objective
-            if exact and _complete(site):
+            if exact and drives.complete:
                 bound = max(bound, _up(sums, min(outcome.bound, base + gap)))
-            if stopped := outcome.interrupted or (best is not None and not _complete(site)):
+            stopped = outcome.interrupted and not tired
+            if outcome.interrupted or (best is not None and not drives.complete):
                 break
         needed = _below(sums, objective) - base
-        if exact and (needed <= gap or math.isinf(gap)):
+        if stopped or (exact and (tired or needed <= gap or math.isinf(gap) or (best and not drives.complete))):
             break
-        gap = min(16.0 * gap if exact or math.isinf(needed) else needed, needed)
+        gap = min(STEP * (gap if exact or math.isinf(needed) else FIRST_GAP * scale), needed)
         if gap > MOST_GAP * FIRST_GAP * scale:
             gap = math.inf
     if best is None:
         early = "the search was stopped before it found a plan; there may be one"
-        return Answer(site, False, notes=[early] if stopped else [], stopped=stopped)
+        missed = "no plan was found with the drives between stops that were tried; there may be one"
+        notes = [early] if stopped else [] if drives.complete else [missed]
+        return Answer(site, False, notes=notes, stopped=stopped)
     answer = replace(answer_of(tour, best, objective, bound), stopped=stopped)
     if objective - prices.bound > PROVED * scale:
         answer.extra["assumed"] = charges_tried(tour)
@@ -172,10 +210,6 @@ def charges_tried(tour: Tour) -> list[str]:
     """What a search leaves out of the charges: of two batteries, a point between is found for the last charge only."""
     some = len(tour.site.physics.names) > 1 and any(c is not None and c.levels is None for c in tour.chargers)
     return ["of several charges in one mission only the last to any level"] if some else []
-
-
-def _complete(site: Site) -> bool:
-    return all(road.complete for road in site.roads.values())
 
 
 def _steep(tour: Tour) -> list[Array]:

@@ -149,6 +149,8 @@ class Site:
         Of seconds and Wh in the objective.
     waiting : ndarray, shape (1 + batteries,)
         Seconds and Wh of waiting for a second.
+    timeless : bool
+        Time is neither limited nor part of the objective: nothing is chosen for being quicker.
     """
 
     task: TaskSpec
@@ -159,6 +161,7 @@ class Site:
     weights: Array = field(default_factory=lambda: np.zeros(0))
     roads: dict[float, Drives] = field(default_factory=dict)
     nodes: dict[float, tuple[NDArray[np.intp], NDArray[np.intp]]] = field(default_factory=dict)
+    timeless: bool = False
     _standing: dict[tuple[int, float], Array] = field(default_factory=dict)
 
     @property
