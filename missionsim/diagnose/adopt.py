@@ -20,6 +20,7 @@ from missionsim.fit.provenance import CALIBRATION, data_tag, log_hash, ranges_of
 from missionsim.identify.findings import Finding, HeldOut
 from missionsim.identify.identification import Identification, fit_effects
 from missionsim.identify.settings import Settings
+from missionsim.physics.meter import Meter
 
 if TYPE_CHECKING:
     from missionsim.effects.model import ModelParameter
@@ -202,6 +203,7 @@ def write(
             editing.remove_effect(i)
     for one in written:
         editing.add_effect(_entry(robot, one, split, models.battery, significant))
+    editing.set_meter(models.battery, fitted.model.meters.get(models.battery, Meter()))
     count = len(split.train)
     told = f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(split.train)}"
     return editing.set_source(CALIBRATION, told).text, base

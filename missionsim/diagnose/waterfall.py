@@ -172,6 +172,6 @@ def worse_of(held: HeldOut) -> str:
 def measured_note(done: Improved) -> str:
     """How the errors of the steps were measured."""
     return (
-        "Measured as missionsim compare does: clocks and rows as logged; energy errors are means over runs of the "
-        "magnitude."
+        "Measured as missionsim compare does: rows as logged, the model as late as the meter of its file; energy "
+        "errors are means over runs of the magnitude."
     )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from missionsim.effects.base import Effect
 from missionsim.effects.covariates import Covariates, number
 from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.physics.meter import Meter
 from missionsim.physics.motion import relieved_powers
 
 _INNER = ("starting_", "on_time_")
@@ -136,6 +137,8 @@ class PowerModel:
     """Least and greatest value of covariates in the logs that the robot was fitted to."""
     floors: frozenset[str] = frozenset()
     """Surfaces in those logs."""
+    meters: Mapping[str, Meter] = field(default_factory=dict)
+    """How far the meter of a battery is behind the motion in logs; none where the file says nothing."""
 
     def __post_init__(self) -> None:
         ordered = tuple(sorted(self.terms, key=lambda term: term.effect.stage))

@@ -18,6 +18,7 @@ from missionsim.identify.align import Clock
 from missionsim.identify.data import RunData
 from missionsim.identify.design import Design, Source, make_source
 from missionsim.identify.settings import Settings
+from missionsim.physics.meter import Meter
 from missionsim.runs.run import Run
 
 Array = NDArray[np.float64]
@@ -83,7 +84,8 @@ def final_fit(
     Least squares over means of about a second, each weighing its time, at the clock that was found; base parameters are
     held by their priors, which count against errors clustered by run; the energy of all runs agrees exactly. Rows as
     they were logged take the place of the means where an effect follows acceleration and they predict left-out rows
-    better: it may act otherwise in a jolt than over a second.
+    better: it may act otherwise in a jolt than over a second. The model shows its power as late and sluggishly as the
+    clock says where the rows that were fitted agree better with that.
 
     Parameters
     ----------
@@ -102,8 +104,38 @@ def final_fit(
         Fit the effects alone.
     """
     ready = prepare(model, runs, battery)
+    return _as_shown(_chosen(model, ready, prior_sd, clock, settings, fixed, keep_base), ready, clock)
+
+
+def _as_shown(fit: FinalFit, ready: Prepared, clock: Clock) -> FinalFit:
+    """The fit with the meter of its clock, where the rows that were fitted agree better with it (or without one)."""
+    battery, before = ready.battery, fit.model.meters.get(ready.battery, Meter())
+    if before == (found := Meter(clock.delay_s, clock.lag_s)):
+        return fit
+    powers = ready.powers(fit.model)
+
+    def square(meter: Meter) -> float:
+        shown = (run.shown_w(battery, w, meter) for run, w in zip(ready.runs, powers, strict=True))
+        errors = (run.measured_w[battery] - w for run, w in zip(ready.runs, shown, strict=True))
+        return sum(float(np.nansum(e**2 * run.dt_s)) for run, e in zip(ready.runs, errors, strict=True))
+
+    best = min((Meter(), found), key=lambda meter: square(meter) * (1.0 - CLEARLY * (meter == Meter())))
+    return replace(fit, model=replace(fit.model, meters={**fit.model.meters, battery: best}))
+
+
+def _chosen(
+    model: PowerModel,
+    ready: Prepared,
+    prior_sd: Mapping[str, float],
+    clock: Clock,
+    settings: Settings,
+    fixed: Sequence[str],
+    keep_base: bool,
+) -> FinalFit:
+    """The fit to means of the analysis or to rows as logged, whichever predicts."""
+    battery, runs = ready.battery, [driven.run for driven in ready.runs]
     plain, means = _fit(model, ready, prior_sd, clock, settings, fixed, keep_base)
-    step = float(np.median(np.concatenate([run.dt_s for run in runs if battery in run.power_w])))
+    step = float(np.median(np.concatenate([run.dt_s for run in runs])))
     rows = sum(run.rows for run in runs)
     jolts = any("accel_m_s2" in (*t.effect.needs, t.effect.covariate) for t in model.of(battery) if not t.base)
     if means is None or not jolts or step > 0.5 * settings.period_s or rows > MOST_ROWS:

@@ -98,6 +98,17 @@ class TaperSpec(Model):
         return self
 
 
+Lateness = Annotated[Parameter, quantity("duration", -60.0, 60.0)]
+Lag = Annotated[Parameter, quantity("duration", 0.0, 60.0)]
+
+
+class MeterSpec(Model):
+    """How far the power in logs is behind the motion in them: a delay (negative: ahead) and a first-order lag."""
+
+    delay: Lateness = Parameter(0.0, unit="s")
+    lag: Lag = Parameter(0.0, unit="s")
+
+
 Relative = Annotated[Parameter, quantity("fraction", 0.0, 100.0, strict=True)]
 Curve = Annotated[tuple[tuple[Temperature, Relative], ...], Field(min_length=2, max_length=1000)]
 
@@ -128,6 +139,7 @@ class BatterySpec(Model):
     charge_efficiency: Efficiency = Parameter(1.0, status="assumed")
     charge_taper: TaperSpec | None = None
     over_temperature: TemperatureSpec | None = None
+    meter: MeterSpec | None = None
 
     @model_validator(mode="after")
     def _voltage_known(self) -> "BatterySpec":

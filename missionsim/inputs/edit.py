@@ -16,6 +16,7 @@ from missionsim.inputs.loading import robot_from_text
 from missionsim.inputs.overrides import resolve
 from missionsim.inputs.parameter import Parameter
 from missionsim.inputs.schemas import SCHEMA_FOLDER
+from missionsim.physics.meter import Meter
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
@@ -116,6 +117,15 @@ class Editing:
             data.insert(position, "sources", _mapping({key: told}))
         if ranges is not None:
             data["origin"] = _plain({**data.get("origin", {}), "range": dict(ranges)})
+        return self
+
+    def set_meter(self, battery: str, meter: Meter) -> Editing:
+        """How far the power of a battery in logs is behind the motion in them; one without is taken out."""
+        own = self._data["batteries"][battery]
+        if meter != Meter():
+            own["meter"] = _plain({"delay": meter.delay_s, "lag": meter.lag_s}, 2)
+        elif "meter" in own:
+            del own["meter"]
         return self
 
     @property

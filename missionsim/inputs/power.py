@@ -14,6 +14,7 @@ from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.effects.motion_models import get_motion_model
 from missionsim.errors import InputError
 from missionsim.expressions import Expression, Place, compile_expression
+from missionsim.physics.meter import Meter
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import ComponentSpec, EffectSpec, LoadSpec, RobotSpec
@@ -50,8 +51,16 @@ def build_power_model(robot: RobotSpec) -> PowerModel:
             constants[voltage] = battery.nominal_voltage.value  # a mission knows no other
     back = model_parameter(robot.body.regeneration) if robot.body.regeneration.value > 0.0 else None
     known, floors = _known(robot)
+    meters = {n: Meter(b.meter.delay.value, b.meter.lag.value) for n, b in robot.batteries.items() if b.meter}
     return PowerModel(
-        tuple(_unique(terms)), tuple(robot.batteries), constants, back, _switching(robot), known=known, floors=floors
+        tuple(_unique(terms)),
+        tuple(robot.batteries),
+        constants,
+        back,
+        _switching(robot),
+        known=known,
+        floors=floors,
+        meters=meters,
     )
 
 

@@ -16,12 +16,15 @@ from missionsim.effects.covariates import SMOOTHING_S, acceleration, derive, is_
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.errors import InputError
 from missionsim.labels import Labels
+from missionsim.physics.meter import Meter, metered
 from missionsim.runs.covariates import ASSUMED, clock_of, is_switch
 from missionsim.runs.run import Run
 
 Array = NDArray[np.float64]
 MOST_MISSING = 0.2
 """Part of a column's rows that may be missing and are filled from their neighbours."""
+METER_PAST_S = 60.0
+"""Time before a block that its meter may remember."""
 _DERIVED = ("mass_kg", "moving_time_s", "starts", "starts_per_s", "time_s")
 
 
@@ -67,7 +70,8 @@ class Driven:
     covariates : mapping
         Columns of the run, what follows from them, and the robot's constants.
     measured_w, model_w : mapping of battery to ndarray, shape (n,)
-        Where the meter is slower than the rows, the model is averaged over each reading, which then counts once.
+        The model as the meter shows it: as late and sluggish as the robot file says; where the meter is slower than
+        the rows, averaged over each reading, which then counts once.
     terms : mapping of battery to mapping of TermKey to ndarray or float
         Modelled power by term, at the rate of the rows.
     assumed : frozenset of str
@@ -97,6 +101,10 @@ class Driven:
         total = sum(self.terms[battery].values(), start=np.zeros(len(self.time_s)))
         return np.asarray(total, dtype=float)
 
+    def shown_w(self, battery: str, row_w: Array, meter: Meter) -> Array:
+        """A power of each row [W] as a meter shows it, shape (n,)."""
+        return _shown(self.run, battery, row_w, meter)[1]
+
     def loads(self, battery: str) -> dict[str, Array]:
         """``drive_w`` and ``load_w``, which some effects read: power of the drive, and of everything [W]."""
         drive = {term.key for term in self.model.of(battery) if term.effect.drive}
@@ -110,7 +118,7 @@ class Driven:
         kept = replace(model, terms=tuple(term for term in model.terms if term.key in own))
         logged = self.run.columns
         cov = {**self.covariates, **{n: value for n, value in model.constants.items() if n not in logged}}
-        return _evaluated(kept, tuple(self.terms), self.run, cov, self.assumed, self.unknown)
+        return _evaluated(kept, tuple(self.terms), self.run, cov, self.assumed, self.unknown, None)
 
     def gradient(self, battery: str) -> dict[str, Array]:
         """``∂P/∂ln θ`` of each parameter of the terms that were evaluated."""
@@ -230,14 +238,17 @@ def drive(model: PowerModel, run: Run, battery: str) -> Driven:
 def drive_blocks(plan: Assumed, blocks: Iterable[Run]) -> Iterator[Driven]:
     """Drive a model with a run in consecutive blocks, the memory of the model carried from block to block."""
     carry = _Carry(plan)
+    last: Driven | None = None
     for block, before, after in _with_neighbours(blocks):
-        yield _driven(plan, block, carry.derive(block, before, after))
+        driven = _driven(plan, block, carry.derive(block, before, after), last)
+        last = driven if plan.model.meters else None
+        yield driven
 
 
-def _driven(plan: Assumed, block: Run, cov: dict[str, Any]) -> Driven:
+def _driven(plan: Assumed, block: Run, cov: dict[str, Any], before: Driven | None) -> Driven:
     switches = {*plan.switched, *(name for name in plan.assumed if is_switch(name))}
     filled = frozenset({*plan.assumed, *switches, *map(clock_of, switches)} - set(block.columns))
-    return _evaluated(plan.model, plan.batteries, block, plan.model.complete(cov), filled, plan.unknown)
+    return _evaluated(plan.model, plan.batteries, block, plan.model.complete(cov), filled, plan.unknown, before)
 
 
 def _evaluated(
@@ -247,6 +258,7 @@ def _evaluated(
     cov: Mapping[str, Any],
     filled: frozenset[str],
     unknown: frozenset[str],
+    before: Driven | None,
 ) -> Driven:
     measured, modelled, terms = {}, {}, {}
     for battery in batteries:
@@ -255,27 +267,35 @@ def _evaluated(
         modelled[battery], terms[battery] = total, parts
         if battery not in block.power_w:
             continue
-        measured[battery] = block.power_w[battery]
-        fresh = block.fresh.get(battery)
-        if fresh is not None:
-            measured[battery], modelled[battery] = _per_reading(block.power_w[battery], total, block.dt_s, fresh)
+        meter = model.meters.get(battery, Meter())
+        measured[battery], modelled[battery] = _shown(block, battery, total, meter, before)
     return Driven(block, cov["time_s"], model, cov, measured, modelled, terms, filled, unknown=unknown)
 
 
-def _per_reading(
-    measured_w: NDArray[np.float64], model_w: NDArray[np.float64], dt_s: NDArray[np.float64], fresh: NDArray[np.bool_]
+def _shown(
+    run: Run, battery: str, row_w: Array, meter: Meter, before: Driven | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Measured and modelled power where the meter is slower than the rows, each of shape (n,).
+    """Measured and modelled power of each row, each of shape (n,), the model as the meter shows it.
 
-    A value that appears in a row was measured over the time since the one before, so it belongs to the rows since
-    then; the model is averaged over them. Rows after the last reading keep it.
+    A value that appears in a row of a meter slower than the rows was measured over the time since the one before, so
+    it belongs to the rows since then; the model is averaged over them. Rows after the last reading keep it.
     """
+    model_w, dt_s, fresh = row_w, run.dt_s, run.fresh.get(battery)
+    if meter != Meter():
+        time_s = run.time_s
+        if before is not None:
+            past = slice(max(0, before.run.rows - int(METER_PAST_S / max(float(before.dt_s[-1]), 1e-6))), None)
+            time_s = np.concatenate([before.run.time_s[past], time_s])
+            row_w = np.concatenate([before.row_w(battery)[past], row_w])
+        model_w = metered(row_w, time_s, meter)[-run.rows :]
+    if fresh is None:
+        return run.power_w[battery], model_w
     readings = np.flatnonzero(fresh)
     reading: NDArray[np.int64] = np.cumsum(fresh) - fresh.astype(np.int64)
     last = np.append(readings, len(fresh) - 1)[reading]
     seconds = np.bincount(reading, dt_s)
     joules = np.bincount(reading, model_w * dt_s)
-    return measured_w[last], np.asarray((joules / np.maximum(seconds, 1e-12))[reading])
+    return run.power_w[battery][last], np.asarray((joules / np.maximum(seconds, 1e-12))[reading])
 
 
 def filled(run: Run, batteries: Sequence[str], remarks: list[str] | None = None) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """Every error that is printed: energy, power, statistics over progress.
 
-One definition for all commands: clocks as logged, rows as logged, each weighing the time that it stands for; where the
-meter is slower than the rows, the model is averaged over each of its readings (`missionsim.runs.drive.drive`).
+One definition for all commands: rows as logged, each weighing the time that it stands for, and the model as the meter
+shows it (`missionsim.runs.drive.drive`): as late and sluggish as the robot file says, and averaged over each reading
+where the meter is slower than the rows.
 """
 
 from __future__ import annotations
