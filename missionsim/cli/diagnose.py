@@ -39,6 +39,8 @@ def diagnose(
 
     search.check(logs)
     left_out: list[str] = []
+    from missionsim.diagnose.sentences import worse
+
     remarks: list[str] = []
     result = diagnose_files(
         search.robot,
@@ -63,7 +65,7 @@ def diagnose(
             console().print(line)
         if report is not None:
             console().print(f"report written: {report}")
-    return 1 if left_out else 0
+    return 1 if left_out or any(worse(one) for one in result.batteries.values()) else 0
 
 
 def show(result: Diagnosis, robot: str, logs: Sequence[Path]) -> None:

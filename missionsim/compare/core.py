@@ -23,7 +23,8 @@ from missionsim.effects.timeline import Timeline
 from missionsim.errors import Fault, InputError
 from missionsim.logs.remarks import Remark, merge
 from missionsim.runs.admit import admit
-from missionsim.runs.drive import assume, drive_blocks
+from missionsim.runs.assume import assume
+from missionsim.runs.drive import drive_blocks
 from missionsim.runs.error import cumulative_at, error_curve, error_statistics, progress_grid
 from missionsim.runs.motion import still_of
 from missionsim.runs.run import Run, coarser

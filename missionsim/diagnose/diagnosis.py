@@ -24,7 +24,7 @@ from missionsim.errors import InputError
 from missionsim.identify.align import Clock
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding, HeldOut, RunSeries, Where
 from missionsim.identify.identification import Identification, identify
-from missionsim.identify.proposed import Proposal
+from missionsim.identify.proposed import QUANTITY, Proposal
 from missionsim.identify.settings import ALPHA, MOST_PASSES, SAME_SIZE, Settings
 from missionsim.identify.verdict import decide
 from missionsim.logs import describe
@@ -164,6 +164,7 @@ class Examined:
     held: tuple[Run, ...]
 
 
+MOTION = frozenset({"speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad"})
 NOTHING_LEFT = "comes to nothing beside the others once all are fitted together"
 
 
@@ -257,9 +258,10 @@ def diagnose_battery(
     features, found, models = seen.features, seen.found, seen.models
     held = seen.held
     proposed: tuple[Proposal, ...] = ()
-    # a load that nobody logged would be given a law
-    if laws and found.factor is None and not features.unlogged:
+    if laws and found.factor is None:
         proposed = proposed_laws(found, features.covariates, models, held)
+        if features.unlogged:
+            proposed = tuple(law for law in proposed if _of_motion(law))
         if found.choice.forward is not None and found.effects:
             # where the base is far from right, effects that predict come first, unless a law predicts far better
             proposed = tuple(law for law in proposed if law.far_better)
@@ -303,6 +305,8 @@ def diagnose_battery(
     remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks, *seen_once(driven)]
     remains = [s for s in found.unexplained.structures if s not in found.averages]
     law = _something_else(proposed, effects, features)
+    if law:
+        effects = tuple(replace(e, remark=_beside_law(e, proposed, features)) for e in effects)
     if proposed:
         left = depends_on(proposed, left)
     bench = Bench(subject.model, features, found.choice, site_of(features.covariates, subject.limits), settings)
@@ -355,6 +359,22 @@ def _something_else(laws: Sequence[Proposal], effects: Sequence[Finding], featur
     told beside it."""
     known = [{logged_name(name) for name in features.effects[effect.effect].needs} for effect in effects]
     return any(not any({logged_name(v) for v in law.first.variables} <= own for own in known) for law in laws)
+
+
+def _beside_law(effect: Finding, laws: Sequence[Proposal], features: Features) -> str:
+    """In words, that a law of another form reads what an effect goes by, which may then stand for a part of it."""
+    goes_by = {logged_name(c.covariate) for c in features.candidates if c.effect == effect.effect}
+    shared = [name for law in laws for name in law.first.variables if name in goes_by]
+    if not shared:
+        return effect.remark
+    return f"a law of {QUANTITY.get(shared[0], (shared[0], ''))[0]} explains beside it what that effect cannot"
+
+
+def _of_motion(law: Proposal) -> bool:
+    """Whether a law reads how the robot moves and what it carries alone, which loads that nobody logged do not follow:
+    these look like a law of time, temperature or processor load."""
+    read = {name for form in law.laws for name in form.variables}
+    return bool(read & MOTION) and read <= MOTION | {"payload_kg", "mass_kg"}
 
 
 def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:

@@ -160,12 +160,15 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     runs = heldout or models.runs
     errors = {name: models.errors(power, runs) for name, power in powers.items()}
     steps = [Step(name, one.run_energy_error_pct, one.power_rmse_w) for name, one in errors.items()]
+    floor_pct, floor_w = noise_floor(last)
+    # where much is unexplained the noise holds a part of it, and a model that errs by less shows that
+    steps.append(Step("noise floor", floor_pct, min(floor_w, steps[-1].power_rmse_w)))
     return Improved(
         battery,
         text,
         tuple(effect.effect for effect in taken),
         tuple(declined),
-        (*steps, Step("noise floor", *noise_floor(last))),
+        tuple(steps),
         bool(heldout),
         first,
         last,

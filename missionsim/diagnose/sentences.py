@@ -8,6 +8,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
+from missionsim.diagnose.waterfall import worse_of
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.proposed import QUANTITY, Proposal
 
@@ -156,8 +157,15 @@ def sure(battery: BatteryDiagnosis) -> str:
     """How sure the first answer is, and what speaks for it."""
     if battery.effects and not battery.effects[0].indistinguishable_from:
         first = battery.effects[0]
+        odds = f"chance would do this in {_odds(first.p_value)}"
+        if worse(battery):
+            return (
+                f"That something is missing is sure ({odds}); that it is {first.effect} is not: see the runs not used."
+            )
+        if first.remark:
+            return f"That something is missing is sure ({odds}); that it is {first.effect} is not: {first.remark}."
         runs = "each run shows it too" if "repeated" in first.level else "runs alone are too few to show it"
-        return f"Sure: chance would do this in {_odds(first.p_value)}; {runs}."
+        return f"Sure: {odds}; {runs}."
     if battery.effects:
         return "Not sure which: these data cannot tell these effects apart."
     if battery.proposed_laws:
@@ -173,6 +181,11 @@ def sure(battery: BatteryDiagnosis) -> str:
             f"are predicted better; {one.tried:,} forms were tried, and chance is charged for all."
         )
     return ""
+
+
+def worse(battery: BatteryDiagnosis) -> str:
+    """In words, that held-out runs are predicted worse with what was found; else empty."""
+    return worse_of(battery.heldout) if battery.heldout is not None and battery.effects else ""
 
 
 def _odds(p: float) -> str:
@@ -211,6 +224,8 @@ def next_step(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path],
     files = " ".join(shlex.quote(str(log)) for log in logs)
     on = f" --battery {battery.battery}" if several else ""
     out = f"{Path(robot).stem}_better.yaml"
+    if worse(battery):
+        return ""
     clear = next((e for e in battery.effects if not e.indistinguishable_from), None)
     if clear is not None:
         return (

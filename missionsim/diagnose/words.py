@@ -7,7 +7,6 @@ import math
 from missionsim.diagnose import sentences
 from missionsim.diagnose.execution import TOLD
 from missionsim.diagnose.leftover import watts
-from missionsim.diagnose.waterfall import worse_of
 from missionsim.identify.findings import BatteryDiagnosis, Experiment, Finding, HeldOut, Judged
 from missionsim.identify.proposed import Proposal
 
@@ -24,8 +23,7 @@ def headline(battery: BatteryDiagnosis) -> str:
     found = [f for f in battery.effects if not f.indistinguishable_from]
     unsure = [f for f in battery.effects if f.indistinguishable_from]
     driven = [f for f in battery.execution if f.effect]
-    worse = worse_of(battery.heldout) if battery.heldout is not None and battery.effects else ""
-    said = [worse] if worse else []
+    said = list(filter(None, [sentences.worse(battery)]))
     said += [f"Battery {name}: {sentences.missing(f)}; that is {f.effect}." for f in found]
     for effect in unsure:
         names = (effect.effect, *effect.indistinguishable_from)

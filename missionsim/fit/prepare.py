@@ -13,8 +13,9 @@ from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.errors import InputError
 from missionsim.identify.data import RunData
 from missionsim.labels import Labels
+from missionsim.runs.assume import assume
 from missionsim.runs.covariates import clock_of, is_switch, may_be_cause
-from missionsim.runs.drive import Driven, assume, drive_blocks, filled
+from missionsim.runs.drive import Driven, drive_blocks, filled
 from missionsim.runs.run import Run
 
 Array = NDArray[np.float64]
@@ -111,7 +112,7 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
     ------
     missionsim.errors.InputError
         Where no log measures the battery, or the base model needs a column that a log lacks and that has no plain
-        meaning (see `missionsim.runs.drive.assume`).
+        meaning (see `missionsim.runs.assume.assume`).
     """
     tables = [log for log in logs if battery in log.power_w]
     if not tables:

@@ -178,7 +178,7 @@ def _remains(model: Model, candidates: Sequence[Candidate], constraints: Constra
 
 def _structures(model: Model, remains: Remains) -> tuple[Structure, ...]:
     """All that remains, in the order in which it is told."""
-    apart = runs_apart(model)
+    apart, _ = runs_apart(model)
     last = () if apart is None else (apart,)
     return (*remains.forms.values(), *remains.dependences, *remains.loose, *last)
 
@@ -307,6 +307,8 @@ def _remarks(model: Model, given_runs: int) -> tuple[str, ...]:
         )
     elif used < SEVERAL_RUNS:
         out.append("two runs only: no p-value across runs; differences between runs rest on two values")
+    if told := runs_apart(model)[1]:
+        out.append(told)
     if model.clock.at_edge:
         out.append("the delay or lag of the power meter lies at the edge of what was searched; check the clocks")
     return tuple(out)

@@ -337,24 +337,33 @@ def stands_without(model: Model, column: int, structure: Structure) -> bool:
     return both - curve >= STANDS * own
 
 
-def runs_apart(model: Model) -> Structure | None:
-    """Runs that differ in what the same motion costs, by several times what meters and drives usually do.
+def runs_apart(model: Model) -> tuple[Structure | None, str]:
+    """Runs that differ in what the same motion costs, by several times what meters and drives usually do; or, in words,
+    that the meters of the runs differ.
 
     By the spread of the runs' gains, not by their size: gains that all runs share are the base model's, however the
-    fit divided them. And only where the likelihood says that the spread is not the usual one.
+    fit divided them. And only where the likelihood says that the spread is not the usual one. Where it says that the
+    motion alone does not explain it, what is drawn at rest differs in the same ratio: so does a meter.
     """
     noise = model.noise
     if len(model.design.runs) < SEVERAL_RUNS or max(noise.gain, noise.motion_gain) < UNUSUAL_GAIN:
-        return None
+        return None, ""
     gains = random_effects(model.design, noise, model.chosen)[:, 1:3]
     size = float(np.max(np.std(gains, axis=0, ddof=1)))
     usual = replace(noise, gain=min(noise.gain, USUAL_GAIN), motion_gain=min(noise.motion_gain, USUAL_GAIN))
-    lead = log_likelihood(model) - log_likelihood(replace(model, noise=usual))
+    own = log_likelihood(model)
+    lead = own - log_likelihood(replace(model, noise=usual))
     if size < UNUSUAL_GAIN or lead < ODDS_NATS:
-        return None
+        return None, ""
     at_least = "at least " if max(noise.gain, noise.motion_gain) > 0.99 * LARGEST_GAIN else ""
+    of_motion = replace(usual, motion_gain=float(np.hypot(noise.gain, noise.motion_gain)))
+    if own - log_likelihood(replace(model, noise=of_motion)) > ODDS_NATS:
+        return None, (
+            f"the runs differ by {at_least}{100 * size:.2g} % in all that they draw, at rest too: meters that differ, "
+            "or were set differently, do that; check them before two runs are held against each other"
+        )
     words = (
         f"the runs differ by {at_least}{100 * size:.2g} % in what the same motion costs, several times what meters and "
         "drives usually do: something that changes from run to run is missing"
     )
-    return Structure("run", 0.0, lead, size, words)
+    return Structure("run", 0.0, lead, size, words), ""

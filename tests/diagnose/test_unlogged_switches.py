@@ -86,6 +86,23 @@ def test_what_an_unlogged_load_imitates_is_not_named(tmp_path: Path) -> None:
     assert any("camera" in note and "on_<component>" in note for note in found.remarks)
 
 
+def test_a_law_of_motion_is_proposed_beside_an_unlogged_load(tmp_path: Path) -> None:
+    """Driving in curves with payload costs what no effect has; turning_scrub and payload would only stand in for it."""
+    robot, rng = robot_file(tmp_path, always=False), np.random.default_rng(7)
+    for path in logs(tmp_path, scheme=False, always=True):
+        table = pd.read_csv(path)
+        yaw = np.repeat(rng.choice([0.0, 0.0, 0.4, 0.9], len(table) // 15), 15) * (table["speed_m_s"] > 0)
+        payload = rng.choice([0.0, 2.0, 4.0, 6.0])
+        table["power_main_w"] += 2.0 * table["speed_m_s"] * yaw * payload
+        table["yaw_rate_rad_s"], table["payload_kg"] = yaw, payload
+        table.drop(columns="cpu_load").to_csv(path, index=False)
+    found = diagnose_files(robot, sorted(tmp_path.glob("run_*.csv"))).batteries["main"]
+    assert found.remarks
+    (law,) = found.proposed_laws
+    assert {"speed_m_s", "yaw_rate_rad_s", "payload_kg"} == set(law.certain)
+    assert not {"turning_scrub", "payload"} & {effect.effect for effect in found.effects}
+
+
 def test_a_column_stuck_at_zero_makes_nobody_sure(shared: Path, tmp_path: Path) -> None:
     """The camera makes the processor work; with its column stuck at 0 the processor alone must not be named."""
     for path in sorted((shared / "practice" / "nothing-0" / "train").glob("*.csv")):

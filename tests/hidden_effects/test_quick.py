@@ -30,10 +30,6 @@ def test_nothing_hidden_names_nothing(robot):
 
 
 FIVE = ["grade", "acceleration", "surface_rolling_resistance", "cpu_load"]
-AS_LOGGED = pytest.mark.xfail(
-    strict=True,
-    reason="errors are told at clocks as logged, the mark knows the meter's clock: 0.78 of the removable error",
-)
 
 
 @pytest.mark.parametrize("effect", FIVE)
@@ -43,7 +39,7 @@ def test_five_percent_of_the_energy_is_found(effect):
     assert not result["confident_wrong"], result
 
 
-@pytest.mark.parametrize("effect", [*(pytest.param(e, marks=AS_LOGGED) for e in FIVE[:2]), *FIVE[2:]])
+@pytest.mark.parametrize("effect", FIVE)
 def test_the_heldout_error_falls_as_far_as_it_can(effect):
     result = row(f"{effect}-5pct")
     removable = result["nominal_rmse_w"] ** 2 - result["oracle_rmse_w"] ** 2

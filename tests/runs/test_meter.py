@@ -87,7 +87,11 @@ batteries:
 motion:
   battery: main
   model: polynomial
-  parameters: {c2: 1e-6 W s^2/m^2, c3: {value: 20 W s/m, sd: 0.6}, c4: {value: 20 W, sd: 0.6}, standing: {value: 14 W, sd: 0.4}}
+  parameters:
+    c2: 1e-6 W s^2/m^2
+    c3: {value: 20 W s/m, sd: 0.6}
+    c4: {value: 20 W, sd: 0.6}
+    standing: {value: 14 W, sd: 0.4}
 """
 
 
