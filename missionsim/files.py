@@ -13,11 +13,13 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from missionsim.errors import InputError
 
 T = TypeVar("T")
+Json = dict[str, Any]
+"""A JSON object."""
 
 
 @contextlib.contextmanager

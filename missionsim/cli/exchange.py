@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -152,9 +152,10 @@ def vda5050(
     from missionsim.exchange.vda5050 import order_of
     from missionsim.inputs.loading import load_mission
 
-    order = order_of(load_mission(mission, robot=robot), version=version, timestamp=timestamp, robot_id=serial)
-    title = f"order {order.data['orderId']}: {len(order.data['nodes'])} nodes, VDA 5050 {version}"
-    return _mission(order.data, title, order.remarks, out, to)
+    spec = load_mission(mission, robot=robot)
+    order, remarks = order_of(spec, version=version, timestamp=timestamp, robot_id=serial)
+    title = f"order {order['orderId']}: {len(order['nodes'])} nodes, VDA 5050 {version}"
+    return _mission(order, title, remarks, out, to)
 
 
 @app.command
@@ -207,11 +208,11 @@ def _write(out: Path, raw: bytes) -> None:
         temporary.write_bytes(raw)
 
 
-def _tell(title: str, remarks: Sequence[str], out: Path) -> None:
+def _tell(title: str, remarks: Iterable[object], *written: Path | None) -> None:
     terminal = console()
-    for line in (title, *(f"  {remark}" for remark in remarks), f"written: {out}"):
-        if line:
-            terminal.print(line, soft_wrap=True)
+    lines = (title, *(f"  {remark}" for remark in remarks), *(f"written: {path}" for path in written if path))
+    for line in filter(None, lines):
+        terminal.print(line, soft_wrap=True)
 
 
 def import_site(
@@ -267,29 +268,22 @@ def import_site(
         site.tell("robot of the mission: pioneer3dx, since --robot names none")
     if out is not None:
         write_site(site, out, mission, driver or "")
-    result = {**site.summary(), "out": out, "mission": mission}
-    to.emit(result)
+    to.emit({**site.summary(), "out": out, "mission": mission})
     if to.text:
-        _print(site, out, mission)
+        _tell(_in_words(site), site.remarks.values(), out, mission)
     return 0
 
 
-def _print(site: Site, out: Path | None, mission: Path | None) -> None:
-
-    terminal = console()
+def _in_words(site: Site) -> str:
+    """What was read, in one line."""
     one_way = sum(not edge.get("both_ways", True) for edge in site.edges)
     parts = [f"{len(site.places)} places", f"{len(site.edges)} ways ({one_way} one-way, {site.length_m:.1f} m)"]
     if site.chargers:
-        parts.append(
-            f"{len(site.chargers)} chargers ({', '.join(site.chargers[:6])}{', …' * (len(site.chargers) > 6)})"
-        )
+        named = f"{', '.join(site.chargers[:6])}{', …' * (len(site.chargers) > 6)}"
+        parts.append(f"{len(site.chargers)} chargers ({named})")
     if site.segments:
         parts.append(f"a mission of {len(site.segments)} segments")
-    terminal.print(f"{site.file}: {site.format}, {', '.join(parts)}", soft_wrap=True)
-    for remark in site.remarks.values():
-        terminal.print(f"  {remark}", soft_wrap=True)
-    for path in filter(None, (out, mission)):
-        terminal.print(f"written: {path}", soft_wrap=True)
+    return f"{site.file}: {site.format}, {', '.join(parts)}"
 
 
 def import_robot(config: Path, /, *, out: Path | None = None, battery: str = "robot", to: Output = TERMINAL) -> int:
@@ -314,29 +308,12 @@ def import_robot(config: Path, /, *, out: Path | None = None, battery: str = "ro
     name = robot_from_text(text, str(out or config)).name
     if out is not None:
         write_text(out, text)
-    told = [{"message": r.message, "line": r.line, "count": r.count} for r in fleet.remarks.values()]
-    to.emit(
-        {
-            "schema": "missionsim.fleet/1",
-            "source": str(config),
-            "robot": name,
-            "numbers": fleet.numbers,
-            "limits": fleet.limits,
-            "robots": fleet.robots,
-            "told": told,
-            "out": out,
-        }
-    )
+    found = {"numbers": fleet.numbers, "limits": fleet.limits, "robots": fleet.robots}
+    told = list(map(vars, fleet.remarks.values()))
+    to.emit({"schema": "missionsim.fleet/1", "source": str(config), "robot": name, **found, "told": told, "out": out})
     if to.text:
-        terminal = console()
         n = fleet.numbers
-        terminal.print(
-            f"{config}: Open-RMF fleet {fleet.name}, {n['mass']:g} kg, {n['capacity'] * n['voltage']:g} Wh, friction "
-            f"{n['friction']:g}, ambient {n['ambient']:g} W, tool {n['tool']:g} W",
-            soft_wrap=True,
-        )
-        for remark in fleet.remarks.values():
-            terminal.print(f"  {remark}", soft_wrap=True)
-        if out is not None:
-            terminal.print(f"written: {out}", soft_wrap=True)
+        told = f"{n['mass']:g} kg, {n['capacity'] * n['voltage']:g} Wh, friction {n['friction']:g}"
+        told += f", ambient {n['ambient']:g} W, tool {n['tool']:g} W"
+        _tell(f"{config}: Open-RMF fleet {fleet.name}, {told}", fleet.remarks.values(), out)
     return 0

@@ -47,17 +47,7 @@ KNOWN = "Nav2 GeoJSON, Open-RMF building.yaml, LIF, GPX, QGroundControl .plan, V
 
 
 def import_site(path: str | Path, options: SiteOptions | None = None) -> Site:
-    """Read a site, route graph, track or order of another tool.
-
-    Parameters
-    ----------
-    path : path-like
-    options : SiteOptions, optional
-
-    Returns
-    -------
-    Site
-        With remarks on what has no place in ours.
+    """Read a site, route graph, track or order of another tool, with remarks on what has no place in ours.
 
     Raises
     ------
@@ -82,7 +72,7 @@ def import_site(path: str | Path, options: SiteOptions | None = None) -> Site:
     if kind is None:
         raise InputError(_unknown(site.file, data))
     site.format = kind.name
-    faults = Faults()
+    faults = Faults(site.file)
     kind.read(Value(document, faults, document.root), site, options)
     faults.stop()
     return site
@@ -92,7 +82,7 @@ def _read_xml(text: str, site: Site, options: SiteOptions) -> Site:
     root = parse_xml(text, site.file)
     if root.tag == "gpx":
         site.format = "GPX"
-        faults = Faults()
+        faults = Faults(site.file)
         gpx.read(root, site, options, faults)
         faults.stop()
     elif root.tag == "graphml":

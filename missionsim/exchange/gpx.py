@@ -12,7 +12,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.errors import Fault
 from missionsim.exchange.geo import LocalPlane, smooth_slopes
 from missionsim.exchange.site import Site, SiteOptions, clean, says_charger
 from missionsim.exchange.source import Element, Faults
@@ -28,17 +27,17 @@ def read(root: Element, site: Site, options: SiteOptions, faults: Faults) -> Non
     ways: list[tuple[str, list[Point], bool]] = []
     for index, track in enumerate(root.all("trk"), 1):
         for segment in track.all("trkseg"):
-            if points := _points(segment, "trkpt", site, faults):
+            if points := _points(segment, "trkpt", faults):
                 ways.append((track.first("name") or f"track_{index}", points, True))
             else:
                 site.tell("left out: track segment without points", segment.line)
     for index, route in enumerate(root.all("rte"), 1):
-        if points := _points(route, "rtept", site, faults):
+        if points := _points(route, "rtept", faults):
             ways.append((route.first("name") or f"route_{index}", points, False))
-    marks = _points(root, "wpt", site, faults)
+    marks = _points(root, "wpt", faults)
     every = [point for _, points, _ in ways for point in points] + marks
     if not every and not faults.found:
-        faults.found.append(Fault(site.file, root.line, 0, "a GPX file without tracks, routes and waypoints"))
+        faults.add(root.line, "a GPX file without tracks, routes and waypoints")
     if faults.found:
         return
     plane = site.plane([point[:2] for point in every])
@@ -60,15 +59,14 @@ def read(root: Element, site: Site, options: SiteOptions, faults: Faults) -> Non
             site.segments.append({"drive": {"along": chain[1:] if before is None or before[-1] == chain[0] else chain}})
 
 
-def _points(parent: Element, tag: str, site: Site, faults: Faults) -> list[Point]:
+def _points(parent: Element, tag: str, faults: Faults) -> list[Point]:
     result = []
     for point in parent.all(tag):
         numbers = []
         for text, low, high in ((point.attributes.get("lat"), -90, 90), (point.attributes.get("lon"), -360, 360)):
             number = _number(text)
             if number is None or not low <= number <= high:
-                message = f"a {tag} needs lat and lon in degrees"
-                faults.found.append(Fault(site.file, point.line, 0, message, "", str(text), f"{low} to {high}"))
+                faults.add(point.line, f"a {tag} needs lat and lon in degrees", str(text), f"{low} to {high}")
             else:
                 numbers.append(number)
         height = _number(point.first("ele"))

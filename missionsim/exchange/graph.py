@@ -58,10 +58,9 @@ def read_graphml(root: Element, text: str, site: Site, options: SiteOptions) -> 
     for start, end, data in graph.edges(data=True):
         line = between.get((str(start), str(end)), between.get((str(end), str(start)), 0))
         edges.append(Part((str(start), str(end)), data, line))
-    missing = [(end, line) for ends, line in between.items() for end in ends if end not in lines]
-    faults = Faults(
-        [Fault(site.file, line, 0, "no node has this id", "", end, "the id of a node") for end, line in missing]
-    )
+    faults = Faults(site.file)
+    for end, line in ((end, line) for ends, line in between.items() for end in ends if end not in lines):
+        faults.add(line, "no node has this id", end, "the id of a node")
     faults.stop()
     _fill(nodes, edges, graph.graph, graph.is_directed(), site, options, faults)
     faults.stop()
@@ -104,9 +103,7 @@ def _fill(
     positions = {node.ends[0]: _position(node, degrees) for node in nodes}
     angles = [p for p in positions.values() if p and p[2]]
     if any(abs(p[0]) > 90 or abs(p[1]) > 360 for p in angles):
-        faults.found.append(
-            Fault(site.file, nodes[0].line, 0, "no latitudes and longitudes", "", str(angles[0][:2]), "degrees")
-        )
+        faults.add(nodes[0].line, "no latitudes and longitudes", str(angles[0][:2]), "degrees")
         return
     plane = site.plane([(p[0], p[1]) for p in angles]) if angles else None
     names: dict[str, str] = {}
@@ -123,9 +120,7 @@ def _fill(
         length = _length(edge, site)
         if length is None and site.straight(start, end) is None:
             known = "length, or x and y of both nodes"
-            faults.found.append(
-                Fault(site.file, edge.line, 0, "how long this edge is, is unknown", "", " to ".join(edge.ends), known)
-            )
+            faults.add(edge.line, "how long this edge is, is unknown", " to ".join(edge.ends), known)
             continue
         named = [edge.attributes[key] for key in ("name", "label", "id") if edge.attributes.get(key) is not None]
         name = clean(str(named[0])) if named else ""

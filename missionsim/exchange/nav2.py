@@ -138,13 +138,13 @@ def _speed(edge: Value, site: Site, options: SiteOptions) -> float | None:
 
 def _left(properties: Value, site: Site, what: str, used: tuple[str, ...]) -> None:
     """Tell what of a node or edge has no place in an environment."""
-    for key, value in properties.items():
-        if key in ("operations", "overridable"):
-            site.tell(f"left out: {key} of {what}", value.line)
-        elif key == "metadata" and isinstance(value.data, dict):
-            for name, entry in value.items():
-                if name not in used:
-                    site.tell(f"left out: metadata '{name[:40]}' of {what}", entry.line)
+    for key in ("operations", "overridable"):
+        if found := properties.get(key):
+            site.tell(f"left out: {key} of {what}", found.line)
+    if (metadata := properties.get("metadata")) and isinstance(metadata.data, dict):
+        for name, entry in metadata.items():
+            if name not in used:
+                site.tell(f"left out: metadata '{name[:40]}' of {what}", entry.line)
 
 
 @dataclass(frozen=True)
@@ -174,15 +174,11 @@ def export_costs(
     speed: float | None = None,
     best_speed: bool = False,
     payload_kg: float = 0.0,
-    scheme: str = "",
 ) -> GraphCosts:
     """Cost and speed limit of each edge for this robot, in the text of the graph.
 
     Parameters
     ----------
-    path : path-like
-        Nav2 route graph.
-    robot : RobotSpec
     battery : str
         Whose energy counts; all of them together by default.
     wh_per_s : float
@@ -191,21 +187,10 @@ def export_costs(
         Wanted, m/s; the top speed by default. The limit of an edge holds as well.
     best_speed : bool
         Take the speed of the lowest cost, up to the limit, on each edge.
-    payload_kg : float
-    scheme : str
-        Control scheme; the robot's first that moves by default.
-
-    Returns
-    -------
-    GraphCosts
-
-    Raises
-    ------
-    missionsim.errors.InputError
     """
     text = read_text(path)
     document = parse_json(text.removeprefix("\ufeff"), str(path))
-    faults = Faults()
+    faults = Faults(str(path))
     root = Value(document, faults, document.root)
     site = Site(str(path), "Nav2 route graph", "")
     read(root, site, SiteOptions(robot))
@@ -222,7 +207,7 @@ def export_costs(
         speeds = [limit * share for share in (np.linspace(0.1, 1.0, 19) if best_speed else [1.0])]
         drives |= {(slope, pace): 0.0 for pace in speeds}
         wanted.append((properties, edge, slope, speeds))
-    powers = steady_power(robot, list(drives), scheme=scheme, payload_kg=payload_kg)
+    powers = steady_power(robot, list(drives), payload_kg=payload_kg)
     watts = powers[battery] if battery else np.sum(list(powers.values()), axis=0)
     drives = dict(zip(drives, watts.tolist(), strict=True))
     edits: list[tuple[int, int, str]] = []
@@ -253,18 +238,16 @@ def export_costs(
 
 
 def steady_power(
-    robot: RobotSpec, drives: Sequence[tuple[float, float]], *, scheme: str = "", payload_kg: float = 0.0
+    robot: RobotSpec, drives: Sequence[tuple[float, float]], *, payload_kg: float = 0.0
 ) -> dict[str, NDArray[np.float64]]:
     """Power of each battery while driving straight on: without starts, stops and turns, warm, batteries full.
 
+    Under the robot's first control scheme that moves.
+
     Parameters
     ----------
-    robot : RobotSpec
     drives : sequence of (float, float)
         Slope [rad] and speed [m/s] of each.
-    scheme : str
-        Control scheme; by default the robot's first that moves.
-    payload_kg : float
 
     Returns
     -------
@@ -281,7 +264,7 @@ def steady_power(
     from missionsim.plan.build import make_plan
     from missionsim.plan.steady import steady_power_w
 
-    scheme = scheme or next((name for name, spec in robot.schemes.items() if spec.motion), "")
+    scheme = next((name for name, spec in robot.schemes.items() if spec.motion), "")
     defaults = {"scheme": scheme, "profile": "constant_speed", "payload": f"{payload_kg:.9g} kg" if payload_kg else ""}
     lines = [f"kind: mission\nname: steady\nrobot: {scalar(robot.name)}"]
     lines.append(f"defaults: {flow({key: value for key, value in defaults.items() if value})}\nsegments:")

@@ -11,10 +11,11 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from missionsim.errors import Fault, InputError
+from missionsim.errors import InputError
 from missionsim.exchange.geo import LocalPlane
 from missionsim.exchange.site import Site, SiteOptions
-from missionsim.exchange.source import Value
+from missionsim.exchange.source import Faults, Value
+from missionsim.files import Json
 
 if TYPE_CHECKING:
     from missionsim.inputs.mission import MissionSpec
@@ -26,6 +27,7 @@ _MOVING = {WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, LAND, TAKEOFF,
 _NAMES = {LAND: "land", TAKEOFF: "take-off", 84: "take-off", 85: "land", SPLINE: "spline waypoint"}
 _LOCAL_FRAMES = {1, 4, 7, 9, 12, 13, 20, 21}
 _ROVERS = {10, 11}
+_SHAPES = ("circles", "polygons", "polygon", "points")
 
 
 @dataclass
@@ -60,12 +62,7 @@ def read(root: Value, site: Site, options: SiteOptions) -> None:
         numbers = [value.number() for value in place.entries("coordinate")[:2]] if isinstance(place.data, dict) else []
         home = numbers
     for key in ("geoFence", "rallyPoints"):
-        part = root.get(key)
-        if (
-            part
-            and isinstance(part.data, dict)
-            and any(part.data.get(k) for k in ("circles", "polygons", "polygon", "points"))
-        ):
+        if (part := root.get(key)) and any(part.has(k) and part.data[k] for k in _SHAPES):
             site.tell(f"left out: {key}", part.line)
     if root.faults.found:
         return
@@ -86,7 +83,7 @@ def read(root: Value, site: Site, options: SiteOptions) -> None:
 
 def read_text(text: str, site: Site, options: SiteOptions) -> None:
     """Fill the site of a ``QGC WPL`` file: index, current, frame, command, 7 parameters, autocontinue a line."""
-    items, faults = [], []
+    items, faults = [], Faults(site.file)
     for line, row in enumerate(text.splitlines()[1:], 2):
         words = row.split()
         if not words:
@@ -96,13 +93,12 @@ def read_text(text: str, site: Site, options: SiteOptions) -> None:
             if len(numbers) != 12 or not all(math.isfinite(number) for number in numbers):
                 raise ValueError
         except ValueError:
-            faults.append(Fault(site.file, line, 0, "not a waypoint", "", row[:60], "12 numbers"))
+            faults.add(line, "not a waypoint", row[:60], "12 numbers")
             continue
         items.append(Item(int(numbers[3]), [*numbers[4:11]], int(numbers[2]), int(numbers[0]), line))
-    if faults:
-        raise InputError(faults[:20])
-    if not items:
-        raise InputError(Fault(site.file, 1, 0, "a plan without waypoints"))
+    if not items and not faults.found:
+        faults.add(1, "a plan without waypoints")
+    faults.stop()
     first = items[0]
     home = None
     if first.number == 0 and first.latitude is not None and first.longitude is not None:
@@ -138,31 +134,18 @@ def _items(value: Value, site: Site) -> list[Item]:
 def build(
     items: list[Item], home: tuple[float, float] | None, speed: float | None, site: Site, options: SiteOptions
 ) -> None:
-    """Places, ways and mission of the commands.
-
-    Parameters
-    ----------
-    items : list of Item
-    home : (float, float), optional
-        Latitude and longitude, degrees: where the robot starts.
-    speed : float, optional
-        m/s.
-    """
+    """Places, ways and mission of the commands, from `home` (latitude and longitude, degrees) at a speed [m/s]."""
     moving = [item for item in items if item.command in _MOVING and _has_place(item)]
     world = [item for item in moving if item.frame not in _LOCAL_FRAMES]
-    faults = [
-        Fault(site.file, item.line, 0, "no latitude and longitude", "", f"{item.latitude}, {item.longitude}", "degrees")
-        for item in world
-        if abs(item.latitude or 0.0) > 90 or abs(item.longitude or 0.0) > 360
-    ]
+    faults = Faults(site.file)
+    for item in world:
+        if abs(item.latitude or 0.0) > 90 or abs(item.longitude or 0.0) > 360:
+            faults.add(item.line, "no latitude and longitude", f"{item.latitude}, {item.longitude}", "degrees")
     if home is not None and (abs(home[0]) > 90 or abs(home[1]) > 360):
-        faults.append(
-            Fault(site.file, 0, 0, "plannedHomePosition is no latitude and longitude", "", str(home), "degrees")
-        )
+        faults.add(0, "plannedHomePosition is no latitude and longitude", str(home), "degrees")
     if not moving and home is None:
-        faults.append(Fault(site.file, items[0].line, 0, "a plan without waypoints"))
-    if faults:
-        raise InputError(faults[:20])
+        faults.add(items[0].line, "a plan without waypoints")
+    faults.stop()
     points = [(item.latitude or 0.0, item.longitude or 0.0) for item in world] + ([home] if home else [])
     plane = site.plane(points) if points else None
     _Route(items, plane, speed, site, options, home).drive()
@@ -274,7 +257,7 @@ class _Route:
         self.site.segments[begin:] = [{"repeat": {"times": times + 1, "segments": block}}]
 
 
-def plan_of(mission: MissionSpec, origin: tuple[float, float] | None = None) -> tuple[dict[str, Any], tuple[str, ...]]:
+def plan_of(mission: MissionSpec, origin: tuple[float, float] | None = None) -> tuple[Json, tuple[str, ...]]:
     """A plan of QGroundControl for the way of a mission, and what of the mission it cannot say.
 
     Parameters

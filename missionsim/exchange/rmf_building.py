@@ -238,9 +238,8 @@ def _build(levels: dict[str, _Level], cabins: dict[tuple[str, int], str], site: 
                 continue
             parts = vertex.entries()
             parameters = _parameters(parts[4]) if len(parts) > 4 else {}
-            for name in parameters:
-                if name not in _VERTEX_USED:
-                    site.tell(f"left out: {name[:40]} of a vertex", vertex.line)
+            if len(parts) > 4:
+                site.left_out("a vertex", ((name, vertex) for name, _ in parts[4].items()), _VERTEX_USED)
             if (cabin := cabins.get(key)) in lifts:
                 names[key] = lifts[str(cabin)]
                 continue

@@ -75,13 +75,7 @@ class Fleet:
     remarks: dict[str, Remark] = field(default_factory=dict)
 
     def robot_text(self, battery: str = "robot") -> str:
-        """The robot file.
-
-        Parameters
-        ----------
-        battery : str
-            Name of its battery.
-        """
+        """The robot file; its battery gets that name."""
         n = self.numbers
         body = {"drive": "differential", "mass": f"{n['mass']:g} kg"}
         units = {"max_speed": "m/s", "max_acceleration": "m/s^2", "max_yaw_rate": "rad/s"}
@@ -125,7 +119,7 @@ def read_fleet(path: str | Path) -> Fleet:
         All its faults, with lines.
     """
     document = read_document(path, read_text(path))
-    faults = Faults()
+    faults = Faults(str(path))
     root = Value(document, faults, document.root)
     fleet = root.need("rmf_fleet")
     faults.stop()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from missionsim.errors import InputError
@@ -62,11 +62,11 @@ def stops_of(mission: MissionSpec) -> tuple[list[Stop], list[str]]:
             continue
         if leg.kind == "stand":
             if leg.duration_s > 0:
-                stops[-1] = _with(here, waits=(*here.waits, ("wait", leg.duration_s)))
+                stops[-1] = replace(here, waits=(*here.waits, ("wait", leg.duration_s)))
         elif leg.kind == "dock":
             recharge = leg.recharge
             until = 1.0 if recharge is None or recharge.until is None else recharge.until
-            stops[-1] = _with(here, recharge_until=until)
+            stops[-1] = replace(here, recharge_until=until)
             if recharge is not None and recharge.until is None:
                 told["charging for a time is written as charging until full"] = None
         elif leg.edge is None:
@@ -86,9 +86,3 @@ def stops_of(mission: MissionSpec) -> tuple[list[Stop], list[str]]:
     if mission.activities:
         told["activities (components switched on and off) have no place in it"] = None
     return stops, list(told)
-
-
-def _with(stop: Stop, **changes: object) -> Stop:
-    from dataclasses import replace
-
-    return replace(stop, **changes)  # type: ignore[arg-type]

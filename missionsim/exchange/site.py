@@ -201,7 +201,7 @@ class Site:
             "length_m": self.length_m,
             "chargers": self.chargers,
             "segments": len(self.segments),
-            "told": [{"message": r.message, "line": r.line, "count": r.count} for r in self.remarks.values()],
+            "told": [vars(remark) for remark in self.remarks.values()],
         }
 
     def environment_text(self) -> str:

@@ -189,7 +189,12 @@ def read_document(path: str | Path, text: str) -> Document:
 class Faults:
     """Faults of one file, collected until `stop`."""
 
+    file: str
     found: list[Fault] = field(default_factory=list)
+
+    def add(self, line: int, message: str, got: str = "", allowed: str = "") -> None:
+        """Note one at a line."""
+        self.found.append(Fault(self.file, line, 0, message, "", got, allowed))
 
     def stop(self) -> None:
         """Raise what was found, if anything was."""

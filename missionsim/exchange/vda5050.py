@@ -12,7 +12,6 @@ by the name of the station at it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +19,7 @@ from missionsim.errors import InputError
 from missionsim.exchange.geo import nurbs_length
 from missionsim.exchange.site import Site, SiteOptions, says_charger
 from missionsim.exchange.source import Value
+from missionsim.files import Json
 
 if TYPE_CHECKING:
     from missionsim.inputs.mission import MissionSpec
@@ -159,14 +159,6 @@ _EDGE_USED = {"edgeId", "sequenceId", "actions", "released", "maxSpeed", "maximu
 _EDGE_USED |= {"startNodeId", "endNodeId", "edgeDescription", "edgeDescriptor"}
 
 
-@dataclass(frozen=True)
-class Order:
-    """An order as JSON data, and what of the mission it cannot say."""
-
-    data: dict[str, Any]
-    remarks: tuple[str, ...]
-
-
 def read(root: Value, site: Site, options: SiteOptions) -> None:
     """Fill the site; the order is its mission."""
     site.name = root.word("orderId") or site.name
@@ -292,23 +284,19 @@ def _duration(parameters: dict[str, Any]) -> float | None:
     return None
 
 
-def order_of(mission: MissionSpec, *, version: str = "3.0.0", timestamp: str = "", robot_id: str = "1") -> Order:
-    """An order for the way of a mission.
+def order_of(
+    mission: MissionSpec, *, version: str = "3.0.0", timestamp: str = "", robot_id: str = "1"
+) -> tuple[Json, tuple[str, ...]]:
+    """An order for the way of a mission as JSON data, and what of the mission it cannot say.
 
     Parameters
     ----------
-    mission : MissionSpec
-        Drives over the places of its environment.
     version : str
         Of VDA 5050: ``2.0.0``, ``2.1.0`` or ``3.0.0``.
     timestamp : str
         ISO 8601 in UTC, ``2026-01-01T00:00:00.000Z``; now where empty.
     robot_id : str
         Serial number; the manufacturer is the robot's name.
-
-    Returns
-    -------
-    Order
     """
     from datetime import UTC, datetime
 
@@ -348,7 +336,7 @@ def order_of(mission: MissionSpec, *, version: str = "3.0.0", timestamp: str = "
         remarks.append(
             "the action 'wait' (key duration, s) is ours: the specification names no action that waits a time"
         )
-    return Order({**head, "nodes": nodes, "edges": edges}, tuple(remarks))
+    return {**head, "nodes": nodes, "edges": edges}, tuple(remarks)
 
 
 def _action(identity: str, kind: str, **parameters: float) -> dict[str, Any]:
