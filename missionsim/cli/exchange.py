@@ -313,7 +313,7 @@ def import_robot(config: Path, /, *, out: Path | None = None, battery: str = "ro
     to.emit({"schema": "missionsim.fleet/1", "source": str(config), "robot": name, **found, "told": told, "out": out})
     if to.text:
         n = fleet.numbers
-        told = f"{n['mass']:g} kg, {n['capacity'] * n['voltage']:g} Wh, friction {n['friction']:g}"
-        told += f", ambient {n['ambient']:g} W, tool {n['tool']:g} W"
-        _tell(f"{config}: Open-RMF fleet {fleet.name}, {told}", fleet.remarks.values(), out)
+        line = f"{n['mass']:g} kg, {n['capacity'] * n['voltage']:g} Wh, friction {n['friction']:g}"
+        line += f", ambient {n['ambient']:g} W, tool {n['tool']:g} W"
+        _tell(f"{config}: Open-RMF fleet {fleet.name}, {line}", fleet.remarks.values(), out)
     return 0

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from missionsim.effects.covariates import Covariates, number
+from missionsim.effects.covariates import Covariates, Value, number
 from missionsim.errors import InputError
 from missionsim.expressions import Place
 from missionsim.physics.motion import recovered_power
@@ -89,9 +89,9 @@ class Effect:
     meaning: str
     parameters: tuple[ParameterSpec, ...]
     needs: tuple[str, ...]
-    power: Callable[[Covariates, Parameters], Any] = field(compare=False)
+    power: Callable[[Covariates, Parameters], Value] = field(compare=False)
     _: KW_ONLY
-    impulse: Callable[[Covariates, Parameters], Any] | None = field(default=None, compare=False)
+    impulse: Callable[[Covariates, Parameters], Value] | None = field(default=None, compare=False)
     component: str = "motors"
     drive: bool = False
     recovers: bool = False
@@ -99,7 +99,7 @@ class Effect:
     execution: bool = False
     sign: int = 1
     memory: tuple[str, ...] = ()
-    relief: Callable[[Parameters], Any] | None = field(default=None, compare=False)
+    relief: Callable[[Parameters], Value] | None = field(default=None, compare=False)
     """The part of the drive's power that it can relieve; all of it where not given."""
     parts: tuple[str, ...] = ()
     """Parameters with a column each, where the power is linear in several (floors)."""
@@ -117,7 +117,7 @@ class Effect:
         if not self.covariate:
             object.__setattr__(self, "covariate", self.needs[0] if self.needs else "time_s")
 
-    def alone(self, cov: Covariates, p: Parameters) -> Any:
+    def alone(self, cov: Covariates, p: Parameters) -> Value:
         """Its power beside a drive whose power stands in ``drive_w`` [W]: what it gives back is limited by that need.
 
         In a model `PowerModel.evaluate` limits all such terms together.
@@ -126,9 +126,10 @@ class Effect:
         if not self.limits(p):
             return power
         part = 1.0 if self.relief is None else self.relief(p)
-        return recovered_power(power, part * number(cov, "drive_w"), p.get(self.back, number(cov, "regeneration")))
+        back: Value = p.get(self.back, number(cov, "regeneration"))
+        return recovered_power(power, part * number(cov, "drive_w"), back)
 
-    def limits(self, p: Mapping[str, Any]) -> bool:
+    def limits(self, p: Parameters) -> bool:
         """Whether what it gives back ends where the drive needs nothing any more, but for what regeneration returns."""
         return self.recovers and (self.back not in p or bool(np.any(np.asarray(p.get("relief", 0.0)) > 0.0)))
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.effects.base import Effect, ParameterSpec
-from missionsim.effects.covariates import Covariates, is_moving, label_equals, number
+from missionsim.effects.covariates import Covariates, Value, is_moving, label_equals, number
 from missionsim.errors import InputError
 from missionsim.expressions import Expression
 from missionsim.physics import motion
@@ -21,7 +21,7 @@ def drive_term(
     id: str,
     equation: str,
     parameters: tuple[ParameterSpec, ...],
-    power: Callable[[Covariates, Parameters], Any],
+    power: Callable[[Covariates, Parameters], Value],
     *,
     source: str = _EQ5,
     needs: tuple[str, ...] = ("speed_m_s",),
@@ -51,11 +51,9 @@ def _while_moving(watts: Any, moving: Any) -> Any:
     return watts * moving
 
 
-def lifting_power(cov: Covariates, p: Parameters) -> Any:
+def lifting_power(cov: Covariates, p: Parameters) -> Value:
     """Power of lifting the robot, driven in any direction, ``grade`` times [W]; negative downhill."""
-    speed = cov["speed_m_s"]
-    if "lateral_speed_m_s" in cov:
-        speed = np.hypot(speed, cov["lateral_speed_m_s"])
+    speed: Value = np.hypot(cov["speed_m_s"], number(cov, "lateral_speed_m_s"))
     return motion.grade_power(speed, number(cov, "slope_rad"), cov["mass_kg"], p["grade"])
 
 
@@ -104,7 +102,7 @@ def load_term(
     source: str,
     meaning: str,
     parameters: tuple[ParameterSpec, ...],
-    unit_power: Callable[[Covariates, Parameters], Any],
+    unit_power: Callable[[Covariates, Parameters], Value],
     column: str = "",
     needs: tuple[str, ...] = (),
 ) -> Effect:

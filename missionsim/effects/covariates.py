@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S
 from missionsim.labels import Labels as Labels
+from missionsim.physics import Value as Value
 
-Value = float | NDArray[np.float64]
-"""A number or an array of numbers; arrays broadcast (scalar, ``(intervals,)``, ``(draws, intervals)``)."""
 Truth = bool | NDArray[np.bool_]
 """Yes or no, or an array of them."""
 Covariates = Mapping[str, Any]
@@ -38,9 +37,9 @@ def label_equals(value: object, name: str) -> Truth:
     return np.asarray(np.asarray(value) == name)
 
 
-def number(cov: Covariates, name: str, default: float = 0.0) -> Any:
+def number(cov: Covariates, name: str, default: float = 0.0) -> Value:
     """A numeric covariate, or `default` where it is not there."""
-    value = cov.get(name)
+    value: Value | None = cov.get(name)
     return default if value is None else value
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.effects.covariates import Value
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.effects.timeline import Timeline
 
@@ -95,7 +96,7 @@ def averaged(powers: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
 
 
 def integrate(
-    model: PowerModel, timeline: Timeline, values: Mapping[str, Any] | None = None
+    model: PowerModel, timeline: Timeline, values: Mapping[str, Value] | None = None
 ) -> dict[str, dict[TermKey, NDArray[np.float64]]]:
     """Energy of each term in each interval.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.base import Effect
-from missionsim.effects.covariates import Covariates, number
+from missionsim.effects.covariates import Covariates, Value, number
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.physics.meter import Meter
 from missionsim.physics.motion import relieved_powers
@@ -200,7 +200,7 @@ class PowerModel:
         return faults
 
     def evaluate(
-        self, cov: Covariates, values: Mapping[str, Any] | None = None, battery: str | None = None
+        self, cov: Covariates, values: Mapping[str, Value] | None = None, battery: str | None = None
     ) -> dict[str, dict[TermKey, Any]]:
         """Power of every term in watts.
 
@@ -227,7 +227,7 @@ class PowerModel:
         wanted = self.batteries if battery is None else (battery,)
         return {name: self._evaluate_battery(name, full, values or {}) for name in wanted}
 
-    def complete(self, cov: Covariates, values: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    def complete(self, cov: Covariates, values: Mapping[str, Value] | None = None) -> dict[str, Any]:
         """`cov` with the robot's own constants, those of `values` if they are there, and the total mass."""
         full = {**self.constants, **cov}
         if values:
@@ -279,11 +279,11 @@ class PowerModel:
             for name, parameter in term.parameters.items()
         }
 
-    def total(self, cov: Covariates, battery: str, values: Mapping[str, Any] | None = None) -> Any:
+    def total(self, cov: Covariates, battery: str, values: Mapping[str, Value] | None = None) -> Value:
         """Power of one battery [W], the sum of its terms."""
         return sum(self.evaluate(cov, values, battery)[battery].values(), start=0.0)
 
-    def impulses(self, cov: Covariates, values: Mapping[str, Any] | None = None) -> dict[TermKey, Any]:
+    def impulses(self, cov: Covariates, values: Mapping[str, Value] | None = None) -> dict[TermKey, Value]:
         """Energy in J that terms take at the very start of an interval (starts from rest)."""
         full = self.complete(cov, values)
         return {

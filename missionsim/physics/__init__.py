@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Value = float | Array
+"""A number or an array of numbers; arrays broadcast (scalar, ``(intervals,)``, ``(draws, intervals)``)."""
 
 
 def f64(values: ArrayLike) -> Array:

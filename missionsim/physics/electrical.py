@@ -7,14 +7,10 @@ the f·V² scaling of a core's power and the form of the loop time are assumptio
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from missionsim.physics import Array, f64
-
-Value = Any
+from missionsim.physics import Array, Value, f64
 
 
 def sonar_power(rate_hz: Value, p2: Value, p1: Value) -> Value:

@@ -8,15 +8,12 @@ for them, so these (small-angle geometry) are ours.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from missionsim.glossary import GRAVITY_M_S2
-from missionsim.physics import Array, f64
-
-Value = Any
+from missionsim.physics import Array, Value, f64
 
 
 def rolling_power(speed_m_s: Value, k: Value) -> Value:
