@@ -208,7 +208,7 @@ def _reason(found: bool, p: float, level: float, runs: int, why: str) -> str:
 
 def _student(values: NDArray[np.float64]) -> tuple[float, float, float, float]:
     """Mean, 95 % interval and two-sided p-value of mean nought."""
-    from scipy.stats import t
+    from scipy.special import stdtr, stdtrit
 
     count = len(values)
     middle = float(np.mean(values))
@@ -216,8 +216,8 @@ def _student(values: NDArray[np.float64]) -> tuple[float, float, float, float]:
         return middle, float("nan"), float("nan"), float("nan")
     # runs that agree to the last digit (a simulated log) still have an odometer
     error = max(float(np.std(values, ddof=1)) / np.sqrt(count), 1e-4 * max(abs(middle), 1e-3))
-    reach = float(t.ppf(0.975, count - 1)) * error
-    return middle, middle - reach, middle + reach, float(2.0 * t.sf(abs(middle) / error, count - 1))
+    reach = float(stdtrit(count - 1, 0.975)) * error
+    return middle, middle - reach, middle + reach, float(2.0 * stdtr(count - 1, -abs(middle) / error))
 
 
 def by_effect(effects: Sequence[ExecutionEffect]) -> Mapping[str, list[ExecutionEffect]]:

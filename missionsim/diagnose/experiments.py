@@ -147,11 +147,11 @@ def power_of(lead_nats: float) -> float:
 
     The log-likelihood ratio of two Gaussian models has mean D and variance 2 D.
     """
-    from scipy.stats import norm
+    from scipy.special import ndtr
 
     if lead_nats <= 0.0:
         return 0.0
-    return float(norm.cdf((lead_nats - DECIDED_NATS) / np.sqrt(2.0 * lead_nats)))
+    return float(ndtr((lead_nats - DECIDED_NATS) / np.sqrt(2.0 * lead_nats)))
 
 
 def worst_lead(bench: Bench, constraints: Constraints, gram: Gram, names: Sequence[str]) -> float:

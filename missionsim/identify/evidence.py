@@ -57,9 +57,15 @@ class Evidence:
     @property
     def p_value(self) -> float:
         """The more careful of the likelihood and the robust p-value."""
-        from scipy.stats import chi2
+        return max(chance_of(self.gain), self.p_robust)
 
-        return float(max(chi2.sf(2 * max(self.gain, 0.0), 1), self.p_robust))
+
+def chance_of(gain: float, freedom: int = 1) -> float:
+    """Probability that as many free columns gain so many nats by chance (likelihood ratio)."""
+    # the functions themselves: the distributions around them (scipy.stats) take half a second to import
+    from scipy.special import chdtrc
+
+    return float(chdtrc(freedom, 2.0 * max(gain, 0.0)))
 
 
 def evidence_of(model: Model, column: int, constraints: Constraints, settings: Settings) -> Evidence:
@@ -72,8 +78,6 @@ def evidence_of(model: Model, column: int, constraints: Constraints, settings: S
 
 def at_a_glance(model: Model, column: int, gain: float) -> Evidence:
     """Evidence for a candidate too small to matter, without a refit of the noise."""
-    from scipy.stats import chi2
-
     rest = model.gram.conditional(model.chosen)
     share = float(rest[0, 1 + column] / rest[1 + column, 1 + column])
     sd = float(np.sqrt(1.0 / rest[1 + column, 1 + column]))
@@ -82,7 +86,7 @@ def at_a_glance(model: Model, column: int, gain: float) -> Evidence:
         gain=gain,
         share=share,
         share_sd=sd,
-        p_robust=float(chi2.sf(2 * gain, 1)),
+        p_robust=chance_of(gain),
         p_runs=float("nan"),
         passed={"practical": False},
     )
@@ -103,9 +107,9 @@ def tails(constraints: Constraints, settings: Settings, beside: bool) -> Array:
 
 def nats_needed(tail: float) -> float:
     """Rise of the log-likelihood that chance exceeds with probability `tail` on one side."""
-    from scipy.stats import norm
+    from scipy.special import ndtri
 
-    return 0.5 * float(norm.isf(tail)) ** 2
+    return 0.5 * float(ndtri(tail)) ** 2
 
 
 def block_numbers(model: Model, length_s: float) -> Numbers:
@@ -150,7 +154,7 @@ def _robust(model: Model, column: int, others: Sequence[int], settings: Settings
 
 def _clustered(x: Array, e: Array, cluster: Numbers, share: float, info: float, known: float) -> tuple[float, float]:
     """Standard error of the jackknife over clusters and its p-value, with Satterthwaite's degrees of freedom."""
-    from scipy.stats import t
+    from scipy.special import stdtr
 
     score = np.bincount(cluster, weights=x * e)
     # one cluster that holds all would divide by nothing
@@ -160,7 +164,7 @@ def _clustered(x: Array, e: Array, cluster: Numbers, share: float, info: float, 
     # fewer than that and the t distribution has no use
     freedom = max(1.5, float(np.sum(weight)) ** 2 / float(np.sum(weight**2)) - 1.0)
     sd = float(np.sqrt(variance)) / info
-    return sd, float(2 * t.sf(abs(share) / max(sd, 1e-300), freedom))
+    return sd, float(2 * stdtr(freedom, -abs(share) / max(sd, 1e-300)))
 
 
 def _beside_the_leading(x: Array, left: Array, blocks: Numbers) -> float:
@@ -188,7 +192,7 @@ def predicts_left_out(model: Model, columns: Sequence[int]) -> tuple[bool, float
     float
         One-sided p-value, over runs, of "their energy error is not larger".
     """
-    from scipy.stats import t
+    from scipy.special import stdtr
 
     squares = LeastSquares.of(model.design)
     rest = [c for c in model.chosen if c not in columns]
@@ -200,7 +204,7 @@ def predicts_left_out(model: Model, columns: Sequence[int]) -> tuple[bool, float
     after, before = squares.energy_left_out(model.chosen, with_it), squares.energy_left_out(rest, without)
     rise = (np.abs(after) - np.abs(before)) / squares.measured()
     error = float(np.std(rise, ddof=1)) / np.sqrt(count)
-    return better, float(t.sf(float(np.mean(rise)) / max(error, 1e-300), count - 1))
+    return better, float(stdtr(count - 1, -float(np.mean(rise)) / max(error, 1e-300)))
 
 
 def between_runs(model: Model, column: int) -> bool:
@@ -236,7 +240,7 @@ def rests_on_one_run(model: Model, column: int) -> bool:
 
 def smallest_detectable(model: Model, constraints: Constraints, settings: Settings) -> Array:
     """Smallest share of energy of each column that would be found in four of five cases, shape (p,)."""
-    from scipy.stats import norm
+    from scipy.special import ndtri
 
     info = np.diag(model.gram.conditional([]))[1:].copy()
     outside = [k for k in range(model.gram.p) if k not in model.chosen]
@@ -245,7 +249,7 @@ def smallest_detectable(model: Model, constraints: Constraints, settings: Settin
         # an effect in the model is limited by the others in it, not by itself
         for k in model.chosen:
             info[k] = model.gram.conditional([c for c in model.chosen if c != k])[1 + k, 1 + k]
-    needed = norm.isf(tails(constraints, settings, bool(model.chosen))) + POWER_Z
+    needed = POWER_Z - ndtri(tails(constraints, settings, bool(model.chosen)))
     out = np.full(len(info), np.inf)
     # columns that base and runs explain wholly have no limit at all
     usable = info > 1e-8 * np.maximum(np.diag(model.gram.full)[1:], 1e-300)

@@ -103,11 +103,11 @@ class Forward:
 
     def smallest_detectable(self, columns: int, settings: Settings) -> Array:
         """Share of energy of each column that four of five sets of runs would show, from the cluster jackknife."""
-        from scipy.stats import t
+        from scipy.special import stdtrit
 
         freedom = max(len(self.squares.sums) - 1, 1)
         level = max(FAMILY_LEVEL, settings.alpha) / max(len(self.trials), 1)
-        factor = float(t.isf(0.5 * level, freedom)) + POWER_Z
+        factor = POWER_Z - float(stdtrit(freedom, 0.5 * level))
         out = np.full(columns, np.inf)
         for trial in self.trials.values():
             out[list(trial.columns)] = np.maximum(factor * np.sqrt(np.diag(trial.covariance)), settings.min_share)
@@ -258,7 +258,7 @@ class _Search:
 
     def measured(self, number: int, own: Sequence[int], beside: Sequence[int]) -> Trial:
         """What speaks for an effect beside others, and the answer of every gate."""
-        from scipy.stats import f
+        from scipy.special import fdtrc
 
         squares, layout = self.squares, self.layout
         before = squares.leave_out(beside)
@@ -269,7 +269,7 @@ class _Search:
         folds, k = len(squares.sums), len(own)
         size = max(float(np.trace(own_covariance)), 1e-300)
         wald = float(shares @ np.linalg.solve(own_covariance + 1e-9 * size * np.eye(k), shares))
-        p_value = float(f.sf(wald * (folds - k) / (k * (folds - 1)), k, folds - k)) if folds > k else 1.0
+        p_value = float(fdtrc(k, folds - k, wald * (folds - k) / (k * (folds - 1)))) if folds > k else 1.0
         fall = before.square - after.square
         worse = np.abs(squares.energy_left_out(chosen, after)) - np.abs(squares.energy_left_out(beside, before))
         spread = float(np.std(worse, ddof=1)) / np.sqrt(folds) if folds > 1 else np.inf

@@ -82,6 +82,20 @@ def start_factor(
     return np.ascontiguousarray(dtrtri(factor, lower=1)[0]), diagonal, excess
 
 
+def recursive(ma: tuple[float, float, float], rows: Array) -> Array:
+    """The y of ``y[n] + ma[1] y[n-1] + ma[2] y[n-2] = rows[n]`` along the last axis, with nothing before; `rows` are
+    overwritten.
+
+    A triangular band of equations, since SciPy's filters take half a second to import.
+    """
+    from scipy.linalg.lapack import dtbtrs
+
+    length = rows.shape[-1]
+    band = np.repeat(np.asarray(ma)[:, None], length, axis=1)
+    found, _ = dtbtrs(band, rows.reshape(-1, length).T, uplo="L", diag="U", overwrite_b=True)
+    return np.asarray(found.T.reshape(rows.shape))
+
+
 @dataclass(frozen=True)
 class Group:
     """Stretches side by side: rows (stretches, k, longest), roots of the weights (stretches, 1, longest), 0 beyond
@@ -96,18 +110,19 @@ class Group:
 
     def filtered(self, shape: Shape) -> tuple[Array, Array]:
         """White rows of unit variance, weighted: the first `START_ROWS` and the others."""
-        from scipy.signal import lfilter
-
         ar, ma, ratio = arma_of(*shape)
         inverse, diagonal, _ = start_factor(*shape)
         x = self.rows
         count = min(START_ROWS, x.shape[2])
         head = x[:, :, :count] @ inverse[:count, :count].T
         if x.shape[2] > count:
+            tail = ar[2] * x[:, :, count - 2 : -2]
+            tail += ar[1] * x[:, :, count - 1 : -1]
+            tail += x[:, :, count:]
             e1, e2 = head[:, :, -1] * diagonal[-1], head[:, :, -2] * diagonal[-2]
-            x1, x2 = x[:, :, count - 1], x[:, :, count - 2]
-            past = np.stack([ar[1] * x1 + ar[2] * x2 - ma[1] * e1 - ma[2] * e2, ar[2] * x1 - ma[2] * e1], axis=2)
-            tail, _ = lfilter(ar, ma, x[:, :, count:], axis=2, zi=past)
+            tail[:, :, 0] -= ma[1] * e1 + ma[2] * e2
+            tail[:, :, 1:2] -= ma[2] * e1[:, :, None]
+            tail = recursive(ma, tail)
             tail *= self.root[:, :, count:]
         else:
             tail = x[:, :, count:]

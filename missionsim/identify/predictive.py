@@ -243,11 +243,11 @@ def _finer(
 
 
 def _clearly_better(new: Left, old: Left, level: float) -> bool:
-    from scipy.stats import t
+    from scipy.special import stdtr
 
     ratio = np.log(np.maximum(new.square, 1e-300) / np.maximum(old.square, 1e-300))
     count = len(ratio)
     if count < 2 or new.total > (1.0 - CLOCK_FALL) * old.total:
         return False
     sd = float(np.std(ratio, ddof=1)) / np.sqrt(count)
-    return float(t.cdf(float(ratio.mean()) / max(sd, 1e-300), count - 1)) < level
+    return float(stdtr(count - 1, float(ratio.mean()) / max(sd, 1e-300))) < level

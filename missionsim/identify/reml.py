@@ -1,7 +1,7 @@
 """Noise by restricted maximum likelihood (Patterson and Thompson 1971, Harville 1977), with weak priors.
 
-Alternates between the filter (correlation times and shares, which need the data), the levels between runs (Gram
-matrices only), and the growth of the noise with power, edges and outliers.
+Filter (correlation times and shares) and levels between runs together, in turns with the growth of the noise with
+power, edges and outliers.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from missionsim.identify.gram import Blocks, innovations, total_without_random
 from missionsim.identify.noise import (
     Noise,
     Shape,
+    arma_of,
     edge_variance,
     for_rows,
     log_level,
@@ -28,22 +29,35 @@ from missionsim.identify.noise import (
 )
 from missionsim.identify.settings import HUBER, JITTER_SD_S, LAG_JITTER_SD_S2, LARGEST_GAIN, NOISE_SPLIT_S, SHARE_PRIOR
 
+PRIOR_SD = np.array([0.9, 0.6, 2.0, 1.5, np.inf, 1.0, 0.7, 0.7])
+"""Of the logarithms of fast and slow correlation time, fast and slow variance against white, innovation, offset, gain
+and motion gain."""
+MOST_SLOW = 1.0
+"""Largest slow variance in parts of the fast one: what wanders more is no meter, and must not pass for its noise."""
+TURN = np.exp(-1j * np.pi * (np.arange(400) + 0.5) / 400)
+STEP = 1e-4
+LARGEST_STEP = 1.5
+MOST_STEPS, MOST_HALVINGS = 20, 6
+ENOUGH = 0.02
+"""A step that gains less ends the fit; a hundredth of what decides anything."""
+ROUGHLY = 1.0
+"""The same of a fit that only outliers and the growth of the noise are read off."""
+FAR = 20.0
+"""After a larger gain the information is computed anew."""
+
 
 def fit_noise(design: Design, chosen: Sequence[int], guess: Noise | None = None, thorough: bool = True) -> Noise:
     """Noise by restricted maximum likelihood with the chosen candidates in the mean.
 
-    Weak log-normal priors hold parameters that few runs cannot show. Alternates between filter parameters (each
-    needs the data) and the levels between runs (need Gram matrices only), then heteroscedasticity and outliers.
+    Weak log-normal priors hold parameters that few runs cannot show. Where it is `thorough`, heteroscedasticity and
+    outliers are read off a first fit, and the second takes them in.
     """
     noise = guess or start_noise(design)
-    # refits start beside their end: half the evaluations find it
-    effort = (90, 50) if thorough else (45,)
     likelihood, moves = _Likelihood(design, len(chosen)), bool(np.any(design.random[2]))
-    for round_, evaluations in enumerate(effort):
+    for enough in (ROUGHLY, ENOUGH) if thorough else (ENOUGH,):
         rows = Blocks.of(design, noise, design.residual[None, :], chosen)
-        noise = _fit_filter(likelihood, noise, rows, evaluations)
-        noise = _fit_levels(likelihood, noise, rows.at(noise.shape), moves, evaluations + 20)
-        if round_ == 0:
+        noise = _fitted(likelihood, noise, rows, moves, enough)
+        if enough == ROUGHLY or not thorough:
             noise = _fit_scale(design, noise, chosen)
     return noise
 
@@ -78,16 +92,17 @@ class _Likelihood:
     def _prior(self, noise: Levels, shape: Shape) -> float:
         h, fast_s, slow_s, fast_share, slow_share = shape
         white = max(1e-6, 1 - fast_share - slow_share)
-        terms = (
-            (math.log(noise.offset_w / (0.005 * self.power)), 1.0),
-            (math.log(noise.gain / 0.005), 0.7),
-            (math.log(noise.motion_gain / 0.005), 0.7),
-            (math.log(fast_s / max(4.0, 1.5 * h)), 0.9),
-            (math.log(slow_s / max(50.0, 20 * h)), 0.6),
-            (math.log(slow_share / white) + 1.5, 1.5),
-            (math.log(fast_share / white) - 0.5, 2.0),
+        off = (
+            math.log(fast_s / max(4.0, 1.5 * h)),
+            math.log(slow_s / max(50.0, 20 * h)),
+            math.log(fast_share / white) - 0.5,
+            math.log(slow_share / white) + 1.5,
+            0.0,
+            math.log(noise.offset_w / (0.005 * self.power)),
+            math.log(noise.gain / 0.005),
+            math.log(noise.motion_gain / 0.005),
         )
-        return sum((value / sd) ** 2 for value, sd in terms)
+        return float(np.sum((off / PRIOR_SD) ** 2))
 
 
 class Levels(NamedTuple):
@@ -99,74 +114,118 @@ class Levels(NamedTuple):
     motion_gain: float
 
 
-def _levels(noise: Noise) -> Levels:
-    return Levels(noise.sigma_w, noise.offset_w, noise.gain, noise.motion_gain)
+class _Place(NamedTuple):
+    """Logarithms of the noise's parameters with their bounds, the filter's five first, and what else the noise has."""
+
+    step_s: float
+    motion_gain: float
+    start: Array
+    low: Array
+    high: Array
+
+    @classmethod
+    def of(cls, noise: Noise, moves: bool) -> _Place:
+        border = max(NOISE_SPLIT_S, 10 * noise.step_s)
+        white = max(1e-6, 1 - noise.fast_share - noise.slow_share)
+        shares = (noise.fast_share / white, noise.slow_share / noise.fast_share)
+        start = (noise.fast_s, noise.slow_s, *shares, noise.sigma_w, noise.offset_w, noise.gain, noise.motion_gain)
+        low = (0.05 * noise.step_s, border, *[math.exp(-12.0)] * 2, *[math.exp(-25.0)] * 4)
+        high = (border, 40 * border, math.exp(12.0), MOST_SLOW, *[math.exp(15.0)] * 2, LARGEST_GAIN, LARGEST_GAIN)
+        # without motion there is no motion gain to fit
+        count = len(start) if moves else len(start) - 1
+        own, least, most = (np.log(values)[:count] for values in (start, low, high))
+        return cls(noise.step_s, noise.motion_gain, np.clip(own, least, most), least, most)
+
+    def shape(self, x: Array) -> Shape:
+        fast_s, slow_s, fast, part = np.exp(x[:4]).tolist()
+        every = 1.0 + fast * (1.0 + part)
+        return self.step_s, fast_s, slow_s, fast / every, fast * part / every
+
+    def levels(self, x: Array) -> Levels:
+        return Levels(*[*np.exp(x[4:]).tolist(), self.motion_gain][:4])
 
 
-def _fit_filter(likelihood: _Likelihood, noise: Noise, rows: Blocks, evaluations: int) -> Noise:
-    from scipy.optimize import minimize
+def _fitted(likelihood: _Likelihood, noise: Noise, rows: Blocks, moves: bool, enough: float) -> Noise:
+    """Filter and levels at the likelihood's best, by quasi-Newton steps (BFGS) from the expected information.
 
-    step_s = noise.step_s
-    border = max(NOISE_SPLIT_S, 10 * step_s)
-    levels = _levels(noise)
+    The Fisher information knows the scale of every parameter and which of them go together, far from the best as well;
+    near it, updates from the gradients take in what a misfit of the mean does to the curvature.
+    """
+    place = _Place.of(noise, moves)
+    low, high = place.low, place.high
 
-    def at(x: Array) -> tuple[float, Shape]:
-        fast, slow = (math.exp(min(max(float(v), -12.0), 12.0)) for v in x[2:4])
-        every = 1.0 + fast + slow
-        return math.exp(x[4]), (step_s, math.exp(x[0]), math.exp(x[1]), fast / every, slow / every)
+    def cost(x: Array, blocks: Array) -> float:
+        return likelihood(place.levels(x), place.shape(x), blocks)
 
-    def cost(x: Array) -> float:
-        sigma_w, shape = at(x)
-        if not (0.05 * step_s < shape[1] < border < shape[2] < 40 * border):
-            return 1e12
-        return likelihood(levels._replace(sigma_w=sigma_w), shape, rows.at(shape))
+    def gradient(x: Array, value: float, blocks: Array) -> Array:
+        out = np.empty(len(x))
+        for i in range(len(x)):
+            near = x.copy()
+            near[i] += STEP if x[i] + STEP < high[i] else -STEP
+            out[i] = (cost(near, rows.at(place.shape(near)) if i < 4 else blocks) - value) / (near[i] - x[i])
+        return out
 
-    white = max(1e-6, 1 - noise.fast_share - noise.slow_share)
-    x0 = np.array(
-        [
-            np.log(noise.fast_s),
-            np.log(noise.slow_s),
-            np.log(noise.fast_share / white),
-            np.log(noise.slow_share / white),
-            np.log(noise.sigma_w),
-        ]
-    )
-    size = 1.0 if evaluations > 60 else 0.6
-    simplex = np.vstack([x0] + [x0 + size * step for step in np.diag([0.5, 0.4, 0.7, 0.7, 0.3])])
-    found = minimize(
-        cost,
-        x0,
-        method="Nelder-Mead",
-        options={"maxfev": evaluations, "initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05},
-    )
-    sigma_w, (_, fast_s, slow_s, fast_share, slow_share) = at(found.x)
-    return replace(noise, fast_s=fast_s, slow_s=slow_s, fast_share=fast_share, slow_share=slow_share, sigma_w=sigma_w)
+    x = place.start
+    blocks = rows.at(place.shape(x))
+    value = cost(x, blocks)
+    slope, curve = gradient(x, value, blocks), _information(place, x, blocks, likelihood.count)
+    for _ in range(MOST_STEPS):
+        free = ~((x <= low) & (slope > 0.0) | (x >= high) & (slope < 0.0))
+        step = np.zeros(len(x))
+        step[free] = np.linalg.solve(curve[np.ix_(free, free)], -slope[free])
+        step *= min(1.0, LARGEST_STEP / float(np.abs(step).max(initial=1e-12)))
+        for _ in range(MOST_HALVINGS):
+            there = np.clip(x + step, low, high)
+            blocks = rows.at(place.shape(there))
+            found = cost(there, blocks)
+            step = there - x
+            promised = -float(slope @ step)
+            if found < value or promised < enough:
+                break
+            # the least of the parabola through both values and the slope
+            step *= min(0.5, max(0.1, 0.5 * promised / (found - value + promised)))
+        fall = value - found
+        if not fall > 0.0:
+            break
+        x, value = there, found
+        if fall < enough:
+            break
+        before, slope = slope, gradient(x, value, blocks)
+        if fall > FAR:
+            curve = _information(place, x, blocks, likelihood.count)
+            continue
+        rise, was = slope - before, curve @ step
+        if rise @ step > 0.05 * (was @ step):  # else it would no longer be a minimum
+            curve = curve + np.outer(rise, rise) / (rise @ step) - np.outer(was, was) / (was @ step)
+    _, fast_s, slow_s, fast_share, slow_share = place.shape(x)
+    shape = {"fast_s": fast_s, "slow_s": slow_s, "fast_share": fast_share, "slow_share": slow_share}
+    return replace(noise, **shape, **place.levels(x)._asdict())
 
 
-def _fit_levels(likelihood: _Likelihood, noise: Noise, blocks: Array, moves: bool, evaluations: int) -> Noise:
-    from scipy.optimize import minimize
+def _information(place: _Place, x: Array, blocks: Array, count: int) -> Array:
+    """Expected curvature of the likelihood: of the filter from its spectrum (Whittle 1953), of the levels from what the
+    runs say of their random effects, with that of the priors."""
+    spectrum = _log_spectrum(place.shape(x))
+    slopes = np.full((5, len(spectrum)), 2.0)
+    for i in range(4):
+        slopes[i] = (_log_spectrum(place.shape(x + np.where(np.arange(len(x)) == i, STEP, 0.0))) - spectrum) / STEP
+    out = np.diag(2.0 / PRIOR_SD[: len(x)] ** 2)
+    out[2, 2:4] += out[3, 3]  # the prior is on the slow variance against white
+    out[3, 2] = out[3, 3]
+    out[:5, :5] += count / len(spectrum) * slopes @ slopes.T
+    levels = place.levels(x)
+    sd = np.array([*levels[1:], JITTER_SD_S, LAG_JITTER_SD_S2]) / levels.sigma_w
+    inner = blocks[:, -len(sd) :, -len(sd) :] * sd[:, None] * sd
+    known = np.linalg.solve(inner + np.eye(len(sd)), inner)[:, : len(x) - 5, : len(x) - 5]
+    out[5:, 5:] += 4.0 * np.sum(known**2, axis=0)
+    return out
 
-    shape = noise.shape
-    # without motion there is no motion gain to fit
-    x0 = np.log(_levels(noise) if moves else _levels(noise)[:-1])
 
-    def at(x: Array) -> Levels:
-        sigma_w, offset_w, *gains = (math.exp(min(max(float(v), -25.0), 15.0)) for v in x)
-        gain, motion_gain = (*(min(g, LARGEST_GAIN) for g in gains), noise.motion_gain)[:2]
-        return Levels(sigma_w, offset_w, gain, motion_gain)
-
-    found = minimize(
-        lambda x: likelihood(at(x), shape, blocks),
-        x0,
-        method="Nelder-Mead",
-        options={
-            "maxfev": evaluations,
-            "xatol": 0.03,
-            "fatol": 0.05,
-            "initial_simplex": np.vstack([x0] + [x0 + s for s in np.diag([0.1, *([0.5] * (len(x0) - 1))])]),
-        },
-    )
-    return replace(noise, **at(found.x)._asdict())
+def _log_spectrum(shape: Shape) -> Array:
+    """Logarithm of the power spectrum of noise with innovations of unit variance, evenly over all frequencies."""
+    ar, ma, _ = arma_of(*shape)
+    own, past = (np.abs(p[0] + p[1] * TURN + p[2] * TURN**2) for p in (ma, ar))
+    return np.asarray(2.0 * np.log(own / past))
 
 
 def _fit_scale(design: Design, noise: Noise, chosen: Sequence[int]) -> Noise:

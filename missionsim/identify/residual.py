@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.identify.data import Array
-from missionsim.identify.evidence import block_numbers
+from missionsim.identify.evidence import block_numbers, chance_of
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import project, random_effects
 from missionsim.identify.model import Model, log_likelihood
@@ -140,8 +140,7 @@ def curve_rows(model: Model, covariate: str, times: str = "") -> tuple[Array, Ar
 
 def test_curve(model: Model, rows: Array, chosen: Sequence[int]) -> tuple[float, float, Array]:
     """Gain of a group of columns [nats], p-value (the more careful of likelihood and sandwich), coefficients."""
-    from scipy.stats import chi2
-    from scipy.stats import f as f_distribution
+    from scipy.special import fdtrc
 
     k = rows.shape[0]
     if not k:
@@ -160,7 +159,7 @@ def test_curve(model: Model, rows: Array, chosen: Sequence[int]) -> tuple[float,
     values[keep] = np.linalg.solve(inner, b[keep])
     gain = 0.5 * float(b[keep] @ values[keep])
     freedom = int(keep.sum())
-    p_like = float(chi2.sf(2 * gain, freedom))
+    p_like = chance_of(gain, freedom)
     residual = y - values @ x
     blocks = block_numbers(model, max(LONG_BLOCK_S, 15 * model.design.layout.step_s))
     count = int(blocks.max()) + 1
@@ -172,7 +171,7 @@ def test_curve(model: Model, rows: Array, chosen: Sequence[int]) -> tuple[float,
     meat[np.diag_indices_from(meat)] *= 1 + 1e-6
     statistic = float(b[keep] @ np.linalg.solve(meat, b[keep]))
     wald = statistic * (count - freedom) / (freedom * max(count - 1, 1))
-    p_robust = float(f_distribution.sf(wald, freedom, count - freedom))
+    p_robust = float(fdtrc(freedom, count - freedom, wald))
     return gain, max(p_like, p_robust), values
 
 
@@ -219,7 +218,7 @@ def _words(name: str, times: str, knots: Array, curve: Array) -> str:
 def periodic(model: Model, chosen_rows: Array) -> Structure | None:
     """A line in the mean periodogram of the whitened residual that stands out of its neighbourhood."""
     from scipy.ndimage import median_filter
-    from scipy.stats import gamma
+    from scipy.special import gammaincc
 
     design = model.design
     step = design.layout.step_s
@@ -244,9 +243,8 @@ def periodic(model: Model, chosen_rows: Array) -> Structure | None:
         return None
     ratio = np.where(usable_mask, ratio, 0.0)
     top = int(np.argmax(ratio))
-    p_value = float(gamma.sf(ratio[top] * 0.97, 1.3 * len(parts), scale=1 / (1.3 * len(parts)))) * int(
-        usable_mask.sum()
-    )
+    looks = 1.3 * len(parts)  # the smoothed mean of so many periodograms is distributed as gamma
+    p_value = float(gammaincc(looks, ratio[top] * 0.97 * looks)) * int(usable_mask.sum())
     if p_value > PERIODIC_LEVEL or ratio[top] < LINE_RATIO:
         return None
     period, sd = _refined(parts, (top + 1) / length)

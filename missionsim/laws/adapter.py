@@ -20,6 +20,7 @@ from missionsim.identify.noise import (
     arma_of,
     bounded_noise,
     for_rows,
+    recursive,
     start_factor,
     start_noise,
 )
@@ -90,11 +91,12 @@ class Ground:
         """Columns (k, rows) of each run at the raw rate as rows of the design, shape (k, n)."""
         return self.model.source.averaged(raw, self.model.clock)
 
-    def with_law(self, watts: Array, start: Noise | None = None) -> Model:
+    def with_law(self, watts: Array, start: Noise | None = None, other: Noise | None = None) -> Model:
         """The model with one more column (power for a coefficient of 1, averaged, shape (n,)) and noise of its own.
 
         The fit begins at usual noise, or at that of a like law: where the null took the law for noise, and its rows for
-        outliers, it would stay there.
+        outliers, it would stay there. Beside an `other` law it has about the size
+        that it has here.
         """
         design = self.extended(watts)
         chosen = tuple(range(len(design.phi)))
@@ -102,7 +104,8 @@ class Ground:
             squares = LeastSquares.of(design)
             noise = bounded_noise(design, squares, chosen)
             return Model(self.model.source, chosen, self.model.clock, design, noise, squares)
-        noise = fit_noise(design, chosen, start, thorough=start is None)
+        guess = start if start is not None or other is None else self.plain(other)
+        noise = fit_noise(design, chosen, guess, thorough=start is None)
         return Model(self.model.source, chosen, self.model.clock, design, noise)
 
     def at_noise(self, design: Design, noise: Noise) -> Model:
@@ -284,13 +287,13 @@ class Sieve:
 def _filter(shape: Shape) -> tuple[Rows32, ...]:
     """Factor of the start and its diagonal (see `start_factor`), ratio of `arma_of`, answer of the filter to a unit in
     each of `BLOCK` + 1 rows, and to a unit in the two rows and the two innovations before them, the older first."""
-    from scipy.signal import lfilter
-
     ar, ma, ratio = arma_of(*shape)
     inverse, diagonal, _ = start_factor(*shape)
-    answer = lfilter(ar, ma, np.eye(BLOCK + 1), axis=1)
-    past = np.array([(ar[2], 0.0), (ar[1], ar[2]), (-ma[2], 0.0), (-ma[1], -ma[2])])
-    echo, _ = lfilter(ar, ma, np.zeros((4, BLOCK + 1)), axis=1, zi=past)
+    length = BLOCK + 1
+    answer = recursive(ma, np.eye(length) + ar[1] * np.eye(length, k=1) + ar[2] * np.eye(length, k=2))
+    past = np.zeros((4, length))
+    past[:, :2] = (ar[2], 0.0), (ar[1], ar[2]), (-ma[2], 0.0), (-ma[1], -ma[2])
+    echo = recursive(ma, past)
     return tuple(np.asarray(x, dtype=np.float32) for x in (inverse, diagonal, ratio, answer, echo))
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from missionsim.effects.covariates import is_text
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
+from missionsim.identify.noise import recursive
 from missionsim.labels import Labels
 from missionsim.laws.grammar import Array, Factor, Grammar
 from missionsim.runs.covariates import may_be_cause
@@ -356,8 +357,8 @@ def _equals(value: Any, text: str) -> NDArray[np.bool_]:
 
 def _lagged(values: Array, time_s: Array, tau_s: float) -> Array:
     """First-order lag of a signal that starts in its steady state."""
-    from scipy.signal import lfilter
-
     step = float(np.median(np.diff(time_s)))
     keep = float(np.exp(-step / tau_s))
-    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])[0])
+    taken = (1.0 - keep) * values
+    taken[0] = values[0]
+    return recursive((1.0, -keep, 0.0), taken)

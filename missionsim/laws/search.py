@@ -199,10 +199,10 @@ class Search:
             self._averaged.update(zip(some, self.ground.averaged(raw), strict=True))
         return np.array([self._averaged[tuple(form)] for form in forms])
 
-    def fit(self, form: tuple[int, ...], start: Noise | None = None) -> Fitted:
-        """A form in the model, with noise of its own."""
+    def fit(self, form: tuple[int, ...], start: Noise | None = None, beside: Sequence[Fitted] = ()) -> Fitted:
+        """A form in the model, with noise of its own; the fit of its size begins where that of another form ended."""
         watts = self.watts(form)
-        model = self.ground.with_law(watts, start)
+        model = self.ground.with_law(watts, start, beside[0].model.noise if beside else None)
         return Fitted(form, model, watts, log_likelihood(model) - self.without, self.penalty(form))
 
     def settled(self, fitted: Fitted) -> Fitted:
@@ -227,7 +227,9 @@ class Search:
         listed = self._sized([one.form for one in usual[:SHORTLIST]])
         null = self.screen(self.ground.plain(self.ground.model.noise), listed)
         seeds = self._apart(usual[: 10 * SEEDS])[:SEEDS] + self._apart(null[: 10 * SEEDS])[:SEEDS]
-        fits = [self.fit(form) for form in self._promising(dict.fromkeys(one.form for one in seeds))]
+        fits: list[Fitted] = []
+        for form in self._promising(dict.fromkeys(one.form for one in seeds)):
+            fits.append(self.fit(form, beside=fits))
         if not fits:
             return None
         # noise that is fitted with each form is no common ground; how left-out runs are predicted is
