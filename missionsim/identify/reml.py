@@ -27,13 +27,19 @@ from missionsim.identify.noise import (
     start_noise,
     without_outliers,
 )
-from missionsim.identify.settings import HUBER, JITTER_SD_S, LAG_JITTER_SD_S2, LARGEST_GAIN, NOISE_SPLIT_S, SHARE_PRIOR
+from missionsim.identify.settings import (
+    HUBER,
+    JITTER_SD_S,
+    LAG_JITTER_SD_S2,
+    LARGEST_GAIN,
+    MOST_SLOW,
+    NOISE_SPLIT_S,
+    SHARE_PRIOR,
+)
 
 PRIOR_SD = np.array([0.9, 0.6, 2.0, 1.5, np.inf, 1.0, 0.7, 0.7])
 """Of the logarithms of fast and slow correlation time, fast and slow variance against white, innovation, offset, gain
 and motion gain."""
-MOST_SLOW = 1.0
-"""Largest slow variance in parts of the fast one: what wanders more is no meter, and must not pass for its noise."""
 TURN = np.exp(-1j * np.pi * (np.arange(400) + 0.5) / 400)
 STEP = 1e-4
 LARGEST_STEP = 1.5
@@ -198,8 +204,8 @@ def _fitted(likelihood: _Likelihood, noise: Noise, rows: Blocks, moves: bool, en
         if rise @ step > 0.05 * (was @ step):  # else it would no longer be a minimum
             curve = curve + np.outer(rise, rise) / (rise @ step) - np.outer(was, was) / (was @ step)
     _, fast_s, slow_s, fast_share, slow_share = place.shape(x)
-    shape = {"fast_s": fast_s, "slow_s": slow_s, "fast_share": fast_share, "slow_share": slow_share}
-    return replace(noise, **shape, **place.levels(x)._asdict())
+    filtered = replace(noise, fast_s=fast_s, slow_s=slow_s, fast_share=fast_share, slow_share=slow_share)
+    return replace(filtered, **place.levels(x)._asdict())
 
 
 def _information(place: _Place, x: Array, blocks: Array, count: int) -> Array:

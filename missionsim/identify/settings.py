@@ -119,6 +119,9 @@ NOISE_FLOOR = 0.3
 """The noise no longer falls below this part of the mean power: a meter has a floor of its own (assumed)."""
 NOISE_SPLIT_S = 25.0
 """Border between the correlation times of the fast and of the slow part [s] (assumed)."""
+MOST_SLOW = 1.0
+"""Largest variance of the slow part against the fast one: what wanders more is no meter, and must not pass for noise
+(a load that nobody logged did, which hid what imitates it)."""
 MOST_FITTED = 16_000
 """Intervals from which on clock and noise are fitted to some of the runs only, spread evenly over all, and laws are
 searched in these: they are surer than they need to be."""
