@@ -163,11 +163,17 @@ def compare(
         if on_run is not None:
             on_run(run)
     batteries = [name for name in model.batteries if any(name in run for run in sums.runs.values())]
+    meters = [
+        f"the model is shown as the meter of '{name}' shows it: {meter.delay_s:+.2f} s behind the motion, lag "
+        f"{meter.lag_s:.2f} s (robot file)"
+        for name, meter in model.meters.items()
+        if name in batteries
+    ]
     return Comparison(
         getattr(robot, "name", ""),
         tuple(run for run, _ in sources),
         {name: _battery(name, sums, model, plan, segments, batteries) for name in batteries},
-        tuple(_told(note, runs, len(sources)) for note, runs in notes.values()),
+        (*meters, *(_told(note, runs, len(sources)) for note, runs in notes.values())),
         tuple(sources),
         sums.rows,
         mission,

@@ -87,15 +87,15 @@ def next_experiments(bench: Bench, effects: Sequence[Finding], left: Unexplained
             proposed += propose(bench, (effect.effect, *rivals))
     if not proposed and left is not None:
         on = tuple(left.depends_on)
+        form = f"to see the form of the dependence on {', '.join(on)}"
+        if set(on) <= {"time_s", "run"}:
+            form = "to see whether what no column shows is there at rest too, or only in motion"
+        if "run" in on:
+            do = "note what differed between these runs (floor, tyres, load, weather), and log it as a column"
+            proposed.append(Experiment(on, do, nan, nan, nan, 0.0))
         proposed += [
             Experiment(
-                on,
-                f"{m.do}, to see the form of the dependence on {', '.join(on)}",
-                nan,
-                nan,
-                nan,
-                m.duration_s / 60.0,
-                tuple(part.to_json() for part in m.parts),
+                on, f"{m.do}, {form}", nan, nan, nan, m.duration_s / 60.0, tuple(part.to_json() for part in m.parts)
             )
             for m in to_learn(bench.site, on)[:2]
         ]

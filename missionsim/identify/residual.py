@@ -360,8 +360,10 @@ def runs_apart(model: Model) -> tuple[Structure | None, str]:
             f"the runs differ by {at_least}{100 * size:.2g} % in all that they draw, at rest too: meters that differ, "
             "or were set differently, do that; check them before two runs are held against each other"
         )
+    most, least = (model.design.names[int(f(gains.sum(axis=1)))] for f in (np.argmax, np.argmin))
     words = (
         f"the runs differ by {at_least}{100 * size:.2g} % in what the same motion costs, several times what meters and "
-        "drives usually do: something that changes from run to run is missing"
+        "drives usually do: something that changes from run to run is missing; the same motion costs most in "
+        f"{most} and least in {least}"
     )
     return Structure("run", 0.0, lead, size, words), ""

@@ -7,9 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from missionsim.errors import InputError
 from missionsim.inputs.loading import load_robot
+from missionsim.inputs.power import build_power_model
 from missionsim.interface import add_effect, compare, diagnose
+from missionsim.logs import read_logs
 from missionsim.physics.meter import Meter, metered
+from missionsim.runs.assume import assume
+from missionsim.runs.drive import drive, drive_blocks
 
 
 def by_small_steps(power_w, edges_s, meter, step_s):
@@ -105,7 +110,29 @@ def test_the_meter_that_was_found_stands_in_the_file_and_compare_shows_the_model
     before, after = (
         compare(tmp_path / name, runs[4:]).to_json()["batteries"]["main"] for name in ("own.yaml", "new.yaml")
     )
+    (told,) = [note for note in compare(tmp_path / "new.yaml", runs[4:]).notes if "meter" in note]
+    assert f"lag {meter.lag.value:.2f} s" in told
     assert after["power_rmse_w"] < 0.3 * before["power_rmse_w"]
-    told = diagnose(tmp_path / "own.yaml", runs[:4], holdout=runs[4:]).to_json()["batteries"]["main"]["heldout"]
-    assert told["power_rmse_w"]["nominal"] == pytest.approx(before["power_rmse_w"], rel=1e-9)
-    assert told["power_rmse_w"]["with_effects"] == pytest.approx(after["power_rmse_w"], rel=1e-4)
+    held = diagnose(tmp_path / "own.yaml", runs[:4], holdout=runs[4:]).to_json()["batteries"]["main"]["heldout"]
+    assert held["power_rmse_w"]["nominal"] == pytest.approx(before["power_rmse_w"], rel=1e-9)
+    assert held["power_rmse_w"]["with_effects"] == pytest.approx(after["power_rmse_w"], rel=1e-4)
+
+
+def test_a_run_in_blocks_shows_what_it_shows_whole(tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text(ROBOT.replace("capacity: 500 Wh", "capacity: 500 Wh, meter: {delay: 0.2 s, lag: 0.5 s}"))
+    model, (run,) = build_power_model(load_robot(path)), read_logs(drives(tmp_path, 1))
+    blocks = [run.rows_where(slice(a, b)) for a, b in ((0, 700), (700, 900), (900, None))]
+    whole = drive(model, run, "main")
+    parts = drive_blocks(assume(model, run.columns, ["main"]), blocks)
+    shown = np.concatenate([part.model_w["main"] for part in parts])
+    assert shown == pytest.approx(whole.model_w["main"], abs=1e-3)
+    assert np.max(np.abs(whole.model_w["main"] - whole.row_w("main"))) > 5.0
+
+
+def test_a_meter_that_cannot_be_is_refused_where_it_stands(tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text(ROBOT.replace("capacity: 500 Wh", "capacity: 500 Wh, meter: {delay: 2 h, lag: -1 s}"))
+    with pytest.raises(InputError) as told:
+        load_robot(path)
+    assert [(fault.line, "impossible" in fault.message) for fault in told.value.faults] == [(5, True), (5, True)]
