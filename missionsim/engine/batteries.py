@@ -137,6 +137,31 @@ class ConstantEnergy:
             return 0.0 if at_start == 0.0 else None
         return root(left, 0.0, horizon_s, at_start, at_end)
 
+    def charging(self, state: Array, power_w: Array, draw_w: Array, seconds: Array) -> list[tuple[Array, Array]]:
+        """Charging for some time at constant power, held once full, many at once.
+
+        Parameters
+        ----------
+        state, power_w, draw_w, seconds : ndarray, shape (n,)
+            Energy left [J], powers of the charger and of the robot's draw meanwhile, time at the charger.
+
+        Returns
+        -------
+        list of (ndarray, ndarray), each shape (n,)
+            Time and energy left where the taper bends or the charge is full, and at the end.
+        """
+        bends, clock = [], np.zeros_like(seconds)
+        for upper, part in self.taper:
+            lacking = np.maximum(upper * self.capacity_j - state, 0.0)
+            gain = np.minimum(power_w - draw_w, part * power_w)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                takes = np.where(lacking > 0.0, np.where(gain > 0.0, lacking / gain, np.inf), 0.0)
+            left = seconds - clock
+            state = np.where(takes <= left, state + lacking, state + gain * left)
+            clock = clock + np.minimum(takes, left)
+            bends.append((clock, state))
+        return [*bends, (seconds, state)]
+
     def suspects(self, before: Array, after: Array, loads: Loads) -> NDArray[np.intp]:
         """Intervals that end below zero."""
         return np.flatnonzero(after < 0.0)

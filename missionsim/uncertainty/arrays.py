@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,16 +19,25 @@ from numpy.typing import NDArray
 
 from missionsim.effects.integrate import SAMPLES, averaged
 from missionsim.effects.model import PowerModel
+from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.outcome import J_PER_WH
 from missionsim.engine.setup import split_values
 from missionsim.engine.simulate import RESERVE_TOLERANCE, RunSetup
 from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.build import plan_runs
 from missionsim.plan.legs import Plan
-from missionsim.plan.steady import closure
 from missionsim.uncertainty.draws import Draws, Sampler
-from missionsim.uncertainty.matrices import Intervals, Progress, at_nodes, distance_of, running_sum, take
-from missionsim.uncertainty.single import PROGRESS_POINTS, components_of, simulate_block
+from missionsim.uncertainty.events import Part, charge_course, phases_of
+from missionsim.uncertainty.matrices import (
+    PROGRESS_POINTS,
+    Intervals,
+    Progress,
+    at_nodes,
+    distance_of,
+    running_sum,
+    take,
+)
+from missionsim.uncertainty.single import components_of, simulate_block
 
 Array = NDArray[np.float64]
 AGREEMENT = 1e-9
@@ -56,7 +65,9 @@ class ArrayMission:
     varying : PowerModel
         The terms that some draw changes.
     fixed : mapping
-        Battery and component → power of all other terms on each leg [W], shape (legs,).
+        Battery and component → power of all other terms on each part [W], shape (parts,).
+    parts : tuple of Part
+        What the nominal run consists of: its legs, and waits for components that start up.
     """
 
     mission: MissionSpec
@@ -65,6 +76,7 @@ class ArrayMission:
     plan: Plan
     varying: PowerModel
     fixed: Mapping[tuple[str, str], Array]
+    parts: tuple[Part, ...]
 
     def block(self, seed: int, first: int, count: int) -> dict[str, NDArray[Any]]:
         """Columns of the runs ``first … first + count − 1``."""
@@ -136,7 +148,8 @@ class ArrayMission:
         columns["speed_limited"][:] = functools.reduce(np.logical_or, limited, False)
         if plan.odd is not None:
             again |= plan.odd
-        intervals = Intervals.of(plan)
+        intervals, odd = self.split(setup)
+        again |= odd
         if len(plan.legs) != len(self.plan.legs) or not set(range(len(plan.legs))) <= set(intervals.leg_of.tolist()):
             again[:] = True
             return
@@ -166,7 +179,7 @@ class ArrayMission:
         knots = running_sum(duration.T)
         cov, rates = self.covariates(intervals, part, duration, knots)
         parts = {(b, c): columns[f"component_{b}_{c}_wh"] for b, c in components_of(self.model)}
-        energy, doubt = self._energies(cov, rates, duration, knots[-1], values, parts, intervals.leg_of)
+        energy, doubt = self._energies(cov, rates, duration, knots[-1], values, parts, intervals.part_of)
         for joules in parts.values():
             joules *= 1.0 / J_PER_WH
         columns["duration_s"][:], columns["distance_m"][:] = knots[-1], distance_of(cov, duration)
@@ -187,10 +200,17 @@ class ArrayMission:
             else:  # a power that never changes
                 total = most = even * knots[-1]
                 charge = np.multiply.outer(_PARTS, total)
+            net = total
+            if docked := [i for i, leg in enumerate(intervals.legs) if leg.recharge and name in leg.recharge.batteries]:
+                used = even * duration if even is not None else energy[name]
+                assert isinstance(battery, ConstantEnergy)
+                store = replace(battery, capacity_j=capacity, initial=initial)
+                course = charge_course(store, docked, intervals, part, used.T, knots)
+                charge, net, most = initial - course[0], initial - course[1], initial - course[2]
             np.subtract(initial, charge, out=charge)
             np.multiply(charge, 1.0 / J_PER_WH, out=columns[f"charge_{name}_wh"].T)
             required, slack = capacity * reserve, RESERVE_TOLERANCE * capacity
-            left = initial - total
+            left = initial - net
             floor = required if self.mission.policy.on_empty == "return_to_dock" else 0.0
             again |= ~(initial - most > floor + slack)  # also where it is not a number
             again |= doubt > AGREEMENT * np.abs(total)
@@ -203,22 +223,17 @@ class ArrayMission:
             ):
                 np.multiply(joules, 1.0 / J_PER_WH, out=columns[f"{quantity}_{name}_wh"])
 
-    @functools.cached_property
-    def _infos(self) -> dict[str, Any]:
-        setup = RunSetup(self.mission, self.plan, self.model, {}, {})
-        return {component.name: component for component in setup.components}
+    def split(self, setup: RunSetup) -> tuple[Intervals, Any]:
+        """Intervals of many runs, and which runs have another order of events."""
+        if all(part.phase is None and not part.waits for part in self.parts):
+            return Intervals.of(setup.plan), False
+        phases, which, odd = phases_of(setup.plan, self.plan, self.parts, [info.startup_s for info in setup.components])
+        return Intervals.of(setup.plan, phases, which), odd
 
     @functools.cached_property
-    def _units(self) -> dict[str, Array]:
-        """Units of each component that are on, on each leg."""
-        always = {name: info.units for name, info in self._infos.items() if info.always_on}
-        on = {leg.settings.sensors: closure(self._infos, leg.settings.sensors) for leg in self.plan.legs}
-        return {
-            name: np.array(
-                [float(max(on[leg.settings.sensors].get(name, 0), always.get(name, 0))) for leg in self.plan.legs]
-            )
-            for name in self._infos
-        }
+    def _units(self) -> tuple[Array, Array]:
+        """Units of each component that are on, and starting, in each part, shapes (components, parts)."""
+        return np.array([part.on for part in self.parts]).T, np.array([part.starting for part in self.parts]).T
 
     @functools.cached_property
     def _needs(self) -> frozenset[str]:
@@ -240,14 +255,15 @@ class ArrayMission:
             Instants between the intervals.
         """
         cov, rates = intervals.covariates(part)
-        for name, units in self._units.items():
-            cov[f"on_{name}"], cov[f"starting_{name}"] = units[intervals.leg_of], np.zeros(len(intervals.leg_of))
+        names = list(self.mission.robot.components)
+        for i, name in enumerate(names):
+            cov[f"on_{name}"], cov[f"starting_{name}"] = (units[i, intervals.part_of] for units in self._units)
         if "moving_time_s" in self._needs:
             moving = cov["moving"]
             cov["moving_time_s"] = running_sum((duration * moving).T)[:-1].T
             rates["moving_time_s"] = moving
         start = knots[:-1].T
-        for name in self._units:
+        for name in names:
             if f"on_time_{name}_s" in self.model.memory:
                 on = cov[f"on_{name}"] > 0.0
                 places = np.arange(len(on))
@@ -266,7 +282,7 @@ class ArrayMission:
         Of each battery, by leg or one number for all; of the components that have the same on all legs; the components
         that do not, and theirs as columns.
         """
-        total: dict[str, Any] = {name: np.zeros(len(self.plan.legs)) for name in self.model.batteries}
+        total: dict[str, Any] = {name: np.zeros(len(self.parts)) for name in self.model.batteries}
         even, changing = {}, []
         for key, watts in self.fixed.items():
             total[key[0]] = total[key[0]] + watts
@@ -307,7 +323,7 @@ class ArrayMission:
         time_s: Array,
         values: Mapping[str, Array],
         parts: Mapping[tuple[str, str], Array],
-        leg_of: NDArray[np.intp],
+        part_of: NDArray[np.intp],
     ) -> tuple[dict[str, Array], Any]:
         """Energy by battery and interval, shape (runs, intervals), in J; by component it is added to `parts`.
 
@@ -315,11 +331,11 @@ class ArrayMission:
         """
         doubt: Any = 0.0
         total, even, changing, powers = self._fixed
-        total = {name: watts if isinstance(watts, float) else watts[leg_of] for name, watts in total.items()}
+        total = {name: watts if isinstance(watts, float) else watts[part_of] for name, watts in total.items()}
         curved_at = self._curved(rates, duration.shape[1])
         for key, watts in even.items():
             np.multiply(time_s, watts, out=parts[key])
-        for key, joules in zip(changing, (duration @ powers[leg_of]).T if changing else (), strict=True):
+        for key, joules in zip(changing, (duration @ powers[part_of]).T if changing else (), strict=True):
             parts[key][:] = joules
         steady_loads = [name for name in total if name not in self._even and not self.varying.of(name)]
         energy = {name: duration * total[name] for name in steady_loads}

@@ -20,6 +20,8 @@ from missionsim.plan.legs import Leg, Phase, Plan
 
 Array = NDArray[np.float64]
 _RATE = "d/dt "
+PROGRESS_POINTS = 21
+"""Charge of each battery is kept at so many instants, evenly over a run's duration."""
 
 
 def table(numbers: Sequence[float | Array]) -> Array:
@@ -120,17 +122,26 @@ def take(cov: Mapping[str, Any], index: NDArray[np.intp]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Intervals:
-    """The phases of a plan of many runs, and the legs that they belong to."""
+    """The phases of a plan of many runs, the legs that they belong to, and what of a run nothing but draws changes in:
+    its leg, or its part (`missionsim.uncertainty.events`)."""
 
     plan: Plan
     phases: tuple[Phase, ...]
     leg_of: NDArray[np.intp]
+    part_of: NDArray[np.intp]
 
     @classmethod
-    def of(cls, plan: Plan) -> Intervals:
-        """Those of a plan."""
-        phases = tuple(phase for step in plan.steps for phase in step.phases)
-        return cls(plan, phases, np.array([phase.leg for phase in phases], dtype=np.intp))
+    def of(cls, plan: Plan, phases: Sequence[Phase] | None = None, parts: Sequence[int] | None = None) -> Intervals:
+        """Those of a plan, or others with their parts."""
+        if phases is None:
+            phases = [phase for step in plan.steps for phase in step.phases]
+        legs = np.array([phase.leg for phase in phases], dtype=np.intp)
+        return cls(plan, tuple(phases), legs, legs if parts is None else np.array(parts, dtype=np.intp))
+
+    @functools.cached_property
+    def legs(self) -> list[Leg]:
+        """The leg of each interval."""
+        return [self.plan.legs[i] for i in self.leg_of.tolist()]
 
     def duration(self, part: slice) -> Array:
         """Of each interval [s], shape (runs, intervals)."""
@@ -151,9 +162,8 @@ class Intervals:
         ):
             found[name] = table([getattr(phase, level) for phase in phases])
             found[_RATE + name] = table([getattr(phase, rate) for phase in phases])
-        legs: list[Leg] = [self.plan.legs[i] for i in self.leg_of.tolist()]
         for name in ("payload_kg", "slope_rad"):
-            found[name] = table([getattr(leg.settings, name) for leg in legs])
+            found[name] = table([getattr(leg.settings, name) for leg in self.legs])
         extra = [dict(leg.settings.extra) for leg in self.plan.legs]
         for name in sorted({name for item in extra for name in item} - self._of_legs.keys()):
             given = [item.get(name, np.nan) for item in extra]

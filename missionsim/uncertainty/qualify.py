@@ -17,7 +17,8 @@ from missionsim.plan.build import make_plan, plan_runs
 from missionsim.plan.legs import Plan
 from missionsim.uncertainty.arrays import AGREEMENT, ArrayMission
 from missionsim.uncertainty.draws import Sampler
-from missionsim.uncertainty.matrices import Intervals, running_sum
+from missionsim.uncertainty.events import parts_of
+from missionsim.uncertainty.matrices import running_sum
 from missionsim.uncertainty.single import left_to_chance
 
 Array = NDArray[np.float64]
@@ -42,11 +43,12 @@ def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) ->
     try:
         plan = make_plan(mission)
         reason = _obstacle(mission, model, plan)
+        parts = reason or parts_of(RunSetup(mission, plan, model, {}, {}))
     except MissionsimError as error:
-        reason = f"the nominal mission fails: {error}"
-    if reason:
-        return reason
-    made = _without_fixed_terms(ArrayMission(mission, model, sampler, plan, model, {}))
+        parts = f"the nominal mission fails: {error}"
+    if isinstance(parts, str):
+        return parts
+    made = _without_fixed_terms(ArrayMission(mission, model, sampler, plan, model, {}, parts))
     _, again = made.evaluate(sampler.draw(0, 0, _TRIED), _TRIED)
     if again.mean() > 0.5:
         return (
@@ -59,8 +61,13 @@ def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) ->
 def _obstacle(mission: MissionSpec, model: PowerModel, plan: Plan) -> str:
     if plan.activities:
         return "activities overlap with the segments, so that events may change their order"
-    if any(leg.recharge is not None for leg in plan.legs) or mission.policy.on_empty == "recharge_and_continue":
-        return "it recharges"
+    if mission.policy.on_empty == "recharge_and_continue":
+        return "it recharges when a battery comes to its reserve"
+    charges = [leg.recharge for leg in plan.legs if leg.recharge is not None]
+    if any(charge.duration_s is None or np.isfinite(charge.if_below) for charge in charges):
+        return "how long it recharges depends on the charge"
+    if charges and (model.memory or "time_s" in model.needs):
+        return "it recharges, and powers change with time"
     if plan.gated:
         return "a block is repeated until a time"
     chance = left_to_chance(mission)
@@ -69,8 +76,6 @@ def _obstacle(mission: MissionSpec, model: PowerModel, plan: Plan) -> str:
     setup = RunSetup(mission, plan, model, {}, {})
     if any(not isinstance(battery, ConstantEnergy) for battery in setup.batteries.values()):
         return "a battery is no constant store of energy"
-    if any(component.startup_s for component in setup.components):
-        return "components take time to start"
     whole = simulate(mission, plan=plan, model=model)
     if not whole.completed:
         return "the nominal mission does not end"
@@ -88,15 +93,18 @@ def _without_fixed_terms(made: ArrayMission) -> ArrayMission:
     draws = made.sampler.at({value.name: np.array([0.3, 0.7]) for value in made.sampler.values})
     numbers, drawn = split_values(draws, made.model)
     values = {name: np.asarray(value)[:, None] for name, value in drawn.items()}
-    intervals, part = Intervals.of(plan_runs(made.mission, numbers)), slice(0, 2)
+    intervals, part = (
+        made.split(RunSetup(made.mission, plan_runs(made.mission, numbers), made.model, numbers, {}))[0],
+        slice(0, 2),
+    )
     duration = intervals.duration(part)
     cov, rates = made.covariates(intervals, part, duration, running_sum(duration.T))
     for name, rate in rates.items():  # what changes along an interval counts as changing from run to run
         if np.any(rate):
             cov[name] = np.broadcast_to(cov[name], duration.shape) + np.array([[0.0], [1.0]])
     powers = made.model.evaluate(cov, values)
-    first = np.unique(intervals.leg_of, return_index=True)[1]
-    if len(first) != len(made.plan.legs):
+    first = np.unique(intervals.part_of, return_index=True)[1]
+    if len(first) != len(made.parts):
         return made
     fixed: dict[tuple[str, str], Array] = {}
     kept = []
@@ -118,7 +126,7 @@ def _without_fixed_terms(made: ArrayMission) -> ArrayMission:
                 kept.append(term)
             elif term.key not in nought:
                 place = (battery, term.key.component)
-                row = np.broadcast_to(np.asarray(watts[term.key], dtype=float), (1, len(intervals.leg_of)))[0]
+                row = np.broadcast_to(np.asarray(watts[term.key], dtype=float), (1, len(intervals.part_of)))[0]
                 fixed[place] = fixed.get(place, np.zeros(len(first))) + row[first]
     return replace(made, varying=replace(made.model, terms=tuple(kept)), fixed=fixed)
 

@@ -18,9 +18,8 @@ from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.build import make_plan, plan_runs
 from missionsim.plan.legs import Plan
 from missionsim.uncertainty.draws import Draws, Sampler, run_generator
+from missionsim.uncertainty.matrices import PROGRESS_POINTS
 
-PROGRESS_POINTS = 21
-"""Charge of each battery is kept at so many instants, evenly over a run's duration."""
 MOST_TOGETHER, ROWS_TOGETHER = 256, 30_000
 """Runs, and their intervals, whose energies are evaluated together."""
 
