@@ -106,7 +106,7 @@ class Expression:
     _run: _Node = field(repr=False, compare=False)
     place: Place = field(default=Place(), repr=False, compare=False)
 
-    def evaluate(self, values: Mapping[str, Any]) -> Any:
+    def evaluate(self, values: Mapping[str, object]) -> Any:
         """Value of the formula; arrays broadcast as in NumPy, and division by zero gives inf or nan as there."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             try:

@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from missionsim.files import Json, write_text
+
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
@@ -54,7 +56,7 @@ class Answer(Generic[T]):
     value: T
     line: str
     _rows: Callable[[], Any] = field(compare=False)
-    _json: Callable[[], Any] = field(compare=False)
+    _json: Callable[[], Json] = field(compare=False)
     _drawn: tuple[str, ...] = ("", "")
     text: str = ""
 
@@ -64,10 +66,9 @@ class Answer(Generic[T]):
 
         return pd.DataFrame(self._rows())
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """As the command's ``--json`` has it."""
-        result: dict[str, Any] = self._json()
-        return result
+        return self._json()
 
     def plot(self) -> Figure:
         """A picture of the table: bars, or steps over time where it has a column ``time_s``."""
@@ -101,7 +102,6 @@ class Answer(Generic[T]):
         ValueError
             Nothing came of it that could be written.
         """
-        from missionsim.files import write_text
         from missionsim.inputs.edit import for_folder
 
         if not self.text:

@@ -99,9 +99,9 @@ class Mapper:
 
     def time(self, columns: Mapping[str, ColumnData]) -> Floats:
         """Time of every row of the source [s], before runs are split."""
-        return np.asarray(self.evaluate(dict(columns), only={"time_s"})["time_s"])
+        return np.asarray(self.evaluate(columns, only={"time_s"})["time_s"])
 
-    def evaluate(self, env: dict[str, Any], only: set[str] | None = None) -> dict[str, ColumnData]:
+    def evaluate(self, env: Mapping[str, ColumnData], only: set[str] | None = None) -> dict[str, ColumnData]:
         """The map's columns from those of the source (only `only` and what they need, where that is given)."""
         rows = len(next(iter(env.values())))
         names = self.order if only is None else self._closure(only)
@@ -129,7 +129,7 @@ class Mapper:
                 return [name for name in self.order if name in need]
             need |= more
 
-    def run(self, formula: _Formula, values: dict[str, Any], rows: int) -> ColumnData:
+    def run(self, formula: _Formula, values: Mapping[str, ColumnData | float], rows: int) -> ColumnData:
         """Value of a formula in every row; InputError where it cannot be computed."""
         try:
             data = formula.expression.evaluate(values)
@@ -240,7 +240,7 @@ class Mapper:
         words = Labels.of(str(item) for item in given)
         return Labels(np.array([*words.codes, -1], dtype=np.int64)[labels.codes], words.names)
 
-    def helpers(self, source: dict[str, Any], result: dict[str, ColumnData]) -> dict[str, Any]:
+    def helpers(self, source: Mapping[str, ColumnData], result: Mapping[str, ColumnData]) -> dict[str, ColumnData]:
         """Helper columns of a map, from the source's columns and the result's."""
         values: dict[str, Any] = {**self.constants, **result, **source}
         for name in self.order:

@@ -60,7 +60,7 @@ class Editing:
         self._robot = robot_from_text(text)
         self._yaml, self._data = _open(text)
 
-    def add_effect(self, effect: Mapping[str, Any]) -> Editing:
+    def add_effect(self, effect: Mapping[str, object]) -> Editing:
         """One more entry under ``effects:``.
 
         Parameters
@@ -83,7 +83,7 @@ class Editing:
             del self._data["effects"]
         return self
 
-    def set_values(self, updates: Mapping[str, float | Mapping[str, Any]]) -> Editing:
+    def set_values(self, updates: Mapping[str, float | Mapping[str, object]]) -> Editing:
         """Other numbers.
 
         Parameters
@@ -107,7 +107,7 @@ class Editing:
             parent[last] = _updated(old, new, known.get(".".join(map(str, found))))
         return self
 
-    def set_source(self, key: str, told: str, ranges: Mapping[str, Any] | None = None) -> Editing:
+    def set_source(self, key: str, told: str, ranges: Mapping[str, object] | None = None) -> Editing:
         """One entry of ``sources:`` added or replaced, and the ranges of the logs in ``origin:``."""
         data = self._data
         if data.get("sources"):

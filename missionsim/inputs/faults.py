@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from missionsim.errors import Fault, did_you_mean
 from missionsim.inputs.tree import Document, as_written
@@ -36,7 +37,7 @@ _KINDS = {
 
 
 def to_faults(
-    problem: ValidationError, document: Document, model: type[BaseModel], shape: Any
+    problem: ValidationError, document: Document, model: type[BaseModel], shape: object
 ) -> list[tuple[tuple[str | int, ...], Fault]]:
     """All errors of one validation, each with its path in the file.
 
@@ -109,7 +110,7 @@ def to_faults(
     return result
 
 
-def follows_from_entries(error: Any) -> bool:
+def follows_from_entries(error: ErrorDetails) -> bool:
     """Whether a list is called too short only because entries are at fault (those are told)."""
     raw = error.get("input")
     return bool(
@@ -117,7 +118,7 @@ def follows_from_entries(error: Any) -> bool:
     )
 
 
-def file_path(loc: Sequence[str | int], data: Any, *, missing: bool = True) -> tuple[str | int, ...]:
+def file_path(loc: Sequence[str | int], data: object, *, missing: bool = True) -> tuple[str | int, ...]:
     """pydantic's location without its union tags and key marks: the path of the value, or of a key that is missing."""
     path: list[str | int] = []
     for index, item in enumerate(loc):

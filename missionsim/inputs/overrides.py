@@ -31,12 +31,12 @@ def split_assignment(text: str) -> tuple[str, str]:
     return path.strip(), value.strip()
 
 
-def route(overrides: Iterable[tuple[str, Any]], data: Any) -> dict[str, list[tuple[str, Any]]]:
+def route(overrides: Iterable[tuple[str, object]], data: object) -> dict[str, list[tuple[str, object]]]:
     """Overrides by file: ``""`` (the mission), ``robot``, ``environment``.
 
     ``robot`` alone replaces the mission's robot; ``robot.x`` goes into the robot's file, and so does ``schemes.x``.
     """
-    result: dict[str, list[tuple[str, Any]]] = {"": [], **{root: [] for root in ROOTS}}
+    result: dict[str, list[tuple[str, object]]] = {"": [], **{root: [] for root in ROOTS}}
     for path, value in overrides:
         first, _, rest = path.partition(".")
         if first in ROOTS and rest:
@@ -48,7 +48,7 @@ def route(overrides: Iterable[tuple[str, Any]], data: Any) -> dict[str, list[tup
     return result
 
 
-def apply(document: Document, overrides: Iterable[tuple[str, Any]]) -> list[Fault]:
+def apply(document: Document, overrides: Iterable[tuple[str, object]]) -> list[Fault]:
     """Set each path in the document's data.
 
     Parameters
@@ -82,7 +82,7 @@ def apply(document: Document, overrides: Iterable[tuple[str, Any]]) -> list[Faul
     return faults
 
 
-def resolve(data: Any, path: str) -> tuple[str | int, ...] | Fault:
+def resolve(data: object, path: str) -> tuple[str | int, ...] | Fault:
     """Keys and indices of a dotted path, or a fault that says how far it leads.
 
     The last key may be new; everything before it must exist, except that a missing mapping is made when it is the only
@@ -90,7 +90,7 @@ def resolve(data: Any, path: str) -> tuple[str | int, ...] | Fault:
     """
     keys = [part.strip() for part in path.split(".")]
     result: list[str | int] = []
-    here = data
+    here: Any = data
     index = 0
     while index < len(keys):
         key = keys[index]

@@ -84,14 +84,14 @@ class View(Document):
         return tuple(result)
 
 
-def view_of(document: Document, shape: Any, faulty: Faulty) -> View:
+def view_of(document: Document, shape: object, faulty: Faulty) -> View:
     """`document` as what is left of it, `shape`."""
     view = View(document.file, document.data, document.root, document.sha256, document.overrides, document.prefix)
     view.shape, view.faulty = shape, faulty
     return view
 
 
-def repaired(view: View, problem: ValidationError, tried: dict[Path_, int]) -> Any:
+def repaired(view: View, problem: ValidationError, tried: dict[Path_, int]) -> object:
     """What is left after taking out or replacing what `problem` names; None where nothing can be done.
 
     Parameters

@@ -20,7 +20,7 @@ def sonar_power(rate_hz: Value, p2: Value, p1: Value) -> Value:
 
 def warmup_power(units_on: Value, on_time_s: Value, k: Value, tau_s: Value) -> Value:
     """Extra power after switching on that fades, ``k exp(−t/τ)`` while on (library effect `component_warmup`)."""
-    return k * (np.asarray(units_on) > 0) * np.exp(-np.asarray(on_time_s) / tau_s)
+    return k * np.exp(-f64(on_time_s) / tau_s) * (f64(units_on) > 0)
 
 
 def conversion_loss(load_w: Value, k: Value) -> Value:

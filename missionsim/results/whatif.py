@@ -13,6 +13,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.engine.outcome import BatteryResult, RunResult
 from missionsim.engine.simulate import simulate
 from missionsim.errors import Fault, InputError
+from missionsim.files import Json
 from missionsim.inputs.loading import load_mission, load_study, remembered
 from missionsim.inputs.power import build_power_model
 from missionsim.workers import interrupts_held, process_pool
@@ -68,7 +69,7 @@ class WhatIf:
         """Results of the alternatives that are possible; the baseline is."""
         return [result for result in self.results if isinstance(result, RunResult)]
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[Json]:
         """One mapping an alternative: values, and differences to the baseline, by battery and by term.
 
         `difference_…` is the alternative less the baseline; `difference_pct` relative to the baseline; `margin_wh` the
@@ -117,7 +118,7 @@ class WhatIf:
             )
         return rows
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """Schema ``missionsim.whatif/1``; the first of the alternatives is the baseline."""
         return {
             "schema": SCHEMA,

@@ -123,7 +123,7 @@ MUTANTS = [
         ("return abs(q.evidence.share) > q.settings.min_share", "return True"),
         ("return not rests_on_one_run(q.model, q.evidence.column)", "return True"),
         ("return not abs(shift) <= q.settings.recalibration_limit", "return True"),
-        ("return predicts_left_out(q.model, _columns(q))[0]", "return True"),
+        ("return q.left_out[0]", "return True"),
         ("return q.evidence.column in remains.forms", "return False"),
         ("return bool(remains.loose) and _family(q) in STEADY_LOADS", "return False"),
         ("return any(not stands_without(q.model, q.evidence.column, s) for s in others)", "return False"),

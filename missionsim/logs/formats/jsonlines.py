@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +102,7 @@ def _message(record: dict[str, Any]) -> tuple[str, str, dict[str, Any]]:
     return topic or "json", str(record.get("serialNumber", "")), dict(flat(record, ""))
 
 
-def flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+def flat(value: object, path: str) -> Iterator[tuple[str, object]]:
     """Leaves of a JSON value by their paths: ``key.inner[0]``."""
     if isinstance(value, dict):
         for key, item in value.items():
@@ -146,7 +146,7 @@ def _topic(name: str, messages: list[dict[str, Any]], path: Path, options: Optio
     )
 
 
-def column(values: list[Any]) -> ColumnData:
+def column(values: Sequence[str | float | None]) -> ColumnData:
     """Values of one field as a column: numbers, nan where missing, or texts."""
     if any(isinstance(value, str) for value in values):
         return numbers_in(Labels.of(value if isinstance(value, str) else _plain(value) for value in values))
@@ -157,7 +157,7 @@ def _plain(value: Any) -> str | None:
     return None if value is None else f"{value:g}"
 
 
-def _finite(value: float) -> float:
+def _finite(value: str | float) -> float:
     try:
         return float(value)
     except OverflowError:
