@@ -30,24 +30,16 @@ TX2_STEP_HZ = 153.6e6
 
 @dataclass(frozen=True)
 class Optimum:
-    """Best setting that was found.
-
-    Attributes
-    ----------
-    speed_m_s, freq_hz : float
-    energy_j_m : float
-        Energy per metre there.
-    feasible : bool
-        Whether the quality of service is met; where nothing on the grid meets it, the setting of greatest throughput.
-    evaluations : int
-        Grid points evaluated.
-    """
+    """Best setting that was found."""
 
     speed_m_s: float
     freq_hz: float
     energy_j_m: float
+    """Energy per metre there."""
     feasible: bool
+    """Whether the quality of service is met; where nothing on the grid meets it, the setting of greatest throughput."""
     evaluations: int
+    """Grid points evaluated."""
 
 
 @dataclass

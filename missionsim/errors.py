@@ -24,37 +24,25 @@ MOST_ECHOED = 400
 
 @dataclass(frozen=True, order=True)
 class Fault:
-    """One fault in a file of the user.
-
-    Attributes
-    ----------
-    file : str
-        Path as the user gave it; empty for the command line itself.
-    line, column : int
-        1-based position; 0 where a file has no such position (a Parquet column, a missing file).
-    message : str
-        What is wrong, in one sentence without a full stop.
-    path : str
-        Dotted path of the value inside the file (``batteries.robot.capacity``); may be empty.
-    got : str
-        What came, as written.
-    allowed : str
-        What would have been accepted.
-    hint : str
-        What was perhaps meant.
-    severity : str
-        ``"error"`` or ``"warning"``; only errors stop a command.
-    """
+    """One fault in a file of the user."""
 
     file: str
+    """Path as the user gave it; empty for the command line itself."""
     line: int
     column: int
+    """1-based position; 0 where a file has no such position (a Parquet column, a missing file)."""
     message: str
+    """What is wrong, in one sentence without a full stop."""
     path: str = ""
+    """Dotted path of the value inside the file (``batteries.robot.capacity``); may be empty."""
     got: str = ""
+    """What came, as written."""
     allowed: str = ""
+    """What would have been accepted."""
     hint: str = ""
+    """What was perhaps meant."""
     severity: str = "error"
+    """``"error"`` or ``"warning"``; only errors stop a command."""
 
     def __str__(self) -> str:
         where = self.file or "command line"

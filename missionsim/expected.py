@@ -19,20 +19,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ExpectedRun:
-    """What one battery should see: one row per interval of the plan.
-
-    Attributes
-    ----------
-    duration_s, distance_m, energy_j : ndarray, shape (n,)
-        Length, way driven and energy of each interval; a distance of 0 is standing or turning.
-    return_j : ndarray, shape (n + 1,)
-        Energy home from the start of each interval, and from the end of the last.
-    """
+    """What one battery should see: one row per interval of the plan."""
 
     duration_s: Array
     distance_m: Array
     energy_j: Array
+    """All three: length, way driven and energy of each interval; a distance of 0 is standing or turning. Shape (n,)."""
     return_j: Array
+    """Energy home from the start of each interval, and from the end of the last. Shape (n + 1,)."""
 
     def __post_init__(self) -> None:
         n = len(self.duration_s)

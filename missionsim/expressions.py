@@ -89,22 +89,15 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class Expression:
-    """A checked formula.
-
-    Attributes
-    ----------
-    source : str
-        The text as written.
-    names : frozenset of str
-        Names it reads.
-    place : Place
-        Where it was written, for messages.
-    """
+    """A checked formula."""
 
     source: str
+    """The text as written."""
     names: frozenset[str]
+    """Names it reads."""
     _run: _Node = field(repr=False, compare=False)
     place: Place = field(default=Place(), repr=False, compare=False)
+    """Where it was written, for messages."""
 
     def evaluate(self, values: Mapping[str, object]) -> Any:
         """Value of the formula; arrays broadcast as in NumPy, and division by zero gives inf or nan as there."""

@@ -43,29 +43,19 @@ LEVELS: tuple[Fidelity, ...] = (
 
 @dataclass(frozen=True)
 class Measured:
-    """What one level costs and what it is worth.
-
-    Attributes
-    ----------
-    level : Fidelity
-    evaluations : int
-        Grid points.
-    seconds : float
-        Time to build its table (best of several).
-    mean_error_pct, max_error_pct : float
-        Of energies per metre interpolated on its grid, against the direct evaluation, over test settings.
-    optimum : Optimum
-    regret_pct : float
-        How much more than the finest level's optimum its setting takes.
-    """
+    """What one level costs and what it is worth."""
 
     level: Fidelity
     evaluations: int
+    """Grid points."""
     seconds: float
+    """Time to build its table (best of several)."""
     mean_error_pct: float
     max_error_pct: float
+    """Both: of energies per metre interpolated on its grid, against the direct evaluation, over test settings."""
     optimum: Optimum
     regret_pct: float
+    """How much more than the finest level's optimum its setting takes."""
 
 
 class FidelityModel:

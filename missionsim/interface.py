@@ -41,24 +41,17 @@ _ROWS = 20
 
 @dataclass(frozen=True, repr=False)
 class Answer(Generic[T]):
-    """What a command found.
-
-    Attributes
-    ----------
-    value : object
-        The result itself; its attributes are the answer's, too.
-    line : str
-        It in one line.
-    text : str
-        A robot or mission file that came of it; empty where none did. `save` writes it.
-    """
+    """What a command found."""
 
     value: T
+    """The result itself; its attributes are the answer's, too."""
     line: str
+    """It in one line."""
     _rows: Callable[[], Any] = field(compare=False)
     _json: Callable[[], Json] = field(compare=False)
     _drawn: tuple[str, ...] = ("", "")
     text: str = ""
+    """A robot or mission file that came of it; empty where none did. `save` writes it."""
 
     def to_frame(self) -> pd.DataFrame:
         """As a table."""

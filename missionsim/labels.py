@@ -12,18 +12,12 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Labels:
-    """A text column as integer codes, so that comparisons cost as much as for numbers.
-
-    Attributes
-    ----------
-    codes : ndarray of int, shape (n,)
-        Index into `names`; -1 where the text is missing.
-    names : tuple of str
-        The distinct texts.
-    """
+    """A text column as integer codes, so that comparisons cost as much as for numbers."""
 
     codes: NDArray[np.int64]
+    """Index into `names`; -1 where the text is missing. Shape (n,)."""
     names: tuple[str, ...]
+    """The distinct texts."""
 
     @classmethod
     def of(cls, texts: Iterable[object]) -> Labels:

@@ -30,47 +30,33 @@ ARRIVED_SHARE, ARRIVED_M = 0.05, 0.05
 
 @dataclass(frozen=True)
 class Forecast:
-    """State of the prediction at one moment; energies in J with standard deviations.
-
-    Attributes
-    ----------
-    time_s : float
-        Of the last sample.
-    progress : float
-        Share of the expected energy of the whole mission that lies behind, 0 to 1.
-    drawn_j, left_j, left_sd_j : float
-        Measured so far, and what is left in the battery (below zero when over-drawn).
-    to_finish_j, to_finish_sd_j : float
-        Still needed for the rest of the mission.
-    to_return_j, to_return_sd_j : float
-        Needed to come home from here.
-    correction, correction_sd : float
-        Factor learned from drawn over expected energy.
-    can_finish : bool
-        Whether mission and way home fit into what is left less the reserve, with the asked confidence.
-    turn_round : bool
-        Whether it is now or never: the mission cannot be finished and what is left only just brings the robot home.
-    turn_round_in_s : float or None
-        Expected time until then; None where the mission can be finished.
-    p_finish : float
-        Probability that mission and way home can be done without touching the reserve.
-    """
+    """State of the prediction at one moment; energies in J with standard deviations."""
 
     time_s: float
+    """Of the last sample."""
     progress: float
+    """Share of the expected energy of the whole mission that lies behind, 0 to 1."""
     drawn_j: float
     left_j: float
     left_sd_j: float
+    """All three: measured so far, and what is left in the battery (below zero when over-drawn)."""
     to_finish_j: float
     to_finish_sd_j: float
+    """Both: still needed for the rest of the mission."""
     to_return_j: float
     to_return_sd_j: float
+    """Both: needed to come home from here."""
     correction: float
     correction_sd: float
+    """Both: factor learned from drawn over expected energy."""
     can_finish: bool
+    """Whether mission and way home fit into what is left less the reserve, with the asked confidence."""
     turn_round: bool
+    """Whether it is now or never: the mission cannot be finished and what is left only just brings the robot home."""
     turn_round_in_s: float | None
+    """Expected time until then; None where the mission can be finished."""
     p_finish: float
+    """Probability that mission and way home can be done without touching the reserve."""
 
 
 class OnlinePredictor:

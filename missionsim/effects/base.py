@@ -20,26 +20,18 @@ Parameters = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """Declaration of one parameter of an effect.
-
-    Attributes
-    ----------
-    name, unit, meaning : str
-    default : float
-        Value where none is given; `nan` where the user or a fit must give it.
-    low, high : float
-        Bounds that physics sets.
-    grid : tuple of float
-        For a shape parameter (τ, T₀): the values that a search tries first. Empty for a coefficient.
-    """
+    """Declaration of one parameter of an effect."""
 
     name: str
     unit: str
     meaning: str = ""
     default: float = float("nan")
+    """Value where none is given; `nan` where the user or a fit must give it."""
     low: float = 0.0
     high: float = float("inf")
+    """Both: bounds that physics sets."""
     grid: tuple[float, ...] = ()
+    """For a shape parameter (τ, T₀): the values that a search tries first. Empty for a coefficient."""
     optional: bool = False
     """Whether it may be absent without standing for a value."""
 
@@ -51,54 +43,37 @@ class ParameterSpec:
 
 @dataclass(frozen=True)
 class Effect:
-    """A named power term: a pure function of covariates and parameters, in watts.
-
-    Attributes
-    ----------
-    id : str
-        Name in the library.
-    equation, source, meaning : str
-        For people.
-    parameters : tuple of ParameterSpec
-        The first is the coefficient, in which the term is linear; the others set its shape.
-    needs : tuple of str
-        Covariates without which it cannot be evaluated.
-    component : str
-        Under which component its energy is booked.
-    drive : bool
-        Whether its power is part of the drive's (what braking and going downhill can relieve).
-    recovers : bool
-        Whether it may be negative and is limited by what the drive can give back.
-    of_load : bool
-        Whether it depends on the load of its battery, so that it comes last.
-    execution : bool
-        Whether it changes how a mission is executed (path, speed, dwell) instead of adding power.
-    sign : int
-        +1 where the coefficient cannot be negative, 0 where it may be.
-    power : callable
-        ``(cov, p) -> W``.
-    impulse : callable, optional
-        ``(cov, p) -> J`` delivered at the start of an interval, for events such as a start from rest.
-    memory : tuple of str
-        Derived covariates that grow while time passes (``moving_time_s``, ``on_time_<component>_s``).
-    """
+    """A named power term: a pure function of covariates and parameters, in watts."""
 
     id: str
+    """Name in the library."""
     equation: str
     source: str
     meaning: str
+    """All three: for people."""
     parameters: tuple[ParameterSpec, ...]
+    """The first is the coefficient, in which the term is linear; the others set its shape."""
     needs: tuple[str, ...]
+    """Covariates without which it cannot be evaluated."""
     power: Callable[[Covariates, Parameters], Value] = field(compare=False)
+    """``(cov, p) -> W``."""
     _: KW_ONLY
     impulse: Callable[[Covariates, Parameters], Value] | None = field(default=None, compare=False)
+    """``(cov, p) -> J`` delivered at the start of an interval, for events such as a start from rest."""
     component: str = "motors"
+    """Under which component its energy is booked."""
     drive: bool = False
+    """Whether its power is part of the drive's (what braking and going downhill can relieve)."""
     recovers: bool = False
+    """Whether it may be negative and is limited by what the drive can give back."""
     of_load: bool = False
+    """Whether it depends on the load of its battery, so that it comes last."""
     execution: bool = False
+    """Whether it changes how a mission is executed (path, speed, dwell) instead of adding power."""
     sign: int = 1
+    """+1 where the coefficient cannot be negative, 0 where it may be."""
     memory: tuple[str, ...] = ()
+    """Derived covariates that grow while time passes (``moving_time_s``, ``on_time_<component>_s``)."""
     relief: Callable[[Parameters], Value] | None = field(default=None, compare=False)
     """The part of the drive's power that it can relieve; all of it where not given."""
     parts: tuple[str, ...] = ()

@@ -31,35 +31,24 @@ class TermKey(NamedTuple):
 
 @dataclass(frozen=True)
 class ModelParameter:
-    """One number of the model: value and what is known about it.
-
-    Attributes
-    ----------
-    value : float
-        In the effect's unit.
-    unit : str
-    sd : float, optional
-        Prior standard deviation, absolute; None where the file gives none.
-    low, high : float
-        Bounds.
-    status, source : str
-        ``published``, ``fitted``, ``assumed``, ``measured`` and from where.
-    path : str
-        Where it stands in the robot file (for Monte Carlo and for writing back).
-    distribution : object, optional
-        The distribution given in the file.
-    """
+    """One number of the model: value and what is known about it."""
 
     value: float
+    """In the effect's unit."""
     unit: str = ""
     sd: float | None = None
+    """Prior standard deviation, absolute; None where the file gives none."""
     low: float = -float("inf")
     high: float = float("inf")
+    """Both: bounds."""
     status: str = ""
     source: str = ""
+    """``published``, ``fitted``, ``assumed``, ``measured`` and from where."""
     path: str = ""
+    """Where it stands in the robot file (for Monte Carlo and for writing back)."""
     _: KW_ONLY
     distribution: Any = None
+    """The distribution given in the file."""
     times: float = 1.0
     """How many times the file's number it is (the units of a component that is always on)."""
 
@@ -71,29 +60,19 @@ class ModelParameter:
 
 @dataclass(frozen=True)
 class Term:
-    """One effect at work on one battery.
-
-    Attributes
-    ----------
-    key : TermKey
-        Battery, component and name.
-    effect : Effect
-    parameters : mapping of str to ModelParameter
-        By the effect's own parameter names.
-    names : mapping of str to str
-        The effect's parameter name → name within the battery (``k`` → ``c3``, ``laser.power``).
-    base : bool
-        Whether it belongs to the base model (its parameters have priors) or was added as a found effect.
-    scale : float
-        Factor from the power at the load to the power at the battery (1/efficiency of a converter).
-    """
+    """One effect at work on one battery."""
 
     key: TermKey
+    """Battery, component and name."""
     effect: Effect
     parameters: Mapping[str, ModelParameter]
+    """By the effect's own parameter names."""
     names: Mapping[str, str] = field(default_factory=dict)
+    """The effect's parameter name → name within the battery (``k`` → ``c3``, ``laser.power``)."""
     base: bool = True
+    """Whether it belongs to the base model (its parameters have priors) or was added as a found effect."""
     scale: float = 1.0
+    """Factor from the power at the load to the power at the battery (1/efficiency of a converter)."""
     link: tuple[str, float] = ("", 1.0)
     """Path and value of the efficiency that is in `scale`."""
 
@@ -115,20 +94,13 @@ class Term:
 
 @dataclass(frozen=True)
 class PowerModel:
-    """All terms of a robot.
-
-    Attributes
-    ----------
-    terms : tuple of Term
-    batteries : tuple of str
-        In the order of the robot file.
-    constants : mapping
-        Covariates that the robot itself gives: ``body_mass_kg``, ``regeneration``.
-    """
+    """All terms of a robot."""
 
     terms: tuple[Term, ...]
     batteries: tuple[str, ...]
+    """In the order of the robot file."""
     constants: Mapping[str, float] = field(default_factory=dict)
+    """Covariates that the robot itself gives: ``body_mass_kg``, ``regeneration``."""
     regeneration: ModelParameter | None = None
     """`constants`' regeneration as a number that may be fitted; None where nothing gives back or it is zero."""
     schemes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

@@ -21,19 +21,13 @@ _PREFIX = "motion_"
 
 @dataclass(frozen=True)
 class MotionModel:
-    """A base model of the power of moving.
-
-    Attributes
-    ----------
-    id, equation, source : str
-    terms : tuple of Effect
-        In order of evaluation; parameters of the same name are one number of the robot file.
-    """
+    """A base model of the power of moving."""
 
     id: str
     equation: str
     source: str
     terms: tuple[Effect, ...]
+    """In order of evaluation; parameters of the same name are one number of the robot file."""
 
     @property
     def parameters(self) -> tuple[ParameterSpec, ...]:

@@ -14,28 +14,19 @@ from missionsim.effects.covariates import Labels, is_text
 
 @dataclass(frozen=True)
 class Timeline:
-    """Intervals of one run, in order of time.
-
-    Attributes
-    ----------
-    start_s, duration_s : ndarray, shape (..., n)
-        Start and length of each interval.
-    columns : mapping
-        Covariate at the start of each interval: number arrays of shape (..., n) or `Labels` of n.
-    rates : mapping
-        Change per second of a covariate inside the interval (speed in a ramp, ``moving_time_s``); 0 where absent.
-    segment : ndarray of int, shape (n,)
-        Segment of the mission; -1 before and after.
-    constants : mapping
-        Scalars that hold for the whole run (``mass_kg`` of the body alone, ``regeneration``).
-    """
+    """Intervals of one run, in order of time."""
 
     start_s: NDArray[np.float64]
     duration_s: NDArray[np.float64]
+    """Both: start and length of each interval. Shape (..., n)."""
     columns: Mapping[str, Any]
+    """Covariate at the start of each interval: number arrays of shape (..., n) or `Labels` of n."""
     rates: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    """Change per second of a covariate inside the interval (speed in a ramp, ``moving_time_s``); 0 where absent."""
     segment: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    """Segment of the mission; -1 before and after. Shape (n,)."""
     constants: Mapping[str, Any] = field(default_factory=dict)
+    """Scalars that hold for the whole run (``mass_kg`` of the body alone, ``regeneration``)."""
 
     def __len__(self) -> int:
         return int(np.shape(self.duration_s)[-1])

@@ -18,15 +18,11 @@ class LocalPlane:
     """Metres east and north of a point on the WGS 84 ellipsoid.
 
     The Gauss–Krüger series to second order: distances within 10 km of the origin are right to 1e-5.
-
-    Attributes
-    ----------
-    latitude, longitude : float
-        Origin, degrees.
     """
 
     latitude: float
     longitude: float
+    """Both: origin, degrees."""
 
     @classmethod
     def around(cls, points: Sequence[tuple[float, float]]) -> LocalPlane:

@@ -149,19 +149,12 @@ def _left(properties: Value, site: Site, what: str, used: tuple[str, ...]) -> No
 
 @dataclass(frozen=True)
 class GraphCosts:
-    """A route graph with costs for a robot.
-
-    Attributes
-    ----------
-    raw : bytes
-        The file; all but ``cost`` and ``speed_limit`` of the edges is as it was, byte for byte.
-    edges : list of dict
-        ``id``, ``length_m``, ``speed_m_s``, ``energy_wh``, ``seconds``, ``cost`` of each edge, in the file's order.
-    remarks : tuple of str
-    """
+    """A route graph with costs for a robot."""
 
     raw: bytes
+    """The file; all but ``cost`` and ``speed_limit`` of the edges is as it was, byte for byte."""
     edges: list[dict[str, Any]]
+    """``id``, ``length_m``, ``speed_m_s``, ``energy_wh``, ``seconds``, ``cost`` of each edge, in the file's order."""
     remarks: tuple[str, ...]
 
 

@@ -55,22 +55,14 @@ NUMBERS = {
 
 @dataclass
 class Fleet:
-    """A fleet config.
-
-    Attributes
-    ----------
-    file, name : str
-    numbers : dict
-        By the names of `NUMBERS`; what the file leaves out has its default.
-    limits : dict
-        ``max_speed``, ``max_acceleration``, ``max_yaw_rate``, ``max_yaw_acceleration``, SI.
-    robots : tuple of str
-    """
+    """A fleet config."""
 
     file: str
     name: str
     numbers: dict[str, float]
+    """By the names of `NUMBERS`; what the file leaves out has its default."""
     limits: dict[str, float]
+    """``max_speed``, ``max_acceleration``, ``max_yaw_rate``, ``max_yaw_acceleration``, SI."""
     robots: tuple[str, ...]
     remarks: dict[str, Remark] = field(default_factory=dict)
 
@@ -170,23 +162,15 @@ def _number(fleet: Value, wanted: Number) -> float:
 
 @dataclass(frozen=True)
 class FleetExport:
-    """A config with measured numbers, and how far its formula follows.
-
-    Attributes
-    ----------
-    raw : bytes
-        The new config; all but the numbers is as it was, byte for byte.
-    changed : dict
-        Name → (before, after).
-    errors : list of dict
-        On the logs: ``formula``, ``energy_error_pct``, ``power_rmse_w`` of our model, of theirs as it is, and of theirs
-        with the new numbers.
-    remarks : tuple of str
-    """
+    """A config with measured numbers, and how far its formula follows."""
 
     raw: bytes
+    """The new config; all but the numbers is as it was, byte for byte."""
     changed: dict[str, tuple[float, float]]
+    """Name → (before, after)."""
     errors: list[dict[str, Any]]
+    """On the logs: ``formula``, ``energy_error_pct``, ``power_rmse_w`` of our model, of theirs as it is, and of theirs
+    with the new numbers."""
     remarks: tuple[str, ...]
 
 

@@ -13,29 +13,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Stop:
-    """A place on the way, and what is done there.
-
-    Attributes
-    ----------
-    place : str
-    speed_m_s : float or None
-        On the way to it; None at the start.
-    edge : str
-        Name of the edge to it; its ends where it has none.
-    length_m : float
-        Of that edge.
-    waits : tuple of (str, float)
-        What is done there, in words of ours (``wait``, ``inspect``), and for how long, s.
-    recharge_until : float or None
-        Fraction of the charge; 1 where charging lasts a time.
-    """
+    """A place on the way, and what is done there."""
 
     place: str
     speed_m_s: float | None = None
+    """On the way to it; None at the start."""
     edge: str = ""
+    """Name of the edge to it; its ends where it has none."""
     length_m: float = 0.0
+    """Of that edge."""
     waits: tuple[tuple[str, float], ...] = ()
+    """What is done there, in words of ours (``wait``, ``inspect``), and for how long, s."""
     recharge_until: float | None = None
+    """Fraction of the charge; 1 where charging lasts a time."""
 
 
 def stops_of(mission: MissionSpec) -> tuple[list[Stop], list[str]]:

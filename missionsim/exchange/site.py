@@ -30,27 +30,18 @@ _CHARGER = re.compile(r"(?<!dis)charg", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class SiteOptions:
-    """What a user may say beside the file.
-
-    Attributes
-    ----------
-    robot : RobotSpec, optional
-        Whose top speed shares of it mean, and whose charging power a charger has.
-    vehicle : str
-        Type of vehicle whose properties hold (layout interchange format).
-    graph : int, optional
-        Number of the lane graph (Open-RMF); all of them by default.
-    scale : float, optional
-        m per pixel of a drawing without measurements (Open-RMF).
-    smooth_m : float
-        Elevations of a track are smoothed over this distance to each side, m.
-    """
+    """What a user may say beside the file."""
 
     robot: RobotSpec | None = None
+    """Whose top speed shares of it mean, and whose charging power a charger has."""
     vehicle: str = ""
+    """Type of vehicle whose properties hold (layout interchange format)."""
     graph: int | None = None
+    """Number of the lane graph (Open-RMF); all of them by default."""
     scale: float | None = None
+    """m per pixel of a drawing without measurements (Open-RMF)."""
     smooth_m: float = 50.0
+    """Elevations of a track are smoothed over this distance to each side, m."""
 
     @property
     def charger(self) -> dict[str, object]:
@@ -81,21 +72,7 @@ class Remark:
 
 @dataclass
 class Site:
-    """Places, ways and perhaps a mission of a file.
-
-    Attributes
-    ----------
-    file, format, name, title : str
-    notes : list of str
-        Where positions are measured from, and the like.
-    places, edges : mapping and list
-        As they stand in an environment file, numbers in SI.
-    segments : list
-        As they stand in a mission file; empty where the file holds no mission.
-    start : str
-    speed : float, optional
-        m/s, of the mission's segments that give none.
-    """
+    """Places, ways and perhaps a mission of a file."""
 
     file: str
     format: str
@@ -103,11 +80,15 @@ class Site:
     _: KW_ONLY
     title: str = ""
     notes: list[str] = field(default_factory=list)
+    """Where positions are measured from, and the like."""
     places: dict[str, dict[str, Any]] = field(default_factory=dict)
     edges: list[dict[str, Any]] = field(default_factory=list)
+    """Both: as they stand in an environment file, numbers in SI."""
     segments: list[dict[str, Any]] = field(default_factory=list)
+    """As they stand in a mission file; empty where the file holds no mission."""
     start: str = ""
     speed: float | None = None
+    """m/s, of the mission's segments that give none."""
     heights: dict[str, float] = field(default_factory=dict)
     remarks: dict[str, Remark] = field(default_factory=dict)
     edge_names: set[str] = field(default_factory=set)

@@ -69,26 +69,18 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Role:
-    """Something that a log may hold, and how names say it.
-
-    Attributes
-    ----------
-    name : str
-    dimension : str
-        Of its unit.
-    words, prefer, avoid : str
-        Patterns over the words of the name: needed, better, worse.
-    low, high : float
-        What the 95 % point of the magnitude lies between, in the glossary's unit.
-    """
+    """Something that a log may hold, and how names say it."""
 
     name: str
     dimension: str
+    """Of its unit."""
     words: str
     prefer: str = r"$^"
     avoid: str = r"$^"
+    """All three: patterns over the words of the name: needed, better, worse."""
     low: float = 0.0
     high: float = np.inf
+    """Both: what the 95 % point of the magnitude lies between, in the glossary's unit."""
 
 
 def _pattern(given: str | list[str]) -> str:
@@ -105,25 +97,16 @@ ROLES = {name: _role(name, told) for name, told in WORDS["roles"].items()}
 
 @dataclass(frozen=True)
 class Guess:
-    """What a field perhaps is.
-
-    Attributes
-    ----------
-    role, field : str
-    unit : str
-        As a map writes it; empty where it is the glossary's.
-    score : float
-    why : str
-    sure : str
-        ``sure``, ``likely`` or ``a guess``.
-    """
+    """What a field perhaps is."""
 
     role: str
     field: str
     unit: str
+    """As a map writes it; empty where it is the glossary's."""
     score: float
     why: str
     sure: str
+    """``sure``, ``likely`` or ``a guess``."""
 
     @property
     def rank(self) -> float:

@@ -28,18 +28,12 @@ _DAY_S = 86400.0
 
 @dataclass(frozen=True)
 class Source:
-    """Files of one run (or of the runs that one file holds).
-
-    Attributes
-    ----------
-    name : str
-        Name of the run.
-    files : dict
-        Name of the file in the map's `files` (empty where the map has none) → path.
-    """
+    """Files of one run (or of the runs that one file holds)."""
 
     name: str
+    """Name of the run."""
     files: dict[str, Path]
+    """Name of the file in the map's `files` (empty where the map has none) → path."""
 
     @property
     def path(self) -> Path:

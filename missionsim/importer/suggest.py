@@ -28,40 +28,26 @@ _MOST_ROWS = 200_000
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A suggested map.
-
-    Attributes
-    ----------
-    text : str
-        YAML.
-    columns : dict
-        Column of the log → the guess behind it.
-    missing : tuple of str
-        What was not found and has to be filled in before the map can be used.
-    """
+    """A suggested map."""
 
     text: str
+    """YAML."""
     columns: dict[str, Guess]
+    """Column of the log → the guess behind it."""
     missing: tuple[str, ...]
+    """What was not found and has to be filled in before the map can be used."""
 
 
 @dataclass
 class Draft:
-    """A map in the making.
-
-    Attributes
-    ----------
-    fields : dict
-        Field → what was read of it; fields of joined files as ``file.column``.
-    direct : bool
-        Whether formulas may name the columns themselves (a single table).
-    time_s : ndarray or None
-        Times of the rows of a single table, once they are known.
-    """
+    """A map in the making."""
 
     fields: dict[str, Field]
+    """Field → what was read of it; fields of joined files as ``file.column``."""
     direct: bool
+    """Whether formulas may name the columns themselves (a single table)."""
     time_s: Floats | None = None
+    """Times of the rows of a single table, once they are known."""
     _: KW_ONLY
     guesses: dict[str, Guess] = field(default_factory=dict)
     signals: dict[str, str] = field(default_factory=dict)

@@ -231,22 +231,15 @@ _DENSER = 1.5
 
 @dataclass
 class Signal:
-    """Values of one field with the time of each.
-
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-        [s], in the clock of the source.
-    values : column, shape (n,)
-    fill : str or None
-        ``hold`` the last value, ``linear`` between two, ``mean`` over the time that a row stands for; None: the mean of
-        numbers that come more often than the rows, else the last value (texts, switches and counts always).
-    topic : str
-    """
+    """Values of one field with the time of each."""
 
     time_s: Floats
+    """[s], in the clock of the source. Shape (n,)."""
     values: ColumnData
+    """Shape (n,)."""
     fill: str | None
+    """``hold`` the last value, ``linear`` between two, ``mean`` over the time that a row stands for; None: the mean of
+    numbers that come more often than the rows, else the last value (texts, switches and counts always)."""
     topic: str
 
 

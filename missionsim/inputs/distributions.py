@@ -14,20 +14,12 @@ KINDS = ("normal", "truncated_normal", "lognormal", "uniform", "triangular", "di
 
 @dataclass(frozen=True)
 class Distribution:
-    """Distribution of one value, all numbers in the value's SI unit.
-
-    Attributes
-    ----------
-    kind : str
-        ``normal`` (mean, sd), ``truncated_normal`` (mean and sd of the untruncated, low, high), ``lognormal``
-        (arithmetic mean and sd), ``uniform`` (low, high), ``triangular`` (low, mode, high), ``discrete`` (values,
-        weights), ``empirical`` (values; resampled).
-    mean_, sd_, low, high, mode : float or None
-    values, weights : tuple of float
-        Of ``discrete`` and ``empirical``; weights add up to 1.
-    """
+    """Distribution of one value, all numbers in the value's SI unit."""
 
     kind: str
+    """``normal`` (mean, sd), ``truncated_normal`` (mean and sd of the untruncated, low, high), ``lognormal``
+    (arithmetic mean and sd), ``uniform`` (low, high), ``triangular`` (low, mode, high), ``discrete`` (values, weights),
+    ``empirical`` (values; resampled)."""
     mean_: float | None = None
     sd_: float | None = None
     low: float | None = None
@@ -35,6 +27,7 @@ class Distribution:
     mode: float | None = None
     values: tuple[float, ...] = ()
     weights: tuple[float, ...] = ()
+    """Both: of ``discrete`` and ``empirical``; weights add up to 1."""
 
     @property
     def mean(self) -> float:

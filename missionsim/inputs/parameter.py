@@ -17,36 +17,29 @@ class Parameter:
 
     Attributes
     ----------
-    value : float
-        Nominal value in the SI unit `unit` (energies J, angles rad, temperatures degC).
-    sd : float or None
-        Standard deviation, same unit.
-    low, high : float or None
-        Range that was given; bounds of a fit for parameters of effects, of a uniform distribution elsewhere.
-    distribution : Distribution or None
-        What a Monte Carlo draws from; None for a certain number.
     status, source, note : str
         ``published``, ``fitted``, ``assumed``, ``measured`` or empty, and where the number comes from.
-    unit : str
-        SI unit; for parameters of effects and motion models the unit that the file names.
-    path : str
-        Dotted path in its file, such as ``components.laser.loads.0.power``; empty for a default.
-    line : int
-        1-based line in its file, 0 where there is none.
     """
 
     value: float
+    """Nominal value in the SI unit `unit` (energies J, angles rad, temperatures degC)."""
     sd: float | None = None
+    """Standard deviation, same unit."""
     low: float | None = None
     high: float | None = None
+    """Both: range that was given; bounds of a fit for parameters of effects, of a uniform distribution elsewhere."""
     distribution: Distribution | None = None
+    """What a Monte Carlo draws from; None for a certain number."""
     status: str = ""
     source: str = ""
     unit: str = "1"
+    """SI unit; for parameters of effects and motion models the unit that the file names."""
     _: KW_ONLY
     note: str = ""
     path: str = ""
+    """Dotted path in its file, such as ``components.laser.loads.0.power``; empty for a default."""
     line: int = 0
+    """1-based line in its file, 0 where there is none."""
 
     def __float__(self) -> float:
         return self.value

@@ -50,28 +50,19 @@ class Node:
 
 @dataclass(slots=True)
 class Document:
-    """A read YAML file.
-
-    Attributes
-    ----------
-    file : str
-        Path as the user gave it.
-    data : object
-        Plain dicts, lists, texts, numbers.
-    root : Node
-        The same with positions.
-    overrides : dict
-        Paths that the command line set, with the text given there.
-    prefix : str
-        What the command line puts before this file's paths (``robot.``).
-    """
+    """A read YAML file."""
 
     file: str
+    """Path as the user gave it."""
     data: Any
+    """Plain dicts, lists, texts, numbers."""
     root: Node
+    """The same with positions."""
     sha256: str = ""
     overrides: dict[Path_, str] = field(default_factory=dict)
+    """Paths that the command line set, with the text given there."""
     prefix: str = ""
+    """What the command line puts before this file's paths (``robot.``)."""
 
     def original(self, path: Sequence[str | int]) -> Path_:
         """The path in the file; a document with parts left out translates it."""

@@ -23,23 +23,17 @@ _UNSAID = 1e5
 
 @dataclass(frozen=True)
 class QuantityOf(UncertainReader):
-    """pydantic annotation: accepts number, text with unit or mapping, gives a `Parameter`.
-
-    Attributes
-    ----------
-    dimension : str
-        Key of `units.DIMENSIONS`; empty for any unit.
-    low, high : float
-        Allowed values, SI; with `strict_low` the low end itself is not allowed, with `strict_high` the high end.
-    bounds : bool
-        low/high of the mapping are bounds of a fit, not a uniform distribution (parameters of effects).
-    """
+    """pydantic annotation: accepts number, text with unit or mapping, gives a `Parameter`."""
 
     dimension: str
+    """Key of `units.DIMENSIONS`; empty for any unit."""
     low: float = -math.inf
     high: float = math.inf
+    """Both: allowed values, SI; with `strict_low` the low end itself is not allowed, with `strict_high` the high
+    end."""
     strict_low: bool = False
     bounds: bool = False
+    """low/high of the mapping are bounds of a fit, not a uniform distribution (parameters of effects)."""
     percent_slope: bool = False
     strict_high: bool = False
 

@@ -115,30 +115,20 @@ Chosen on the measured logs of a car, two robots and a simulated one: no shift i
 
 @dataclass(frozen=True)
 class ClockEstimate:
-    """Delay of power behind motion.
-
-    Attributes
-    ----------
-    delay_s : float
-        Positive: power comes later than the motion that causes it [s].
-    correlation : float
-        Multiple correlation between changes of power and changes of motion, at that delay.
-    correlation_at_zero : float
-    resolution_s : float
-        Step of the log that limits the estimate [s].
-    smoothing_s : float
-        Time constant of a first-order low pass of the motion that explains power better than any delay; 0 where none
-        does [s].
-    correlation_smoothed : float
-        At that time constant.
-    """
+    """Delay of power behind motion."""
 
     delay_s: float
+    """Positive: power comes later than the motion that causes it [s]."""
     correlation: float
+    """Multiple correlation between changes of power and changes of motion, at that delay."""
     correlation_at_zero: float
     resolution_s: float
+    """Step of the log that limits the estimate [s]."""
     smoothing_s: float = 0.0
+    """Time constant of a first-order low pass of the motion that explains power better than any delay; 0 where none
+    does [s]."""
     correlation_smoothed: float = 0.0
+    """At that time constant."""
 
 
 def clock_delay(

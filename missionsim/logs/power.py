@@ -68,18 +68,12 @@ def missing_columns(names: Iterable[str], file: str, header_line: Callable[[], i
 
 @dataclass(frozen=True)
 class Refresh:
-    """How often a column really changes.
-
-    Attributes
-    ----------
-    fresh : ndarray of bool, shape (n,)
-        Rows with a new value.
-    period_s : float
-        Typical time between them [s].
-    """
+    """How often a column really changes."""
 
     fresh: Bools
+    """Rows with a new value. Shape (n,)."""
     period_s: float
+    """Typical time between them [s]."""
 
 
 def refreshes(values: Floats, time_s: Floats) -> Refresh | None:

@@ -21,36 +21,24 @@ _MOSTLY_NUMBERS = 0.9
 
 @dataclass
 class RawTable:
-    """Columns of one file before any check of their values.
-
-    Attributes
-    ----------
-    file : str
-        The path as the user gave it.
-    columns : dict
-        Name → array of float64 of shape (n,), missing values NaN; or `Labels`.
-    lines : callable
-        Row number (0-based; -1 for the header) → line of a text file (1-based); 0 for formats without lines.
-    remarks : list of Remark
-        What the reader of the format found.
-    first_row : int
-        Row number in the file of the first row of this table (blocks of a long file).
-    headless : bool
-        Whether the names were made up, because the file has no header.
-    local : set of str
-        Columns of times that a reader of the format made seconds of, whose zone is not known.
-    names : tuple of str
-        Every column of the file, also those that were not asked for.
-    """
+    """Columns of one file before any check of their values."""
 
     file: str
+    """The path as the user gave it."""
     columns: dict[str, ColumnData]
+    """Name → array of float64 of shape (n,), missing values NaN; or `Labels`."""
     lines: Callable[[int], int] = lambda _row: 0
+    """Row number (0-based; -1 for the header) → line of a text file (1-based); 0 for formats without lines."""
     remarks: list[Remark] = field(default_factory=list)
+    """What the reader of the format found."""
     first_row: int = 0
+    """Row number in the file of the first row of this table (blocks of a long file)."""
     headless: bool = False
+    """Whether the names were made up, because the file has no header."""
     local: set[str] = field(default_factory=set)
+    """Columns of times that a reader of the format made seconds of, whose zone is not known."""
     names: tuple[str, ...] = ()
+    """Every column of the file, also those that were not asked for."""
 
     @property
     def rows(self) -> int:

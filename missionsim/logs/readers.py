@@ -25,56 +25,37 @@ _HEAD_BYTES = 4096
 
 @dataclass(frozen=True)
 class Options:
-    """What a reader may be told.
-
-    Attributes
-    ----------
-    fields : collection of str, optional
-        Messages: fields that are wanted; all by default.
-    wants : callable, optional
-        Tables: whether a column is wanted; all by default.
-    most : int, optional
-        Rows, or messages of a topic, that suffice (listings and suggestions).
-    typed : bool
-        Tables: whether columns with names of the glossary have to hold what the glossary says.
-    header, delimiter
-        Text tables: names of the columns of a file without a header line, and what separates them.
-    clock : str
-        Messages: ``header`` or ``bag``, the time that counts.
-    """
+    """What a reader may be told."""
 
     fields: Collection[str] | None = None
+    """Messages: fields that are wanted; all by default."""
     wants: Callable[[str], bool] | None = None
+    """Tables: whether a column is wanted; all by default."""
     most: int | None = None
+    """Rows, or messages of a topic, that suffice (listings and suggestions)."""
     typed: bool = False
+    """Tables: whether columns with names of the glossary have to hold what the glossary says."""
     header: tuple[str, ...] = ()
     delimiter: str | None = None
+    """Both: text tables: names of the columns of a file without a header line, and what separates them."""
     clock: str = "header"
+    """Messages: ``header`` or ``bag``, the time that counts."""
 
 
 @dataclass
 class Topic:
-    """Messages of one kind: a time and the same fields in each.
-
-    Attributes
-    ----------
-    name : str
-        A field is known as ``name.column``.
-    time_s : ndarray, shape (n,)
-        [s], in the clock of the recording.
-    columns : dict
-        Field → values, shape (n,).
-    title : str
-        Type of the messages.
-    count : int
-        Messages in the file, where only the first were read.
-    """
+    """Messages of one kind: a time and the same fields in each."""
 
     name: str
+    """A field is known as ``name.column``."""
     time_s: NDArray[np.float64]
+    """[s], in the clock of the recording. Shape (n,)."""
     columns: dict[str, ColumnData]
+    """Field → values, shape (n,)."""
     title: str = ""
+    """Type of the messages."""
     count: int = 0
+    """Messages in the file, where only the first were read."""
 
 
 @dataclass
@@ -87,36 +68,25 @@ class Recording:
 
 @dataclass(frozen=True)
 class Reader:
-    """One format.
-
-    Attributes
-    ----------
-    name, title : str
-        Short name, and what a message calls such a file.
-    suffixes : tuple of str
-        With the dot, in small letters; files of a folder that count.
-    begins : tuple of bytes
-        First bytes that such a file always has; empty where the content tells nothing.
-    table, blocks : callable, optional
-        Formats of one table: read whole, and in blocks of at least so many rows in bounded memory.
-    recording : callable, optional
-        Formats of messages.
-    loose : tuple of str
-        Suffixes that other files have as well: taken by ``import`` only.
-    folder : str
-        Name of a file that makes its folder one source.
-    """
+    """One format."""
 
     name: str
     title: str
+    """Both: short name, and what a message calls such a file."""
     suffixes: tuple[str, ...]
+    """With the dot, in small letters; files of a folder that count."""
     begins: tuple[bytes, ...] = ()
+    """First bytes that such a file always has; empty where the content tells nothing."""
     _: KW_ONLY
     table: Callable[[Path, Options], RawTable] | None = None
     blocks: Callable[[Path, int, Sequence[str] | None], Iterator[RawTable]] | None = None
+    """Both: formats of one table: read whole, and in blocks of at least so many rows in bounded memory."""
     recording: Callable[[Path, Options], Recording] | None = None
+    """Formats of messages."""
     loose: tuple[str, ...] = ()
+    """Suffixes that other files have as well: taken by ``import`` only."""
     folder: str = ""
+    """Name of a file that makes its folder one source."""
 
 
 @functools.cache

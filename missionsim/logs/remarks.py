@@ -10,36 +10,25 @@ from missionsim.errors import Fault
 
 @dataclass(frozen=True)
 class Remark:
-    """One finding of the log checks.
-
-    Attributes
-    ----------
-    kind : str
-        Short name of the check: ``time_backwards``, ``duplicate``, ``gap``, ``missing``, ``repeated``, ``frozen``,
-        ``range``, ``unit``, ``sign``, ``clock``, ``name``, ``format``, ``disagreement``, ``obstacle`` (stands in the
-        way of a diagnosis), ``damaged`` (part of the file is missing).
-    column : str
-        The column it is about; empty for the whole file.
-    message : str
-        What is wrong, with numbers.
-    action : str
-        What was done: nothing is dropped or changed without saying so here.
-    severity : str
-        ``note`` (good to know), ``warning`` (doubtful), ``error`` (against the contract of the columns; the log is
-        still read, but ``missionsim validate`` refuses it).
-    line : int
-        Line of the first occurrence in a text file (1-based), 0 where there is none.
-    count : int
-        Rows concerned.
-    """
+    """One finding of the log checks."""
 
     kind: str
+    """Short name of the check: ``time_backwards``, ``duplicate``, ``gap``, ``missing``, ``repeated``, ``frozen``,
+    ``range``, ``unit``, ``sign``, ``clock``, ``name``, ``format``, ``disagreement``, ``obstacle`` (stands in the way of
+    a diagnosis), ``damaged`` (part of the file is missing)."""
     column: str
+    """The column it is about; empty for the whole file."""
     message: str
+    """What is wrong, with numbers."""
     action: str
+    """What was done: nothing is dropped or changed without saying so here."""
     severity: str = "warning"
+    """``note`` (good to know), ``warning`` (doubtful), ``error`` (against the contract of the columns; the log is still
+    read, but ``missionsim validate`` refuses it)."""
     line: int = 0
+    """Line of the first occurrence in a text file (1-based), 0 where there is none."""
     count: int = 0
+    """Rows concerned."""
 
     def __str__(self) -> str:
         where = f" (line {self.line})" if self.line else ""

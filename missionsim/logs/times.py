@@ -44,23 +44,15 @@ class TimeError(ValueError):
 
 @dataclass
 class Stamps:
-    """Times of rows.
-
-    Attributes
-    ----------
-    seconds : ndarray, shape (n,)
-        [s] since 1970 for ``utc`` and ``local`` (wall time counted as if it were UTC), since midnight for ``day``,
-        since a zero of the logger's own for ``own``; NaN where there is none.
-    kind : str
-        ``utc``, ``local``, ``date``, ``day`` or ``own``.
-    form : str
-        What was recognised, in words.
-    remarks : list of Remark
-    """
+    """Times of rows."""
 
     seconds: Floats
+    """[s] since 1970 for ``utc`` and ``local`` (wall time counted as if it were UTC), since midnight for ``day``, since
+    a zero of the logger's own for ``own``; NaN where there is none. Shape (n,)."""
     kind: str
+    """``utc``, ``local``, ``date``, ``day`` or ``own``."""
     form: str
+    """What was recognised, in words."""
     remarks: list[Remark] = field(default_factory=list)
 
 

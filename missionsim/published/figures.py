@@ -49,33 +49,23 @@ STATUSES = (AGREES, CONTRADICTS, UNCHECKABLE, CALIBRATED, DIFFERS)
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """One figure as printed.
-
-    Attributes
-    ----------
-    paper, key, item, where : str
-        Paper, our name for it, what it is, where it stands.
-    printed : str
-        As printed, with its trailing zeros.
-    unit : str
-    rule : str
-        ``rounded`` (within half of the last digit), ``truncated`` (the paper cuts digits), ``inputs:<tolerance>`` (its
-        own rounding and that of the printed numbers from which the paper computed it), ``about:<tolerance>`` (the text
-        says about, roughly), ``at_least``, ``at_most``.
-    basis : str
-        Empty for a figure that can be computed; ``input`` (taken into the robot or mission file), ``fitted`` (a file
-        is calibrated to it), ``contradiction`` (why it need not be met), ``uncheckable``.
-    why : str
-    """
+    """One figure as printed."""
 
     paper: str
     key: str
     item: str
     where: str
+    """These: paper, our name for it, what it is, where it stands."""
     printed: str
+    """As printed, with its trailing zeros."""
     unit: str
     rule: str
+    """``rounded`` (within half of the last digit), ``truncated`` (the paper cuts digits), ``inputs:<tolerance>`` (its
+    own rounding and that of the printed numbers from which the paper computed it), ``about:<tolerance>`` (the text says
+    about, roughly), ``at_least``, ``at_most``."""
     basis: str
+    """Empty for a figure that can be computed; ``input`` (taken into the robot or mission file), ``fitted`` (a file is
+    calibrated to it), ``contradiction`` (why it need not be met), ``uncheckable``."""
     why: str
 
     @property

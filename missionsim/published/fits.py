@@ -64,25 +64,18 @@ def static_powers(figures: Mapping[str, Figure]) -> StaticPowers:
 
 @dataclass(frozen=True)
 class MecanumFit:
-    """A fit of the few-parameter model to Hou's Tables 3 and 4.
-
-    Attributes
-    ----------
-    friction_n, mass_kg, copper_w_n2, electronics_w, pulse_w : float
-        The five fitted parameters.
-    errors : dict
-        By table: RMSE (W), mean and greatest absolute error (%) over the moving samples.
-    condition : float
-        Of the Jacobian scaled by the parameters: large where the data do not see some direction.
-    """
+    """A fit of the few-parameter model to Hou's Tables 3 and 4."""
 
     friction_n: float
     mass_kg: float
     copper_w_n2: float
     electronics_w: float
     pulse_w: float
+    """These: the five fitted parameters."""
     errors: dict[str, tuple[float, float, float]]
+    """By table: RMSE (W), mean and greatest absolute error (%) over the moving samples."""
     condition: float
+    """Of the Jacobian scaled by the parameters: large where the data do not see some direction."""
 
 
 Profile = Callable[..., tuple[Array, Array]]

@@ -19,19 +19,13 @@ SAMPLE_S = 1.0
 
 @dataclass(frozen=True)
 class ErrorCurve:
-    """Error of the planned energy over the mission as driven, at equal progress.
-
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-        Time of the run as driven, one sample a second.
-    predicted_wh, measured_wh : ndarray, shape (n,)
-        Cumulative energy of the plan at the same place, and of the run as driven.
-    """
+    """Error of the planned energy over the mission as driven, at equal progress."""
 
     time_s: Array
+    """Time of the run as driven, one sample a second. Shape (n,)."""
     predicted_wh: Array
     measured_wh: Array
+    """Both: cumulative energy of the plan at the same place, and of the run as driven. Shape (n,)."""
 
     def percent(self, relative_to: str = "predicted") -> Array:
         """Error in %, of the ``predicted`` or the ``measured`` energy."""
@@ -117,37 +111,26 @@ def figures() -> Iterator[tuple[str, Ours]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Causes:
-    """What makes a robot's path longer and slower than planned, with spread (assumed unless said).
-
-    Attributes
-    ----------
-    marker_spacing_m : float or None
-        Between QR codes; if not given that of Table 5's second experiment.
-    drift, drift_sd : float
-        Sideways drift per metre.
-    settle_m, settle_sd_m : float
-        Length on which an offset or a heading settles.
-    wall_amplitude_m, wall_amplitude_sd_m, wall_wavelength_m : float
-        Irregular walls that centring follows.
-    heading_error_rad : float
-        After a turn.
-    turns : mapping of str to int
-        By segment of the patrol.
-    gap_sd : float
-        Spread of the speed reached over the speed asked.
-    """
+    """What makes a robot's path longer and slower than planned, with spread (assumed unless said)."""
 
     marker_spacing_m: float | None = None
+    """Between QR codes; if not given that of Table 5's second experiment."""
     drift: float = 0.15
     drift_sd: float = 0.03
+    """Both: sideways drift per metre."""
     settle_m: float = 1.0
     settle_sd_m: float = 0.2
+    """Both: length on which an offset or a heading settles."""
     wall_amplitude_m: float = 0.12
     wall_amplitude_sd_m: float = 0.04
     wall_wavelength_m: float = 3.0
+    """All three: irregular walls that centring follows."""
     heading_error_rad: float = 0.5
+    """After a turn."""
     turns: tuple[tuple[str, int], ...] = (("ER_out", 4), ("V1_area", 5), ("V2_area", 2), ("ER_in", 4))
+    """By segment of the patrol."""
     gap_sd: float = 0.02
+    """Spread of the speed reached over the speed asked."""
 
 
 def behaviour_draws(causes: Causes, draws: int, rng: np.random.Generator) -> tuple[Array, Array]:

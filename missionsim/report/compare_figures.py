@@ -139,23 +139,16 @@ def progress_figure(one: BatteryComparison) -> Figure:
 
 @dataclass(frozen=True)
 class ErrorMap:
-    """Mean power error on a grid of places.
-
-    Attributes
-    ----------
-    x_m, y_m : ndarray, shape (columns,) and (rows,)
-        Middles of the cells.
-    error_w, seconds : ndarray, shape (rows, columns)
-        Model minus measured, and the time spent there; NaN where the robot never was.
-    limit_w : float
-        98th percentile of the magnitude of the error, where colours end.
-    """
+    """Mean power error on a grid of places."""
 
     x_m: NDArray[np.float64]
     y_m: NDArray[np.float64]
+    """Both: middles of the cells. Shape (columns,) and (rows,)."""
     error_w: NDArray[np.float64]
     seconds: NDArray[np.float64]
+    """Both: model minus measured, and the time spent there; NaN where the robot never was. Shape (rows, columns)."""
     limit_w: float
+    """98th percentile of the magnitude of the error, where colours end."""
 
 
 def error_map(cells: Sequence[PlaceCell]) -> ErrorMap:

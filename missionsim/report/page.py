@@ -21,18 +21,12 @@ Tone = Literal["good", "warn", "bad", "neutral"]
 
 @dataclass(frozen=True)
 class Verdict:
-    """The headline: one or two sentences in a coloured box.
-
-    Attributes
-    ----------
-    text : str
-        Plain text; escaped when drawn.
-    tone : str
-        ``good``, ``warn``, ``bad`` or ``neutral``; said by a word and a mark too, not by colour alone.
-    """
+    """The headline: one or two sentences in a coloured box."""
 
     text: str
+    """Plain text; escaped when drawn."""
     tone: Tone = "neutral"
+    """``good``, ``warn``, ``bad`` or ``neutral``; said by a word and a mark too, not by colour alone."""
 
 
 @dataclass(frozen=True)
@@ -59,49 +53,32 @@ class Tiles:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of texts and numbers.
-
-    Attributes
-    ----------
-    columns : sequence of str
-        Headings.
-    rows : sequence of sequences
-        Cells; numbers are right-aligned and written with `digits` significant digits, None as an en dash.
-    caption : str
-        What the table shows.
-    digits : int
-        Significant digits of the numbers.
-    bar : int or None
-        Index of a column of shares (0 to 1) that is drawn as a bar behind the number.
-    """
+    """A table of texts and numbers."""
 
     columns: Sequence[str]
+    """Headings."""
     rows: Sequence[Sequence[Any]]
+    """Cells; numbers are right-aligned and written with `digits` significant digits, None as an en dash."""
     caption: str = ""
+    """What the table shows."""
     digits: int = 4
+    """Significant digits of the numbers."""
     bar: int | None = None
+    """Index of a column of shares (0 to 1) that is drawn as a bar behind the number."""
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A Plotly figure as plain data.
-
-    Attributes
-    ----------
-    traces : sequence of mappings
-        Plotly traces; arrays may be NumPy arrays.
-    layout : mapping
-        Plotly layout, laid over the house style.
-    caption : str
-        What one sees; also the text for readers who do not see the picture.
-    height : int
-        Pixels.
-    """
+    """A Plotly figure as plain data."""
 
     traces: Sequence[Mapping[str, Any]]
+    """Plotly traces; arrays may be NumPy arrays."""
     layout: Mapping[str, Any] = field(default_factory=dict)
+    """Plotly layout, laid over the house style."""
     caption: str = ""
+    """What one sees; also the text for readers who do not see the picture."""
     height: int = 380
+    """Pixels."""
 
 
 @dataclass(frozen=True)

@@ -31,28 +31,18 @@ BOX = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6}
 
 @dataclass(frozen=True)
 class SiteMap:
-    """What a map shows.
-
-    Attributes
-    ----------
-    environment : EnvironmentSpec
-    title : str
-    driven : sequence of (edge, begin, Wh/m)
-        Edges in the order in which they were driven; `begin` tells the direction.
-    charges : mapping of str to str
-        Charge when the robot last left or passed a place, as text.
-    colours : mapping of str to (colour, word)
-        Of places.
-    turns : sequence of (edge, begin, share, text)
-        Points on edges.
-    """
+    """What a map shows."""
 
     environment: EnvironmentSpec
     title: str
     driven: Sequence[tuple[int, str, float]] = ()
+    """Edges in the order in which they were driven; `begin` tells the direction. Sequence of (edge, begin, Wh/m)."""
     charges: Mapping[str, str] = field(default_factory=dict)
+    """Charge when the robot last left or passed a place, as text."""
     colours: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    """Of places. Mapping of str to (colour, word)."""
     turns: Sequence[tuple[int, str, float, str]] = ()
+    """Points on edges. Sequence of (edge, begin, share, text)."""
 
 
 def map_of_run(result: RunResult, environment: EnvironmentSpec) -> SiteMap:

@@ -40,24 +40,16 @@ class Alternative:
 
 @dataclass(frozen=True)
 class WhatIf:
-    """A baseline and its alternatives, run.
-
-    Attributes
-    ----------
-    mission : str
-        Name of the mission.
-    alternatives : tuple of Alternative
-        The baseline first.
-    results : tuple of (RunResult or tuple of Fault)
-        Of each, in the same order, with the totals of segments in place of intervals; of one that is impossible, why.
-    warnings : tuple of Fault
-        What the checks of their files found strange but possible, each once.
-    """
+    """A baseline and its alternatives, run."""
 
     mission: str
+    """Name of the mission."""
     alternatives: tuple[Alternative, ...]
+    """The baseline first."""
     results: tuple[RunResult | tuple[Fault, ...], ...]
+    """Of each, in the same order, with the totals of segments in place of intervals; of one that is impossible, why."""
     warnings: tuple[Fault, ...] = ()
+    """What the checks of their files found strange but possible, each once."""
 
     @property
     def batteries(self) -> tuple[str, ...]:

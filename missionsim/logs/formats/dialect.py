@@ -102,35 +102,24 @@ _COMMA_NUMBER = re.compile(r"^[+-]?\d+,\d+$")
 
 @dataclass
 class Dialect:
-    """How a text table is written.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Column names, each once: one that stands twice in the header is numbered, ``name #1`` and ``name #2``.
-    delimiter, decimal, encoding : str
-    header_line : int
-        1-based line of the header; 0 for a file without one.
-    quoted : bool
-        Whether the start of the file has quotation marks; where it has none, a later one is part of its cell.
-    remarks : list of Remark
-        What is unusual.
-    first : tuple of str
-        Cells of the first row.
-    headless : bool
-        Whether the names were made up, because the first line holds numbers.
-    """
+    """How a text table is written."""
 
     names: tuple[str, ...]
+    """Column names, each once: one that stands twice in the header is numbered, ``name #1`` and ``name #2``."""
     delimiter: str
     decimal: str
     encoding: str
     header_line: int
+    """1-based line of the header; 0 for a file without one."""
     _: KW_ONLY
     quoted: bool = False
+    """Whether the start of the file has quotation marks; where it has none, a later one is part of its cell."""
     remarks: list[Remark] = field(default_factory=list)
+    """What is unusual."""
     first: tuple[str, ...] = ()
+    """Cells of the first row."""
     headless: bool = False
+    """Whether the names were made up, because the first line holds numbers."""
 
 
 def sniff(
