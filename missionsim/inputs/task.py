@@ -99,7 +99,7 @@ class SpeedRange(Model):
     def speeds(self) -> tuple[float, ...]:
         """The speeds, m/s."""
         low, high, last = self.from_.value, self.to.value, self.steps - 1
-        return tuple(low + (high - low) * i / last for i in range(self.steps))
+        return tuple(round(low + (high - low) * i / last, 12) for i in range(self.steps))
 
 
 SpeedList = Annotated[tuple[Speed, ...], Field(min_length=1, max_length=100)]

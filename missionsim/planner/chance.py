@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -57,8 +58,14 @@ def as_run(answer: Answer) -> tuple[Answer, RunResult]:
     -------
     Answer, RunResult
     """
+    task = answer.site.task
     with _mission(answer) as path:
-        run = simulate(load_mission(path, overrides=answer.site.task.elsewhere))
+        mission = load_mission(path, overrides=task.elsewhere)
+        run = simulate(mission)
+    own = {os.path.abspath(item.path): str(item.path) for item in (task.robot, task.environment)}
+    known = [(fault, own.get(os.path.abspath(fault.file))) for fault in mission.warnings]
+    told = tuple(replace(fault, file=file) for fault, file in known if file is not None)
+    run = replace(run, warnings=(*(fault for fault in told if fault not in task.warnings), *run.warnings))
     plan = [answer.duration_s, *answer.energy_wh.values(), *answer.charge_left_wh.values()]
     batteries = run.batteries.values()
     real = [run.duration_s, *(b.energy_wh for b in batteries), *(b.charge_left_wh for b in batteries)]

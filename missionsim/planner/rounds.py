@@ -157,7 +157,8 @@ def _drive(site: Site, rounds: int, every_s: float, prices: Prices, watch: Watch
         drives = Fronts(site, weights, gap)
         wider = Rounds(site, drives, rounds, every_s)
         proof = search(wider, [start], wider.is_goal, bounds, best=objective, watch=told, most_labels=LABELS * rounds)
-        lower = max(bound, min(proof.bound, bound + gap)) if drives.complete else bound
+        if drives.complete and not charges_tried(tour):
+            lower = max(bound, min(proof.bound, bound + gap))
         stopped = proof.interrupted
         if proof.label is not None:
             best, objective = proof.label, proof.objective
@@ -165,7 +166,7 @@ def _drive(site: Site, rounds: int, every_s: float, prices: Prices, watch: Watch
         return Answer(site, False, stopped=True) if stopped else None
     answer = answer_of(tour, best, objective, min(lower, objective))
     answer.extra["rounds"] = rounds
-    answer.extra["assumed"] = charges_tried(tour) if answer.bound > bound else []
+    answer.extra["assumed"] = []
     answer.stopped = stopped
     return answer
 

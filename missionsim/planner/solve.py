@@ -161,7 +161,7 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
     start = Label(0, tour.first[None, :])
     if not len(within(start.points, bounds.room[0])):
         return Answer(site, False)
-    bound = max(bound, _up(sums, float(bounds.of(0, start.points).min())))
+    bound = sure = max(bound, _up(sums, float(bounds.of(0, start.points).min())))
     gap = min(objective - base, FIRST_GAP * scale)
     while True:
         gap = max(gap, 1e-9 * scale)
@@ -200,16 +200,22 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
         missed = "no plan was found with the drives between stops that were tried; there may be one"
         notes = [early] if stopped else [] if drives.complete else [missed]
         return Answer(site, False, notes=notes, stopped=stopped)
-    answer = replace(answer_of(tour, best, objective, bound), stopped=stopped)
-    if objective - prices.bound > PROVED * scale:
-        answer.extra["assumed"] = charges_tried(tour)
+    assumed = charges_tried(tour) if objective - sure > PROVED * scale else []
+    answer = replace(answer_of(tour, best, objective, sure if assumed else bound), stopped=stopped)
+    answer.extra["assumed"] = assumed
     return answer
 
 
 def charges_tried(tour: Tour) -> list[str]:
-    """What a search leaves out of the charges: of two batteries, a point between is found for the last charge only."""
+    """What a search leaves out of the charges: of two batteries, a point between is found for the last charge only.
+
+    Where all docks charge alike and nothing waits, no plan is lost by that: what an earlier dock gives on top of what
+    leads to the next, that one gives at a lower level and so no slower.
+    """
+    alike = [(charger.gain_w.tolist(), charger.tapers) for charger in tour.chargers if charger is not None]
     some = len(tour.site.physics.names) > 1 and any(c is not None and c.levels is None for c in tour.chargers)
-    return ["of several charges in one mission only the last to any level"] if some else []
+    lost = some and (tour.waits or any(one != alike[0] for one in alike))
+    return ["of several charges in one mission only the last was tried to any level"] if lost else []
 
 
 def _steep(tour: Tour) -> list[Array]:
