@@ -305,6 +305,9 @@ def add_effect(
             terminal.print(f"forced: {made.reason}")
         if made.base:
             terminal.print("base: " + ", ".join(f"{n} = {v:.4g}" for n, (v, _) in made.base.items()))
+        if any(made.meter):
+            delay_s, lag_s = made.meter
+            terminal.print(f"meter: {delay_s:+.2f} s behind the motion, lag {lag_s:.2f} s; compare shows the model so")
         if made.heldout is not None:
             terminal.print("held out: " + heldout_line(made.heldout))
         terminal.print(f"written: {out}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -53,6 +53,8 @@ class Adopted:
         Recalibrated base parameters that were written.
     heldout : HeldOut or None
         Errors of the file before, recalibrated and as it was written.
+    meter : Meter
+        Delay and lag of the meter that were written.
     """
 
     text: str
@@ -62,6 +64,7 @@ class Adopted:
     rivals: tuple[str, ...]
     base: Mapping[str, tuple[float, float]]
     heldout: HeldOut | None = None
+    meter: Meter = field(default_factory=Meter)
 
     def to_json(self) -> dict[str, Any]:
         """As ``missionsim add-effect --json`` has it."""
@@ -77,6 +80,7 @@ class Adopted:
             "indistinguishable_from": list(self.rivals),
             "heldout": self.heldout and self.heldout.to_json(),
             "worse": self.worse or None,
+            "meter": self.meter._asdict(),
             "base": {name: {"value": value, "sd": sd} for name, (value, sd) in self.base.items()},
         }
 
@@ -153,7 +157,8 @@ def adopt(
     held = [log for log in split.heldout if battery in log.power_w]
     powers = (subject.model, models.fit(()).model, fitted.model)
     heldout = models.held_out(dict(zip(KINDS, powers, strict=True)), held, split.how, split.shifted) if held else None
-    return Adopted(new, found, significant, reason, found.indistinguishable_from, base, heldout)
+    meter = fitted.model.meters.get(battery, Meter())
+    return Adopted(new, found, significant, reason, found.indistinguishable_from, base, heldout, meter)
 
 
 def write(
