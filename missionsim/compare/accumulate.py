@@ -27,19 +27,13 @@ _HIGHS = ("measured_high_w", "error_high_w")
 
 @dataclass
 class Series:
-    """Buckets of neighbouring rows, one row each for short logs.
-
-    Attributes
-    ----------
-    columns : dict of str to ndarray, shape (n,)
-        ``start_s`` (since the start of the run), ``seconds``, ``measured_j``, ``model_j`` and the lowest and highest
-        measured power and power error (model minus measured) in each bucket [W].
-    rows : int
-        Rows in a bucket (except the last of a block).
-    """
+    """Buckets of neighbouring rows, one row each for short logs."""
 
     columns: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    """``start_s`` (since the start of the run), ``seconds``, ``measured_j``, ``model_j`` and the lowest and highest
+    measured power and power error (model minus measured) in each bucket [W]. Shape (n,)."""
     rows: int = 1
+    """Rows in a bucket (except the last of a block)."""
 
     def add(
         self,
@@ -102,20 +96,13 @@ def _join(columns: dict[str, NDArray[np.float64]], rows: int) -> dict[str, NDArr
 
 @dataclass
 class RunSums:
-    """Sums of one battery over one run.
-
-    Attributes
-    ----------
-    error : RunError
-    series : Series
-        Power over time, joined to a bounded number of points.
-    terms : dict of TermKey to float
-        Modelled energy by term [J].
-    """
+    """Sums of one battery over one run."""
 
     error: RunError
     series: Series = field(default_factory=Series)
+    """Power over time, joined to a bounded number of points."""
     terms: dict[TermKey, float] = field(default_factory=dict)
+    """Modelled energy by term [J]."""
 
 
 class Accumulator:

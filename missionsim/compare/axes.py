@@ -25,27 +25,18 @@ THIN_SHARE = 0.005
 
 @dataclass(frozen=True)
 class Bin:
-    """Error within one value or range of a covariate.
-
-    Attributes
-    ----------
-    value : str
-        Name of the value or range.
-    low, high : float or None
-        Ends of a range, in the axis' unit.
-    seconds : float
-    gap_j : float
-        Measured minus modelled energy [J].
-    square_w2s : float
-        Integral of the squared power error [W² s].
-    """
+    """Error within one value or range of a covariate."""
 
     value: str
+    """Name of the value or range."""
     low: float | None
     high: float | None
+    """Both: ends of a range, in the axis' unit."""
     seconds: float
     gap_j: float
+    """Measured minus modelled energy [J]."""
     square_w2s: float
+    """Integral of the squared power error [W² s]."""
 
     @property
     def bias_w(self) -> float:

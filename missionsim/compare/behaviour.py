@@ -145,59 +145,40 @@ PARTS = ("path_stretch", "speed_tracking", "dwell", "other")
 
 @dataclass(frozen=True, kw_only=True)
 class SchemeGap:
-    """Plan and log of one control scheme; totals over all runs, ratios as means over runs.
-
-    Attributes
-    ----------
-    scheme : str
-    path_stretch : float or None
-        Distance driven over distance planned; None where nothing was planned.
-    speed_tracking : float or None
-        Speed reached over speed planned, both means over the way, as `missionsim diagnose` has it.
-    dwell_s : float
-        Time at rest beyond the plan.
-    planned_m, driven_m, planned_s, driven_s : float
-        Distance and time.
-    wh : mapping of battery to mapping of part to float
-        Energy of each of `PARTS` [Wh].
-    """
+    """Plan and log of one control scheme; totals over all runs, ratios as means over runs."""
 
     scheme: str
     path_stretch: float | None
+    """Distance driven over distance planned; None where nothing was planned."""
     speed_tracking: float | None
+    """Speed reached over speed planned, both means over the way, as `missionsim diagnose` has it."""
     dwell_s: float
+    """Time at rest beyond the plan."""
     planned_m: float
     driven_m: float
     planned_s: float
     driven_s: float
+    """These: distance and time."""
     wh: Mapping[str, Mapping[str, float]]
+    """Energy of each of `PARTS` [Wh]. Mapping of battery to mapping of part to float."""
 
 
 @dataclass(frozen=True)
 class MissionGap:
-    """One battery: measured against simulated mission.
-
-    Attributes
-    ----------
-    battery : str
-    runs : int
-        Logged runs, each compared with one simulation.
-    energy_simulated_wh : float
-        Of all runs.
-    behaviour_wh : float
-        Replayed minus simulated energy.
-    schemes : tuple of SchemeGap
-    error_statistics, error_statistics_predicted : ErrorStatistics
-        Of the *simulated* energy against the measured one at equal progress of the mission, over the measured time.
-    """
+    """One battery: measured against simulated mission."""
 
     battery: str
     runs: int
+    """Logged runs, each compared with one simulation."""
     energy_simulated_wh: float
+    """Of all runs."""
     behaviour_wh: float
+    """Replayed minus simulated energy."""
     schemes: tuple[SchemeGap, ...]
     error_statistics: ErrorStatistics
     error_statistics_predicted: ErrorStatistics
+    """Both: of the *simulated* energy against the measured one at equal progress of the mission, over the measured
+    time."""
 
     def part_wh(self, part: str) -> float:
         """Energy of one of `PARTS` over all schemes [Wh]."""

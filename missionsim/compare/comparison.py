@@ -62,29 +62,19 @@ class _Totals:
 
 @dataclass(frozen=True)
 class RunComparison(_Totals):
-    """One battery over one run.
-
-    Attributes
-    ----------
-    battery : str
-    error : RunError
-    error_statistics : ErrorStatistics
-        Of the energy error over the run's progress (share of its time).
-    progress, error_curve_pct : ndarray, shape (m,)
-        The signed error over progress, relative to measured.
-    series : Series
-        Power over time.
-    by_term_wh : mapping of TermKey to float
-        Modelled energy.
-    """
+    """One battery over one run."""
 
     battery: str
     error: RunError
     error_statistics: ErrorStatistics
+    """Of the energy error over the run's progress (share of its time)."""
     progress: NDArray[np.float64] = field(repr=False)
     error_curve_pct: NDArray[np.float64] = field(repr=False)
+    """Both: the signed error over progress, relative to measured. Shape (m,)."""
     series: Series = field(repr=False)
+    """Power over time."""
     by_term_wh: Mapping[TermKey, float] = field(repr=False)
+    """Modelled energy."""
 
     def _whole(self) -> RunError:
         return self.error
@@ -118,33 +108,23 @@ def thousandfold(measured: float, model: float) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class BatteryComparison(_Totals):
-    """One battery over all runs.
-
-    Attributes
-    ----------
-    battery : str
-    runs : tuple of RunComparison
-    error_statistics, error_statistics_predicted : ErrorStatistics
-        Of the energy error of all runs together at equal progress, relative to measured and to predicted energy.
-    progress, error_curve_pct : ndarray, shape (m,)
-        The signed error over progress, relative to measured.
-    dependences : tuple of Dependence
-        Along what the error varies, strongest first.
-    places : tuple of PlaceCell
-        Sums per cell of the map; empty without a pose.
-    mission : MissionGap or None
-        The gap between measured and simulated mission, split.
-    """
+    """One battery over all runs."""
 
     battery: str
     runs: tuple[RunComparison, ...]
     error_statistics: ErrorStatistics
     error_statistics_predicted: ErrorStatistics
+    """Both: of the energy error of all runs together at equal progress, relative to measured and to predicted
+    energy."""
     progress: NDArray[np.float64] = field(repr=False)
     error_curve_pct: NDArray[np.float64] = field(repr=False)
+    """Both: the signed error over progress, relative to measured. Shape (m,)."""
     dependences: tuple[Dependence, ...] = field(repr=False)
+    """Along what the error varies, strongest first."""
     places: tuple[PlaceCell, ...] = field(default=(), repr=False)
+    """Sums per cell of the map; empty without a pose."""
     mission: MissionGap | None = None
+    """The gap between measured and simulated mission, split."""
 
     @property
     def errors(self) -> Errors:
@@ -246,32 +226,22 @@ class BatteryComparison(_Totals):
 
 @dataclass(frozen=True)
 class Comparison:
-    """Model against measurements.
-
-    Attributes
-    ----------
-    robot : str
-    runs : tuple of str
-    batteries : mapping of str to BatteryComparison
-    notes : tuple of str
-        What was assumed, left out or skipped, and the remarks of the log checks.
-    logs : tuple of (run, source file)
-    rows : int
-        Rows of all logs.
-    mission : str
-        Name of the mission, empty without one.
-    left_out : tuple of str
-        Runs that are not compared, and why: refused by the checks, copies, or unlike all others by a fault of the log.
-    """
+    """Model against measurements."""
 
     robot: str
     runs: tuple[str, ...]
     batteries: Mapping[str, BatteryComparison]
     notes: tuple[str, ...] = ()
+    """What was assumed, left out or skipped, and the remarks of the log checks."""
     logs: tuple[tuple[str, str], ...] = ()
+    """Tuple of (run, source file)."""
     rows: int = 0
+    """Rows of all logs."""
     mission: str = ""
+    """Name of the mission, empty without one."""
     left_out: tuple[str, ...] = ()
+    """Runs that are not compared, and why: refused by the checks, copies, or unlike all others by a fault of the
+    log."""
 
     def within(self, tolerance_pct: float) -> bool:
         """Whether the energy error of every battery is within ± `tolerance_pct`."""

@@ -27,41 +27,28 @@ IN_JSON = (
 
 @dataclass(frozen=True, kw_only=True)
 class Where:
-    """Error within one value or range of one covariate.
-
-    Attributes
-    ----------
-    by, title, unit : str
-        Covariate: its name, and for people.
-    value : str
-    low, high : float or None
-        Ends of a range in `unit`.
-    share_of_gap : float
-        Part of the sum of the magnitudes of the energy gaps of this covariate's values, 0 to 1.
-    share_of_squared_error : float
-        Part of the integral of the squared power error, 0 to 1.
-    gap_wh : float
-        Measured minus modelled energy; the values of one covariate add up to the battery's gap.
-    bias_w : float
-        Mean of model minus measured power.
-    seconds : float
-    explains : float
-        This value's part of what its covariate explains (`Dependence.explained`). It is shared out by time × |bias| ×
-        |bias − overall bias|: values where the model is right, or as wrong as everywhere, get none of it.
-    """
+    """Error within one value or range of one covariate."""
 
     by: str
     title: str
     unit: str
+    """All three: covariate: its name, and for people."""
     value: str
     low: float | None
     high: float | None
+    """Both: ends of a range in `unit`."""
     share_of_gap: float
+    """Part of the sum of the magnitudes of the energy gaps of this covariate's values, 0 to 1."""
     share_of_squared_error: float
+    """Part of the integral of the squared power error, 0 to 1."""
     gap_wh: float
+    """Measured minus modelled energy; the values of one covariate add up to the battery's gap."""
     bias_w: float
+    """Mean of model minus measured power."""
     seconds: float
     explains: float
+    """This value's part of what its covariate explains (`Dependence.explained`). It is shared out by time × |bias| ×
+    |bias − overall bias|: values where the model is right, or as wrong as everywhere, get none of it."""
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields and ours beside them."""
@@ -75,26 +62,18 @@ class Where:
 
 @dataclass(frozen=True)
 class Dependence:
-    """How much of the error depends on one covariate.
-
-    Attributes
-    ----------
-    by, title, unit : str
-    explained : float
-        Part of the squared error about the overall bias that the bias by value explains, after an allowance for
-        chance (adjusted R² with one observation per `BLOCK_S`); 0 where nothing is explained.
-    values : tuple of Where
-        In order of the covariate.
-    fine : tuple of Bin
-        The same in narrower ranges, for charts.
-    """
+    """How much of the error depends on one covariate."""
 
     by: str
     title: str
     unit: str
     explained: float
+    """Part of the squared error about the overall bias that the bias by value explains, after an allowance for chance
+    (adjusted R² with one observation per `BLOCK_S`); 0 where nothing is explained."""
     values: tuple[Where, ...]
+    """In order of the covariate."""
     fine: tuple[Bin, ...]
+    """The same in narrower ranges, for charts."""
 
 
 def dependences(sums: Accumulator, battery: str) -> list[Dependence]:

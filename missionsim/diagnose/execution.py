@@ -32,36 +32,24 @@ TOLD = {
 
 @dataclass(frozen=True)
 class ExecutionEffect:
-    """One execution effect on one scheme.
-
-    Attributes
-    ----------
-    effect : str
-        ``path_stretch``, ``speed_tracking`` or ``dwell``.
-    scheme : str
-        Empty where the logs or the plan have no schemes.
-    value, low, high : float
-        Ratio to the plan, or seconds a run for ``dwell``; 95 % interval over runs, NaN with one run.
-    p_value : float
-        Of "as planned"; NaN with one run.
-    unit : str
-    energy_share : float
-        Part of the measured energy that the difference takes (negative where it saves energy).
-    found : bool
-        Whether it differs from the plan beyond chance and beyond what an odometer's scale could do.
-    reason : str
-    """
+    """One execution effect on one scheme."""
 
     effect: str
+    """``path_stretch``, ``speed_tracking`` or ``dwell``."""
     scheme: str
+    """Empty where the logs or the plan have no schemes."""
     value: float
     low: float
     high: float
+    """All three: ratio to the plan, or seconds a run for ``dwell``; 95 % interval over runs, NaN with one run."""
     p_value: float
+    """Of "as planned"; NaN with one run."""
     unit: str
     energy_share: float
+    """Part of the measured energy that the difference takes (negative where it saves energy)."""
     _: KW_ONLY
     found: bool
+    """Whether it differs from the plan beyond chance and beyond what an odometer's scale could do."""
     reason: str
 
 

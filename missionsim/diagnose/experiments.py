@@ -23,16 +23,7 @@ from missionsim.runs.run import Run
 
 @dataclass(frozen=True)
 class Bench:
-    """Everything needed to score a manoeuvre without driving it.
-
-    Attributes
-    ----------
-    power : PowerModel
-    features : Features
-    choice : Choice
-    site : Site
-    settings : Settings
-    """
+    """Everything needed to score a manoeuvre without driving it."""
 
     power: PowerModel
     features: Features

@@ -39,44 +39,29 @@ SAME_METER = 0.999
 
 @dataclass(frozen=True)
 class Features:
-    """What the identification of one battery reads.
-
-    Attributes
-    ----------
-    battery : str
-    runs : tuple of RunData
-    candidates : tuple of Candidate
-    prior_sd : mapping
-        Relative standard deviation of each base parameter.
-    parameters : mapping of str to ModelParameter
-        Base parameters by their name within the battery.
-    effects : mapping of str to Effect
-        The library's effect behind each candidate; surfaces are one effect with a coefficient each.
-    untestable : mapping of str to tuple of str
-        Effects that cannot be tested and the log columns they lack.
-    remarks : tuple of str
-        What was assumed or left out, in words.
-    covariates : tuple of mapping
-        Covariates of each run at its raw rate, with what follows from them.
-    unlogged : tuple of str
-        Components of which nothing tells when they were on.
-    steady : mapping of str to float
-        Relative changes of base parameters that together make the constant load of components of which nothing tells
-        whether they were on.
-    """
+    """What the identification of one battery reads."""
 
     battery: str
     runs: tuple[RunData, ...]
     candidates: tuple[Candidate, ...]
     prior_sd: Mapping[str, float]
+    """Relative standard deviation of each base parameter."""
     parameters: Mapping[str, ModelParameter]
+    """Base parameters by their name within the battery."""
     effects: Mapping[str, Effect]
+    """The library's effect behind each candidate; surfaces are one effect with a coefficient each."""
     untestable: Mapping[str, tuple[str, ...]]
+    """Effects that cannot be tested and the log columns they lack."""
     remarks: tuple[str, ...]
+    """What was assumed or left out, in words."""
     _: KW_ONLY
     covariates: tuple[Mapping[str, Any], ...]
+    """Covariates of each run at its raw rate, with what follows from them."""
     unlogged: tuple[str, ...] = ()
+    """Components of which nothing tells when they were on."""
     steady: Mapping[str, float] = field(default_factory=dict)
+    """Relative changes of base parameters that together make the constant load of components of which nothing tells
+    whether they were on."""
 
 
 def make_features(

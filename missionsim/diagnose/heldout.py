@@ -34,27 +34,17 @@ KINDS = ("nominal", "recalibrated", "with_effects")
 
 @dataclass(frozen=True)
 class Models:
-    """A robot's model with effects or without, fitted to runs.
-
-    Attributes
-    ----------
-    power : PowerModel
-        As the robot file is.
-    battery : str
-    features : Features
-        Of the fitted runs, with the effects behind the candidates and the priors of the base.
-    runs : tuple of Run
-        Fitted runs.
-    clock : Clock
-        Delay and lag of the meter that were found.
-    settings : Settings
-    """
+    """A robot's model with effects or without, fitted to runs."""
 
     power: PowerModel
+    """As the robot file is."""
     battery: str
     features: Features
+    """Of the fitted runs, with the effects behind the candidates and the priors of the base."""
     runs: tuple[Run, ...]
+    """Fitted runs."""
     clock: Clock
+    """Delay and lag of the meter that were found."""
     settings: Settings
     _fits: dict[tuple[Any, ...], FinalFit] = field(default_factory=dict, repr=False, compare=False)
 

@@ -24,51 +24,33 @@ Ask = Callable[[Finding, BatteryDiagnosis], bool]
 
 @dataclass(frozen=True)
 class Step:
-    """One bar of the waterfall: errors on the held-out runs (on the fitted ones where none are held out).
-
-    Attributes
-    ----------
-    name : str
-        ``before``, ``recalibrated``, ``+ <effect>`` or ``noise floor``.
-    energy_error_pct : float
-        Mean over runs of the absolute energy error.
-    power_rmse_w : float
-    """
+    """One bar of the waterfall: errors on the held-out runs (on the fitted ones where none are held out)."""
 
     name: str
+    """``before``, ``recalibrated``, ``+ <effect>`` or ``noise floor``."""
     energy_error_pct: float
+    """Mean over runs of the absolute energy error."""
     power_rmse_w: float
 
 
 @dataclass(frozen=True)
 class Improved:
-    """What came of it.
-
-    Attributes
-    ----------
-    battery : str
-    text : str
-        The robot file with everything that was added.
-    added, declined : tuple of str
-    steps : tuple of Step
-    heldout : bool
-        Whether the steps are of runs that were not used to fit.
-    first, last : BatteryDiagnosis
-        Before anything was added, and after.
-    stopped : str
-        Why it ended, in words.
-    """
+    """What came of it."""
 
     battery: str
     text: str
+    """The robot file with everything that was added."""
     added: tuple[str, ...]
     declined: tuple[str, ...]
     steps: tuple[Step, ...]
     heldout: bool
+    """Whether the steps are of runs that were not used to fit."""
     first: BatteryDiagnosis
     last: BatteryDiagnosis
+    """Both: before anything was added, and after."""
     _: KW_ONLY
     stopped: str
+    """Why it ended, in words."""
 
     def to_json(self) -> dict[str, Any]:
         """As ``missionsim improve --json`` has a battery."""

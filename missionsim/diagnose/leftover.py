@@ -36,22 +36,15 @@ VARIES: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Leftover:
-    """A kind of motion that holds most of the squared error in a small part of the time.
-
-    Attributes
-    ----------
-    motion : str
-        One of `missionsim.runs.motion.MOTIONS`.
-    bias_w : float
-        Mean of model minus measured power there [W].
-    square_share, time_share : float
-        Its parts of the squared error and of the time.
-    """
+    """A kind of motion that holds most of the squared error in a small part of the time."""
 
     motion: str
+    """One of `missionsim.runs.motion.MOTIONS`."""
     bias_w: float
+    """Mean of model minus measured power there [W]."""
     square_share: float
     time_share: float
+    """Both: its parts of the squared error and of the time."""
 
     def structure(self, mean_power_w: float) -> Structure:
         """The same as a structure of the residual, which depends on what tells this kind of motion from others."""

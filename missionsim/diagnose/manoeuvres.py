@@ -22,29 +22,19 @@ FOLLOWS = frozenset({"moving", "moving_time_s", "starts", "starts_per_s", "mass_
 
 @dataclass(frozen=True)
 class Part:
-    """One piece of a manoeuvre in which the conditions stay the same.
-
-    Attributes
-    ----------
-    seconds : float
-    speeds_m_s : tuple of float
-        Speeds that are driven in turn, each for the same time; empty for standing still.
-    yaw_rates_rad_s : tuple of float
-        Turn rates in turn, on the spot where `speeds_m_s` is empty.
-    stops : int
-        Stops to rest on the way, evenly spread.
-    slope_rad : float or None
-        Up and down in turn.
-    set : mapping
-        Further columns that are set: ``payload_kg``, ``surface``, ``on_<component>``, ``cpu_load`` …
-    """
+    """One piece of a manoeuvre in which the conditions stay the same."""
 
     seconds: float
     speeds_m_s: tuple[float, ...] = ()
+    """Speeds that are driven in turn, each for the same time; empty for standing still."""
     yaw_rates_rad_s: tuple[float, ...] = ()
+    """Turn rates in turn, on the spot where `speeds_m_s` is empty."""
     stops: int = 0
+    """Stops to rest on the way, evenly spread."""
     slope_rad: float | None = None
+    """Up and down in turn."""
     set: Mapping[str, Any] = field(default_factory=dict)
+    """Further columns that are set: ``payload_kg``, ``surface``, ``on_<component>``, ``cpu_load`` …"""
 
     def to_json(self) -> dict[str, Any]:
         """The part as plain data; what is missing stays as it usually is in the logs."""
@@ -89,29 +79,20 @@ class Manoeuvre:
 
 @dataclass(frozen=True)
 class Site:
-    """What the robot and the place of the logs allow, and how it usually was.
-
-    Attributes
-    ----------
-    usual : mapping
-        Typical value of each column: medians, and the most common text.
-    low, high : mapping
-        Range of each numeric column in the logs.
-    choices : mapping
-        Texts seen in each text column.
-    max_speed_m_s, max_yaw_rate_rad_s, acceleration_m_s2 : float
-    components : mapping
-        Most units of each component that was logged.
-    """
+    """What the robot and the place of the logs allow, and how it usually was."""
 
     usual: Mapping[str, Any]
+    """Typical value of each column: medians, and the most common text."""
     low: Mapping[str, float]
     high: Mapping[str, float]
+    """Both: range of each numeric column in the logs."""
     choices: Mapping[str, tuple[str, ...]]
+    """Texts seen in each text column."""
     max_speed_m_s: float
     max_yaw_rate_rad_s: float
     acceleration_m_s2: float
     components: Mapping[str, int]
+    """Most units of each component that was logged."""
 
     @property
     def cruise_m_s(self) -> float:

@@ -31,21 +31,14 @@ FEWEST_RUNS = 4
 
 @dataclass(frozen=True)
 class Split:
-    """Runs to fit and runs to test on.
-
-    Attributes
-    ----------
-    train, heldout : tuple of LogTable
-    how : str
-        How the held-out runs were chosen, in words; says why where there are none.
-    shifted : bool
-        Whether they were chosen by a condition, so that they differ in kind.
-    """
+    """Runs to fit and runs to test on."""
 
     train: tuple[Any, ...]
     heldout: tuple[Any, ...]
     how: str
+    """How the held-out runs were chosen, in words; says why where there are none."""
     shifted: bool = False
+    """Whether they were chosen by a condition, so that they differ in kind."""
 
 
 def read_runs(robot: RobotSpec, model: PowerModel, logs: Sequence[str | Path]) -> tuple[list[Run], list[str]]:

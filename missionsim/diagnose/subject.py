@@ -24,28 +24,18 @@ NO_PRIOR_SD = float("inf")
 
 @dataclass(frozen=True)
 class Subject:
-    """A robot under diagnosis: its file, power model, own candidate effects.
-
-    Attributes
-    ----------
-    name : str
-    model : PowerModel
-    sources : mapping
-        Key of the robot file's ``sources`` → text.
-    own : mapping of battery to tuple of Effect
-        Effects of the file that are candidates only.
-    switchable : mapping of battery to tuple of str
-        Components that can be switched and that the battery feeds.
-    limits : mapping
-        ``max_speed``, ``max_yaw_rate``, ``acceleration``.
-    """
+    """A robot under diagnosis: its file, power model, own candidate effects."""
 
     name: str
     model: PowerModel
     sources: Mapping[str, str]
+    """Key of the robot file's ``sources`` → text."""
     own: Mapping[str, tuple[Effect, ...]]
+    """Effects of the file that are candidates only. Mapping of battery to tuple of Effect."""
     switchable: Mapping[str, tuple[str, ...]]
+    """Components that can be switched and that the battery feeds. Mapping of battery to tuple of str."""
     limits: Mapping[str, float]
+    """``max_speed``, ``max_yaw_rate``, ``acceleration``."""
     priors: Mapping[str, float] | None = None
     """Relative prior standard deviations by parameter, in place of the file's."""
 

@@ -31,31 +31,20 @@ _CLEAR = 1e-6
 
 @dataclass(frozen=True)
 class Loads:
-    """What one battery had to deliver in some intervals.
-
-    Attributes
-    ----------
-    battery : str
-    line : Timeline
-        The intervals.
-    energy_j : ndarray, shape (n,)
-        Of all terms.
-    charging : ndarray of int, shape (n,)
-        0 alone, 1 charging, 2 held at its level by the charger.
-    charger_w : ndarray, shape (n,)
-        Power of the charger while charging.
-    model : PowerModel
-    values : mapping
-        Parameters that differ from the model's.
-    """
+    """What one battery had to deliver in some intervals."""
 
     battery: str
     line: Timeline
+    """The intervals."""
     energy_j: Array
+    """Of all terms. Shape (n,)."""
     charging: NDArray[np.int64]
+    """0 alone, 1 charging, 2 held at its level by the charger. Shape (n,)."""
     charger_w: Array
+    """Power of the charger while charging. Shape (n,)."""
     model: PowerModel
     values: Mapping[str, float]
+    """Parameters that differ from the model's."""
 
     @property
     def duration_s(self) -> Array:
@@ -181,21 +170,15 @@ class EquivalentCircuit:
     discharging (Peukert 1897; ``I_rated = Q / rated time``) and as ``−I / Q`` when charging, with ``Q`` the capacity
     times the ageing factor. Empty is where the charge ends, the voltage falls below the cut-off, or the asked power
     is more than the cell can give at any current.
-
-    Attributes
-    ----------
-    charge_c : float
-        Capacity, aged, in coulomb.
-    curve : (ndarray, ndarray)
-        States of charge, rising, and their open-circuit voltages; linear between, straight on beyond.
-    resistance_ohm, peukert, rated_time_s, cut_off_v : float
     """
 
     name: str
     capacity_j: float
     initial: float
     charge_c: float
+    """Capacity, aged, in coulomb."""
     curve: tuple[Array, Array]
+    """States of charge, rising, and their open-circuit voltages; linear between, straight on beyond."""
     resistance_ohm: float
     peukert: float = 1.0
     rated_time_s: float = 72000.0

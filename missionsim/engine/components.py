@@ -18,25 +18,16 @@ whatever the order in which they ask."""
 
 @dataclass(frozen=True, slots=True)
 class ComponentInfo:
-    """What the engine must know of a component.
-
-    Attributes
-    ----------
-    name : str
-    units : int
-        How many there are.
-    always_on : bool
-    requires : tuple of str
-        Components that must be on before.
-    startup_s : float
-        Time between switching on and being on; the first unit pays it.
-    """
+    """What the engine must know of a component."""
 
     name: str
     units: int = 1
+    """How many there are."""
     always_on: bool = False
     requires: tuple[str, ...] = ()
+    """Components that must be on before."""
     startup_s: float = 0.0
+    """Time between switching on and being on; the first unit pays it."""
 
 
 class Switchboard:

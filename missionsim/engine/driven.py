@@ -17,34 +17,23 @@ from missionsim.plan.legs import Leg
 
 @dataclass(frozen=True)
 class DrivenEdge:
-    """An edge, or the part of it that was driven before the robot turned back.
-
-    Attributes
-    ----------
-    segment : int
-    begin, end : str
-        Places, in the direction of travel.
-    edge : int
-        Which of the environment's edges.
-    name : str
-        Of the edge; its places where it has none.
-    length_m : float
-        Of the map that was passed.
-    begin_s, end_s : float
-    energy_wh, charge_wh : mapping of str to float
-        By battery: delivered on it, and left at its end.
-    """
+    """An edge, or the part of it that was driven before the robot turned back."""
 
     segment: int
     begin: str
     end: str
+    """Both: places, in the direction of travel."""
     edge: int
+    """Which of the environment's edges."""
     name: str
+    """Of the edge; its places where it has none."""
     length_m: float
+    """Of the map that was passed."""
     begin_s: float
     end_s: float
     energy_wh: Mapping[str, float]
     charge_wh: Mapping[str, float]
+    """Both: by battery: delivered on it, and left at its end."""
 
 
 def edges_driven(

@@ -35,119 +35,81 @@ SCHEMA = "missionsim.run/1"
 
 @dataclass(frozen=True, kw_only=True)
 class BatteryResult:
-    """What a run did to one battery; the fields are those of the JSON, in its order.
-
-    Attributes
-    ----------
-    name : str
-    energy_wh : float
-        Delivered, the sum of all terms.
-    mean_power_w : float
-    capacity_wh, initial_wh : float
-        Full, and at the start.
-    charged_wh : float
-        Received from chargers.
-    charge_left_wh, charge_left_fraction : float
-        At the end; below zero where more was asked than there was. The fraction is one of energy, and the state of
-        charge for an `equivalent_circuit`.
-    internal_loss_wh : float
-        Lost inside the battery beyond what it delivered (0 for `constant_energy`).
-    reserve_required_wh : float
-        What the mission's policy (or the robot file) wants left at the end.
-    home_wh : float or None
-        Energy from the mission's end to the dock by the shortest way at the same settings (Parasuraman 2012, Eq. 12);
-        None where the place or the way is not known.
-    reserve_wh : float
-        Charge left after coming home (Eq. 13): ``charge_left_wh − home_wh``, or the charge left where no way is known.
-    empty_at_s : float or None
-    empty_in_segment : str
-    deficit_wh : float
-        By how much the whole mission, driven to its end, overdraws the battery; 0 where it does not.
-    needed_wh : float or None
-        What the whole mission, driven to its end as if batteries were bottomless, takes out at most before the next
-        charging; None where it does not come to its end even so.
-    audit_relative_error : float
-        Difference between the table's cells and the meter, relative to the energy.
-    """
+    """What a run did to one battery; the fields are those of the JSON, in its order."""
 
     name: str
     energy_wh: float
+    """Delivered, the sum of all terms."""
     mean_power_w: float
     charge_left_wh: float
     charge_left_fraction: float
+    """Both: at the end; below zero where more was asked than there was. The fraction is one of energy, and the state of
+    charge for an `equivalent_circuit`."""
     reserve_wh: float
+    """Charge left after coming home (Eq. 13): ``charge_left_wh − home_wh``, or the charge left where no way is
+    known."""
     reserve_required_wh: float
+    """What the mission's policy (or the robot file) wants left at the end."""
     home_wh: float | None
+    """Energy from the mission's end to the dock by the shortest way at the same settings (Parasuraman 2012, Eq. 12);
+    None where the place or the way is not known."""
     empty_at_s: float | None
     empty_in_segment: str
     deficit_wh: float
+    """By how much the whole mission, driven to its end, overdraws the battery; 0 where it does not."""
     needed_wh: float | None
+    """What the whole mission, driven to its end as if batteries were bottomless, takes out at most before the next
+    charging; None where it does not come to its end even so."""
     charged_wh: float
+    """Received from chargers."""
     capacity_wh: float
     initial_wh: float
+    """Both: full, and at the start."""
     internal_loss_wh: float
+    """Lost inside the battery beyond what it delivered (0 for `constant_energy`)."""
     audit_relative_error: float
+    """Difference between the table's cells and the meter, relative to the energy."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunResult:
-    """One simulated mission.
-
-    Attributes
-    ----------
-    mission, robot : str
-        Names.
-    feasible : bool
-        The whole mission is done, no battery was ever empty, and at the end every battery holds its required reserve
-        and, where a dock is known, enough to come home to it.
-    completed : bool
-        Every segment was executed.
-    reason : str
-        Why it is not feasible; empty where it is.
-    duration_s, distance_m : float
-    timeline : Timeline
-        Intervals with their covariates.
-    energies : mapping
-        Battery → term key → energy in each interval [J], shape (n,).
-    charge_wh : mapping of str to ndarray, shape (n,)
-        Charge at the end of each interval.
-    segments : tuple of SegmentInfo
-        As executed, repeats one by one; a detour to the dock is one more at the end.
-    segment_end_s : mapping of int to float
-        When each executed segment ended.
-    batteries : mapping of str to BatteryResult
-    warnings : tuple of Fault
-        What is strange but was computed: terms that charge a battery, charge beyond the capacity. Needs the trace.
-    never_on : tuple of str
-        Components that were never switched on. Needs the trace.
-    segments_driven : int
-        How many of the mission's segments were begun.
-    interrupted : Alarm or None
-        When, in which segment and by which battery the mission was cut short.
-    dock_s : float
-        Time at chargers.
-    """
+    """One simulated mission."""
 
     mission: str
     robot: str
+    """Both: names."""
     feasible: bool
+    """The whole mission is done, no battery was ever empty, and at the end every battery holds its required reserve
+    and, where a dock is known, enough to come home to it."""
     completed: bool
+    """Every segment was executed."""
     reason: str
+    """Why it is not feasible; empty where it is."""
     duration_s: float
     distance_m: float
     timeline: Timeline
+    """Intervals with their covariates."""
     energies: Mapping[str, Mapping[TermKey, Array]]
+    """Battery → term key → energy in each interval [J], shape (n,)."""
     charge_wh: Mapping[str, Array]
+    """Charge at the end of each interval. Shape (n,)."""
     segments: tuple[SegmentInfo, ...]
+    """As executed, repeats one by one; a detour to the dock is one more at the end."""
     segment_end_s: Mapping[int, float]
+    """When each executed segment ended."""
     batteries: Mapping[str, BatteryResult]
     provenance: Mapping[str, Any] = field(default_factory=dict)
     home: Callable[[], list[dict[str, float | None]]] | None = field(default=None, repr=False, compare=False)
     warnings: tuple[Fault, ...] = ()
+    """What is strange but was computed: terms that charge a battery, charge beyond the capacity. Needs the trace."""
     never_on: tuple[str, ...] = ()
+    """Components that were never switched on. Needs the trace."""
     segments_driven: int = 0
+    """How many of the mission's segments were begun."""
     interrupted: Alarm | None = None
+    """When, in which segment and by which battery the mission was cut short."""
     dock_s: float = 0.0
+    """Time at chargers."""
     driven: Callable[[], list[DrivenEdge]] | None = field(default=None, repr=False, compare=False)
 
     def edges_driven(self) -> list[DrivenEdge]:

@@ -51,21 +51,14 @@ class Value:
 
 @dataclass(frozen=True)
 class FinalFit:
-    """What a robot file gets.
-
-    Attributes
-    ----------
-    model : PowerModel
-        With the fitted values.
-    values : mapping of str to Value
-        By parameter within the battery; those that moved.
-    alike : mapping of str to str
-        Base parameters that stay as they are, since another one, which was fitted, acts in the same way.
-    """
+    """What a robot file gets."""
 
     model: PowerModel
+    """With the fitted values."""
     values: Mapping[str, Value]
+    """By parameter within the battery; those that moved."""
     alike: Mapping[str, str] = field(default_factory=dict)
+    """Base parameters that stay as they are, since another one, which was fitted, acts in the same way."""
 
 
 def final_fit(

@@ -40,39 +40,26 @@ _UNKNOWN = "not known from logs; put your own"
 
 @dataclass(frozen=True)
 class NewRobot:
-    """What the user says of a robot beside its logs.
-
-    Attributes
-    ----------
-    name, base, battery : str
-        Name, formula over ``v a w u theta m`` or log columns and parameters, and battery that the formula describes.
-    mass, capacity, max_speed : str
-        As the user wrote them, such as ``25 kg``; empty where not given.
-    drive : str
-    """
+    """What the user says of a robot beside its logs."""
 
     name: str
     base: str
     battery: str = "robot"
+    """All three: name, formula over ``v a w u theta m`` or log columns and parameters, and battery that the formula
+    describes."""
     mass: str = ""
     capacity: str = ""
     max_speed: str = ""
+    """All three: as the user wrote them, such as ``25 kg``; empty where not given."""
     drive: str = "differential"
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A fitted robot file.
-
-    Attributes
-    ----------
-    text : str
-        The robot file.
-    fit : ModelFit
-    remarks : tuple of str
-    """
+    """A fitted robot file."""
 
     text: str
+    """The robot file."""
     fit: ModelFit
     remarks: tuple[str, ...]
 

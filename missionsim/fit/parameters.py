@@ -123,19 +123,7 @@ def _least_squares_start(model: PowerModel, ready: Prepared) -> PowerModel:
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """One fitted parameter, in its own unit.
-
-    Attributes
-    ----------
-    name, unit : str
-    value, sd : float
-    low, high : float
-        95 % interval.
-    before : float
-        Value that the model had.
-    seen : bool
-        Whether the logs say anything about it; where not, value and sd are those of the prior.
-    """
+    """One fitted parameter, in its own unit."""
 
     name: str
     unit: str
@@ -143,39 +131,29 @@ class FittedParameter:
     sd: float
     low: float
     high: float
+    """95 % interval."""
     before: float
+    """Value that the model had."""
     seen: bool = True
+    """Whether the logs say anything about it; where not, value and sd are those of the prior."""
 
 
 @dataclass(frozen=True)
 class ModelFit:
-    """A model fitted to logs.
-
-    Attributes
-    ----------
-    battery : str
-    model : PowerModel
-        With the fitted values.
-    parameters : mapping of str to FittedParameter
-    delay_s, lag_s : float
-        How far the meter is behind the motion.
-    before, after : Errors
-        Of the model as it was and as it was fitted, as `missionsim compare` measures them.
-    explained : float
-        Share of the variance of the measured power that the model explains (R²).
-    runs : tuple of str
-    seconds : float
-    remarks : tuple of str
-    """
+    """A model fitted to logs."""
 
     battery: str
     model: PowerModel
+    """With the fitted values."""
     parameters: Mapping[str, FittedParameter]
     delay_s: float
     lag_s: float
+    """Both: how far the meter is behind the motion."""
     before: Errors
     after: Errors
+    """Both: of the model as it was and as it was fitted, as `missionsim compare` measures them."""
     explained: float
+    """Share of the variance of the measured power that the model explains (R²)."""
     _: KW_ONLY
     runs: tuple[str, ...]
     seconds: float

@@ -28,41 +28,27 @@ FAINT_LOAD = 0.01
 
 @dataclass(frozen=True)
 class Prepared:
-    """Runs of one battery, with the base model evaluated.
-
-    Attributes
-    ----------
-    battery : str
-    runs : tuple of Driven
-    names : frozenset of str
-        Covariates that every run has; what was assumed is not among them.
-    texts : mapping
-        Distinct texts of each text column over all runs.
-    base_w : tuple of ndarray
-        Power of the base model of each run [W].
-    gradients : tuple of mapping
-        ``∂P/∂ln θ`` by parameter, of each run [W].
-    parameters : mapping of str to ModelParameter
-        Base parameters by their name within the battery.
-    remarks : list of str
-        What was assumed or left out, in words.
-    unknown : tuple of str
-        Components of which nothing tells when they were on.
-    unknown_w : float
-        Their power together [W].
-    """
+    """Runs of one battery, with the base model evaluated."""
 
     battery: str
     runs: tuple[Driven, ...]
     names: frozenset[str]
+    """Covariates that every run has; what was assumed is not among them."""
     texts: Mapping[str, tuple[str, ...]]
+    """Distinct texts of each text column over all runs."""
     base_w: tuple[Array, ...]
+    """Power of the base model of each run [W]."""
     gradients: tuple[Mapping[str, Array], ...]
+    """``∂P/∂ln θ`` by parameter, of each run [W]."""
     parameters: Mapping[str, ModelParameter]
+    """Base parameters by their name within the battery."""
     remarks: list[str]
+    """What was assumed or left out, in words."""
     _: KW_ONLY
     unknown: tuple[str, ...] = ()
+    """Components of which nothing tells when they were on."""
     unknown_w: float = 0.0
+    """Their power together [W]."""
 
     @property
     def covariates(self) -> list[dict[str, Any]]:

@@ -91,28 +91,19 @@ class Grid:
 
 @dataclass(frozen=True)
 class Intervals:
-    """Analysis intervals of several runs on the even raw grid of each.
-
-    Attributes
-    ----------
-    edges_s, run : shape (edges,)
-        Edges in the order of time, run by run, and the number of their run.
-    low_at : shape (intervals,)
-        Edge at which each interval begins; it ends at the next.
-    at_edges : Grid
-        Raw grid of the run of each edge.
-    rows : int
-        Edges of the rows of all runs.
-    least : shape (intervals,)
-        Least number of rows that a mean is divided by.
-    """
+    """Analysis intervals of several runs on the even raw grid of each."""
 
     edges_s: Array
     run: NDArray[np.intp]
+    """Both: edges in the order of time, run by run, and the number of their run. Shape (edges,)."""
     low_at: NDArray[np.intp]
+    """Edge at which each interval begins; it ends at the next. Shape (intervals,)."""
     at_edges: Grid
+    """Raw grid of the run of each edge."""
     rows: int
+    """Edges of the rows of all runs."""
     least: Array
+    """Least number of rows that a mean is divided by. Shape (intervals,)."""
 
     @classmethod
     def of(

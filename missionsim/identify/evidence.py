@@ -27,27 +27,23 @@ Numbers = NDArray[np.intp]
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
-    """What speaks for one column, given the others in the model.
-
-    Attributes
-    ----------
-    gain : rise of the log-likelihood [nats]
-    share, share_sd : coefficient as share of energy, and its robust standard error
-    p_robust, p_runs : two-sided p-values from blocks and from whole runs (NaN with fewer than 3 runs)
-    passed : name of each gate that was asked (`missionsim.identify.rules`) and its answer
-    shape_sd : further standard error of the share, from the uncertain shape of the effect
-    unit_shape_sd : the same of the coefficient in its own unit, relative to the coefficient
-    """
+    """What speaks for one column, given the others in the model."""
 
     column: int
     gain: float
+    """Rise of the log-likelihood [nats]."""
     share: float
     share_sd: float
+    """Both: coefficient as share of energy, and its robust standard error."""
     p_robust: float
     p_runs: float
+    """Both: two-sided p-values from blocks and from whole runs (NaN with fewer than 3 runs)."""
     passed: dict[str, bool]
+    """Name of each gate that was asked (`missionsim.identify.rules`) and its answer."""
     shape_sd: float = 0.0
+    """Further standard error of the share, from the uncertain shape of the effect."""
     unit_shape_sd: float = 0.0
+    """The same of the coefficient in its own unit, relative to the coefficient."""
 
     @property
     def accepted(self) -> bool:

@@ -17,27 +17,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Structure:
-    """Something that remains in the residual and depends on a covariate (or is periodic, or a level).
-
-    Attributes
-    ----------
-    covariate : str
-        Empty where it depends on nothing.
-    p_value, gain_nats : float
-    size_share : float
-        Its mean size as share of the mean power.
-    shape : str
-        In words.
-    times : str
-        Covariate that its curve is multiplied by, if any.
-    """
+    """Something that remains in the residual and depends on a covariate (or is periodic, or a level)."""
 
     covariate: str
+    """Empty where it depends on nothing."""
     p_value: float
     gain_nats: float
     size_share: float
+    """Its mean size as share of the mean power."""
     shape: str
+    """In words."""
     times: str = ""
+    """Covariate that its curve is multiplied by, if any."""
 
 
 @dataclass(frozen=True)
@@ -77,47 +68,35 @@ class Finding:
 
     Attributes
     ----------
-    effect : str
-    parameters : mapping of str to Estimate
-        Coefficients first, then shape parameters.
-    energy_share : float
-        Part of the measured energy of the battery.
-    share_low, share_high : float
-        Its 95 % interval.
     p_value, p_runs : float
         Of no effect, from blocks of time, and from whole runs (NaN with fewer than three).
-    gain_nats : float
-        Log-likelihood that is lost without it.
-    level : str
-        ``identified, repeated across runs`` or ``identified``.
-    heldout_rmse_before_w, heldout_rmse_after_w : float or None
-        Power error on held-out runs without this effect and with it, base parameters recalibrated both times.
-    indistinguishable_from : tuple of str
-        Effects that these data cannot tell from it.
-    separation_nats : float
-        Expected lead over the best imitation.
-    absorbed : float
-        Part of the effect that a recalibration of the base hides.
-    scheme : str
-        For execution effects, the control scheme.
-    remark : str
     """
 
     effect: str
     parameters: Mapping[str, Estimate]
+    """Coefficients first, then shape parameters."""
     energy_share: float
+    """Part of the measured energy of the battery."""
     p_value: float
     share_low: float = float("nan")
     share_high: float = float("nan")
+    """Both: its 95 % interval."""
     p_runs: float = float("nan")
     gain_nats: float = float("nan")
+    """Log-likelihood that is lost without it."""
     level: str = "identified"
+    """``identified, repeated across runs`` or ``identified``."""
     heldout_rmse_before_w: float | None = None
     heldout_rmse_after_w: float | None = None
+    """Both: power error on held-out runs without this effect and with it, base parameters recalibrated both times."""
     indistinguishable_from: tuple[str, ...] = ()
+    """Effects that these data cannot tell from it."""
     separation_nats: float = float("nan")
+    """Expected lead over the best imitation."""
     absorbed: float = float("nan")
+    """Part of the effect that a recalibration of the base hides."""
     scheme: str = ""
+    """For execution effects, the control scheme."""
     remark: str = ""
 
     def to_json(self) -> dict[str, Any]:
@@ -141,27 +120,17 @@ class Finding:
 
 @dataclass(frozen=True)
 class Judged:
-    """A candidate and why it was taken or not.
-
-    Attributes
-    ----------
-    effect : str
-    accepted : bool
-    reason : str
-    smallest_detectable_share : float or None
-        Energy share that would be found in four of five cases; None where these data show none.
-    open : bool
-        Not taken, but part of what was found or remains may be its work, so that nothing is excluded.
-    doubtful_share : float or None
-        Energy share of one that helps but is not named, because of its form or what else remains.
-    """
+    """A candidate and why it was taken or not."""
 
     effect: str
     accepted: bool
     reason: str
     smallest_detectable_share: float | None
+    """Energy share that would be found in four of five cases; None where these data show none."""
     open: bool = False
+    """Not taken, but part of what was found or remains may be its work, so that nothing is excluded."""
     doubtful_share: float | None = None
+    """Energy share of one that helps but is not named, because of its form or what else remains."""
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields."""
@@ -170,24 +139,17 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True)
 class Recalibrated:
-    """Shift of a base parameter that these logs ask for.
-
-    Attributes
-    ----------
-    parameter : str
-    shift, shift_sd : float
-        Relative to the parameter's value, and its standard error.
-    shift_in_prior_sd : float
-    value, sd : float
-        The new value with its standard deviation, in ``unit``; NaN where the parameter is known by its gradient only.
-    """
+    """Shift of a base parameter that these logs ask for."""
 
     parameter: str
     shift: float
     shift_sd: float
+    """Both: relative to the parameter's value, and its standard error."""
     shift_in_prior_sd: float
     value: float = float("nan")
     sd: float = float("nan")
+    """Both: the new value with its standard deviation, in ``unit``; NaN where the parameter is known by its gradient
+    only."""
     unit: str = ""
 
     @property
@@ -203,29 +165,19 @@ class Recalibrated:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What to drive next.
-
-    Attributes
-    ----------
-    separates : tuple of str
-    do : str
-        In words.
-    expected_power : float
-        Probability that it resolves the question.
-    separation_now, separation_after : float
-        Expected lead [nats] before and after.
-    minutes : float
-    manoeuvre : tuple of mapping
-        The same for machines, part after part.
-    """
+    """What to drive next."""
 
     separates: tuple[str, ...]
     do: str
+    """In words."""
     expected_power: float
+    """Probability that it resolves the question."""
     separation_now: float
     separation_after: float
+    """Both: expected lead [nats] before and after."""
     minutes: float
     manoeuvre: tuple[Mapping[str, Any], ...] = ()
+    """The same for machines, part after part."""
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields, and ours beside them."""
@@ -236,25 +188,17 @@ class Experiment:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors on runs that were not used to fit: as the robot file is, recalibrated, and with the effects found.
-
-    Attributes
-    ----------
-    how : str
-        How the runs were chosen.
-    runs : tuple of str
-    energy_error_pct, power_rmse_w : mapping of str to float
-        By ``nominal``, ``recalibrated`` and ``with_effects``: mean over runs of the absolute energy error, and the
-        RMS of the power error at the analysis rate.
-    shifted : bool
-        Whether the runs differ in kind from the fitted ones.
-    """
+    """Errors on runs that were not used to fit: as the robot file is, recalibrated, and with the effects found."""
 
     how: str
+    """How the runs were chosen."""
     runs: tuple[str, ...]
     energy_error_pct: Mapping[str, float]
     power_rmse_w: Mapping[str, float]
+    """Both: by ``nominal``, ``recalibrated`` and ``with_effects``: mean over runs of the absolute energy error, and the
+    RMS of the power error at the analysis rate."""
     shifted: bool = False
+    """Whether the runs differ in kind from the fitted ones."""
 
     def to_json(self) -> dict[str, Any]:
         """All fields."""
@@ -284,71 +228,52 @@ class RunSeries:
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """What the numbers of one battery say.
-
-    Attributes
-    ----------
-    verdict : str
-        See `missionsim.identify.verdict.decide`, which sets it.
-    effects : tuple of Finding
-        Most important first.
-    delay_s, lag_s, clock_at_edge
-        Of the meter behind the motion, found and applied; whether they lie at the edge of what is searched.
-    noise : mapping of str to float
-        Standard deviation, correlation times and shares, differences between runs.
-    confounding : mapping
-        Correlation of each effect found with others, recalibration projected out.
-    """
+    """What the numbers of one battery say."""
 
     verdict: str
+    """See `missionsim.identify.verdict.decide`, which sets it."""
     effects: tuple[Finding, ...]
+    """Most important first."""
     candidates: tuple[Judged, ...]
     recalibration: tuple[Recalibrated, ...]
     delay_s: float
     lag_s: float
     clock_at_edge: bool
+    """All three: of the meter behind the motion, found and applied; whether they lie at the edge of what is
+    searched."""
     noise: Mapping[str, float]
+    """Standard deviation, correlation times and shares, differences between runs."""
     unexplained: Unexplained
     remarks: tuple[str, ...]
     mean_power_w: float
     confounding: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Correlation of each effect found with others, recalibration projected out."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatteryDiagnosis(Findings):
-    """Everything said about one battery.
-
-    Attributes
-    ----------
-    untestable : mapping of str to tuple of str
-        Effects that these logs cannot test and what they lack.
-    execution : tuple of Finding
-        How the robot drove otherwise than planned.
-    runs : tuple of str
-        Fitted runs.
-    seconds : float
-        Their time together [s].
-    proposed_laws : tuple of Proposal
-        A law that the library does not hold.
-    clock : Clock, optional
-        Clock of meter and motion that was found, for comparing other models at the same one.
-    aligned : bool
-        Whether the clocks were looked at; else they are as logged.
-    """
+    """Everything said about one battery."""
 
     battery: str
     untestable: Mapping[str, tuple[str, ...]]
+    """Effects that these logs cannot test and what they lack."""
     next_experiments: tuple[Experiment, ...]
     heldout: HeldOut | None
     shifted: HeldOut | None
     execution: tuple[Finding, ...]
+    """How the robot drove otherwise than planned."""
     runs: tuple[str, ...]
+    """Fitted runs."""
     seconds: float
+    """Their time together [s]."""
     where: tuple[Where, ...] = ()
     proposed_laws: tuple[Proposal, ...] = ()
+    """A law that the library does not hold."""
     series: tuple[RunSeries, ...] = field(default=(), repr=False, compare=False)
     clock: Clock | None = field(default=None, repr=False, compare=False)
+    """Clock of meter and motion that was found, for comparing other models at the same one."""
     aligned: bool = True
+    """Whether the clocks were looked at; else they are as logged."""
 
     def to_json(self) -> dict[str, Any]:
         """The contract's fields, and ours beside them."""
@@ -375,19 +300,12 @@ class BatteryDiagnosis(Findings):
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The diagnosis of all batteries of a robot.
-
-    Attributes
-    ----------
-    robot : str
-    batteries : mapping of str to BatteryDiagnosis
-    skipped : mapping of str to str
-        Batteries that were measured but could not be diagnosed, and why.
-    """
+    """The diagnosis of all batteries of a robot."""
 
     robot: str
     batteries: Mapping[str, BatteryDiagnosis]
     skipped: Mapping[str, str] = field(default_factory=dict)
+    """Batteries that were measured but could not be diagnosed, and why."""
 
     def to_json(self) -> dict[str, Any]:
         """The contract's ``missionsim.diagnosis/1``."""

@@ -37,25 +37,21 @@ LOGGED = "logged_power"
 
 @dataclass(frozen=True)
 class Trial:
-    """One effect tried beside others.
-
-    Attributes
-    ----------
-    candidate : number of the effect
-    columns : its regression columns that keep their sign
-    left : prediction of the left-out folds with it
-    shares, covariance : of its columns, with cluster jackknife
-    p_value : Wald test over folds
-    passed : gate -> passed
-    """
+    """One effect tried beside others."""
 
     candidate: int
+    """Number of the effect."""
     columns: tuple[int, ...]
+    """Its regression columns that keep their sign."""
     left: Left
+    """Prediction of the left-out folds with it."""
     shares: Array
     covariance: Array
+    """Both: of its columns, with cluster jackknife."""
     p_value: float
+    """Wald test over folds."""
     passed: dict[str, bool]
+    """Gate -> passed."""
 
     @property
     def accepted(self) -> bool:
@@ -65,22 +61,18 @@ class Trial:
 
 @dataclass(frozen=True)
 class Forward:
-    """Result of the selection.
-
-    Attributes
-    ----------
-    chosen : regression columns in the model, in the order in which their effects entered
-    clock : of the power meter
-    squares : least squares at this clock
-    trials : effect number -> the trial with it, within the final set or beside it
-    rivals : effect number -> effects that left-out runs do not tell from it
-    """
+    """Result of the selection."""
 
     chosen: tuple[int, ...]
+    """Regression columns in the model, in the order in which their effects entered."""
     clock: Clock
+    """Of the power meter."""
     squares: LeastSquares
+    """Least squares at this clock."""
     trials: dict[int, Trial]
+    """Effect number -> the trial with it, within the final set or beside it."""
     rivals: dict[int, tuple[int, ...]]
+    """Effect number -> effects that left-out runs do not tell from it."""
 
     def evidence(self, column: int) -> Evidence:
         """What speaks for a column, in the words of the gates."""

@@ -84,16 +84,12 @@ def total_without_random(blocks: Array, random_sd: Array, sigma_w: float) -> tup
 
 @dataclass(frozen=True)
 class Gram:
-    """Reduced Gram matrices: [y, N (q), Phi (p)] of each run, random effects integrated out.
-
-    Attributes
-    ----------
-    per_run : shape (runs, 1+q+p, 1+q+p)
-    prior_precision : of the base parameters' relative shifts, shape (q,)
-    """
+    """Reduced Gram matrices: [y, N (q), Phi (p)] of each run, random effects integrated out."""
 
     per_run: Array
+    """Shape (runs, 1+q+p, 1+q+p)."""
     prior_precision: Array
+    """Of the base parameters' relative shifts, shape (q,)."""
 
     @property
     def q(self) -> int:
@@ -184,16 +180,12 @@ def make_gram(design: Design, noise: Noise) -> Gram:
 
 @dataclass(frozen=True)
 class Projection:
-    """Whitened rows with base parameters, random effects and chosen columns projected out.
-
-    Attributes
-    ----------
-    rows : shape (k, n)
-    pseudo : rows of the priors (known variance), shape (k, q + runs * 5)
-    """
+    """Whitened rows with base parameters, random effects and chosen columns projected out."""
 
     rows: Array
+    """Shape (k, n)."""
     pseudo: Array
+    """Rows of the priors (known variance), shape (k, q + runs * 5)."""
 
 
 def project(design: Design, noise: Noise, rows: Array, chosen: Sequence[int]) -> Projection:

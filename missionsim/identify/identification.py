@@ -26,31 +26,20 @@ from missionsim.identify.verdict import decide
 
 @dataclass(frozen=True, kw_only=True)
 class Identification(Findings):
-    """All findings of one battery, and the fit that they rest on, for later questions.
-
-    Attributes
-    ----------
-    choice : Choice
-        The fitted model with what speaks for each effect in it, and the model without effects.
-    library : tuple of Candidate
-    settings : Settings
-    shapes : mapping
-        Refitted shape parameters of each effect, with their limits.
-    demoted : tuple of str
-        Effects that the model keeps and does not name.
-    factor : float or None
-        The one factor on the whole model that took the place of all effects.
-    averages : tuple of Structure
-        A level by which all runs differ.
-    """
+    """All findings of one battery, and the fit that they rest on, for later questions."""
 
     choice: Choice
+    """The fitted model with what speaks for each effect in it, and the model without effects."""
     library: tuple[Candidate, ...]
     settings: Settings
     shapes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Refitted shape parameters of each effect, with their limits."""
     demoted: tuple[str, ...] = ()
+    """Effects that the model keeps and does not name."""
     factor: float | None = None
+    """The one factor on the whole model that took the place of all effects."""
     averages: tuple[Structure, ...] = ()
+    """A level by which all runs differ."""
 
 
 def identify(

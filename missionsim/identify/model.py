@@ -34,12 +34,12 @@ class Model:
 
     Attributes
     ----------
-    chosen : numbers of the regression columns in the model
     design, noise, gram : at the clock of this model
     """
 
     source: Source
     chosen: tuple[int, ...]
+    """Numbers of the regression columns in the model."""
     clock: Clock
     design: Design
     noise: Noise

@@ -33,18 +33,14 @@ RIDGE = 1e-9
 
 @dataclass(frozen=True)
 class Left:
-    """Prediction of each fold from a fit to the others.
-
-    Attributes
-    ----------
-    square : time integral of the squared power error of each fold [W2 s], shape (folds,)
-    energy : predicted minus measured energy of each fold [J], shape (folds,)
-    coefficients : relative shifts of the base, then shares, without each fold, shape (folds, q + chosen)
-    """
+    """Prediction of each fold from a fit to the others."""
 
     square: Array
+    """Time integral of the squared power error of each fold [W2 s], shape (folds,)."""
     energy: Array
+    """Predicted minus measured energy of each fold [J], shape (folds,)."""
     coefficients: Array
+    """Relative shifts of the base, then shares, without each fold, shape (folds, q + chosen)."""
 
     @property
     def total(self) -> float:
@@ -54,21 +50,17 @@ class Left:
 
 @dataclass(frozen=True)
 class LeastSquares:
-    """Sums of products by fold: least squares of any set of columns without looking at the rows again.
-
-    Attributes
-    ----------
-    sums : rows are residual of the base, its gradient (q), candidate columns (p), one, measured power; each product
-        integrated over time, shape (folds, q + p + 3, q + p + 3)
-    seconds : length of each fold, shape (folds,)
-    prior_sd : relative standard deviation of each base parameter, shape (q,)
-    run : number of the run of each fold, shape (folds,)
-    """
+    """Sums of products by fold: least squares of any set of columns without looking at the rows again."""
 
     sums: Array
+    """integrated over time, shape (folds, q + p + 3, q + p + 3) Rows are residual of the base, its gradient (q),
+    candidate columns (p), one, measured power; each product."""
     seconds: Array
+    """Length of each fold, shape (folds,)."""
     prior_sd: Array
+    """Relative standard deviation of each base parameter, shape (q,)."""
     run: NDArray[np.intp]
+    """Number of the run of each fold, shape (folds,)."""
 
     @classmethod
     def of(cls, design: Design) -> LeastSquares:

@@ -31,35 +31,24 @@ QUANTITY = {
 
 @dataclass(frozen=True)
 class Law:
-    """One form of the set.
-
-    Attributes
-    ----------
-    formula : str
-        As a robot file writes it under ``power:``.
-    symbol : str
-        The same for people.
-    k, low, high : float
-        Coefficient with its 95 % interval, in `unit`.
-    energy_share : float
-    behind_nats : float
-        How far its likelihood lies behind the best.
-    variables : tuple of str
-    simulated : bool
-        Whether `run` can evaluate it.
-    """
+    """One form of the set."""
 
     formula: str
+    """As a robot file writes it under ``power:``."""
     symbol: str
+    """The same for people."""
     unit: str
     k: float
     low: float
     high: float
+    """All three: coefficient with its 95 % interval, in `unit`."""
     energy_share: float
     behind_nats: float
+    """How far its likelihood lies behind the best."""
     _: KW_ONLY
     variables: tuple[str, ...]
     simulated: bool = True
+    """Whether `run` can evaluate it."""
 
     def to_json(self) -> dict[str, Any]:
         """All fields."""
@@ -101,33 +90,17 @@ class Proposal:
 
     Attributes
     ----------
-    laws : tuple of Law
-        Forms that these data cannot tell apart; the plainest of the best first.
-    certain, possible : tuple of str
-        Quantities that every form depends on, and those that only some do.
-    curve : Curve or None
-        None for a law with a memory.
-    energy_share, share_sd : float
     rise_nats, penalty_nats, tried
         Rise of the likelihood, what chance makes of so many tries, and their number.
-    left_out_rmse_w, left_out_energy_pct : tuple of (float, float)
-        Errors of runs left out one at a time, without the law and with it.
-    better, runs : int
-        Left-out runs predicted better, of those in which it acts.
-    experiment : str
-        What to drive to tell the forms apart.
-    instead_of : tuple of str
-        Effects of the library that stood in for it.
-    looks_like : str
-        Effect of the library with the same column, if any.
-    heldout_rmse_w, heldout_energy_pct : tuple of (float, float) or None
-        Errors of runs that nothing was fitted to.
     """
 
     laws: tuple[Law, ...]
+    """Forms that these data cannot tell apart; the plainest of the best first."""
     certain: tuple[str, ...]
     possible: tuple[str, ...]
+    """Both: quantities that every form depends on, and those that only some do."""
     curve: Curve | None
+    """None for a law with a memory."""
     energy_share: float
     share_sd: float
     rise_nats: float
@@ -136,13 +109,19 @@ class Proposal:
     tried: int
     left_out_rmse_w: tuple[float, float]
     left_out_energy_pct: tuple[float, float]
+    """Both: errors of runs left out one at a time, without the law and with it."""
     better: int
     runs: int
+    """Both: left-out runs predicted better, of those in which it acts."""
     experiment: str
+    """What to drive to tell the forms apart."""
     instead_of: tuple[str, ...] = ()
+    """Effects of the library that stood in for it."""
     looks_like: str = ""
+    """Effect of the library with the same column, if any."""
     heldout_rmse_w: tuple[float, float] | None = None
     heldout_energy_pct: tuple[float, float] | None = None
+    """Both: errors of runs that nothing was fitted to."""
 
     @property
     def far_better(self) -> bool:

@@ -41,21 +41,14 @@ CLOCK_NATS = 15.0
 
 @dataclass(frozen=True)
 class Ground:
-    """The model that a law would be added to.
-
-    Attributes
-    ----------
-    model : Model
-        With the effects that were found, and nothing that is in doubt.
-    covariates : tuple of mapping
-        Of each run of the model, at its raw rate.
-    held : tuple of (str, tuple of int)
-        Effects found and their columns.
-    """
+    """The model that a law would be added to."""
 
     model: Model
+    """With the effects that were found, and nothing that is in doubt."""
     covariates: tuple[Mapping[str, Any], ...]
+    """Of each run of the model, at its raw rate."""
     held: tuple[tuple[str, tuple[int, ...]], ...]
+    """Effects found and their columns."""
 
     @property
     def design(self) -> Design:

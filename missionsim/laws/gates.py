@@ -27,20 +27,12 @@ ACTS = 0.02
 
 @dataclass(frozen=True)
 class Gates:
-    """What a law must pass, and the numbers behind it.
-
-    Attributes
-    ----------
-    share_sd : float
-        Robust standard error of the share of energy (jackknife over blocks).
-    z : float
-        Share over its robust standard error.
-    errors : LeftOut
-    passed : mapping of str to bool
-    """
+    """What a law must pass, and the numbers behind it."""
 
     share_sd: float
+    """Robust standard error of the share of energy (jackknife over blocks)."""
     z: float
+    """Share over its robust standard error."""
     errors: LeftOut
     passed: dict[str, bool]
 
@@ -88,24 +80,17 @@ def _robust(model: Model, column: int, block_s: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Errors of runs that were left out one at a time (of the fit itself, where there is one run).
-
-    Attributes
-    ----------
-    without, with_law : float
-        Power error (RMS) [W].
-    energy_without, energy_with : float
-        Mean absolute energy error [%].
-    better, acting : int
-        Runs predicted better, of those in which the law acts.
-    """
+    """Errors of runs that were left out one at a time (of the fit itself, where there is one run)."""
 
     without: float
     with_law: float
+    """Both: power error (RMS) [W]."""
     energy_without: float
     energy_with: float
+    """Both: mean absolute energy error [%]."""
     better: int
     acting: int
+    """Both: runs predicted better, of those in which the law acts."""
 
 
 def left_out(model: Model) -> LeftOut:

@@ -24,36 +24,24 @@ MOST_FACTORS = 3
 
 @dataclass(frozen=True)
 class Factor:
-    """One factor of a law.
-
-    Attributes
-    ----------
-    variable : str
-        The logged quantity that it is about; a law holds one factor of a variable.
-    text : str
-        As the robot file writes it.
-    symbol : str
-        For people.
-    rank : int
-        0 for the plain quantity; higher for forms that bend it. Of forms that fit alike the plainest is shown first.
-    gives_back : bool
-        Whether power may be negative with it (braking, descending).
-    simulated : bool
-        Whether `run` can evaluate it; a first-order memory of a signal is no state of the engine yet.
-    kind : str
-        Factors of one kind differ in a number only (a threshold, a time constant).
-    fine : bool
-        One of the numbers between those that the first pass tries.
-    """
+    """One factor of a law."""
 
     variable: str
+    """The logged quantity that it is about; a law holds one factor of a variable."""
     text: str
+    """As the robot file writes it."""
     symbol: str
+    """For people."""
     rank: int = 0
+    """0 for the plain quantity; higher for forms that bend it. Of forms that fit alike the plainest is shown first."""
     gives_back: bool = False
+    """Whether power may be negative with it (braking, descending)."""
     simulated: bool = True
+    """Whether `run` can evaluate it; a first-order memory of a signal is no state of the engine yet."""
     kind: str = ""
+    """Factors of one kind differ in a number only (a threshold, a time constant)."""
     fine: bool = False
+    """One of the numbers between those that the first pass tries."""
 
 
 @dataclass(frozen=True)

@@ -59,24 +59,16 @@ class Scored:
 
 @dataclass(frozen=True)
 class Fitted:
-    """A form in the model with noise of its own; its column is the last.
-
-    Attributes
-    ----------
-    form, model
-    watts : ndarray, shape (n,)
-        Power for a coefficient of 1 at the analysis rate.
-    rise : float
-        Of the log evidence against the model without it, noise fitted on both sides.
-    penalty : float
-        For all tries of its size.
-    """
+    """A form in the model with noise of its own; its column is the last."""
 
     form: tuple[int, ...]
     model: Model
     watts: Array
+    """Power for a coefficient of 1 at the analysis rate. Shape (n,)."""
     rise: float
+    """Of the log evidence against the model without it, noise fitted on both sides."""
     penalty: float
+    """For all tries of its size."""
 
     @property
     def column(self) -> int:

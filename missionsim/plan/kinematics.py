@@ -18,17 +18,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Phases:
-    """Phases of constant acceleration of a run: speeding up, cruising, slowing down, for each piece.
-
-    Attributes
-    ----------
-    duration_s, speed_m_s, accel_m_s2 : ndarray, shape (..., pieces, 3)
-        Length, speed at its start and acceleration of each phase; phases that do not occur last 0 s.
-    """
+    """Phases of constant acceleration of a run: speeding up, cruising, slowing down, for each piece."""
 
     duration_s: Array
     speed_m_s: Array
     accel_m_s2: Array
+    """All three: length, speed at its start and acceleration of each phase; phases that do not occur last 0 s. Shape
+    (..., pieces, 3)."""
 
     @property
     def total_s(self) -> Array:

@@ -20,58 +20,37 @@ ROUNDING = 1.0 + 1e-12
 
 
 class Settings(NamedTuple):
-    """What is asked of the robot and what surrounds it on a leg.
-
-    Attributes
-    ----------
-    scheme, navigation : str
-        Control scheme and its navigation; empty where none.
-    sensors : tuple of (str, int)
-        Components that must be on and how many units, sorted by name.
-    payload_kg : float
-    slope_rad : float
-        Grade in the direction of travel, uphill positive.
-    surface : str
-    extra : tuple of (str, float or str)
-        Further covariates (``temp_ambient_c``, ``cpu_load``, a file's own conditions), sorted by name.
-    """
+    """What is asked of the robot and what surrounds it on a leg."""
 
     scheme: str = ""
     navigation: str = ""
+    """Both: control scheme and its navigation; empty where none."""
     sensors: tuple[tuple[str, int], ...] = ()
+    """Components that must be on and how many units, sorted by name."""
     payload_kg: float = 0.0
     slope_rad: float = 0.0
+    """Grade in the direction of travel, uphill positive."""
     surface: str = ""
     extra: tuple[tuple[str, float | str], ...] = ()
+    """Further covariates (``temp_ambient_c``, ``cpu_load``, a file's own conditions), sorted by name."""
 
 
 class Recharge(NamedTuple):
-    """Charging at a dock.
-
-    Attributes
-    ----------
-    place : str
-    power_w : mapping of str to float
-        Stored by each battery that charges, on top of what the robot draws meanwhile: the charger's power, at most
-        the battery's greatest charging power, times the battery's charging efficiency.
-    batteries : tuple of str
-    until : float or None
-        Fraction of each battery's capacity at which charging is done.
-    duration_s : float or None
-        Time at the charger instead; charging stops at full.
-    slots : int
-        Robots that the dock serves at once.
-    if_below : float
-        Nothing is charged unless a battery is below this fraction of its capacity.
-    """
+    """Charging at a dock."""
 
     place: str
     power_w: Mapping[str, float]
+    """Stored by each battery that charges, on top of what the robot draws meanwhile: the charger's power, at most the
+    battery's greatest charging power, times the battery's charging efficiency."""
     batteries: tuple[str, ...]
     until: float | None = None
+    """Fraction of each battery's capacity at which charging is done."""
     duration_s: float | None = None
+    """Time at the charger instead; charging stops at full."""
     slots: int = 1
+    """Robots that the dock serves at once."""
     if_below: float = math.inf
+    """Nothing is charged unless a battery is below this fraction of its capacity."""
 
 
 class OnEdge(NamedTuple):
@@ -95,23 +74,16 @@ class Gate(NamedTuple):
 
 
 class Pace(NamedTuple):
-    """Speeds [m/s]; limits are infinite where there is none.
-
-    Attributes
-    ----------
-    asked : float
-        Speed asked times the part of it that is reached (`speed_tracking`).
-    robot, scheme : float
-        Greatest speed of the robot and of the control scheme. A nominal `speed_tracking` above 1 says that these are
-        exceeded by so much, and raises them.
-    way : float
-        Limit of the way, or of the greatest yaw rate on an arc.
-    """
+    """Speeds [m/s]; limits are infinite where there is none."""
 
     asked: float = 0.0
+    """Speed asked times the part of it that is reached (`speed_tracking`)."""
     robot: float = math.inf
     scheme: float = math.inf
+    """Both: greatest speed of the robot and of the control scheme. A nominal `speed_tracking` above 1 says that these
+    are exceeded by so much, and raises them."""
     way: float = math.inf
+    """Limit of the way, or of the greatest yaw rate on an arc."""
 
     @property
     def speed(self) -> float:
@@ -125,58 +97,39 @@ class Pace(NamedTuple):
 
 
 class Leg(NamedTuple):
-    """The smallest part of a plan over which nothing but the motion itself changes.
-
-    Attributes
-    ----------
-    kind : str
-        ``roll`` (straight or arc), ``turn`` on the spot, ``slide`` (sideways or diagonal), ``stand``, ``dock``.
-    settings : Settings
-    distance_m, speed_m_s : float
-        Length driven and speed limit, of `roll` and `slide`.
-    curvature_1_m : float
-        Yaw rate over speed, left positive.
-    direction_rad : float
-        Direction of a `slide` from straight ahead, left positive.
-    angle_rad, yaw_rate_rad_s : float
-        Signed angle and limit of the yaw rate of a `turn`.
-    duration_s : float
-        Of a `stand`.
-    instant : bool
-        Speeds are reached at once (``profile: constant_speed``).
-    place : str
-        Place reached, or held, at the end.
-    edge : OnEdge or None
-        The part of an edge that is driven, where the mission has a map.
-    first, last : bool
-        Whether a segment begins or ends here.
-    recharge : Recharge or None
-    pace : Pace
-        Where `speed_m_s` comes from.
-    gate : Gate or None
-        Of a block that is repeated until a time.
-    segment : int
-        Index of the mission's segment, repeats counted one by one.
-    """
+    """The smallest part of a plan over which nothing but the motion itself changes."""
 
     kind: Kind
+    """``roll`` (straight or arc), ``turn`` on the spot, ``slide`` (sideways or diagonal), ``stand``, ``dock``."""
     settings: Settings
     distance_m: float = 0.0
     speed_m_s: float = 0.0
+    """Both: length driven and speed limit, of `roll` and `slide`."""
     curvature_1_m: float = 0.0
+    """Yaw rate over speed, left positive."""
     direction_rad: float = 0.0
+    """Direction of a `slide` from straight ahead, left positive."""
     angle_rad: float = 0.0
     yaw_rate_rad_s: float = 0.0
+    """Both: signed angle and limit of the yaw rate of a `turn`."""
     duration_s: float = 0.0
+    """Of a `stand`."""
     instant: bool = False
+    """Speeds are reached at once (``profile: constant_speed``)."""
     place: str = ""
+    """Place reached, or held, at the end."""
     edge: OnEdge | None = None
+    """The part of an edge that is driven, where the mission has a map."""
     first: bool = False
     last: bool = False
+    """Both: whether a segment begins or ends here."""
     recharge: Recharge | None = None
     pace: Pace = Pace()
+    """Where `speed_m_s` comes from."""
     gate: Gate | None = None
+    """Of a block that is repeated until a time."""
     segment: int = 0
+    """Index of the mission's segment, repeats counted one by one."""
 
 
 class Phase(NamedTuple):
@@ -245,24 +198,6 @@ class Limits(NamedTuple):
 class Plan:
     """A mission as numbers, in the order of execution.
 
-    Attributes
-    ----------
-    legs : tuple of Leg
-    steps : tuple of Step
-        The legs grouped into runs between standstills.
-    segments : tuple of SegmentInfo
-    activities : tuple of Activity
-    limits : Limits
-    start : str
-        Place at which the mission starts; empty without an environment.
-    chance : tuple of (str, int)
-        What chance did, by what it is (``obstacles``, ``relocalisations_failed``, ``inspections_repeated``); empty
-        where nothing is left to chance or no generator was given.
-    routes : tuple of (str, str, tuple of int)
-        The routes taken through the environment: begin, end, edges.
-    odd : ndarray of bool, shape (runs,), or None
-        Of a plan of many runs, those that this plan is not for.
-
     Notes
     -----
     A plan of many runs (`missionsim.plan.build.plan_runs`) has an array with one number a run in place of each number
@@ -271,13 +206,19 @@ class Plan:
 
     legs: tuple[Leg, ...]
     steps: tuple[Step, ...]
+    """The legs grouped into runs between standstills."""
     segments: tuple[SegmentInfo, ...]
     activities: tuple[Activity, ...]
     limits: Limits
     start: str = ""
+    """Place at which the mission starts; empty without an environment."""
     chance: tuple[tuple[str, int], ...] = ()
+    """What chance did, by what it is (``obstacles``, ``relocalisations_failed``, ``inspections_repeated``); empty where
+    nothing is left to chance or no generator was given."""
     routes: tuple[tuple[str, str, tuple[int, ...]], ...] = ()
+    """The routes taken through the environment: begin, end, edges."""
     odd: NDArray[np.bool_] | None = None
+    """Of a plan of many runs, those that this plan is not for. Shape (runs,)."""
 
     @property
     def gated(self) -> bool:

@@ -32,37 +32,25 @@ Number = Callable[[Parameter], float]
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """An edge in the direction of travel.
-
-    Attributes
-    ----------
-    begin, end : str
-        Places.
-    length_m, slope_rad : float
-        Uphill positive in this direction.
-    surface : str
-    max_speed_m_s : float
-        Infinite where the edge sets none.
-    heading_rad : float or None
-        Direction on the map where both places have coordinates.
-    extra : mapping of str to float or str
-        ``temp_ambient_c``, ``access_point_distance_m`` and conditions where the edge gives them.
-    edge : int
-        Which of the environment's edges.
-    search_m : float
-        Length by which routes are found: that of the files where `length_m` is an array of draws.
-    """
+    """An edge in the direction of travel."""
 
     begin: str
     end: str
+    """Both: places."""
     length_m: float
     slope_rad: float
+    """Both: uphill positive in this direction."""
     surface: str
     max_speed_m_s: float
+    """Infinite where the edge sets none."""
     heading_rad: float | None
+    """Direction on the map where both places have coordinates."""
     extra: Mapping[str, float | str]
+    """``temp_ambient_c``, ``access_point_distance_m`` and conditions where the edge gives them."""
     edge: int = 0
+    """Which of the environment's edges."""
     search_m: float = 0.0
+    """Length by which routes are found: that of the files where `length_m` is an array of draws."""
 
 
 class Routes:

@@ -27,70 +27,45 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class Leg:
-    """One leg of a plan: an edge driven, a visit, or charging.
-
-    Attributes
-    ----------
-    kind : str
-        ``drive``, ``visit``, ``wait`` or ``charge``.
-    place : str
-        Where it ends.
-    duration_s : float
-    energy_wh : mapping of str to float
-        By battery.
-    charge_wh : mapping of str to float
-        Left at its end.
-    piece : Piece or None
-        The edge, of a drive.
-    visit : int or None
-    scheme : SchemeChoice or None
-        Of a visit, where it was chosen.
-    payload_kg : float
-    level : float or None
-        Fraction charged to; None where charging lasts for `duration_s`.
-    """
+    """One leg of a plan: an edge driven, a visit, or charging."""
 
     kind: str
+    """``drive``, ``visit``, ``wait`` or ``charge``."""
     place: str
+    """Where it ends."""
     duration_s: float
     energy_wh: Mapping[str, float]
+    """By battery."""
     charge_wh: Mapping[str, float]
+    """Left at its end."""
     piece: Piece | None = None
+    """The edge, of a drive."""
     visit: int | None = None
     scheme: SchemeChoice | None = None
+    """Of a visit, where it was chosen."""
     payload_kg: float = 0.0
     level: float | None = None
+    """Fraction charged to; None where charging lasts for `duration_s`."""
 
 
 @dataclass
 class Answer:
-    """A plan, or why there is none.
-
-    Attributes
-    ----------
-    site : Site
-    feasible : bool
-    legs : list of Leg
-    objective, bound : float
-        Of the plan, and below which no plan is.
-    duration_s : float
-    energy_wh, charge_left_wh : dict
-        By battery.
-    stopped : bool
-        Whether the search was stopped before its end.
-    """
+    """A plan, or why there is none."""
 
     site: Site
     feasible: bool
     legs: list[Leg] = field(default_factory=list)
     objective: float = float("inf")
     bound: float = float("-inf")
+    """Both: of the plan, and below which no plan is."""
     duration_s: float = 0.0
     energy_wh: dict[str, float] = field(default_factory=dict)
     charge_left_wh: dict[str, float] = field(default_factory=dict)
+    """Both: by battery."""
     notes: list[str] = field(default_factory=list)
     extra: dict[str, Any] = field(default_factory=dict)
     stopped: bool = False
+    """Whether the search was stopped before its end."""
 
     @property
     def gap(self) -> float:

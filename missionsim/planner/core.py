@@ -72,35 +72,26 @@ class Label:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What is known of the rest of the way from each node.
-
-    Attributes
-    ----------
-    most : ndarray, shape (resources,)
-        Limit of each resource, at every node.
-    least : ndarray, shape (nodes, resources)
-        What the rest of the way takes at least of the limit; infinite where no goal can be reached.
-    weights : ndarray, shape (multipliers, resources)
-        Each row bounds the objective: ``x · weights + rest[node] - offset``.
-    rest : ndarray, shape (nodes, multipliers)
-    offset : ndarray, shape (multipliers,)
-    shear : ndarray, shape (resources,), optional
-        What waiting for a unit of the second resource takes of each: where labels may have to wait, an earlier one is
-        no better than a later one by more than waiting would cost it.
-    timeless : bool
-        The second resource, time, counts for nothing where labels are compared.
-    apart : int, optional
-        So many of the first rows bound the ways without, the others those with at least one more refill.
-    """
+    """What is known of the rest of the way from each node."""
 
     most: Array
+    """Limit of each resource, at every node. Shape (resources,)."""
     least: Array
+    """What the rest of the way takes at least of the limit; infinite where no goal can be reached. Shape (nodes,
+    resources)."""
     weights: Array
+    """Each row bounds the objective: ``x · weights + rest[node] - offset``. Shape (multipliers, resources)."""
     rest: Array
+    """Shape (nodes, multipliers)."""
     offset: Array
+    """Shape (multipliers,)."""
     shear: Array | None = None
+    """What waiting for a unit of the second resource takes of each: where labels may have to wait, an earlier one is no
+    better than a later one by more than waiting would cost it. Shape (resources,)."""
     timeless: bool = False
+    """The second resource, time, counts for nothing where labels are compared."""
     apart: int | None = None
+    """So many of the first rows bound the ways without, the others those with at least one more refill."""
 
     @cached_property
     def room(self) -> Array:
@@ -128,22 +119,15 @@ class Bounds:
 
 @dataclass
 class Outcome:
-    """What a search found.
-
-    Attributes
-    ----------
-    label : Label or None
-        The best way to a goal.
-    objective, bound : float
-        Of that way, and below which no way is; equal where it is proved optimal.
-    labels : int
-        How many were taken.
-    """
+    """What a search found."""
 
     label: Label | None = None
+    """The best way to a goal."""
     objective: float = math.inf
     bound: float = -math.inf
+    """Both: of that way, and below which no way is; equal where it is proved optimal."""
     labels: int = 0
+    """How many were taken."""
     runners_up: list[Label] = field(default_factory=list)
     interrupted: bool = False
 

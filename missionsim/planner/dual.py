@@ -21,28 +21,20 @@ CLOSE = 1e-7
 
 @dataclass
 class Prices:
-    """What the relaxation gives.
-
-    Attributes
-    ----------
-    best : ndarray, shape (resources - 1,)
-        Prices of a second, of a Wh of each battery (and of value not made) that give the best bound.
-    bound : float
-        Below which no plan's objective is.
-    plan : Label or None
-        The best plan among those that came up, and its `objective`.
-    others : list of ndarray
-        Prices tried on the way that gave bounds near the best.
-    impossible : bool
-        Proved that there is no plan.
-    """
+    """What the relaxation gives."""
 
     best: Array
+    """Prices of a second, of a Wh of each battery (and of value not made) that give the best bound. Shape (resources -
+    1,)."""
     bound: float = -math.inf
+    """Below which no plan's objective is."""
     plan: Label | None = None
+    """The best plan among those that came up, and its `objective`."""
     objective: float = math.inf
     others: list[Array] = field(default_factory=list)
+    """Prices tried on the way that gave bounds near the best."""
     impossible: bool = False
+    """Proved that there is no plan."""
 
 
 def cheapest(tour: Tour, prices: Array) -> tuple[list[tuple[int, int]], float] | None:

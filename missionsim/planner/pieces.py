@@ -37,29 +37,19 @@ ends here, at rest."""
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """An edge in one direction under one scheme at one speed.
-
-    Attributes
-    ----------
-    way : Way
-    name : str
-        What `along` calls it.
-    scheme : SchemeChoice or None
-        None for the task's default.
-    speed : float or None
-        Asked [m/s]; None for the default.
-    legs : tuple of Leg
-        That roll; an edge under an access point has several.
-    dwell : Leg or None
-        Standing at the end.
-    """
+    """An edge in one direction under one scheme at one speed."""
 
     way: Way
     name: str
+    """What `along` calls it."""
     scheme: SchemeChoice | None
+    """None for the task's default."""
     speed: float | None
+    """Asked [m/s]; None for the default."""
     legs: tuple[Leg, ...]
+    """That roll; an edge under an access point has several."""
     dwell: Leg | None = None
+    """Standing at the end."""
 
     @property
     def limit_m_s(self) -> float:
@@ -138,23 +128,16 @@ class State(NamedTuple):
 
 @dataclass
 class Road:
-    """The graph of states, its arcs with what they cost.
-
-    Attributes
-    ----------
-    states : list of State
-    tails, heads : ndarray of int, shape (arcs,)
-    use : ndarray, shape (arcs, 1 + batteries)
-        Seconds, and Wh of each battery.
-    driven : list of Piece
-        By arc.
-    """
+    """The graph of states, its arcs with what they cost."""
 
     states: list[State]
     tails: NDArray[np.intp]
     heads: NDArray[np.intp]
+    """Both: shape (arcs,)."""
     use: Array
+    """Seconds, and Wh of each battery. Shape (arcs, 1 + batteries)."""
     driven: list[Piece]
+    """By arc."""
     index: dict[State, int] = field(default_factory=dict)
 
 

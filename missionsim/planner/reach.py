@@ -35,30 +35,20 @@ SEED = 20_270_101
 
 @dataclass
 class Reached:
-    """What is known of one place.
-
-    Attributes
-    ----------
-    place : str
-    reachable : bool
-        There and back with the reserve, by the files' values.
-    sure : bool
-        And so in the share of draws that is asked.
-    plan : Answer or None
-        There and back; where the charge does not suffice, the one that takes least of it.
-    holds : dict
-        Share of the draws in which it does (``value``, ``low``, ``high``, ``runs``).
-    turn : dict or None
-        Of a place out of reach, the last point of the way there from which the robot comes back: ``edge``, ``from``,
-        ``to``, ``metres`` on it, ``battery`` that decides; ``sure_metres`` and ``sure_edge`` with the share asked.
-    """
+    """What is known of one place."""
 
     place: str
     reachable: bool
+    """There and back with the reserve, by the files' values."""
     sure: bool
+    """And so in the share of draws that is asked."""
     plan: Answer | None = None
+    """There and back; where the charge does not suffice, the one that takes least of it."""
     holds: dict[str, float] = field(default_factory=dict)
+    """Share of the draws in which it does (``value``, ``low``, ``high``, ``runs``)."""
     turn: dict[str, Any] | None = None
+    """Of a place out of reach, the last point of the way there from which the robot comes back: ``edge``, ``from``,
+    ``to``, ``metres`` on it, ``battery`` that decides; ``sure_metres`` and ``sure_edge`` with the share asked."""
 
 
 def reach_task(

@@ -26,51 +26,36 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Stop:
-    """A place where the robot stands: the start, a visit, the goal or a dock.
-
-    Attributes
-    ----------
-    place : str
-    lasts_s : float
-        Time of what is done there.
-    visit : int or None
-        Of the task.
-    charger : Charger or None
-    """
+    """A place where the robot stands: the start, a visit, the goal or a dock."""
 
     place: str
     lasts_s: float = 0.0
+    """Time of what is done there."""
     visit: int | None = None
+    """Of the task."""
     charger: Charger | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Charger:
-    """What charging at a dock does to the vector (objective, seconds, Wh missing of each battery, …).
-
-    Attributes
-    ----------
-    gain_w : ndarray, shape (batteries,)
-        What comes in less what the robot draws, before the charge tapers off; 0 or less where it is not charged.
-    draw_w : ndarray, shape (batteries,)
-        What the robot draws while docked.
-    served : ndarray of bool, shape (batteries,)
-    capacity_wh : ndarray, shape (batteries,)
-    rate : float
-        Objective for a second at the dock; by the weights of the `Site` that it is taken from (`Site.charger`).
-    levels : tuple of float or None
-        Fractions that may be charged to; None for any.
-    tapers : tuple of (tuple of (level, gain))
-        Of each battery, up to which fraction of its capacity what comes in less what the robot draws [W].
-    """
+    """What charging at a dock does to the vector (objective, seconds, Wh missing of each battery, …)."""
 
     gain_w: Array
+    """What comes in less what the robot draws, before the charge tapers off; 0 or less where it is not charged. Shape
+    (batteries,)."""
     draw_w: Array
+    """What the robot draws while docked. Shape (batteries,)."""
     served: NDArray[np.bool_]
+    """Shape (batteries,)."""
     capacity_wh: Array
+    """Shape (batteries,)."""
     rate: float = 0.0
+    """Objective for a second at the dock; by the weights of the `Site` that it is taken from (`Site.charger`)."""
     levels: tuple[float, ...] | None = None
+    """Fractions that may be charged to; None for any."""
     tapers: tuple[tuple[tuple[float, float], ...], ...] = ()
+    """Of each battery, up to which fraction of its capacity what comes in less what the robot draws [W]. Tuple of
+    (tuple of (level, gain))."""
 
     def after(self, x: Array, seconds: float, level: float = 1.0) -> Array:
         """The vector after charging for some time, batteries held at a level once there."""
@@ -142,26 +127,22 @@ class Site:
 
     Attributes
     ----------
-    stops : list of Stop
-        First the start, then the visits, the goal, the docks.
-    deadline_s : float
-    weights : ndarray, shape (1 + batteries,)
-        Of seconds and Wh in the objective.
     waiting : ndarray, shape (1 + batteries,)
         Seconds and Wh of waiting for a second.
-    timeless : bool
-        Time is neither limited nor part of the objective: nothing is chosen for being quicker.
     """
 
     task: TaskSpec
     physics: Physics
     order: Order
     stops: list[Stop] = field(default_factory=list)
+    """First the start, then the visits, the goal, the docks."""
     deadline_s: float = math.inf
     weights: Array = field(default_factory=lambda: np.zeros(0))
+    """Of seconds and Wh in the objective. Shape (1 + batteries,)."""
     roads: dict[float, Drives] = field(default_factory=dict)
     nodes: dict[float, tuple[NDArray[np.intp], NDArray[np.intp]]] = field(default_factory=dict)
     timeless: bool = False
+    """Time is neither limited nor part of the objective: nothing is chosen for being quicker."""
     _standing: dict[tuple[int, float], Array] = field(default_factory=dict)
 
     @property

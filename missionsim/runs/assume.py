@@ -15,30 +15,20 @@ _DERIVED = ("mass_kg", "moving_time_s", "starts", "starts_per_s", "time_s")
 
 @dataclass(frozen=True)
 class Assumed:
-    """What of a model a run with certain columns can drive, and what is assumed for it.
-
-    Attributes
-    ----------
-    model : PowerModel
-        The terms that can be evaluated.
-    batteries : tuple of str
-        Measured and modelled.
-    assumed : mapping of str to float
-        Columns filled in.
-    notes : tuple of str
-        What was assumed, left out or skipped, in words.
-    switched : mapping of str to mapping of str to float
-        Switches that follow from the logged control scheme: units under each scheme.
-    unknown : frozenset of str
-        Switches that neither the log nor a scheme tells; they count as off.
-    """
+    """What of a model a run with certain columns can drive, and what is assumed for it."""
 
     model: PowerModel
+    """The terms that can be evaluated."""
     batteries: tuple[str, ...]
+    """Measured and modelled."""
     assumed: Mapping[str, float]
+    """Columns filled in."""
     notes: tuple[str, ...]
+    """What was assumed, left out or skipped, in words."""
     switched: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Switches that follow from the logged control scheme: units under each scheme."""
     unknown: frozenset[str] = frozenset()
+    """Switches that neither the log nor a scheme tells; they count as off."""
 
 
 def assume(model: PowerModel, columns: Iterable[str], measured: Iterable[str], *, source: str = "") -> Assumed:

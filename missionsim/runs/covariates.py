@@ -9,45 +9,30 @@ from dataclasses import KW_ONLY, dataclass
 
 @dataclass(frozen=True)
 class Covariate:
-    """What compare, fit and diagnosis know of one covariate; its unit and range stand in the glossary.
-
-    Attributes
-    ----------
-    name, title : str
-        Glossary name, and how people read it.
-    unit : str
-        Unit that is shown, and `factor` the way there from the glossary's unit.
-    factor : float
-    magnitude : bool
-        Whether power depends on its size and not on its sign.
-    multiplies_speed : bool
-        Whether its power is a force, so that an error grows with the speed.
-    noisy_form : bool
-        Whether its noise bends the curve of a right effect, as that of an inclinometer on level floors does.
-    ramps : bool
-        Whether it acts beside changes of speed, which clocks and averaging blur.
-    follows : str
-        Logged column that it is derived from.
-    assumed : str
-        What it means that a log lacks it: it counts as nought. Empty where nothing may be assumed.
-    text : bool
-    shown : bool
-        Whether the error is looked at along it.
-    """
+    """What compare, fit and diagnosis know of one covariate; its unit and range stand in the glossary."""
 
     name: str
     title: str
+    """Both: glossary name, and how people read it."""
     unit: str = ""
+    """Unit that is shown, and `factor` the way there from the glossary's unit."""
     factor: float = 1.0
     magnitude: bool = False
+    """Whether power depends on its size and not on its sign."""
     multiplies_speed: bool = False
+    """Whether its power is a force, so that an error grows with the speed."""
     noisy_form: bool = False
+    """Whether its noise bends the curve of a right effect, as that of an inclinometer on level floors does."""
     ramps: bool = False
+    """Whether it acts beside changes of speed, which clocks and averaging blur."""
     _: KW_ONLY
     follows: str = ""
+    """Logged column that it is derived from."""
     assumed: str = ""
+    """What it means that a log lacks it: it counts as nought. Empty where nothing may be assumed."""
     text: bool = False
     shown: bool = True
+    """Whether the error is looked at along it."""
 
 
 _ALL = (

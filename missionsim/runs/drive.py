@@ -29,38 +29,26 @@ METER_PAST_S = 60.0
 
 @dataclass(frozen=True)
 class Driven:
-    """A run, or a block of one, with modelled power.
-
-    Attributes
-    ----------
-    run : Run
-    time_s : ndarray, shape (n,)
-        Time since the start of the run.
-    model : PowerModel
-        The terms that could be evaluated.
-    covariates : mapping
-        Columns of the run, what follows from them, and the robot's constants.
-    measured_w, model_w : mapping of battery to ndarray, shape (n,)
-        The model as the meter shows it: as late and sluggish as the robot file says; where the meter is slower than
-        the rows, averaged over each reading, which then counts once.
-    terms : mapping of battery to mapping of TermKey to ndarray or float
-        Modelled power by term, at the rate of the rows.
-    assumed : frozenset of str
-        Covariates that were filled in, not logged.
-    unknown : frozenset of str
-        Switches among them of which nothing tells whether they were on.
-    """
+    """A run, or a block of one, with modelled power."""
 
     run: Run
     time_s: NDArray[np.float64]
+    """Time since the start of the run. Shape (n,)."""
     model: PowerModel
+    """The terms that could be evaluated."""
     covariates: Mapping[str, Any]
+    """Columns of the run, what follows from them, and the robot's constants."""
     measured_w: Mapping[str, NDArray[np.float64]]
     model_w: Mapping[str, NDArray[np.float64]]
+    """Both: the model as the meter shows it: as late and sluggish as the robot file says; where the meter is slower
+    than the rows, averaged over each reading, which then counts once. Mapping of battery to ndarray, shape (n,)."""
     terms: Mapping[str, Mapping[TermKey, Any]]
+    """Modelled power by term, at the rate of the rows. Mapping of battery to mapping of TermKey to ndarray or float."""
     assumed: frozenset[str] = frozenset()
+    """Covariates that were filled in, not logged."""
     _: KW_ONLY
     unknown: frozenset[str] = frozenset()
+    """Switches among them of which nothing tells whether they were on."""
 
     @property
     def dt_s(self) -> Array:

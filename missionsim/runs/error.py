@@ -25,20 +25,14 @@ PROGRESS_POINTS = 397
 
 @dataclass(frozen=True)
 class RunError:
-    """Model against meter over one run.
-
-    Attributes
-    ----------
-    run : str
-    seconds, measured_j, model_j, square_w2s : float
-        Time, measured and modelled energy, integral of the squared power error.
-    """
+    """Model against meter over one run."""
 
     run: str
     seconds: float
     measured_j: float
     model_j: float
     square_w2s: float
+    """These: time, measured and modelled energy, integral of the squared power error."""
 
     @classmethod
     def of(
@@ -128,21 +122,15 @@ def errors_of(model: PowerModel, runs: Iterable[Run], battery: str) -> Errors:
 
 @dataclass(frozen=True)
 class ErrorStatistics:
-    """Statistics of the magnitude of a relative error over progress, as robot papers print them [%].
-
-    Attributes
-    ----------
-    peak_pct, final_pct, mean_pct, std_pct : float
-        Largest, last, mean and standard deviation of ``|error|``.
-    relative_to : str
-        ``measured`` or ``predicted``.
-    """
+    """Statistics of the magnitude of a relative error over progress, as robot papers print them [%]."""
 
     peak_pct: float
     final_pct: float
     mean_pct: float
     std_pct: float
+    """These: largest, last, mean and standard deviation of ``|error|``."""
     relative_to: str = "measured"
+    """``measured`` or ``predicted``."""
 
     def to_json(self) -> dict[str, float]:
         """The four numbers."""

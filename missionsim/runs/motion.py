@@ -27,24 +27,17 @@ MOTIONS = ("standing", "driving straight", "turning on the spot", "driving a cur
 
 @dataclass
 class Motion:
-    """Way and times of one control scheme, in a plan or in one run or several.
-
-    Attributes
-    ----------
-    distance_m, driving_s, turning_s, standing_s : float
-        Way and time with speed, time turning on the spot, time at rest.
-    square_m2_s : float
-        Integral of the squared speed.
-    energy_j : dict of battery to float
-        Of the model driven by the run, or of the meter, as the caller sums it.
-    """
+    """Way and times of one control scheme, in a plan or in one run or several."""
 
     distance_m: float = 0.0
     driving_s: float = 0.0
     turning_s: float = 0.0
     standing_s: float = 0.0
+    """These: way and time with speed, time turning on the spot, time at rest."""
     square_m2_s: float = 0.0
+    """Integral of the squared speed."""
     energy_j: dict[str, float] = field(default_factory=dict)
+    """Of the model driven by the run, or of the meter, as the caller sums it. Dict of battery to float."""
 
     @property
     def seconds(self) -> float:

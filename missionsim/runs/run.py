@@ -32,40 +32,28 @@ class Run:
 
     A measured run has power; a planned one (`missionsim.runs.motion.planned_run`) has none, and the rates of what
     changes within a row.
-
-    Attributes
-    ----------
-    run : str
-        Name of the run: the file's name without its suffix.
-    columns : mapping
-        Glossary name (and any further name of the file) → float64 array in SI units, or `Labels` for text.
-    dt_s : ndarray
-        Time that each row stands for [s]: half-way to its neighbours (contract). The end rows reach as far outwards
-        as inwards, but not before time zero. Computed before rows were left out, so a row's time stays its own.
-    power_w : mapping
-        Battery → mean power around each row [W], from its power, voltage × current, or differenced energy.
-    fresh : mapping
-        Battery → True in the rows where the power was really refreshed; None where every row is.
-    power_from : mapping
-        Battery → ``power``, ``voltage*current`` or ``energy``.
-    source : str
-        The file as the user gave it.
-    remarks : tuple of Remark
-        What was wrong, and what was done.
-    rates : mapping
-        Change per second of a column within each row; nought where absent, as in a log.
     """
 
     run: str
+    """Name of the run: the file's name without its suffix."""
     columns: Mapping[str, ColumnData]
+    """Glossary name (and any further name of the file) → float64 array in SI units, or `Labels` for text."""
     dt_s: Floats
+    """Time that each row stands for [s]: half-way to its neighbours (contract). The end rows reach as far outwards as
+    inwards, but not before time zero. Computed before rows were left out, so a row's time stays its own."""
     power_w: Mapping[str, Floats]
+    """Battery → mean power around each row [W], from its power, voltage × current, or differenced energy."""
     fresh: Mapping[str, Bools | None]
+    """Battery → True in the rows where the power was really refreshed; None where every row is."""
     power_from: Mapping[str, str]
+    """Battery → ``power``, ``voltage*current`` or ``energy``."""
     source: str = ""
+    """The file as the user gave it."""
     remarks: tuple[Remark, ...] = field(default=(), compare=False)
+    """What was wrong, and what was done."""
     _: KW_ONLY
     rates: Mapping[str, Floats] = field(default_factory=dict, kw_only=True)
+    """Change per second of a column within each row; nought where absent, as in a log."""
 
     def __post_init__(self) -> None:
         for name in ("columns", "power_w", "fresh", "power_from", "rates"):

@@ -92,37 +92,24 @@ Draws = dict[str, NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class UncertainValue:
-    """One number that a Monte Carlo varies.
-
-    Attributes
-    ----------
-    name : str
-        Path: the mission's own, or ``robot.…``, ``environment.…``.
-    nominal : float
-        Value without uncertainty, SI.
-    unit : str
-    distribution : Distribution
-    """
+    """One number that a Monte Carlo varies."""
 
     name: str
+    """Path: the mission's own, or ``robot.…``, ``environment.…``."""
     nominal: float
+    """Value without uncertainty, SI."""
     unit: str
     distribution: Distribution
 
 
 @dataclass(frozen=True)
 class Sampler:
-    """Draws of all uncertain values of a mission.
-
-    Attributes
-    ----------
-    values : tuple of UncertainValue
-    groups : tuple of (names, cholesky)
-        Values that are correlated with each other, with the Cholesky factor of their normal scores.
-    """
+    """Draws of all uncertain values of a mission."""
 
     values: tuple[UncertainValue, ...]
     groups: tuple[tuple[tuple[str, ...], NDArray[np.float64]], ...] = ()
+    """Values that are correlated with each other, with the Cholesky factor of their normal scores. Tuple of (names,
+    cholesky)."""
 
     def draw(self, seed: int, first: int, count: int) -> Draws:
         """Values of the runs ``first … first + count − 1``.

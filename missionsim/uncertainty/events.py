@@ -24,27 +24,18 @@ TIE_S = 1e-9
 
 
 class Part(NamedTuple):
-    """Intervals over which no component changes.
-
-    Attributes
-    ----------
-    leg : int
-    phase : int or None
-        Which of the leg's phases, where something changes within the leg; None for all of them.
-    waits : bool
-        The robot stands before the leg until components are on.
-    on, starting : tuple of float
-        Units of each component.
-    ready : tuple of int
-        Components whose start-up ends it; empty where its phases do.
-    """
+    """Intervals over which no component changes."""
 
     leg: int
     phase: int | None
+    """Which of the leg's phases, where something changes within the leg; None for all of them."""
     waits: bool
+    """The robot stands before the leg until components are on."""
     on: tuple[float, ...]
     starting: tuple[float, ...]
+    """Both: units of each component."""
     ready: tuple[int, ...]
+    """Components whose start-up ends it; empty where its phases do."""
 
 
 def parts_of(setup: RunSetup) -> tuple[Part, ...] | str:

@@ -20,18 +20,16 @@ class PairedDifference:
 
     Attributes
     ----------
-    quantity : str
-        ``energy_<battery>_wh``, ``margin_<battery>_wh``, ``duration_s`` or ``feasible``.
-    mean, low, high : float
-        Mean difference (alternative − baseline) and its 95 % interval.
     real : bool
         Whether the interval leaves out zero.
     """
 
     quantity: str
+    """``energy_<battery>_wh``, ``margin_<battery>_wh``, ``duration_s`` or ``feasible``."""
     mean: float
     low: float
     high: float
+    """All three: mean difference (alternative − baseline) and its 95 % interval."""
 
     @property
     def real(self) -> bool:

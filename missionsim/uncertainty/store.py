@@ -22,12 +22,7 @@ LOCK_FILE = ".lock"
 
 @dataclass(frozen=True)
 class BlockStore:
-    """A folder with one Parquet file a block.
-
-    Attributes
-    ----------
-    folder : Path
-    """
+    """A folder with one Parquet file a block."""
 
     folder: Path
 
