@@ -18,12 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from missionsim.effects import law_models
 from missionsim.errors import InputError
-from missionsim.physics import electrical, f64
+from missionsim.physics import Array, electrical, f64
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
 
-Array = NDArray[np.float64]
 TX2_STEP_HZ = 153.6e6
 """Grid of the Jetson TX2's clocks (assumed between the printed end points)."""
 

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import InputError
+from missionsim.physics import Array
 from missionsim.runs.motion import distances
 
 if TYPE_CHECKING:
     from missionsim.inputs.mission import MissionSpec
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from missionsim.control import TX2_STEP_HZ, Optimum, PowerPredictor
-from missionsim.physics import f64
-
-Array = NDArray[np.float64]
+from missionsim.physics import Array, f64
 
 
 @dataclass(frozen=True)

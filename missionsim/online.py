@@ -13,17 +13,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.expected import ExpectedRun, expected_run
 from missionsim.glossary import STILL_SPEED_M_S
 from missionsim.inputs.mission import reserve_of
+from missionsim.physics import Array
 
 if TYPE_CHECKING:
     from missionsim.inputs.mission import MissionSpec
 
-Array = NDArray[np.float64]
 ARRIVED_SHARE, ARRIVED_M = 0.05, 0.05
 """A robot that stops with less than this of a drive before it has arrived."""
 

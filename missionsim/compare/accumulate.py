@@ -14,6 +14,7 @@ from missionsim.compare.place import PlaceGrid
 from missionsim.effects.covariates import is_text
 from missionsim.effects.model import TermKey
 from missionsim.labels import Labels
+from missionsim.physics import Array
 from missionsim.runs.covariates import COVARIATES, is_switch, may_be_cause
 from missionsim.runs.drive import Driven
 from missionsim.runs.error import RunError
@@ -29,19 +30,14 @@ _HIGHS = ("measured_high_w", "error_high_w")
 class Series:
     """Buckets of neighbouring rows, one row each for short logs."""
 
-    columns: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    columns: dict[str, Array] = field(default_factory=dict)
     """``start_s`` (since the start of the run), ``seconds``, ``measured_j``, ``model_j`` and the lowest and highest
     measured power and power error (model minus measured) in each bucket [W]. Shape (n,)."""
     rows: int = 1
     """Rows in a bucket (except the last of a block)."""
 
     def add(
-        self,
-        time_s: NDArray[np.float64],
-        seconds: NDArray[np.float64],
-        measured_w: NDArray[np.float64],
-        model_w: NDArray[np.float64],
-        segment: NDArray[np.int64] | None = None,
+        self, time_s: Array, seconds: Array, measured_w: Array, model_w: Array, segment: NDArray[np.int64] | None = None
     ) -> None:
         """Append the rows of a block, arrays of shape (n,); `segment` is a code, -1 where there is none."""
         error = model_w - measured_w
@@ -67,22 +63,22 @@ class Series:
         self.columns = block
 
     @property
-    def middle_s(self) -> NDArray[np.float64]:
+    def middle_s(self) -> Array:
         """Middle of each bucket [s]."""
         return self.columns["start_s"] + 0.5 * self.columns["seconds"]
 
     @property
-    def progress(self) -> NDArray[np.float64]:
+    def progress(self) -> Array:
         """Share of the run's time that is over at the end of each bucket."""
         spent = np.cumsum(self.columns["seconds"])
         return np.asarray(spent / spent[-1])
 
-    def power_w(self, which: str) -> NDArray[np.float64]:
+    def power_w(self, which: str) -> Array:
         """Mean power of each bucket, `which` of ``measured`` and ``model`` [W]."""
         return self.columns[f"{which}_j"] / np.maximum(self.columns["seconds"], 1e-12)
 
 
-def _join(columns: dict[str, NDArray[np.float64]], rows: int) -> dict[str, NDArray[np.float64]]:
+def _join(columns: dict[str, Array], rows: int) -> dict[str, Array]:
     if rows == 1:
         return {name: np.array(values, dtype=float) for name, values in columns.items()}
     starts = np.arange(0, len(columns["start_s"]), rows)
@@ -130,7 +126,7 @@ class Accumulator:
         self.rows += len(block.time_s)
         placed = list(self._cells(run, block))
         segment = next((cells for axis, cells in placed if axis.name == "segment"), None)
-        weights: dict[str, NDArray[np.float64]] = {}
+        weights: dict[str, Array] = {}
         for battery, measured in block.measured_w.items():
             model = block.model_w[battery]
             error = model - measured

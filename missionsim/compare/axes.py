@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.labels import Labels
+from missionsim.physics import Array
 
 MAX_CELLS = 400
 """Cells of a numeric axis before the grid is made ten times coarser."""
@@ -70,7 +71,7 @@ class NumberAxis:
         self._exponent: int | None = None
         self._first = 0
         self._size = 0
-        self._sums: dict[str, NDArray[np.float64]] = {}
+        self._sums: dict[str, Array] = {}
 
     def place(self, column: Any) -> NDArray[np.int64] | None:
         """Cell of each row, counted from the axis' first cell (widened if need be), shape (n,); -1 for NaN.
@@ -103,7 +104,7 @@ class NumberAxis:
             cells[~known] = -1
         return cells
 
-    def add(self, cells: NDArray[np.int64], weights: Mapping[str, NDArray[np.float64]]) -> None:
+    def add(self, cells: NDArray[np.int64], weights: Mapping[str, Array]) -> None:
         """Add each of the `weights` to the sum of its key in the cells given by `place` for the same rows."""
         for key, found in _sums_of(cells, weights).items():
             sums = self._array(key)
@@ -137,7 +138,7 @@ class NumberAxis:
                 result.append(Bin(f"{tidy(low)} to {tidy(high)}", _rounded(low), _rounded(high), *sums))
         return result
 
-    def _array(self, key: str) -> NDArray[np.float64]:
+    def _array(self, key: str) -> Array:
         return self._sums.setdefault(key, np.zeros(self._size))
 
     def _low(self) -> float:
@@ -175,7 +176,7 @@ class LabelAxis:
         self.name, self.title, self.unit = name, title, ""
         self._suffix = suffix
         self._codes: dict[str, int] = {}
-        self._sums: dict[str, NDArray[np.float64]] = {}
+        self._sums: dict[str, Array] = {}
 
     def place(self, column: Any) -> NDArray[np.int64] | None:
         """Code of each row's value, shape (n,); -1 where it is missing."""
@@ -197,7 +198,7 @@ class LabelAxis:
             codes[~known] = -1
         return codes
 
-    def add(self, cells: NDArray[np.int64], weights: Mapping[str, NDArray[np.float64]]) -> None:
+    def add(self, cells: NDArray[np.int64], weights: Mapping[str, Array]) -> None:
         """Add each of the `weights` to the sum of its key in the codes given by `place` for the same rows."""
         for key, found in _sums_of(cells, weights).items():
             old = self._sums.get(key, np.zeros(0))
@@ -237,7 +238,7 @@ def tidy(number: float) -> str:
     return f"{_rounded(number):.10g}".replace("-", "−")
 
 
-def _sums_of(cells: NDArray[np.int64], weights: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+def _sums_of(cells: NDArray[np.int64], weights: Mapping[str, Array]) -> dict[str, Array]:
     """Sum of each weight by cell, cells from 0 up to the highest one; rows with cell -1 are left out."""
     low, high = int(cells.min()), int(cells.max())
     if low == high:
@@ -248,7 +249,7 @@ def _sums_of(cells: NDArray[np.int64], weights: Mapping[str, NDArray[np.float64]
     return {key: _sums_by(cells, values) for key, values in weights.items()}
 
 
-def _sums_by(index: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+def _sums_by(index: NDArray[np.int64], weights: Array) -> Array:
     return np.asarray(np.bincount(index, weights), dtype=np.float64)
 
 
@@ -271,7 +272,7 @@ def _round_multiples() -> Any:
             yield step * 10**power
 
 
-def _join_thin_ends(seconds: NDArray[np.float64], thin: float) -> list[list[int]]:
+def _join_thin_ends(seconds: Array, thin: float) -> list[list[int]]:
     """Groups of neighbouring bins: thin ones at either end go to their neighbour."""
     filled = np.flatnonzero(seconds > 0.0)
     order = list(range(int(filled[0]), int(filled[-1]) + 1))

@@ -19,6 +19,7 @@ from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
 from missionsim.glossary import STILL_SPEED_M_S
+from missionsim.physics import Array
 from missionsim.runs.error import ErrorStatistics
 from missionsim.runs.motion import (
     Motion,
@@ -102,7 +103,7 @@ class Stages:
         at_rest = rest.energy(members)
         return {name: energy[name] + at_rest[name] * seconds / float(duration.sum()) for name in self.batteries}
 
-    def _lasting(self, factor: NDArray[np.float64], stretch_rates: bool = True) -> Stages:
+    def _lasting(self, factor: Array, stretch_rates: bool = True) -> Stages:
         line = self.timeline
         duration = line.duration_s * factor
         columns: dict[str, Any] = dict(line.columns)
@@ -116,7 +117,7 @@ class Stages:
         start = np.cumsum(duration) - duration
         return replace(self, timeline=replace(line, start_s=start, duration_s=duration, columns=columns, rates=rates))
 
-    def _speed(self) -> NDArray[np.float64]:
+    def _speed(self) -> Array:
         return speed_of({"speed_m_s": np.zeros(len(self.timeline)), **middle_of(self.timeline)})
 
     def _driving(self) -> NDArray[np.bool_]:

@@ -7,15 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from missionsim.compare.accumulate import Series
 from missionsim.compare.behaviour import MissionGap
 from missionsim.compare.place import PlaceCell
 from missionsim.compare.where import Dependence, Where, in_words, ranked
 from missionsim.effects.model import TermKey
 from missionsim.files import sha256
+from missionsim.physics import Array
 from missionsim.runs.error import Errors, ErrorStatistics, RunError
 
 SCHEMA = "missionsim.comparison/1"
@@ -68,8 +66,8 @@ class RunComparison(_Totals):
     error: RunError
     error_statistics: ErrorStatistics
     """Of the energy error over the run's progress (share of its time)."""
-    progress: NDArray[np.float64] = field(repr=False)
-    error_curve_pct: NDArray[np.float64] = field(repr=False)
+    progress: Array = field(repr=False)
+    error_curve_pct: Array = field(repr=False)
     """Both: the signed error over progress, relative to measured. Shape (m,)."""
     series: Series = field(repr=False)
     """Power over time."""
@@ -116,8 +114,8 @@ class BatteryComparison(_Totals):
     error_statistics_predicted: ErrorStatistics
     """Both: of the energy error of all runs together at equal progress, relative to measured and to predicted
     energy."""
-    progress: NDArray[np.float64] = field(repr=False)
-    error_curve_pct: NDArray[np.float64] = field(repr=False)
+    progress: Array = field(repr=False)
+    error_curve_pct: Array = field(repr=False)
     """Both: the signed error over progress, relative to measured. Shape (m,)."""
     dependences: tuple[Dependence, ...] = field(repr=False)
     """Along what the error varies, strongest first."""

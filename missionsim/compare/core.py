@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.compare.accumulate import Accumulator, RunSums, Series
 from missionsim.compare.behaviour import MissionGap, split_behaviour
@@ -22,6 +21,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
 from missionsim.errors import Fault, InputError
 from missionsim.logs.remarks import Remark, merge
+from missionsim.physics import Array
 from missionsim.runs.admit import admit
 from missionsim.runs.assume import assume
 from missionsim.runs.drive import drive_blocks
@@ -33,15 +33,13 @@ if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
 
 
-def simulated_energy(model: PowerModel, plan: Timeline, battery: str) -> NDArray[np.float64]:
+def simulated_energy(model: PowerModel, plan: Timeline, battery: str) -> Array:
     """Energy of a battery in each interval of a plan [J], shape (n,)."""
     energies = integrate(model, plan)[battery]
     return np.asarray(sum(energies.values(), start=np.zeros(len(plan))))
 
 
-def mission_progress(
-    series: Series, names: Sequence[str], plan: Timeline, segments: Sequence[str]
-) -> NDArray[np.float64]:
+def mission_progress(series: Series, names: Sequence[str], plan: Timeline, segments: Sequence[str]) -> Array:
     """Progress of a run along a plan at the end of each bucket, 0 to 1, shape (n,).
 
     Where the log names its segments, a segment takes the share of the progress that it has of the planned time, and
@@ -337,14 +335,12 @@ def _battery(
     )
 
 
-def _cumulative(
-    one: RunSums, progress: NDArray[np.float64], grid: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _cumulative(one: RunSums, progress: Array, grid: Array) -> tuple[Array, Array]:
     columns = one.series.columns
     return cumulative_at(progress, columns["measured_j"], grid), cumulative_at(progress, columns["model_j"], grid)
 
 
-def _run(battery: str, one: RunSums, curve: NDArray[np.float64]) -> RunComparison:
+def _run(battery: str, one: RunSums, curve: Array) -> RunComparison:
     return RunComparison(
         battery,
         one.error,

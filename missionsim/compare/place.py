@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.physics import Array
+
 MAX_SIDE = 60
 """Cells along the longer side of the map before they are made twice as wide."""
 FIRST_CELL_M = 0.0625
@@ -37,10 +39,10 @@ class PlaceGrid:
     def __init__(self) -> None:
         self.width_m = FIRST_CELL_M
         self._origin: NDArray[np.int64] | None = None
-        self._sums: dict[str, NDArray[np.float64]] = {}
+        self._sums: dict[str, Array] = {}
         self._shape = (0, 0)
 
-    def add(self, cov: Mapping[str, Any], weights: Mapping[str, NDArray[np.float64]]) -> None:
+    def add(self, cov: Mapping[str, Any], weights: Mapping[str, Array]) -> None:
         """Add the `weights` of rows, arrays of shape (n,), at their ``x_m`` and ``y_m``."""
         if "x_m" not in cov or "y_m" not in cov:
             return
@@ -74,7 +76,7 @@ class PlaceGrid:
         width = self.width_m * blocks
         keys = [f"{battery}:{what}" for what in ("seconds", "gap", "square")]
         index = [(np.arange(n) + o) // blocks for n, o in zip(self._shape, self._origin, strict=True)]
-        totals: dict[tuple[int, int], NDArray[np.float64]] = {}
+        totals: dict[tuple[int, int], Array] = {}
         seconds = self._sums[keys[0]]
         for i, j in np.argwhere(seconds > 0.0):
             place = (int(index[0][i]), int(index[1][j]))

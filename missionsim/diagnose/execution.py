@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.timeline import Timeline
 from missionsim.identify.findings import Estimate, Finding, Judged
+from missionsim.physics import Array
 from missionsim.runs.motion import Motion, Still, motions, planned, speed_of, still_of, stretch, told_apart, tracking
 from missionsim.runs.run import Run
 
@@ -153,7 +153,7 @@ def _dwell(plan: Motion, runs: Sequence[Motion], measured_j: float, level: float
     return _seconds("", seconds, still_w * float(seconds.sum()) / measured_j, level)
 
 
-def _ratio(effect: str, scheme: str, ratios: NDArray[np.float64], share: float, level: float) -> ExecutionEffect:
+def _ratio(effect: str, scheme: str, ratios: Array, share: float, level: float) -> ExecutionEffect:
     logs_of = np.log(ratios)
     middle, low, high, p = _student(logs_of)
     value = float(np.exp(middle))
@@ -165,7 +165,7 @@ def _ratio(effect: str, scheme: str, ratios: NDArray[np.float64], share: float, 
     )
 
 
-def _seconds(scheme: str, seconds: NDArray[np.float64], share: float, level: float) -> ExecutionEffect:
+def _seconds(scheme: str, seconds: Array, share: float, level: float) -> ExecutionEffect:
     middle, low, high, p = _student(seconds)
     away = abs(middle) > SHORTEST_DWELL_S
     found = bool(p < level and away and middle > 0.0)
@@ -194,7 +194,7 @@ def _reason(found: bool, p: float, level: float, runs: int, why: str) -> str:
     return why or f"as planned within its scatter over {runs} runs (p = {p:.2g}, needed {level:.1g})"
 
 
-def _student(values: NDArray[np.float64]) -> tuple[float, float, float, float]:
+def _student(values: Array) -> tuple[float, float, float, float]:
     """Mean, 95 % interval and two-sided p-value of mean nought."""
     from scipy.special import stdtr, stdtrit
 

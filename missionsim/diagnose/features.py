@@ -10,7 +10,6 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.base import Effect
 from missionsim.effects.families import FLOORS, floors_effect, logged_power_columns
@@ -19,10 +18,10 @@ from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.fit.prepare import Prepared, never_on, prepare
 from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.settings import SLOW_ROWS_S, SPEED_AGREE, SPEED_NOISY, SPEED_ROWS
+from missionsim.physics import Array
 from missionsim.runs.covariates import is_switch, logged_name
 from missionsim.runs.run import Run
 
-Array = NDArray[np.float64]
 Covariates = Sequence[Mapping[str, Any]]
 """Of each run."""
 MOST_SURFACES = 40

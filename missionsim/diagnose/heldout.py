@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.diagnose.features import Features
 from missionsim.effects.families import FLOORS
@@ -24,11 +23,11 @@ from missionsim.identify.estimates import Z95
 from missionsim.identify.findings import Estimate, Finding, HeldOut, Recalibrated
 from missionsim.identify.settings import SHIFTED_MEAN_RATIO, SHIFTED_RATIO, SHIFTED_RUNS, Settings
 from missionsim.labels import Labels
+from missionsim.physics import Array
 from missionsim.runs.drive import drive
 from missionsim.runs.error import Errors, errors_of
 from missionsim.runs.run import Run
 
-Array = NDArray[np.float64]
 KINDS = ("nominal", "recalibrated", "with_effects")
 
 

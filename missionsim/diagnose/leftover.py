@@ -21,9 +21,9 @@ from missionsim.identify.settings import (
     SEVERAL_RUNS,
     SMALL_TIME,
 )
+from missionsim.physics import Array
 from missionsim.runs.motion import MOTIONS, kinds_of_motion
 
-Array = NDArray[np.float64]
 RAMPS = (MOTIONS.index("speeding up"), MOTIONS.index("slowing down"))
 VARIES: Mapping[str, str] = {
     "driving straight": "speed_m_s",

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.labels import Labels
+from missionsim.physics import Array
 from missionsim.runs.motion import approach
 
-Array = NDArray[np.float64]
 STEP_S = 0.5
 TOTAL_S = 180.0
 DEFAULT_ACCELERATION_M_S2 = 0.3

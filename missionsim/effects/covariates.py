@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S
 from missionsim.labels import Labels as Labels
+from missionsim.physics import Array
 from missionsim.physics import Value as Value
 
 Truth = bool | NDArray[np.bool_]
@@ -57,7 +58,7 @@ def is_moving(cov: Covariates) -> Truth:
     return np.asarray((speed >= STILL_SPEED_M_S) | (turning >= STILL_YAW_RATE_RAD_S))
 
 
-def derive(columns: Mapping[str, Any], time_s: NDArray[np.float64], dt_s: NDArray[np.float64]) -> dict[str, Any]:
+def derive(columns: Mapping[str, Any], time_s: Array, dt_s: Array) -> dict[str, Any]:
     """Log columns with what follows from them.
 
     Parameters
@@ -91,7 +92,7 @@ def derive(columns: Mapping[str, Any], time_s: NDArray[np.float64], dt_s: NDArra
     return cov
 
 
-def elapsed(active: NDArray[np.bool_], dt_s: NDArray[np.float64], *, reset: bool) -> NDArray[np.float64]:
+def elapsed(active: NDArray[np.bool_], dt_s: Array, *, reset: bool) -> Array:
     """Time spent active up to the middle of each row [s], shape (n,).
 
     Parameters
@@ -110,9 +111,7 @@ def elapsed(active: NDArray[np.bool_], dt_s: NDArray[np.float64], *, reset: bool
     return np.where(active, middle - np.maximum.accumulate(before), 0.0)
 
 
-def acceleration(
-    speed_m_s: NDArray[np.float64], time_s: NDArray[np.float64], smoothing_s: float | None = None
-) -> NDArray[np.float64]:
+def acceleration(speed_m_s: Array, time_s: Array, smoothing_s: float | None = None) -> Array:
     """Rate of a noisy speed: slope of a local least-squares line over a width or three rows [m/s²].
 
     Parameters
@@ -141,7 +140,7 @@ def acceleration(
     return np.asarray(np.where(spread > 0.0, (stv - st * sv / number) / np.where(spread > 0.0, spread, 1.0), 0.0))
 
 
-def smoothing_of(speed_m_s: NDArray[np.float64], time_s: NDArray[np.float64]) -> float:
+def smoothing_of(speed_m_s: Array, time_s: Array) -> float:
     """The least of `SMOOTHING_S` over which a line leaves little of the noise of a speed in its rate [s].
 
     The noise is that of second differences, whose median a robot's own changes of speed do not reach; its part in the

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from missionsim.effects.covariates import Value
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.effects.timeline import Timeline
+from missionsim.physics import Array
 
 RELATIVE_TOLERANCE = 1e-11
 _MAX_DEPTH = 40
@@ -60,7 +61,7 @@ SAMPLES = np.concatenate([NODES, _ENDS])
 """Where a power is asked for within an interval, on [-1, 1]; see `averaged`."""
 
 
-def _towards(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _towards(points: Array) -> Array:
     """Values of the polynomial through the nodes at other points, as a matrix of shape (nodes, points)."""
     apart = NODES[:, None] - NODES[None, :] + np.eye(len(NODES))
     weights = 1.0 / np.prod(apart, axis=1)  # barycentric (Berrut and Trefethen 2004)
@@ -73,7 +74,7 @@ _KINK = 0.25 * _GAP
 """A kink beyond the outermost node that moves the power at the end by 1 moves the mean by this much at most."""
 
 
-def averaged(powers: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def averaged(powers: Array) -> tuple[Array, Array, Array]:
     """Mean of a power over an interval by the Kronrod rule, and how far it may be off.
 
     Parameters
@@ -97,7 +98,7 @@ def averaged(powers: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
 
 def integrate(
     model: PowerModel, timeline: Timeline, values: Mapping[str, Value] | None = None
-) -> dict[str, dict[TermKey, NDArray[np.float64]]]:
+) -> dict[str, dict[TermKey, Array]]:
     """Energy of each term in each interval.
 
     Parameters
@@ -114,7 +115,7 @@ def integrate(
         Battery → term key → energy [J], shape (n,). Impulses (starts from rest) are in the interval they begin.
     """
     count = len(timeline)
-    energies: dict[str, dict[TermKey, NDArray[np.float64]]] = {}
+    energies: dict[str, dict[TermKey, Array]] = {}
     cov = timeline.covariates()
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the engine refuses what is not finite
         for battery, terms in model.evaluate(cov, values).items():
@@ -129,9 +130,7 @@ def integrate(
     return energies
 
 
-def _pieces(
-    index: NDArray[np.intp], duration_s: NDArray[np.float64], memory: bool
-) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+def _pieces(index: NDArray[np.intp], duration_s: Array, memory: bool) -> tuple[NDArray[np.intp], Array, Array]:
     """Pieces to begin with: whole intervals, or 1, 1, 2, 4, 8 … s where a term may fade after the start.
 
     A quadrature over hours would not see a transient of seconds at their beginning, nor notice that it did not.
@@ -151,9 +150,9 @@ def _quadrature(
     timeline: Timeline,
     values: Mapping[str, Any],
     index: NDArray[np.intp],
-    offset: NDArray[np.float64],
-    length: NDArray[np.float64],
-    energies: dict[str, dict[TermKey, NDArray[np.float64]]],
+    offset: Array,
+    length: Array,
+    energies: dict[str, dict[TermKey, Array]],
     depth: int,
     varying: Collection[TermKey] = (),
 ) -> None:
@@ -173,7 +172,7 @@ def _quadrature(
     own = {name: value[index][:, None] if np.ndim(value) else value for name, value in values.items()}
     powers = model.evaluate(timeline.at(index, times, model.memory), own)
     bad = np.zeros(index.size, dtype=bool)
-    parts: dict[TermKey, NDArray[np.float64]] = {}
+    parts: dict[TermKey, Array] = {}
     for terms in powers.values():
         scale = np.zeros(index.size)
         spread, bent = np.zeros(index.size), np.zeros(index.size)

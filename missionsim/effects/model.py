@@ -8,11 +8,11 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.base import Effect
 from missionsim.effects.covariates import Covariates, Value, number
 from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.physics import Array
 from missionsim.physics.meter import Meter
 from missionsim.physics.motion import relieved_powers
 
@@ -264,7 +264,7 @@ class PowerModel:
             if term.effect.impulse is not None and all(name in full for name in term.effect.needs)
         }
 
-    def gradient(self, cov: Covariates, battery: str) -> dict[str, NDArray[np.float64]]:
+    def gradient(self, cov: Covariates, battery: str) -> dict[str, Array]:
         """Change of a battery's power with the logarithm of each parameter, ``∂P/∂ln θ`` [W], arrays of shape (n,).
 
         By central differences of 1e-4, exact for the parameters in which the power is linear or quadratic. Where no
@@ -278,7 +278,7 @@ class PowerModel:
         battery : str
         """
         step, rows = 1e-4, len(cov["time_s"])
-        found: dict[str, NDArray[np.float64]] = {}
+        found: dict[str, Array] = {}
 
         def add(name: str, up: Any, down: Any, scale: float = 1.0) -> None:
             slope = scale * (np.asarray(up, dtype=float) - np.asarray(down, dtype=float)) / (2.0 * step)

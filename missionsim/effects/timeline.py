@@ -10,18 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Labels, is_text
+from missionsim.physics import Array
 
 
 @dataclass(frozen=True)
 class Timeline:
     """Intervals of one run, in order of time."""
 
-    start_s: NDArray[np.float64]
-    duration_s: NDArray[np.float64]
+    start_s: Array
+    duration_s: Array
     """Both: start and length of each interval. Shape (..., n)."""
     columns: Mapping[str, Any]
     """Covariate at the start of each interval: number arrays of shape (..., n) or `Labels` of n."""
-    rates: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    rates: Mapping[str, Array] = field(default_factory=dict)
     """Change per second of a covariate inside the interval (speed in a ramp, ``moving_time_s``); 0 where absent."""
     segment: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     """Segment of the mission; -1 before and after. Shape (n,)."""
@@ -38,9 +39,7 @@ class Timeline:
         picked = {name: v[index] if is_text(v) else np.asarray(v)[..., index] for name, v in self.columns.items()}
         return {**self.constants, **picked}
 
-    def at(
-        self, index: NDArray[np.intp], offset_s: NDArray[np.float64], memory: frozenset[str] | None = None
-    ) -> dict[str, Any]:
+    def at(self, index: NDArray[np.intp], offset_s: Array, memory: frozenset[str] | None = None) -> dict[str, Any]:
         """Covariates of the intervals `index` at times after their start.
 
         Parameters

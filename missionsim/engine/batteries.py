@@ -18,8 +18,8 @@ from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.curves import Curves, adaptive_runge_kutta, root
+from missionsim.physics import Array
 
-Array = NDArray[np.float64]
 CHARGING, HELD = 1, 2
 """What a charger does to a battery; more than 2 is charging in that piece of its taper, counted from 2."""
 Taper = tuple[tuple[float, float], ...]

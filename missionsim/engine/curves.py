@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
+from missionsim.physics import Array
 
-Array = NDArray[np.float64]
 Sample = Callable[[NDArray[np.intp], Array], Array]
 """``(intervals (k,), seconds after their starts (k, q)) -> W (k, q)``."""
 _NODES = 16

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel, TermKey
@@ -21,9 +20,9 @@ from missionsim.engine.batteries import CHARGING, HELD, Battery, Loads
 from missionsim.engine.outcome import J_PER_WH, Alarm
 from missionsim.engine.recorder import Recorder, Row, timeline
 from missionsim.errors import InputError
+from missionsim.physics import Array
 from missionsim.plan.legs import Leg, SegmentInfo
 
-Array = NDArray[np.float64]
 Energies = Mapping[str, Mapping[TermKey, Array]]
 T = TypeVar("T")
 

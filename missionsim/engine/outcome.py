@@ -8,15 +8,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.model import TermKey
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.driven import DrivenEdge
 from missionsim.errors import Fault
+from missionsim.physics import Array
 from missionsim.plan.legs import SegmentInfo
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, order=True)

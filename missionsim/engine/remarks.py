@@ -14,6 +14,7 @@ from missionsim.engine.batteries import Battery
 from missionsim.errors import Fault
 from missionsim.expressions import Place
 from missionsim.labels import Labels
+from missionsim.physics import Array
 from missionsim.plan.legs import SegmentInfo
 from missionsim.runs.covariates import COVARIATES
 
@@ -22,14 +23,14 @@ BEYOND = 0.05
 """Part of the range of the logs by which a mission may leave it before that is told."""
 TOLERANCE = 1e-9
 """Relative to the energy of the battery's terms, or to its capacity: below it is rounding."""
-Energies = Mapping[str, Mapping[TermKey, NDArray[np.float64]]]
+Energies = Mapping[str, Mapping[TermKey, Array]]
 
 
 def doubts(
     model: PowerModel,
     line: Timeline,
     energies: Energies,
-    charge_wh: Mapping[str, NDArray[np.float64]],
+    charge_wh: Mapping[str, Array],
     batteries: Mapping[str, Battery],
     segments: Sequence[SegmentInfo],
     places: Mapping[str, Place] | None = None,

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from missionsim.physics import Array
 
 _A, _E2 = 6_378_137.0, 6.694379990141e-3
 """Semi-major axis, m, and squared eccentricity of the WGS 84 ellipsoid."""
@@ -82,9 +83,7 @@ def nurbs_length(
     return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
 
 
-def smooth_slopes(
-    distance_m: NDArray[np.float64], elevation_m: NDArray[np.float64], ends_m: NDArray[np.float64], width_m: float
-) -> NDArray[np.float64]:
+def smooth_slopes(distance_m: Array, elevation_m: Array, ends_m: Array, width_m: float) -> Array:
     """Slope of each section between neighbouring ends, from elevations with noise.
 
     The height of an end is that of a straight line fitted to the elevations around it, weighted by a triangle that is

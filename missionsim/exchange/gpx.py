@@ -10,11 +10,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.exchange.geo import LocalPlane, smooth_slopes
 from missionsim.exchange.site import Site, SiteOptions, clean, says_charger
 from missionsim.exchange.source import Element, Faults
+from missionsim.physics import Array
 
 _NEAR_M = 30.0
 """A waypoint this near a track is a place of it."""
@@ -121,7 +121,7 @@ def _chain(
     return names
 
 
-def _sections(along: NDArray[np.float64], step_m: float) -> list[int]:
+def _sections(along: Array, step_m: float) -> list[int]:
     """Points nearest to equal distances along the track, the first and the last among them."""
     wanted = np.linspace(0.0, along[-1], max(1, round(along[-1] / max(step_m, 1.0))) + 1)
     chosen = np.unique(np.searchsorted(along, wanted).clip(0, len(along) - 1))

@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.exchange.site import scalar
 from missionsim.files import atomic_write, needed, write_text
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
+from missionsim.physics import Array
 
 if TYPE_CHECKING:
     from missionsim.engine.outcome import RunResult
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from missionsim.runs.drive import Driven
     from missionsim.runs.run import Run
 
-Array = NDArray[np.float64]
 Pose = tuple[Array, Array, Array]
 """x and y [m], heading [rad]."""
 Rows = tuple[str, Array, Mapping[str, Mapping[str, Any]], Mapping[str, Any], Pose | None]

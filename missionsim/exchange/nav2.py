@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.exchange.site import Site, SiteOptions, flow, says_charger, scalar
 from missionsim.exchange.source import Faults, Value, encoding_of, parse_json, read_text
 from missionsim.inputs.tree import Node
+from missionsim.physics import Array
 
 if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
@@ -232,7 +232,7 @@ def export_costs(
 
 def steady_power(
     robot: RobotSpec, drives: Sequence[tuple[float, float]], *, payload_kg: float = 0.0
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, Array]:
     """Power of each battery while driving straight on: without starts, stops and turns, warm, batteries full.
 
     Under the robot's first control scheme that moves.

@@ -18,10 +18,10 @@ from missionsim.identify.align import Clock
 from missionsim.identify.data import RunData
 from missionsim.identify.design import Design, Source, make_source
 from missionsim.identify.settings import Settings
+from missionsim.physics import Array
 from missionsim.physics.meter import Meter
 from missionsim.runs.run import Run
 
-Array = NDArray[np.float64]
 ROUNDS = 3
 """Steps of Gauss and Newton; nearly all models are linear in what is fitted."""
 STILL = 1e-7

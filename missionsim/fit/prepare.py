@@ -7,18 +7,17 @@ from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.errors import InputError
 from missionsim.identify.data import RunData
 from missionsim.labels import Labels
+from missionsim.physics import Array
 from missionsim.runs.assume import assume
 from missionsim.runs.covariates import clock_of, is_switch, may_be_cause
 from missionsim.runs.drive import Driven, drive_blocks, filled
 from missionsim.runs.run import Run
 
-Array = NDArray[np.float64]
 MOST_TEXTS = 12
 FEW_ROWS = 5000
 """Rows of a run below which to evaluate it costs more than its rows."""

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.identify.averaging import Intervals, integral_curves
-from missionsim.identify.data import Array, RunData
+from missionsim.identify.data import RunData
 from missionsim.identify.settings import CLOCK_RUNS, FINEST_STEP_S, GAP_ROWS
+from missionsim.physics import Array
 
 CONSTANT = 1e-16
 """What is left of a column's square without its mean, when it is rounding only: scaled up it would be pure chance."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.data import Array
+from missionsim.physics import Array
 
 LAG_NODES = ((0.4157745568, 0.7110930099), (2.2942803603, 0.2785177336), (6.2899450829, 0.0103892565))
 """Gauss-Laguerre nodes: a first-order lag is an exponentially weighted mean of delays."""

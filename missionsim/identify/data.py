@@ -8,7 +8,8 @@ from dataclasses import KW_ONLY, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from missionsim.physics import Array
+
 Refit = Callable[[Mapping[str, float]], Sequence[Array]]
 
 

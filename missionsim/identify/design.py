@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from missionsim.identify.align import Bins, Clock, EvenGrid, RunColumns, find_clock, intervals_of, make_bins
 from missionsim.identify.averaging import Intervals, Weights, integral_curves
-from missionsim.identify.data import Array, Candidate, Column, Layout, RunData
+from missionsim.identify.data import Candidate, Column, Layout, RunData
 from missionsim.identify.settings import (
     CLOCK_SD_S,
     CLOCK_SD_S2,
@@ -21,6 +21,7 @@ from missionsim.identify.settings import (
     SWITCH_SD,
     Settings,
 )
+from missionsim.physics import Array
 
 KEPT_CURVES = 4
 HEAD_ROWS = 4

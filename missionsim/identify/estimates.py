@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from missionsim.identify.data import Array, Candidate
+from missionsim.identify.data import Candidate
 from missionsim.identify.evidence import Evidence, cause_is_constant
 from missionsim.identify.findings import Estimate, Finding
 from missionsim.identify.forward import Choice
@@ -25,6 +25,7 @@ from missionsim.identify.settings import (
     SAME_COLUMN,
     Settings,
 )
+from missionsim.physics import Array
 
 
 @dataclass(frozen=True)

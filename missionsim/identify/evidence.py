@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.data import Array, Candidate
+from missionsim.identify.data import Candidate
 from missionsim.identify.gram import Constraints, Gram, project, single_gains
 from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares
@@ -21,6 +21,7 @@ from missionsim.identify.settings import (
     SEVERAL_RUNS,
     Settings,
 )
+from missionsim.physics import Array
 
 Numbers = NDArray[np.intp]
 

@@ -6,10 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from missionsim.identify.proposed import Proposal
+from missionsim.physics import Array
 
 if TYPE_CHECKING:
     from missionsim.identify.align import Clock
@@ -220,10 +218,10 @@ class RunSeries:
     """One run for the eye: powers in W at the analysis rate, clocks aligned; arrays of shape (n,)."""
 
     run: str
-    time_s: NDArray[np.float64]
-    measured_w: NDArray[np.float64]
-    nominal_w: NDArray[np.float64]
-    fitted_w: NDArray[np.float64]
+    time_s: Array
+    measured_w: Array
+    nominal_w: Array
+    fitted_w: Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from missionsim.identify.align import Clock
-from missionsim.identify.data import Array, Candidate, Layout
+from missionsim.identify.data import Candidate, Layout
 from missionsim.identify.design import Source
 from missionsim.identify.evidence import Evidence
 from missionsim.identify.model import Model
@@ -31,6 +31,7 @@ from missionsim.identify.settings import (
     UNCLEAR,
     Settings,
 )
+from missionsim.physics import Array
 
 LOGGED = "logged_power"
 

@@ -13,10 +13,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.data import Array, Candidate, Layout
+from missionsim.identify.data import Candidate, Layout
 from missionsim.identify.design import Design
 from missionsim.identify.noise import Noise, Packed, Shape, packed
 from missionsim.identify.settings import MOST_TRIPLES, SHARE_PRIOR
+from missionsim.physics import Array
 
 RANDOM_COUNT = 5
 CLOCK_IN_GRADIENT = (-4, -3)

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.identify.align import Clock
-from missionsim.identify.data import Array
 from missionsim.identify.design import Design, Source
 from missionsim.identify.gram import Gram, eliminate_random, make_gram, project, random_effects, raw_blocks
 from missionsim.identify.noise import Noise, start_factor, start_noise
@@ -26,6 +25,7 @@ from missionsim.identify.settings import (
     UNUSUAL_GAIN,
     USUAL_GAIN,
 )
+from missionsim.physics import Array
 
 
 @dataclass(frozen=True)

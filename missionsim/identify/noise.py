@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.data import Array
 from missionsim.identify.design import Design
 from missionsim.identify.settings import JITTER_SD_S, LAG_JITTER_SD_S2, NOISE_FLOOR, SLOW_LEFT
+from missionsim.physics import Array
 
 if TYPE_CHECKING:
     from missionsim.identify.predictive import LeastSquares

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.identify.align import Clock
-from missionsim.identify.data import Array
 from missionsim.identify.design import Design, Source
 from missionsim.identify.settings import (
     ADVANCE_LEVEL,
@@ -27,6 +26,7 @@ from missionsim.identify.settings import (
     INDEPENDENT_S,
     SHORTEST_FOLD_S,
 )
+from missionsim.physics import Array
 
 RIDGE = 1e-9
 

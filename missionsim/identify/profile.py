@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from missionsim.identify.data import Array, Candidate, Column
+from missionsim.identify.data import Candidate, Column
 from missionsim.identify.design import Source
 from missionsim.identify.forward import Choice
 from missionsim.identify.gram import Constraints
@@ -15,6 +15,7 @@ from missionsim.identify.model import Model, score, shares
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.rules import weigh
 from missionsim.identify.settings import LIMIT_NATS, SHAPE_EVALUATIONS, SHAPE_SD, Settings
+from missionsim.physics import Array
 
 
 def refit_shapes(

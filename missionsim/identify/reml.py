@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from missionsim.identify.data import Array
 from missionsim.identify.design import Design
 from missionsim.identify.gram import Blocks, innovations, total_without_random
 from missionsim.identify.noise import (
@@ -36,6 +35,7 @@ from missionsim.identify.settings import (
     NOISE_SPLIT_S,
     SHARE_PRIOR,
 )
+from missionsim.physics import Array
 
 PRIOR_SD = np.array([0.9, 0.6, 2.0, 1.5, np.inf, 1.0, 0.7, 0.7])
 """Of the logarithms of fast and slow correlation time, fast and slow variance against white, innovation, offset, gain

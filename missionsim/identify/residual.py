@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.data import Array
 from missionsim.identify.evidence import block_numbers, chance_of
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import project, random_effects
@@ -44,6 +43,7 @@ from missionsim.identify.settings import (
     USUAL_GAIN,
     Settings,
 )
+from missionsim.physics import Array
 from missionsim.runs.covariates import known
 
 SPEED = "speed_m_s"

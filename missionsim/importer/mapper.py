@@ -8,7 +8,6 @@ from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import Expression, compile_expression
@@ -20,8 +19,7 @@ from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable
 from missionsim.logs.remarks import Remark
 from missionsim.logs.times import TimeError, read_stamps
-
-Floats = NDArray[np.float64]
+from missionsim.physics import Array
 
 
 @dataclass
@@ -97,7 +95,7 @@ class Mapper:
             self._fault(("columns",), f"these columns need each other: {circle}")
             return []
 
-    def time(self, columns: Mapping[str, ColumnData]) -> Floats:
+    def time(self, columns: Mapping[str, ColumnData]) -> Array:
         """Time of every row of the source [s], before runs are split."""
         return np.asarray(self.evaluate(columns, only={"time_s"})["time_s"])
 
@@ -181,7 +179,7 @@ class Mapper:
             data = np.where(speed < 0, -data, data)
         return data
 
-    def _stamps(self, column: ColumnMap, parts: list[ColumnData]) -> Floats:
+    def _stamps(self, column: ColumnMap, parts: list[ColumnData]) -> Array:
         """Times as the logger wrote them, in seconds."""
         names = column.stamp or (column.value,)
         try:
@@ -193,7 +191,7 @@ class Mapper:
         self.clock = found.kind
         return found.seconds
 
-    def _numbers(self, name: str, parts: list[ColumnData]) -> list[Floats]:
+    def _numbers(self, name: str, parts: list[ColumnData]) -> list[Array]:
         numbers = [part for part in parts if not isinstance(part, Labels)]
         if len(numbers) != len(parts):
             self._fault(("columns", name), "this column is computed from text")
@@ -207,7 +205,7 @@ class Mapper:
             raise InputError(self.faults)
         return data
 
-    def _converted(self, name: str, data: Floats, column: ColumnMap) -> Floats:
+    def _converted(self, name: str, data: Array, column: ColumnMap) -> Array:
         if column.unit is None:
             return data
         try:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.glossary import column_of
 from missionsim.importer.units import UNITS, WORDS, words_of
@@ -17,6 +16,7 @@ from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData
 from missionsim.logs.readers import Options, Reader, Recording, reader_of
 from missionsim.logs.times import is_stamp
+from missionsim.physics import Array
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Field:
     kind: str
     count: int
     values: ColumnData
-    time_s: NDArray[np.float64] | None = None
+    time_s: Array | None = None
     title: str = ""
 
     def range(self) -> str:
@@ -62,9 +62,6 @@ def _fields(path: Path, reader: Reader, most: int) -> Iterator[Field]:
         for name, data in topic.columns.items():
             kind = "number" if isinstance(data, np.ndarray) else "text"
             yield Field(f"{topic.name}.{name}", kind, topic.count or len(data), data, topic.time_s, topic.title)
-
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
 from missionsim.logs.remarks import Remark
+from missionsim.physics import Array
 
 
 @dataclass
@@ -27,7 +28,7 @@ class Part:
     remarks: list[Remark] = field(default_factory=list)
 
 
-def split_runs(raw: RawTable, stem: str, spec: MapSpec, time_s: NDArray[np.float64]) -> list[Part]:
+def split_runs(raw: RawTable, stem: str, spec: MapSpec, time_s: Array) -> list[Part]:
     """Rows of each run, in the order in which they begin.
 
     With ``by``, rows with the same values belong together wherever they stand (two files joined and sorted do not
@@ -68,7 +69,7 @@ def file_name(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "-", text).strip(".-")[:120] or "run"
 
 
-def _restarts(part: Part, time_s: NDArray[np.float64]) -> list[Part]:
+def _restarts(part: Part, time_s: Array) -> list[Part]:
     time = time_s[part.rows]
     step = np.diff(time)
     usual = float(np.median(np.abs(step))) if len(step) else 0.0
@@ -83,9 +84,7 @@ def _numbered(part: Part, pieces: list[NDArray[np.int64]]) -> list[Part]:
     ]
 
 
-def split_at_gaps(
-    name: str, time_s: NDArray[np.float64], runs: RunsMap
-) -> list[tuple[str, NDArray[np.int64], list[Remark]]]:
+def split_at_gaps(name: str, time_s: Array, runs: RunsMap) -> list[tuple[str, NDArray[np.int64], list[Remark]]]:
     """Pieces of a run between gaps longer than ``runs.gap``; pieces under ``runs.shortest`` are left out and told.
 
     Returns
@@ -106,7 +105,7 @@ def split_at_gaps(
     return [(part.name, part.rows, remarks if index == 0 else []) for index, part in enumerate(named)]
 
 
-def recognised_runs(fields: Mapping[str, Field], time_s: NDArray[np.float64] | None, times: set[str]) -> dict[str, str]:
+def recognised_runs(fields: Mapping[str, Field], time_s: Array | None, times: set[str]) -> dict[str, str]:
     """How several runs in one table are told apart, for a suggested map: by columns, where time restarts, at gaps.
 
     Returns

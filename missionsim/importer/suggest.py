@@ -8,7 +8,6 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.expressions import FUNCTIONS
@@ -21,8 +20,8 @@ from missionsim.importer.units import UNITS
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
 from missionsim.logs.readers import Options, reader_of
+from missionsim.physics import Array
 
-Floats = NDArray[np.float64]
 _MOST_ROWS = 200_000
 
 
@@ -46,7 +45,7 @@ class Draft:
     """Field → what was read of it; fields of joined files as ``file.column``."""
     direct: bool
     """Whether formulas may name the columns themselves (a single table)."""
-    time_s: Floats | None = None
+    time_s: Array | None = None
     """Times of the rows of a single table, once they are known."""
     _: KW_ONLY
     guesses: dict[str, Guess] = field(default_factory=dict)
@@ -68,7 +67,7 @@ class Draft:
         """Every field that may be of a role, also where another role fits better."""
         return [guess for one in self.fields.values() if (guess := guess_role(one, ROLES[role])) is not None]
 
-    def values(self, name: str, unit: str = "") -> Floats:
+    def values(self, name: str, unit: str = "") -> Array:
         """Numbers of a field in the glossary's unit."""
         return np.asarray(self.fields[name].values, dtype=np.float64) * (UNITS[unit][1] if unit else 1.0)
 
@@ -270,7 +269,7 @@ def _first(draft: Draft, guess: Guess) -> str:
     return values.names[0] if isinstance(values, Labels) and values.names else ""
 
 
-def _distinct(values: NDArray[np.float64] | Labels) -> float:
+def _distinct(values: Array | Labels) -> float:
     """Share of the rows at which a column changes."""
     codes = values.codes if isinstance(values, Labels) else values
     return float(np.mean(codes[1:] != codes[:-1])) if len(codes) > 1 else 1.0

@@ -15,11 +15,11 @@ from missionsim.importer.roles import Field, Guess
 from missionsim.importer.sources import identifier
 from missionsim.importer.units import UNITS, words_of
 from missionsim.labels import Labels
+from missionsim.physics import Array
 
 if TYPE_CHECKING:
     from missionsim.importer.suggest import Draft
 
-Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
@@ -91,7 +91,7 @@ def _speed_unit(draft: Draft, guess: Guess) -> Guess:
     return guess
 
 
-def _positions(draft: Draft) -> tuple[tuple[Guess, Guess], Bools, Floats, Floats] | None:
+def _positions(draft: Draft) -> tuple[tuple[Guess, Guess], Bools, Array, Array] | None:
     """Guesses for x and y, where they are known, and both [m]; None where there are none."""
     x, y = draft.best("x", 0.5), draft.best("y", 0.5)
     if not x or not y or draft.time_s is None:
@@ -100,12 +100,12 @@ def _positions(draft: Draft) -> tuple[tuple[Guess, Guess], Bools, Floats, Floats
     return (x[0], y[0]), np.isfinite(px) & np.isfinite(py) & np.isfinite(draft.time_s), px, py
 
 
-def _stride(time_s: Floats) -> int:
+def _stride(time_s: Array) -> int:
     """Rows of a second: positions are rough from row to row."""
     return max(1, round(1.0 / max(float(np.median(np.diff(time_s))), 1e-3)))
 
 
-def _path(draft: Draft) -> tuple[tuple[Guess, Guess], Floats] | None:
+def _path(draft: Draft) -> tuple[tuple[Guess, Guess], Array] | None:
     """Guesses for x and y, and the path so far [m], from positions a second apart; None where there are none."""
     if (found := _positions(draft)) is None:
         return None
@@ -161,7 +161,7 @@ def _wheels(draft: Draft, left: Guess, right: Guess) -> None:
     draft.column("speed_m_s", f"{both} * wheel_radius", guess)
 
 
-def _radius(draft: Draft, wheel: Floats) -> float | None:
+def _radius(draft: Draft, wheel: Array) -> float | None:
     """Metres of path for each radian (or metre) of the wheels, from positions; None where there are none."""
     if (found := _positions(draft)) is None:
         return None

@@ -8,17 +8,16 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.importer.roles import Guess
 from missionsim.importer.units import UNITS, words_of
 from missionsim.labels import Labels
 from missionsim.logs.power import refreshes
+from missionsim.physics import Array
 
 if TYPE_CHECKING:
     from missionsim.importer.suggest import Draft
 
-Floats = NDArray[np.float64]
 
 _PAIRS = (("left", "right"), ("front", "rear"), ("_l", "_r"), ("1", "2"))
 
@@ -75,7 +74,7 @@ def _beside(draft: Draft, one: Guess, other: Guess) -> bool:
     return draft.direct or one.field.rpartition(".")[0] == other.field.rpartition(".")[0]
 
 
-def _product(draft: Draft, volts: Guess, amps: Guess) -> Floats:
+def _product(draft: Draft, volts: Guess, amps: Guess) -> Array:
     return draft.values(volts.field, volts.unit) * draft.values(amps.field, amps.unit)
 
 
@@ -168,7 +167,7 @@ def _from_drivers(draft: Draft, drivers: list[tuple[str, str]]) -> list[str]:
     return [name for pair in drivers for name in pair]
 
 
-def _dead(volts: Floats) -> bool:
+def _dead(volts: Array) -> bool:
     """Whether a voltage is zero for a while: its topic was not up yet."""
     return bool((volts == 0).any()) and float(np.nanmedian(volts)) > 3.0
 
@@ -203,7 +202,7 @@ def _rows(draft: Draft, sources: list[str]) -> None:
         draft.head["step"] = "0.1 s  # means: more rows say nothing more of a mission"
 
 
-def _repeats(values: Floats, time_s: Floats) -> bool:
+def _repeats(values: Array, time_s: Array) -> bool:
     """Whether a column comes from a slower topic."""
     return bool(np.isfinite(values).all()) and refreshes(values, time_s) is not None
 

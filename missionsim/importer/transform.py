@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable
 from missionsim.logs.remarks import Remark
+from missionsim.physics import Array
 from missionsim.runs.run import row_durations
 
-Floats = NDArray[np.float64]
 
-
-def attitude(x: Floats, y: Floats, z: Floats, w: Floats, give: str) -> Floats:
+def attitude(x: Array, y: Array, z: Array, w: Array, give: str) -> Array:
     """Slope, heading, roll or pitch of a body from its quaternion (body to world; x forward, y left, z up).
 
     Parameters
@@ -47,7 +46,7 @@ def attitude(x: Floats, y: Floats, z: Floats, w: Floats, give: str) -> Floats:
         return unwrap(np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
 
 
-def unwrap(angle: Floats, period: float = 2 * np.pi) -> Floats:
+def unwrap(angle: Array, period: float = 2 * np.pi) -> Array:
     """An angle without its jumps from one turn to the next, NaN left in place, same unit as `period`."""
     known = np.isfinite(angle)
     result = np.array(angle, dtype=np.float64)
@@ -55,7 +54,7 @@ def unwrap(angle: Floats, period: float = 2 * np.pi) -> Floats:
     return result
 
 
-def moving_average(values: Floats, time_s: Floats, over_s: float) -> Floats:
+def moving_average(values: Array, time_s: Array, over_s: float) -> Array:
     """Mean over a window of `over_s` around each row, of the values joined by straight lines; cut at the ends.
 
     Parameters
@@ -71,7 +70,7 @@ def moving_average(values: Floats, time_s: Floats, over_s: float) -> Floats:
     t, v = time_s[known], values[known]
     area = np.r_[0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))]
 
-    def integral(at: Floats) -> Floats:
+    def integral(at: Array) -> Array:
         left = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
         part = at - t[left]
         slope = (v[left + 1] - v[left]) / (t[left + 1] - t[left])
@@ -83,7 +82,7 @@ def moving_average(values: Floats, time_s: Floats, over_s: float) -> Floats:
     return np.where(known & (high > low), mean, values)
 
 
-def rate_of_change(values: Floats, time_s: Floats, over_s: float | None = None) -> Floats:
+def rate_of_change(values: Array, time_s: Array, over_s: float | None = None) -> Array:
     """Derivative over time: of the moving average over `over_s`, or the difference of the neighbours.
 
     The derivative of a moving average is the difference of the values at both ends of its window over its length, so
@@ -101,7 +100,7 @@ def rate_of_change(values: Floats, time_s: Floats, over_s: float | None = None) 
         return np.asarray((np.interp(high, t, v) - np.interp(low, t, v)) / (high - low))
 
 
-def shift_back(data: ColumnData, time_s: Floats, lag_s: float) -> ColumnData:
+def shift_back(data: ColumnData, time_s: Array, lag_s: float) -> ColumnData:
     """A column that comes `lag_s` too late, moved back: each row takes what stands `lag_s` later.
 
     Text and values repeated from a slower topic take the row at or before that time, others are interpolated. Rows
@@ -116,7 +115,7 @@ def shift_back(data: ColumnData, time_s: Floats, lag_s: float) -> ColumnData:
     return np.where(inside, data[index] if steps else np.interp(at, time_s, data), np.nan)
 
 
-def refresh_times(signals: list[ColumnData], time_s: Floats) -> tuple[Floats, Floats, NDArray[np.int64]]:
+def refresh_times(signals: list[ColumnData], time_s: Array) -> tuple[Array, Array, NDArray[np.int64]]:
     """Windows between the refreshes of slow signals.
 
     Parameters
@@ -160,7 +159,7 @@ def _changes(signal: ColumnData) -> NDArray[np.int64]:
     return np.asarray(np.flatnonzero(~same) + 1)
 
 
-def _bursts(at: NDArray[np.int64], time_s: Floats, usual_s: float) -> NDArray[np.int64]:
+def _bursts(at: NDArray[np.int64], time_s: Array, usual_s: float) -> NDArray[np.int64]:
     """Rows at which refreshes are complete: changes within 0.4 of the usual time are one refresh of several topics."""
     result: list[int] = []
     begin = -np.inf
@@ -175,9 +174,9 @@ def _bursts(at: NDArray[np.int64], time_s: Floats, usual_s: float) -> NDArray[np
 
 def average_windows(
     columns: Mapping[str, ColumnData],
-    time_s: Floats,
-    start_s: Floats,
-    stop_s: Floats,
+    time_s: Array,
+    start_s: Array,
+    stop_s: Array,
     held: Mapping[str, NDArray[np.int64]],
 ) -> dict[str, ColumnData]:
     """Columns averaged over windows of time, weighted by the time each row stands for; text takes its last word.
@@ -233,7 +232,7 @@ _DENSER = 1.5
 class Signal:
     """Values of one field with the time of each."""
 
-    time_s: Floats
+    time_s: Array
     """[s], in the clock of the source. Shape (n,)."""
     values: ColumnData
     """Shape (n,)."""
@@ -302,7 +301,7 @@ def merge_signals(signals: dict[str, Signal], timeline: str | None, file: str) -
     return RawTable(file, columns, remarks=remarks)
 
 
-def _fill(signal: Signal, time: Floats) -> str:
+def _fill(signal: Signal, time: Array) -> str:
     if isinstance(signal.values, Labels) or len(signal.time_s) < 3 or len(time) < 3:
         return "hold"
     denser = usual_step(time) > _DENSER * usual_step(signal.time_s)
@@ -312,7 +311,7 @@ def _fill(signal: Signal, time: Floats) -> str:
     return "mean" if denser and not counts and not wraps else "hold"
 
 
-def _onto(signal: Signal, time: Floats, fill: str) -> ColumnData:
+def _onto(signal: Signal, time: Array, fill: str) -> ColumnData:
     index = np.clip(np.searchsorted(signal.time_s, time, side="right") - 1, 0, len(signal.time_s) - 1)
     if isinstance(signal.values, Labels) or fill == "hold":
         return signal.values[index]
@@ -329,16 +328,16 @@ def _onto(signal: Signal, time: Floats, fill: str) -> ColumnData:
     return np.where(rows > 0, mean, signal.values[index])
 
 
-def _even(time: Floats, usual: float) -> bool:
+def _even(time: Array, usual: float) -> bool:
     """Whether messages come at an even pace, so that a hole of a few is one."""
     return len(time) > 20 and float(np.mean(np.abs(np.diff(time) - usual) < 0.2 * usual)) > 0.9
 
 
-def usual_step(time: Floats) -> float:
+def usual_step(time: Array) -> float:
     """Median step between times [s]; infinite where there is one."""
     return float(np.median(np.diff(time))) if len(time) > 1 else np.inf
 
 
-def _longest_gap(time: Floats, rows: Floats) -> float:
+def _longest_gap(time: Array, rows: Array) -> float:
     inside = time[(time >= rows[0]) & (time <= rows[-1])]
     return float(np.max(np.diff(inside))) if len(inside) > 1 else 0.0

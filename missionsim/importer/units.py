@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.glossary import column_of
 from missionsim.inputs.tree import read_document
 from missionsim.inputs.units import DIMENSIONS, UnitError, any_unit, unit_factor
+from missionsim.physics import Array
 
 WORDS: dict[str, dict[str, Any]] = read_document(Path(__file__).with_name("words.yaml")).data
 """How loggers call things: see the file."""
@@ -29,7 +29,6 @@ UNITS: dict[str, tuple[str, float]] = {
     unit: (dimension, _factor(unit, dimension)) for dimension, units in WORDS["units"].items() for unit in units
 }
 """Unit as a map writes it → dimension, factor to the glossary's unit; grows by those that pint knows."""
-Floats = NDArray[np.float64]
 
 _PER = re.compile(
     r"[_ ](m|met(?:er|re)s?|km|kilomet(?:er|re)s?|deg(?:ree)?s?|rad(?:ian)?s?)[_ ]per[_ ](s|sec|seconds?|h|hours?)\Z",
@@ -96,7 +95,7 @@ _DIMENSION = {item.plain: name for name, item in reversed(DIMENSIONS.items())}
 """Unit of the glossary → its dimension."""
 
 
-def to_glossary(values: Floats, unit: str, name: str) -> Floats:
+def to_glossary(values: Array, unit: str, name: str) -> Array:
     """Values in `unit` as the glossary wants the column `name`; other columns go to coherent SI units.
 
     Parameters

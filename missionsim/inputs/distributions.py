@@ -7,7 +7,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from missionsim.physics import Array
 
 KINDS = ("normal", "truncated_normal", "lognormal", "uniform", "triangular", "discrete", "empirical")
 
@@ -59,7 +61,7 @@ class Distribution:
         mean = self.mean
         return math.sqrt(float(np.dot((np.asarray(self.values) - mean) ** 2, self.weights)))
 
-    def quantile(self, probability: ArrayLike) -> NDArray[np.float64]:
+    def quantile(self, probability: ArrayLike) -> Array:
         """Values at the probabilities (any shape, 0 to 1 exclusive for unbounded kinds); SI."""
         u = np.asarray(probability, dtype=float)
         match self.kind:
@@ -111,7 +113,7 @@ class Distribution:
             return -math.inf, math.inf
         return (self._low - mean) / sd, (self._high - mean) / sd
 
-    def at_scores(self, scores: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at_scores(self, scores: Array) -> Array:
         """Values at standard normal numbers, SI; for kinds that follow from them, without regard to bounds.
 
         The values take the place of the scores.
@@ -128,7 +130,7 @@ class Distribution:
             np.clip(scores, self._low, self._high, out=scores)
         return scores
 
-    def sample(self, rng: np.random.Generator, size: int | tuple[int, ...] | None = None) -> NDArray[np.float64]:
+    def sample(self, rng: np.random.Generator, size: int | tuple[int, ...] | None = None) -> Array:
         """Independent draws; SI."""
         return self.quantile(rng.uniform(size=size))
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.data import Array, Column
+from missionsim.identify.data import Column
 from missionsim.identify.design import Design
 from missionsim.identify.identification import Identification
 from missionsim.identify.model import Model, log_likelihood, spread
@@ -26,6 +26,7 @@ from missionsim.identify.noise import (
 )
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.reml import fit_noise
+from missionsim.physics import Array
 
 Rows32 = NDArray[np.float32]
 CHUNK = 256

@@ -13,7 +13,8 @@ from missionsim.effects.covariates import is_text
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.identify.noise import recursive
 from missionsim.labels import Labels
-from missionsim.laws.grammar import Array, Factor, Grammar
+from missionsim.laws.grammar import Factor, Grammar
+from missionsim.physics import Array
 from missionsim.runs.covariates import may_be_cause
 
 MOST_LEVELS = 6

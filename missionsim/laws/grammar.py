@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.glossary import column_of
+from missionsim.physics import Array
 
-Array = NDArray[np.float64]
 MOST_FACTORS = 3
 
 

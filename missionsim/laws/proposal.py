@@ -10,7 +10,6 @@ import numpy as np
 
 from missionsim.expressions import compile_expression
 from missionsim.glossary import column_of
-from missionsim.identify.data import Array
 from missionsim.identify.proposed import QUANTITY, Curve, Law, Proposal
 from missionsim.labels import Labels
 from missionsim.laws.adapter import Ground, ground_of
@@ -18,6 +17,7 @@ from missionsim.laws.factors import make_grammar
 from missionsim.laws.gates import LEAST_SHARE, Gates, gates, left_out
 from missionsim.laws.grammar import Grammar
 from missionsim.laws.search import Fitted, Scored, Search, Searched
+from missionsim.physics import Array
 
 ALIKE = 0.06
 """Part of the gain by which a form may lag behind and still be in the set: no form is exact, and rows blur them all."""

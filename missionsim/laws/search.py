@@ -14,12 +14,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.identify.data import Array
 from missionsim.identify.model import Model, log_likelihood
 from missionsim.identify.noise import Noise
 from missionsim.laws.adapter import Ground, Rows32, Sieve
 from missionsim.laws.gates import LEAST_SHARE, LeftOut, left_out
 from missionsim.laws.grammar import Grammar
+from missionsim.physics import Array
 
 MOST_ROWS = 6000
 """Longer data are averaged to about so many rows for the first pass."""

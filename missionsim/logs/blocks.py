@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError
 from missionsim.labels import Labels
@@ -15,6 +14,7 @@ from missionsim.logs.raw import RawTable
 from missionsim.logs.read import PathLike, make_log, read_log
 from missionsim.logs.readers import table_reader
 from missionsim.logs.times import TimeAxis
+from missionsim.physics import Array
 from missionsim.runs.run import Run
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def _cut(raw: RawTable, part: slice) -> RawTable:
     return RawTable(raw.file, {name: data[part] for name, data in raw.columns.items()})
 
 
-def _join(parts: list[NDArray[np.float64] | Labels]) -> NDArray[np.float64] | Labels:
+def _join(parts: list[Array | Labels]) -> Array | Labels:
     if not any(isinstance(part, Labels) for part in parts):
         return np.concatenate([part for part in parts if not isinstance(part, Labels)])
     texts = [part if isinstance(part, Labels) else Labels.of([None] * len(part)) for part in parts]

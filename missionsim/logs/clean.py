@@ -12,8 +12,8 @@ from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable
 from missionsim.logs.remarks import Remark
+from missionsim.physics import Array
 
-Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 _SLOW_QUANTITIES = ("temp_ambient_c", "temp_motor_c", "payload_kg", "access_point_distance_m", "cpu_freq_hz")
@@ -38,11 +38,11 @@ class Rows:
     columns: dict[str, ColumnData]
     row: NDArray[np.int64]
     remarks: list[Remark]
-    dt: Floats | None = None
+    dt: Array | None = None
     """Time that each row stands for [s], once time is in order."""
 
     @property
-    def time(self) -> Floats:
+    def time(self) -> Array:
         """Time of the rows [s]."""
         return np.asarray(self.columns["time_s"])
 
@@ -96,7 +96,7 @@ def order_time(rows: Rows) -> None:
     _gaps(rows)
 
 
-def _sort(rows: Rows, step: Floats, back: Bools) -> None:
+def _sort(rows: Rows, step: Array, back: Bools) -> None:
     count = int(back.sum())
     at = int(np.argmax(back)) + 1
     jump = float(-step[back].min())
@@ -191,7 +191,7 @@ def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:
     return held
 
 
-def _known(rows: Rows, name: str, data: Floats) -> Bools | None:
+def _known(rows: Rows, name: str, data: Array) -> Bools | None:
     """Rows with a usable value; None where all are. Single readings out of range count as missing."""
     low, high = float(data.min()), float(data.max())
     found = column_of(name)
@@ -224,7 +224,7 @@ def _known(rows: Rows, name: str, data: Floats) -> Bools | None:
     return known if not known.all() else None
 
 
-def _filled(rows: Rows, name: str, data: Floats, known: Bools, sparse: bool) -> Floats:
+def _filled(rows: Rows, name: str, data: Array, known: Bools, sparse: bool) -> Array:
     time, at = rows.time, np.flatnonzero(known)
     found = column_of(name)
     stays = (found is not None and (found[0].kind == "count" or name in _SLOW_QUANTITIES)) or (

@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
 from missionsim.logs.power import refreshes
-
-Floats = NDArray[np.float64]
+from missionsim.physics import Array
 
 _SAMPLE = 100_000
 
@@ -57,7 +55,7 @@ _GAUGE_S = 20.0
 _MODULI = tuple(base * 10.0**-digits for base in (65536.0, 4096.0, 32768.0) for digits in range(5))
 
 
-def _wraps(data: Floats) -> float:
+def _wraps(data: Array) -> float:
     """Span of a number that wraps, such as 65.536; 0 where the values do not."""
     sample = data[:_SAMPLE]
     step = np.diff(sample)
@@ -84,7 +82,7 @@ _SMOOTHINGS_S = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Time constants tried for a meter that smooths [s]."""
 
 
-def check_clock(rows: Rows, power: dict[str, Floats]) -> None:
+def check_clock(rows: Rows, power: dict[str, Array]) -> None:
     """Tell where power follows the motion late, or smoothed."""
     part = slice(0, 200_000)
     yaw = rows.columns.get("yaw_rate_rad_s")
@@ -132,7 +130,7 @@ class ClockEstimate:
 
 
 def clock_delay(
-    time_s: Floats, power_w: Floats, speed_m_s: Floats, yaw_rate_rad_s: Floats | None = None
+    time_s: Array, power_w: Array, speed_m_s: Array, yaw_rate_rad_s: Array | None = None
 ) -> ClockEstimate | None:
     """Delay between power and motion: the lag at which their changes agree best.
 
@@ -187,7 +185,7 @@ def clock_delay(
     )
 
 
-def _causes(grid: Floats, step: float, time_s: Floats, speed_m_s: Floats, yaw_rate_rad_s: Floats | None) -> Floats:
+def _causes(grid: Array, step: float, time_s: Array, speed_m_s: Array, yaw_rate_rad_s: Array | None) -> Array:
     """What power follows, shape (k, n): speed, its square, what speeding up takes, turning."""
     speed = np.interp(grid, time_s, speed_m_s)
     # averaged over half a second: the rate of a noisy speed is noise
@@ -200,7 +198,7 @@ def _causes(grid: Floats, step: float, time_s: Floats, speed_m_s: Floats, yaw_ra
     return np.array(rows)
 
 
-def _low_pass(causes: Floats, step: float, tau: float) -> Floats:
+def _low_pass(causes: Array, step: float, tau: float) -> Array:
     """First-order low-pass of each row, at rest before it."""
     weights = np.exp(-np.arange(math.ceil(37.0 * tau / step) + 1) * step / tau)  # what follows is below rounding
     padded = np.pad(causes, ((0, 0), (len(weights) - 1, 0)), mode="edge")
@@ -209,7 +207,7 @@ def _low_pass(causes: Floats, step: float, tau: float) -> Floats:
     return np.asarray(np.fft.irfft(product, size)[:, len(weights) - 1 : padded.shape[1]])
 
 
-def _explained(power: Floats, causes: Floats, most: int) -> Floats | None:
+def _explained(power: Array, causes: Array, most: int) -> Array | None:
     """Multiple correlation of power with causes at each lag from -most to most, shape (2 most + 1,)."""
     power = power - power.mean()
     causes = causes - causes.mean(axis=1, keepdims=True)

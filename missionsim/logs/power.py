@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from missionsim.errors import Fault, did_you_mean
 from missionsim.glossary import COLUMNS, column_of
 from missionsim.logs.raw import ColumnData
+from missionsim.physics import Array
 
-Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 _SLOW_SHARE = 0.3
@@ -76,7 +76,7 @@ class Refresh:
     """Typical time between them [s]."""
 
 
-def refreshes(values: Floats, time_s: Floats) -> Refresh | None:
+def refreshes(values: Array, time_s: Array) -> Refresh | None:
     """Find out whether a column repeats the values of a slower topic.
 
     Parameters
@@ -116,7 +116,7 @@ def refreshes(values: Floats, time_s: Floats) -> Refresh | None:
     return Refresh(change, typical * step_s)
 
 
-def power_from_energy(energy_wh: Floats, time_s: Floats) -> tuple[Floats, Bools | None]:
+def power_from_energy(energy_wh: Array, time_s: Array) -> tuple[Array, Bools | None]:
     """Mean power around each row from a cumulative energy.
 
     Parameters
@@ -153,7 +153,7 @@ def power_from_energy(energy_wh: Floats, time_s: Floats) -> tuple[Floats, Bools 
     return power, fresh
 
 
-def battery_power(columns: Mapping[str, ColumnData], battery: str, kind: str) -> tuple[Floats, Bools | None]:
+def battery_power(columns: Mapping[str, ColumnData], battery: str, kind: str) -> tuple[Array, Bools | None]:
     """Power of one battery [W], shape (n,), and its refresh mask where the kind of column gives one."""
     if kind == "power":
         return np.array(columns[f"power_{battery}_w"], dtype=np.float64), None

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.glossary import column_of
 from missionsim.labels import ColumnData as ColumnData
 from missionsim.labels import Labels
 from missionsim.logs.remarks import Remark
+from missionsim.physics import Array
 
 _SWITCH_WORDS = {"on": 1.0, "off": 0.0, "true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
 _MOSTLY_NUMBERS = 0.9
@@ -103,7 +103,7 @@ def _column(data: Any, name: str, raw: RawTable) -> ColumnData:
     return labels if wanted_kind(name) == "text" else _maybe_numbers(labels, name, raw)
 
 
-def _floats(data: Any) -> NDArray[np.float64]:
+def _floats(data: Any) -> Array:
     """Numbers of an Arrow column; missing ones NaN. Reads the buffers, because Arrow's own way imports pandas."""
     import pyarrow as pa
 

@@ -12,12 +12,10 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.logs.raw import ColumnData, RawTable
 from missionsim.logs.remarks import Remark
+from missionsim.physics import Array
 
 ENTRY_POINTS = "missionsim.readers"
 _HEAD_BYTES = 4096
@@ -48,7 +46,7 @@ class Topic:
 
     name: str
     """A field is known as ``name.column``."""
-    time_s: NDArray[np.float64]
+    time_s: Array
     """[s], in the clock of the recording. Shape (n,)."""
     columns: dict[str, ColumnData]
     """Field → values, shape (n,)."""

@@ -14,8 +14,8 @@ from missionsim.glossary import COLUMNS, STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, 
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
 from missionsim.logs.power import refreshes
+from missionsim.physics import Array
 
-Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 _SAMPLE = 100_000
@@ -176,7 +176,7 @@ def check_agreement(rows: Rows, batteries: Mapping[str, str]) -> None:
             _ratio(rows, "accel_m_s2", "the changes of speed_m_s", both / strength, 1.0, loose=True)
 
 
-def _mean(values: Floats) -> float:
+def _mean(values: Array) -> float:
     return float(values.mean())
 
 
@@ -199,7 +199,7 @@ def _ratio(rows: Rows, name: str, other: str, value: float, reference: float, lo
 
 
 def _sign(
-    rows: Rows, battery: str, power: Floats | None, product: Floats | None, energy: Floats | None, ampere: Floats | None
+    rows: Rows, battery: str, power: Array | None, product: Array | None, energy: Array | None, ampere: Array | None
 ) -> None:
     watt, name = (power, f"power_{battery}_w") if power is not None else (product, f"current_{battery}_a")
     if watt is not None and float(np.median(watt)) < 0 and _mean(watt) < 0:
@@ -210,7 +210,7 @@ def _sign(
         rows.remark("sign", f"energy_{battery}_wh", told, _LEFT, "error")
 
 
-def check_dead_meter(rows: Rows, battery: str, power_w: Floats) -> None:
+def check_dead_meter(rows: Rows, battery: str, power_w: Array) -> None:
     """Tell a meter that shows exactly zero while the robot drives."""
     speed = rows.columns.get("speed_m_s")
     if speed is None or isinstance(speed, Labels):
@@ -319,7 +319,7 @@ _HUNG = 4.0
 """A sensor that hangs stands so many times longer than ever else; a coarse one stands often."""
 
 
-def _hung(data: Floats, time: Floats) -> tuple[int, int, Bools] | None:
+def _hung(data: Array, time: Array) -> tuple[int, int, Bools] | None:
     change = np.r_[True, data[1:] != data[:-1]]
     starts = np.flatnonzero(change)
     if len(starts) < 10:

@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import Fault, InputError
 from missionsim.labels import Labels
 from missionsim.logs.raw import RawTable
 from missionsim.logs.remarks import Remark
-
-Floats = NDArray[np.float64]
+from missionsim.physics import Array
 
 _CLOCK = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,]\d+)?)?"
 _ZONE = r"(?:\s*(?:Z|UTC|GMT|[+-]\d{2}(?::?\d{2})?))"
@@ -46,7 +44,7 @@ class TimeError(ValueError):
 class Stamps:
     """Times of rows."""
 
-    seconds: Floats
+    seconds: Array
     """[s] since 1970 for ``utc`` and ``local`` (wall time counted as if it were UTC), since midnight for ``day``, since
     a zero of the logger's own for ``own``; NaN where there is none. Shape (n,)."""
     kind: str
@@ -86,7 +84,7 @@ def _in_numbers(text: str) -> str:
     )
 
 
-def read_stamps(parts: Sequence[Floats | Labels], name: str, zone: str | None = None, local: bool = False) -> Stamps:
+def read_stamps(parts: Sequence[Array | Labels], name: str, zone: str | None = None, local: bool = False) -> Stamps:
     """Times of one column, or of a date and a time of day in two.
 
     Parameters
@@ -133,7 +131,7 @@ _JUMP_S = 3600.0
 """A step that is longer, and a thousand usual ones, is no gap of a mission: the clock was set, or the robot was off."""
 
 
-def close_jumps(time_s: Floats, remarks: list[Remark], usual: float | None = None) -> Floats:
+def close_jumps(time_s: Array, remarks: list[Remark], usual: float | None = None) -> Array:
     """Times without jumps of the clock: each becomes a short gap, which parts the run for a diagnosis.
 
     Parameters
@@ -199,7 +197,7 @@ class TimeAxis:
             self.last = float(known[-1]) + self.days
         raw.columns["time_s"] = self._without_jumps(found.seconds, raw.remarks)
 
-    def _without_jumps(self, seconds: Floats, remarks: list[Remark]) -> Floats:
+    def _without_jumps(self, seconds: Array, remarks: list[Remark]) -> Array:
         """Times without jumps, also between this block and the one before."""
         known = np.isfinite(seconds)
         if not known.any():
@@ -216,7 +214,7 @@ class TimeAxis:
         return result
 
 
-def _numbers(values: Floats) -> Stamps:
+def _numbers(values: Array) -> Stamps:
     known = values[np.isfinite(values)]
     middle = float(np.median(known[: 1 << 16])) if len(known) else 0.0
     for limit, factor, unit in _EPOCHS:
@@ -251,7 +249,7 @@ def _texts(labels: Labels) -> Stamps:
     return Stamps(np.r_[values, np.nan][labels.codes], kind, form)
 
 
-def _seconds(times: object) -> Floats:
+def _seconds(times: object) -> Array:
     """Seconds since 1970 of a pandas Series of times, NaT as NaN."""
     import pandas as pd
 
@@ -260,7 +258,7 @@ def _seconds(times: object) -> Floats:
     return np.where(series.isna().to_numpy(), np.nan, whole)
 
 
-def _times_of_day(texts: object) -> Floats:
+def _times_of_day(texts: object) -> Array:
     import pandas as pd
 
     series = pd.Series(texts)
@@ -272,7 +270,7 @@ def _times_of_day(texts: object) -> Floats:
     return np.asarray(delta.dt.total_seconds(), dtype=np.float64)
 
 
-def _dated(texts: object) -> tuple[str, str, Floats]:
+def _dated(texts: object) -> tuple[str, str, Array]:
     """Day first or month first: the one that every date fits, and then the one that spans less time."""
     import pandas as pd
 
@@ -297,7 +295,7 @@ def _dated(texts: object) -> tuple[str, str, Floats]:
     return kind, f"a date, {words}" + (", and time" if kind == "local" else ""), values
 
 
-def _past_midnight(seconds: Floats, name: str, remarks: list[Remark]) -> Floats:
+def _past_midnight(seconds: Array, name: str, remarks: list[Remark]) -> Array:
     """Times of day that go on after midnight."""
     known = np.isfinite(seconds)
     values = seconds[known]
@@ -311,7 +309,7 @@ def _past_midnight(seconds: Floats, name: str, remarks: list[Remark]) -> Floats:
     return result
 
 
-def _clock_changes(seconds: Floats, name: str, remarks: list[Remark]) -> Floats:
+def _clock_changes(seconds: Array, name: str, remarks: list[Remark]) -> Array:
     """Local times over a night in which clocks change: the hour that stands twice or not at all is put right.
 
     Back: a jump by one hour into an hour of the night. Forward: a Sunday's step from before a full hour of the night to
@@ -341,7 +339,7 @@ def _clock_changes(seconds: Floats, name: str, remarks: list[Remark]) -> Floats:
     return result
 
 
-def _in_zone(seconds: Floats, zone: str) -> Floats:
+def _in_zone(seconds: Array, zone: str) -> Array:
     """Wall time of a zone to UTC."""
     import pandas as pd
 

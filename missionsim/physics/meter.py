@@ -6,7 +6,8 @@ from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from missionsim.physics import Array
 
 
 class Meter(NamedTuple):
@@ -16,7 +17,7 @@ class Meter(NamedTuple):
     lag_s: float = 0.0
 
 
-def metered(power_w: NDArray[np.float64], time_s: NDArray[np.float64], meter: Meter) -> NDArray[np.float64]:
+def metered(power_w: Array, time_s: Array, meter: Meter) -> Array:
     """Mean over each row of what a meter shows of a power.
 
     Parameters

@@ -11,6 +11,7 @@ import numpy as np
 
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
+from missionsim.physics import Array
 from missionsim.plan.asked import Asked
 from missionsim.plan.chance import failures, stopped_by_obstacles
 from missionsim.plan.draws import remainder, sign
@@ -20,7 +21,7 @@ from missionsim.plan.steady import steady_power_w
 from missionsim.plan.steps import group, slow_components
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    pass
 
 MOST_SEGMENTS = 1_000_000
 Route = tuple[str, str, tuple[int, ...]]
@@ -65,7 +66,7 @@ def make_plan(
     return _Builder(mission, numbers or {}, rng, rounds).build()
 
 
-def plan_runs(mission: MissionSpec, numbers: Mapping[str, NDArray[np.float64]]) -> Plan:
+def plan_runs(mission: MissionSpec, numbers: Mapping[str, Array]) -> Plan:
     """The plan of many runs at once, as arrays: what follows from a drawn number is an array of shape (runs,).
 
     Parameters

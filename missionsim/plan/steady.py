@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Labels
 from missionsim.effects.model import PowerModel
 from missionsim.inputs.robot import RobotSpec
+from missionsim.physics import Array
 from missionsim.plan.legs import Leg, Settings
 
 LONG_AGO_S = 1e7
@@ -55,7 +55,7 @@ def covariates_of(settings: Sequence[Settings]) -> dict[str, Any]:
     return columns
 
 
-def steady_power_w(robot: RobotSpec, model: PowerModel, legs: Sequence[Leg]) -> dict[str, NDArray[np.float64]]:
+def steady_power_w(robot: RobotSpec, model: PowerModel, legs: Sequence[Leg]) -> dict[str, Array]:
     """Power of each battery while legs are driven at their speed, shape (legs,), W.
 
     Without accelerations, activities and what fades with time.

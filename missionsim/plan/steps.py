@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from missionsim.physics import Array
 from missionsim.plan.draws import Odd, sign
 from missionsim.plan.kinematics import ramp_phases
 from missionsim.plan.legs import Leg, Limits, Phase, Step
@@ -94,7 +94,7 @@ def _profiles(legs: Sequence[Leg], spans: Sequence[tuple[int, int]], limits: Lim
     return found
 
 
-def _stacked(*tables: Sequence[Sequence[float]]) -> list[NDArray[np.float64]]:
+def _stacked(*tables: Sequence[Sequence[float]]) -> list[Array]:
     """Tables of members × numbers as arrays; of many runs, members × runs × numbers."""
     lengths = [np.size(x) for table in tables for row in table for x in row if isinstance(x, np.ndarray)]
     if not lengths:

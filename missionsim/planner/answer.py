@@ -9,15 +9,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.inputs.task import SchemeChoice
+from missionsim.physics import Array
 from missionsim.planner.bounds import Tour
 from missionsim.planner.core import Label, chain_of
 from missionsim.planner.pieces import Piece
 from missionsim.planner.tour import Site
 
-Array = NDArray[np.float64]
 SCHEMA = "missionsim.plan/1"
 SAME = 1e-9
 """Gap that is told as none: rounding, and the hair's breadth by which batteries are charged more than is needed."""

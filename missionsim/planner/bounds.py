@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.physics import Array
 from missionsim.planner.core import Bounds, Leaving
 from missionsim.planner.drives import Drive
 from missionsim.planner.tour import Charger, Site
 
-Array = NDArray[np.float64]
 LONGEST_S = 1e6
 HAIR = 2e-9
 

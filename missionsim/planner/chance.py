@@ -18,6 +18,7 @@ from missionsim.engine.simulate import simulate
 from missionsim.files import write_text
 from missionsim.inputs.loading import load_mission
 from missionsim.inputs.task import TaskSpec
+from missionsim.physics import Array
 from missionsim.planner.answer import Answer
 from missionsim.planner.rounds import of_one_kind, plan_rounds
 from missionsim.planner.solve import Watch, solve_site
@@ -30,7 +31,6 @@ RUNS = 4096
 TRIES = 6
 SEED = 20_260_101
 SAME = 1e-9
-Array = NDArray[np.float64]
 
 
 @contextmanager

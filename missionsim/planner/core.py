@@ -20,7 +20,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from missionsim.physics import Array
+
 EPSILON = 1e-10
 """Resources that differ by less (relative to 1 or their size) are taken as equal."""
 

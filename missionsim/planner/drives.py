@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import InputError
+from missionsim.physics import Array
 from missionsim.planner.core import Bounds, Label, Leaving, chain_of, search
 from missionsim.planner.pieces import Piece, Road
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

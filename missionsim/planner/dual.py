@@ -6,14 +6,13 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from missionsim.physics import Array
 from missionsim.planner.bounds import Tour, matrix
 from missionsim.planner.core import Label, chain_of
 from missionsim.planner.drives import Drive
 from missionsim.planner.tour import Charger
 
-Array = NDArray[np.float64]
 ROUNDS = 40
 CLOSE = 1e-7
 """Relative difference of the price's bound and what the best prices could give at most, at which it ends."""

@@ -7,15 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.inputs.check_task import earlier_of
+from missionsim.physics import Array
 from missionsim.planner.answer import Answer
 from missionsim.planner.bounds import matrix
 from missionsim.planner.orders import Order
 from missionsim.planner.tour import Site
 
-Array = NDArray[np.float64]
 STARTS = 4
 LATE = 1e3
 """What a second after the end of a window counts, relative to a second of the whole drive."""

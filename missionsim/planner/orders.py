@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from missionsim.inputs.check_task import earlier_of
 from missionsim.inputs.task import TaskSpec
+from missionsim.physics import Array
 
 MOST_FREE = 13
 """Visits in any order of which all subsets are gone through."""
@@ -99,7 +100,7 @@ class Order:
         return [(part[:, 0], part[:, 1], part[:, 2]) for part in made if len(part)]
 
     @cached_property
-    def loads(self) -> tuple[NDArray[np.float64], Ints]:
+    def loads(self) -> tuple[Array, Ints]:
         """The loads that may be carried, and which of them in each state."""
         carried = np.array([self.payload_kg(state) for state in range(self.count)])
         loads, which = np.unique(carried, return_inverse=True)
@@ -133,7 +134,7 @@ class Order:
             waiting += new
         return False
 
-    def left(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def left(self, values: Array) -> Array:
         """Value that may still be made from each state, shape (states,)."""
         if self.sequence is not None:
             later = np.cumsum(values[list(self.sequence)][::-1])[::-1]

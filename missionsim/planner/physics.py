@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.integrate import integrate
 from missionsim.engine.batteries import ConstantEnergy
@@ -16,11 +15,11 @@ from missionsim.inputs.power import build_power_model
 from missionsim.inputs.segments import WaitSegment
 from missionsim.inputs.task import TaskSpec
 from missionsim.inputs.values import Parameter
+from missionsim.physics import Array
 from missionsim.plan.build import make_plan
 from missionsim.plan.legs import Leg, Phase, Settings
 from missionsim.plan.steady import closure
 
-Array = NDArray[np.float64]
 J_PER_WH = 3600.0
 LONG_AGO_S = 1e7
 """Terms that fade with the time moved or switched on are taken as faded while searching; the mission that comes out is

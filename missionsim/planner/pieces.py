@@ -21,13 +21,13 @@ from missionsim.errors import InputError
 from missionsim.inputs.segments import DriveSegment
 from missionsim.inputs.task import SchemeChoice, TaskSpec, speeds_of
 from missionsim.inputs.values import Parameter
+from missionsim.physics import Array
 from missionsim.plan.build import legs_of
 from missionsim.plan.kinematics import phases, ramp_phases
 from missionsim.plan.legs import Leg
 from missionsim.plan.routes import Routes, Way
 from missionsim.planner.physics import Physics
 
-Array = NDArray[np.float64]
 MOST_SPEEDS = 60
 """Speeds at a place; beyond it the speeds that come from braking over several short edges are left out."""
 FREE, OWED, ROLLED, STOPPED = 0, 1, 2, 3

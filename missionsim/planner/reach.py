@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.files import write_text
 from missionsim.inputs.examples import shipped_robots
 from missionsim.inputs.loading import load_robot, load_task
 from missionsim.inputs.task import TaskSpec, VisitSpec
+from missionsim.physics import Array
 from missionsim.plan.legs import Leg as PlanLeg
 from missionsim.plan.legs import OnEdge
 from missionsim.plan.steps import group
@@ -28,7 +28,6 @@ from missionsim.planner.tour import Site, make_site
 from missionsim.planner.why import with_ample
 from missionsim.planner.write import flow
 
-Array = NDArray[np.float64]
 SCHEMA = "missionsim.reach/1"
 SEED = 20_270_101
 

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.inputs.task import TaskSpec
+from missionsim.physics import Array
 from missionsim.planner.answer import Answer, answer_of
 from missionsim.planner.bounds import Tour, bounds_of, matrix
 from missionsim.planner.core import Label, Leaving, Outcome, quick, search
@@ -21,7 +21,6 @@ from missionsim.planner.orders import MOST_FREE, Order
 from missionsim.planner.solve import FIRST_GAP, Fronts, Watch, charges_tried, solve_site
 from missionsim.planner.tour import Site, make_site
 
-Array = NDArray[np.float64]
 MOST_ROUNDS = 1000
 MOST_NODES = 400_000
 """Of all rounds; beyond it the visits are made in one order."""

@@ -8,8 +8,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from missionsim.physics import Array
 from missionsim.planner.answer import Answer, answer_of
 from missionsim.planner.bounds import Tour, bounds_of, slack_of
 from missionsim.planner.core import Label, Outcome, quick, search, within
@@ -19,7 +19,6 @@ from missionsim.planner.large import solve_large
 from missionsim.planner.orders import MOST_FREE
 from missionsim.planner.tour import Site
 
-Array = NDArray[np.float64]
 Watch = Callable[[str, float, float], bool]
 """``(what is done, objective so far, bound) -> stop?``"""
 

@@ -14,14 +14,13 @@ from missionsim.errors import InputError
 from missionsim.inputs.segments import DockSegment, InspectSegment, RechargeSpec, WaitSegment
 from missionsim.inputs.task import SchemeChoice, TaskSpec, VisitSpec
 from missionsim.inputs.values import Parameter
+from missionsim.physics import Array
 from missionsim.plan.build import legs_of
 from missionsim.plan.legs import Leg
 from missionsim.planner.drives import Drives
 from missionsim.planner.orders import Order
 from missionsim.planner.physics import Physics
 from missionsim.planner.pieces import FREE, ROLLED, STOPPED, State, make_road, pieces_of
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,12 +9,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from missionsim.physics import khepera, mecanum
+from missionsim.physics import Array, khepera, mecanum
 from missionsim.published.figures import Figure
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,17 +7,15 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.inputs import load_robot
 from missionsim.inputs.power import build_power_model
-from missionsim.physics import mecanum
+from missionsim.physics import Array, mecanum
 from missionsim.published import fits
 from missionsim.published.figures import Figure, Ours, load_figures, mission, run
 
 PAPER = "hou2019"
 START = "mecanum4/start_straight"
-Array = NDArray[np.float64]
 MOTION_TERMS = ("wheel_friction", "roller_friction", "copper_loss", "kinetic", "lifting")
 """Terms of the motion system (the paper's Table 3); the rest is control, sensors and communication (Table 4)."""
 

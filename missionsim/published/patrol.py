@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from missionsim.physics import f64, motion
+from missionsim.physics import Array, f64, motion
 from missionsim.published.figures import Ours, load_figures, mission, run
 
-Array = NDArray[np.float64]
 PLAN, DRIVEN = "pioneer3dx/valve_patrol", "pioneer3dx/valve_patrol_as_driven"
 SAMPLE_S = 1.0
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from missionsim.files import atomic_write
+from missionsim.physics import Array
 from missionsim.published import fits, hou2019, parasuraman2012, patrol, rover2025
 from missionsim.published.figures import ABOUT, load_figures, run
 
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from missionsim.control import PowerPredictor
-    from missionsim.published.fits import Array
 
 COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377")
 """Distinguishable without colour vision (P. Tol's bright scheme)."""

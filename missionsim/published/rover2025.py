@@ -6,14 +6,12 @@ from collections.abc import Iterator, Mapping
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.control import PowerPredictor
-from missionsim.physics import motion
+from missionsim.physics import Array, motion
 from missionsim.published.figures import Figure, Ours, load_figures, mission
 
 PAPER = "rover2025"
-Array = NDArray[np.float64]
 SPEED_STEP_M_S = 0.25
 KMH = 1.0 / 3.6
 COMPLEXITIES = ("field", "orchard", "slalom")

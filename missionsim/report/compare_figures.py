@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.compare import BatteryComparison, Comparison, Dependence, RunComparison
 from missionsim.compare.place import PlaceCell
 from missionsim.files import atomic_write
+from missionsim.physics import Array
 from missionsim.report.traces import MEASURED, MODEL, RESIDUAL, literal, shared_indices
 
 if TYPE_CHECKING:
@@ -141,11 +141,11 @@ def progress_figure(one: BatteryComparison) -> Figure:
 class ErrorMap:
     """Mean power error on a grid of places."""
 
-    x_m: NDArray[np.float64]
-    y_m: NDArray[np.float64]
+    x_m: Array
+    y_m: Array
     """Both: middles of the cells. Shape (columns,) and (rows,)."""
-    error_w: NDArray[np.float64]
-    seconds: NDArray[np.float64]
+    error_w: Array
+    seconds: Array
     """Both: model minus measured, and the time spent there; NaN where the robot never was. Shape (rows, columns)."""
     limit_w: float
     """98th percentile of the magnitude of the error, where colours end."""

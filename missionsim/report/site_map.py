@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.engine.outcome import RunResult
 from missionsim.files import atomic_write
 from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.physics import Array
 from missionsim.planner.answer import Answer
 from missionsim.planner.reach import Reached
 from missionsim.report.page import Chart
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Points = NDArray[np.float64]
+Points = Array
 SURFACES = ("#7a8793", "#c9a66b", "#8fb58a", "#b59ac9", "#d9928f", "#88b5d0")
 DOCK, SURE, ONLY, OUT, VISIT = "#0072b2", "#009e73", "#e69f00", "#c0392b", "#cc3377"
 SCALE = "viridis"

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import visible
+from missionsim.physics import Array
 from missionsim.report.page import COLOURS, Block, Chart, Choice, Paragraph
 
 MEASURED, MODEL, FITTED = COLOURS[:3]
 RESIDUAL = "#52606d"
 PALE = "#d9dee4"
 MARGIN = {"r": 16, "t": 30, "b": 48}
-Values: TypeAlias = Sequence[object] | NDArray[np.float64]
+Values: TypeAlias = Sequence[object] | Array
 Trace: TypeAlias = dict[str, object]
 
 
@@ -38,9 +39,9 @@ def band(x: Values, low: Values, high: Values, name: str, strength: float = 0.2)
 
 
 def tiles(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    values: NDArray[np.float64],
+    x: Array,
+    y: Array,
+    values: Array,
     *,
     size: float,
     limit: float,
@@ -90,7 +91,7 @@ def one_of(label: str, options: Sequence[tuple[str, Sequence[Block]]], note: str
     return [*([Paragraph(note, small=True)] if note else []), *shown]
 
 
-def min_max_indices(values: NDArray[np.float64], points: int) -> NDArray[np.int64]:
+def min_max_indices(values: Array, points: int) -> NDArray[np.int64]:
     """Indices of a series to draw: the lowest and highest value of each of ``points/2`` equal stretches, and both ends.
 
     Parameters
@@ -122,7 +123,7 @@ def min_max_indices(values: NDArray[np.float64], points: int) -> NDArray[np.int6
     return np.unique(chosen)
 
 
-def shared_indices(series: list[NDArray[np.float64]], points: int) -> NDArray[np.int64]:
+def shared_indices(series: list[Array], points: int) -> NDArray[np.int64]:
     """Indices that keep the peaks of several series on one axis; `points` is the limit for all of them together."""
     if not series:
         return np.zeros(0, dtype=np.int64)

@@ -17,11 +17,11 @@ from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
+from missionsim.physics import Array
 from missionsim.runs.covariates import is_switch, may_be_cause
 from missionsim.runs.drive import Driven, drive
 from missionsim.runs.mends import mended
 
-Array = NDArray[np.float64]
 FEWEST, FEWEST_LEVELS = 3, 5
 """Runs that can say what is usual, and whose levels can."""
 OFFSET, SCATTER = 0.06, 6.0

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from missionsim.effects.covariates import SMOOTHING_S, acceleration, derive, is_moving, smoothing_of
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.labels import Labels
+from missionsim.physics import Array
 from missionsim.physics.meter import Meter, metered
 from missionsim.runs.assume import Assumed, assume
 from missionsim.runs.covariates import clock_of, is_switch
 from missionsim.runs.run import Run
 
-Array = NDArray[np.float64]
 MOST_MISSING = 0.2
 """Part of a column's rows that may be missing and are filled from their neighbours."""
 METER_PAST_S = 60.0
@@ -32,14 +32,14 @@ class Driven:
     """A run, or a block of one, with modelled power."""
 
     run: Run
-    time_s: NDArray[np.float64]
+    time_s: Array
     """Time since the start of the run. Shape (n,)."""
     model: PowerModel
     """The terms that could be evaluated."""
     covariates: Mapping[str, Any]
     """Columns of the run, what follows from them, and the robot's constants."""
-    measured_w: Mapping[str, NDArray[np.float64]]
-    model_w: Mapping[str, NDArray[np.float64]]
+    measured_w: Mapping[str, Array]
+    model_w: Mapping[str, Array]
     """Both: the model as the meter shows it: as late and sluggish as the robot file says; where the meter is slower
     than the rows, averaged over each reading, which then counts once. Mapping of battery to ndarray, shape (n,)."""
     terms: Mapping[str, Mapping[TermKey, Any]]
@@ -135,9 +135,7 @@ def _evaluated(
     return Driven(block, cov["time_s"], model, cov, measured, modelled, terms, filled, unknown=unknown)
 
 
-def _shown(
-    run: Run, battery: str, row_w: Array, meter: Meter, before: Driven | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _shown(run: Run, battery: str, row_w: Array, meter: Meter, before: Driven | None = None) -> tuple[Array, Array]:
     """Measured and modelled power of each row, each of shape (n,), the model as the meter shows it.
 
     A value that appears in a row of a meter slower than the rows was measured over the time since the one before, so
@@ -250,7 +248,7 @@ def _moves(cov: Mapping[str, Any], row: int) -> bool:
     return bool(is_moving({name: np.asarray(cov[name])[row] for name in motion if name in cov}))
 
 
-def _acceleration(block: Run, before: Run | None, after: Run | None, smoothing_s: float) -> NDArray[np.float64]:
+def _acceleration(block: Run, before: Run | None, after: Run | None, smoothing_s: float) -> Array:
     rows = 2 * max(2, int(SMOOTHING_S[-1] / max(float(np.median(block.dt_s)), 1e-6)) + 1)
     tables = [(before, slice(-rows, None)), (block, slice(None)), (after, slice(0, rows))]
     parts = [(table.time_s[cut], table.columns["speed_m_s"][cut]) for table, cut in tables if table is not None]

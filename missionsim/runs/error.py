@@ -12,9 +12,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.model import PowerModel
+from missionsim.physics import Array
 from missionsim.runs.drive import drive
 from missionsim.runs.run import Run
 
@@ -35,9 +35,7 @@ class RunError:
     """These: time, measured and modelled energy, integral of the squared power error."""
 
     @classmethod
-    def of(
-        cls, run: str, measured_w: NDArray[np.float64], model_w: NDArray[np.float64], dt_s: NDArray[np.float64]
-    ) -> RunError:
+    def of(cls, run: str, measured_w: Array, model_w: Array, dt_s: Array) -> RunError:
         """The error of rows, arrays of shape (n,)."""
         gap = (measured_w - model_w) * dt_s
         square = float(((measured_w - model_w) * gap).sum())
@@ -142,14 +140,12 @@ class ErrorStatistics:
         }
 
 
-def progress_grid() -> NDArray[np.float64]:
+def progress_grid() -> Array:
     """Equally spaced progress from `FIRST_PROGRESS` to 1, shape (`PROGRESS_POINTS`,)."""
     return np.linspace(FIRST_PROGRESS, 1.0, PROGRESS_POINTS)
 
 
-def cumulative_at(
-    progress: NDArray[np.float64], energy: NDArray[np.float64], grid: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def cumulative_at(progress: Array, energy: Array, grid: Array) -> Array:
     """Cumulative energy at the progress values `grid`.
 
     Parameters
@@ -168,9 +164,7 @@ def cumulative_at(
     return np.asarray(total, dtype=np.float64)
 
 
-def error_curve(
-    measured: NDArray[np.float64], predicted: NDArray[np.float64], relative_to: str = "measured"
-) -> NDArray[np.float64]:
+def error_curve(measured: Array, predicted: Array, relative_to: str = "measured") -> Array:
     """Relative error ``100 (predicted − measured) / reference`` of two cumulative energies [%], shape (n,).
 
     NaN where the reference is not positive.
@@ -181,7 +175,7 @@ def error_curve(
     return np.asarray(np.where(positive, 100.0 * (predicted - measured) / safe, np.nan))
 
 
-def error_statistics(curve: NDArray[np.float64], relative_to: str = "measured") -> ErrorStatistics:
+def error_statistics(curve: Array, relative_to: str = "measured") -> ErrorStatistics:
     """Peak, final, mean and standard deviation (of the population) of the magnitude of an error curve.
 
     Parameters

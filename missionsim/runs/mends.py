@@ -6,12 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from missionsim.physics import Array
 from missionsim.runs.covariates import is_switch
 from missionsim.runs.run import Run
 
-Array = NDArray[np.float64]
 SPEEDS = {3.6: "km/h", 2.2369: "mph", 3.2808: "ft/s", 100.0: "cm/s", 1000.0: "mm/s", 1.0 / 3.6: "m/s divided by 3.6"}
 STANDS = 0.15
 """Part of a run over which a column must stand still to be looked at."""

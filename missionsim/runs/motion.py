@@ -13,8 +13,8 @@ from missionsim.effects.covariates import is_moving
 from missionsim.effects.timeline import Timeline
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S
 from missionsim.labels import Labels
+from missionsim.physics import Array
 
-Array = NDArray[np.float64]
 Still = tuple[float, float]
 """Speed [m/s] and yaw rate [rad/s] below which a robot stands."""
 STILL: Still = (STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S)

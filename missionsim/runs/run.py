@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from missionsim.files import sha256
 from missionsim.glossary import column_of
 from missionsim.labels import ColumnData, Labels
+from missionsim.physics import Array
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from missionsim.logs.remarks import Remark
 
 
-Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 _MEASURED = ("time_s", "power_<battery>_w", "current_<battery>_a", "energy_<battery>_wh")
 
@@ -38,10 +38,10 @@ class Run:
     """Name of the run: the file's name without its suffix."""
     columns: Mapping[str, ColumnData]
     """Glossary name (and any further name of the file) → float64 array in SI units, or `Labels` for text."""
-    dt_s: Floats
+    dt_s: Array
     """Time that each row stands for [s]: half-way to its neighbours (contract). The end rows reach as far outwards as
     inwards, but not before time zero. Computed before rows were left out, so a row's time stays its own."""
-    power_w: Mapping[str, Floats]
+    power_w: Mapping[str, Array]
     """Battery → mean power around each row [W], from its power, voltage × current, or differenced energy."""
     fresh: Mapping[str, Bools | None]
     """Battery → True in the rows where the power was really refreshed; None where every row is."""
@@ -52,7 +52,7 @@ class Run:
     remarks: tuple[Remark, ...] = field(default=(), compare=False)
     """What was wrong, and what was done."""
     _: KW_ONLY
-    rates: Mapping[str, Floats] = field(default_factory=dict, kw_only=True)
+    rates: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
     """Change per second of a column within each row; nought where absent, as in a log."""
 
     def __post_init__(self) -> None:
@@ -65,7 +65,7 @@ class Run:
                 array.flags.writeable = False
 
     @property
-    def time_s(self) -> Floats:
+    def time_s(self) -> Array:
         """Time from the start of the run [s]."""
         return self.number("time_s")
 
@@ -92,7 +92,7 @@ class Run:
         """SHA-256 of the source file; empty for a table made in memory."""
         return sha256(self.source) if self.source else ""
 
-    def number(self, name: str) -> Floats:
+    def number(self, name: str) -> Array:
         """A numeric column, shape (n,); KeyError where it is not there."""
         data = self.columns[name]
         if isinstance(data, Labels):
@@ -134,7 +134,7 @@ def _is_measurement(name: str, batteries: Collection[str] | None) -> bool:
     return name == "time_s" or batteries is None or found[1] in batteries
 
 
-def row_durations(time_s: Floats) -> Floats:
+def row_durations(time_s: Array) -> Array:
     """Time that each row stands for: half-way to its neighbours, the end rows symmetric but not before time zero.
 
     Parameters
@@ -191,7 +191,7 @@ def coarser(run: Run, step_s: float = STEP_S) -> Run:
     begin = np.flatnonzero(np.diff(number, prepend=-1.0))
     middle = (begin + np.append(begin[1:], run.rows)) // 2
 
-    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def mean(values: Array) -> Array:
         known = np.isfinite(values)
         weight = run.dt_s * known
         seconds = np.add.reduceat(weight, begin)

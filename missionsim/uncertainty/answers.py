@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.physics import Array
 from missionsim.uncertainty.single import drawn_columns
 from missionsim.uncertainty.store import BlockStore
 
-Array = NDArray[np.float64]
 KEPT_TIMES = 100_000
 """Of so many failures at a place, the first ones, the time is known."""
 KEPT_REASONS = 1000

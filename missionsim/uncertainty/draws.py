@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 from numpy.random import SFC64, Generator, Philox
-from numpy.typing import NDArray
 
 from missionsim.errors import InputError, did_you_mean
 from missionsim.inputs.distributions import Distribution
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.parameter import uncertain_values
+from missionsim.physics import Array
 
-Array = NDArray[np.float64]
 CHUNK = 4096
 """Runs that share a generator; drawing one run alone costs at most so many numbers a stream."""
 LARGEST_NORMAL = 14.0
@@ -87,7 +86,7 @@ def run_generator(seed: int, name: str, run: int) -> Generator:
     return Generator(Philox(key=key, counter=[0, 0, run, 1]))
 
 
-Draws = dict[str, NDArray[np.float64]]
+Draws = dict[str, Array]
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,7 @@ class Sampler:
     """Draws of all uncertain values of a mission."""
 
     values: tuple[UncertainValue, ...]
-    groups: tuple[tuple[tuple[str, ...], NDArray[np.float64]], ...] = ()
+    groups: tuple[tuple[tuple[str, ...], Array], ...] = ()
     """Values that are correlated with each other, with the Cholesky factor of their normal scores. Tuple of (names,
     cholesky)."""
 
@@ -138,7 +137,7 @@ class Sampler:
                 found[name] = law.quantile(streams.uniforms(name, first, count))
         return found
 
-    def at(self, probabilities: Mapping[str, NDArray[np.float64]]) -> Draws:
+    def at(self, probabilities: Mapping[str, Array]) -> Draws:
         """Values at independent uniform numbers, correlated by a Gaussian copula."""
         from scipy.special import ndtri
 
@@ -146,7 +145,7 @@ class Sampler:
         uniform = {**probabilities, **self._correlated(scores)}
         return {value.name: value.distribution.quantile(uniform[value.name]) for value in self.values}
 
-    def _correlated(self, scores: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    def _correlated(self, scores: Mapping[str, Array]) -> dict[str, Array]:
         """Probabilities of the values in groups, from independent normal scores of each."""
         found = {}
         for names, cholesky in self.groups:
@@ -161,7 +160,7 @@ class Sampler:
         return found
 
 
-def _from_scores(law: Distribution, streams: Streams, name: str, first: int, count: int) -> NDArray[np.float64]:
+def _from_scores(law: Distribution, streams: Streams, name: str, first: int, count: int) -> Array:
     """Draws from normal scores; where bounds cut a score off, a fresh number of the run takes its place.
 
     A score inside the bounds has the truncated distribution already, and so has the fresh one: their mixture too.
@@ -195,7 +194,7 @@ def make_sampler(mission: MissionSpec) -> Sampler:
     return Sampler(tuple(found), _groups(mission, names))
 
 
-def _groups(mission: MissionSpec, names: list[str]) -> tuple[tuple[tuple[str, ...], NDArray[np.float64]], ...]:
+def _groups(mission: MissionSpec, names: list[str]) -> tuple[tuple[tuple[str, ...], Array], ...]:
     pairs = {}
     for item in mission.correlations:
         for name in item.between:
@@ -213,7 +212,7 @@ def _groups(mission: MissionSpec, names: list[str]) -> tuple[tuple[tuple[str, ..
         together = linked[one] | linked[other]
         for name in together:
             linked[name] = together
-    groups: list[tuple[tuple[str, ...], NDArray[np.float64]]] = []
+    groups: list[tuple[tuple[str, ...], Array]] = []
     for members in {frozenset(group) for group in linked.values()}:
         ordered = tuple(name for name in names if name in members)
         matrix = np.eye(len(ordered))

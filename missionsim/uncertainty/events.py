@@ -9,16 +9,15 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.meter import alone
 from missionsim.engine.recorder import REST
 from missionsim.engine.simulate import RunSetup
+from missionsim.physics import Array
 from missionsim.plan.legs import Phase, Plan
 from missionsim.uncertainty.matrices import PROGRESS_POINTS, Intervals, Progress
 
-Array = NDArray[np.float64]
 TIE_S = 1e-9
 """Instants that differ by less are one."""
 

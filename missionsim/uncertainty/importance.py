@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.engine.setup import split_values
 from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError, MissionsimError
+from missionsim.physics import Array
 from missionsim.plan.build import make_plan
 from missionsim.uncertainty.answers import LEVEL
 from missionsim.uncertainty.draws import run_generator
@@ -20,7 +20,6 @@ from missionsim.uncertainty.single import left_to_chance
 if TYPE_CHECKING:
     from missionsim.uncertainty.batch import Prepared
 
-Array = NDArray[np.float64]
 DESIGNS = 16
 """Independently scrambled designs; how they differ tells how sure the indices are."""
 FEWEST = 4 * DESIGNS

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Labels
 from missionsim.effects.integrate import SAMPLES
+from missionsim.physics import Array
 from missionsim.plan.legs import Leg, Phase, Plan
 
-Array = NDArray[np.float64]
 _RATE = "d/dt "
 PROGRESS_POINTS = 21
 """Charge of each battery is kept at so many instants, evenly over a run's duration."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from missionsim.physics import Array
 from missionsim.uncertainty.answers import LEVEL, proportion_interval
 from missionsim.uncertainty.batch import Task, block_runs, compute_block, prepare
 
@@ -41,9 +41,7 @@ class PairedDifference:
         return {"quantity": self.quantity, "mean": self.mean, "low": self.low, "high": self.high, "real": self.real}
 
 
-def paired_difference(
-    quantity: str, baseline: NDArray[np.float64], other: NDArray[np.float64]
-) -> PairedDifference | None:
+def paired_difference(quantity: str, baseline: Array, other: Array) -> PairedDifference | None:
     """Mean of the differences of paired runs with a Student interval.
 
     Parameters
@@ -88,14 +86,14 @@ def compare_alternatives(
         reserve, and for all but the first the differences.
     """
     found: list[dict[str, Any]] = []
-    baseline: dict[str, NDArray[np.float64]] = {}
+    baseline: dict[str, Array] = {}
     for task in tasks:
         prepared = prepare(task)
         engine = "simpy" if prepared.arrays is None else "arrays"
         batteries = prepared.mission.robot.batteries
         quantities = ["feasible", "duration_s"]
         quantities += [f"{what}_{name}_wh" for name in batteries for what in ("energy", "margin")]
-        parts: dict[str, list[NDArray[np.float64]]] = {name: [] for name in quantities}
+        parts: dict[str, list[Array]] = {name: [] for name in quantities}
         size = block_runs(prepared)
         for first in range(0, runs, size):
             count = min(size, runs - first)

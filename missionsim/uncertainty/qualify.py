@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.effects.model import PowerModel
 from missionsim.engine.batteries import ConstantEnergy
@@ -13,6 +12,7 @@ from missionsim.engine.setup import split_values
 from missionsim.engine.simulate import RunSetup, simulate
 from missionsim.errors import MissionsimError
 from missionsim.inputs.mission import MissionSpec
+from missionsim.physics import Array
 from missionsim.plan.build import make_plan, plan_runs
 from missionsim.plan.legs import Plan
 from missionsim.uncertainty.arrays import AGREEMENT, ArrayMission
@@ -21,7 +21,6 @@ from missionsim.uncertainty.events import parts_of
 from missionsim.uncertainty.matrices import running_sum
 from missionsim.uncertainty.single import left_to_chance
 
-Array = NDArray[np.float64]
 _CHECK_PROBABILITIES = (0.5, 0.002, 0.998, 0.25, 0.75)
 _CHECK_DRAWS, _TRIED = 3, 256
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, numbers_in
+from missionsim.physics import Array
 
-Floats = NDArray[np.float64]
 Types = Mapping[str, tuple[Any, Any]]
 """Type of a message → its constants and fields, as rosbags has them."""
 Place = tuple[int, np.dtype[Any]]
@@ -167,7 +167,7 @@ class Held:
             if len(column) <= before:  # an element that this message does not have
                 column.append("" if isinstance(column, list) else np.nan)  # type: ignore[arg-type]
 
-    def add_many(self, stamps: NDArray[np.int64], received: NDArray[np.int64], columns: dict[str, Floats]) -> None:
+    def add_many(self, stamps: NDArray[np.int64], received: NDArray[np.int64], columns: dict[str, Array]) -> None:
         self.stamps.frombytes(stamps.tobytes())
         self.received.frombytes(received.tobytes())
         for name, values in columns.items():

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.files import first_line, needed
@@ -19,6 +18,7 @@ from missionsim.logs.formats.jsonlines import read_json_mcap
 from missionsim.logs.formats.packed import Batch, Held
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 from missionsim.logs.remarks import Remark
+from missionsim.physics import Array
 
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[[^\]]+\])*)\Z")
 _STATUS = re.compile(r"(/[^.\[]+)\[(.+?)\]\.(.+)\Z", re.DOTALL)
@@ -228,7 +228,7 @@ def _header_ns(message: Any, received_ns: int) -> int:
 
 def _times(
     stamps: dict[str, tuple[array.array[int], array.array[int]]], clock: str, remarks: list[Remark]
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, Array]:
     """Times of each topic's messages [s], all by the same clock.
 
     Messages without a header have the bag's time only. Where the headers' clock is another one (simulated time, a
