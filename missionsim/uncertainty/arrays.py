@@ -42,7 +42,7 @@ from missionsim.uncertainty.single import components_of, simulate_block
 Array = NDArray[np.float64]
 AGREEMENT = 1e-9
 """Largest relative difference to SimPy that is accepted."""
-CACHED_RUNS = 4096
+CACHED_RUNS = 2048
 """Runs evaluated at a time: their arrays of draws × intervals stay in the processor's cache."""
 MOST_NUMBERS = 2_000_000
 """Numbers of a matrix of runs × intervals; runs are planned and evaluated in parts of at most so many."""

@@ -35,7 +35,7 @@ from missionsim.workers import interrupts_held, process_pool
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-BLOCK_RUNS = {"simpy": 50, "arrays": 4096}
+BLOCK_RUNS = {"simpy": 50, "arrays": 8192}
 """Runs in a block, at most; the mission alone decides, so that tables do not depend on the number of workers."""
 BLOCK_NUMBERS = {"simpy": 200_000, "arrays": 8_000_000}
 """Runs × (intervals and uncertain values) in a block, at most: memory does not grow with a mission's length."""

@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from missionsim.uncertainty.batch import Prepared, Task, prepare
+from missionsim.uncertainty.batch import BLOCK_RUNS, Prepared, Task, prepare
 from missionsim.uncertainty.single import simulate_block
 from tests.benchmarks import forty
 
 pytestmark = pytest.mark.benchmark_ratio
 
-RUNS = 4096
-MOST = 3.6
-"""Of the totals by hand: a fifth more than on a busy machine (3.1; 2.6 to 2.9 on an idle one)."""
+RUNS = BLOCK_RUNS["arrays"]
+MOST = 3.0
+"""Of the totals by hand."""
 
 
 @pytest.fixture(autouse=True)
