@@ -76,7 +76,9 @@ def edges_driven(
             spans.append([first, stop])
         last = leg
     total = {name: np.sum(list(terms.values()), axis=0) / 3600.0 for name, terms in energies.items()}
-    sums = {name: np.concatenate([[0.0], np.cumsum(wh)]) for name, wh in total.items()}
+    sums = {name: [0.0, *np.cumsum(wh).tolist()] for name, wh in total.items()}
+    charges = {name: charge.tolist() for name, charge in charge_wh.items()}
+    start_s, end_s, segment = line.start_s.tolist(), (line.start_s + line.duration_s).tolist(), line.segment.tolist()
     made = []
     for first, stop in spans:
         begin, end = legs[int(leg_of[first])], legs[int(leg_of[stop - 1])]
@@ -84,16 +86,16 @@ def edges_driven(
         spec = environment.edges[begin.edge.edge]
         made.append(
             DrivenEdge(
-                int(line.segment[first]),
+                segment[first],
                 begin.edge.begin,
                 begin.edge.end,
                 begin.edge.edge,
                 spec.name or f"{spec.from_}–{spec.to}",
                 (end.edge or begin.edge).to_m - begin.edge.from_m,
-                float(line.start_s[first]),
-                float(line.start_s[stop - 1] + line.duration_s[stop - 1]),
-                {name: float(known[stop] - known[first]) for name, known in sums.items()},
-                {name: float(charge[stop - 1]) for name, charge in charge_wh.items()},
+                start_s[first],
+                end_s[stop - 1],
+                {name: known[stop] - known[first] for name, known in sums.items()},
+                {name: charge[stop - 1] for name, charge in charges.items()},
             )
         )
     return made

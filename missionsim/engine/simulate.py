@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -324,7 +325,7 @@ class RunSetup:
         environment = self.mission.environment
         if environment is None:
             return None
-        return lambda: edges_driven(environment, world.recorder.rows, world.legs, line, energies, charge)
+        return cache(lambda: edges_driven(environment, world.recorder.rows, world.legs, line, energies, charge))
 
     def _battery_result(
         self,
