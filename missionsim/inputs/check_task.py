@@ -107,7 +107,8 @@ class _TaskCheck:
         check.keys(("within", "reserve"), task.within.reserve, robot.batteries, "battery")
         check.keys(("least", "energy"), task.least.energy, robot.batteries, "battery")
         if task.defaults.scheme is not None:
-            check.known(("defaults", "scheme"), task.defaults.scheme, robot.schemes, "control scheme")
+            moving = task.choose.schemes is None  # else all edges are driven under those
+            self.scheme(("defaults",), task.defaults.scheme, task.defaults.navigation, None, moving=moving)
         for index, visit in enumerate(task.visits):
             self.scheme(("visits", index), visit.scheme, visit.navigation, visit.sensors, moving=False)
             for number, choice in enumerate(visit.schemes or ()):
@@ -156,6 +157,9 @@ class _TaskCheck:
         given = task.defaults.payload
         load = 0.0 if given is None else given.value
         most = task.most_kg
+        if most is not None and load > most:
+            where, allowed = ("defaults", "payload"), f"at most {most:g} kg"
+            self.check.add(where, "more than the robot may carry", f"{load:g} kg", allowed)
         for index, visit in enumerate(task.visits):
             taken = 0.0 if visit.take_up is None else visit.take_up.value
             if most is not None and taken > most:

@@ -281,6 +281,25 @@ def slack_of(tour: Tour, prices: Array) -> Array:
     return np.asarray(np.maximum(found - after[0, 0], 0.0))
 
 
+def in_time(site: Site) -> bool:
+    """Whether some order keeps all windows and the deadline, driven as fast as can be on batteries without end."""
+    order, which, visits = site.order, site.order.loads[1], site.task.visits
+    seconds = np.eye(len(site.weights))[0]
+    apart, stands = _by_load(site, seconds), _stands(site, seconds, None)
+    opens = np.array([0.0 if visit.window is None else visit.window.from_.value for visit in visits])
+    ends = [None if visit.window is None else visit.window.until for visit in visits]
+    until = np.array([math.inf if end is None else end.value for end in ends]) * (1.0 + 1e-9)
+    early = np.full((order.count, len(site.stops)), math.inf)
+    early[0, 0] = 0.0
+    for states, nexts, afters in reversed(order.steps):
+        begin = np.maximum((early[states] + apart[which[states], :, 1 + nexts]).min(axis=1), opens[nexts])
+        begin[begin > until[nexts]] = math.inf
+        np.minimum.at(early, (afters, 1 + nexts), begin + stands[which[afters], nexts])
+    last = np.flatnonzero(order.ends)
+    arrives = (early[last] + apart[which[last], :, site.goal]).min(initial=math.inf)
+    return math.isfinite(arrives) and bool(arrives <= site.deadline_s * (1.0 + 1e-9))
+
+
 def _by_load(site: Site, weights: Array) -> Array:
     """`matrix` for each load that may come up, shape (loads, stops, stops)."""
     loads, which = site.order.loads

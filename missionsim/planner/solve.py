@@ -11,7 +11,7 @@ import numpy as np
 
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer, answer_of
-from missionsim.planner.bounds import Tour, bounds_of, slack_of
+from missionsim.planner.bounds import Tour, bounds_of, in_time, slack_of
 from missionsim.planner.core import Label, Outcome, quick, search, within
 from missionsim.planner.drives import Drive, Drives
 from missionsim.planner.dual import best_prices, prices_ahead, unit
@@ -132,7 +132,7 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
     """The plan of least objective of a network of stops, whose drives are still to be chosen."""
     tour = network(site, Fronts(site))
     prices = best_prices(tour)
-    if prices.impossible:
+    if prices.impossible or (site.windowed and not in_time(site)):
         return Answer(site, False)
     best, objective = prices.plan, prices.objective
     sums = _sums(tour)

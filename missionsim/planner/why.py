@@ -86,7 +86,7 @@ def explain(site: Site) -> dict[str, Any]:
                 "change": f"robot.batteries.{name}.capacity",
                 "to": larger,
                 "unit": "Wh",
-                "text": f"a battery '{name}' of {larger:.2f} Wh in place of {capacity:.2f} Wh",
+                "text": f"a battery '{name}' of {larger:.4g} Wh in place of {capacity:.4g} Wh",
                 "relative": larger / capacity - 1.0,
             }
         )
@@ -114,7 +114,10 @@ def _together(site: Site) -> list[str]:
     """What lacks where taking away one limit is not enough: of the plan that takes least of the first battery."""
     answer = with_ample(replace(site, deadline_s=math.inf), 0, every=True)
     if answer is None:
-        return [f"no way does all that is asked, not with {AMPLE_WH:g} Wh in each battery and no deadline either"]
+        windows = " within the windows" if site.windowed else ""
+        return [
+            f"no way does all that is asked{windows}, not with {AMPLE_WH:g} Wh in each battery and no deadline either"
+        ]
     lines = ["more than one limit is short: no single one, taken away, gives a plan; without any of them"]
     if answer.duration_s > site.deadline_s:
         lines.append(f"time: {answer.duration_s - site.deadline_s:.1f} s short")
@@ -178,6 +181,22 @@ def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
                 "unit": "",
                 "text": f"without the visit '{visit.label}'",
                 "relative": 1.0 / count,
+            }
+    for i, visit in enumerate(task.visits):
+        if visit.window is None or visit.window.until is None:
+            continue
+        free = visit.model_copy(update={"window": visit.window.model_copy(update={"until": None})})
+        visits = (*task.visits[:i], free, *task.visits[i + 1 :])
+        answer = solve_site(make_site(task.model_copy(update={"visits": visits})))
+        if answer.feasible:
+            number = next((k for k, leg in enumerate(answer.legs) if leg.visit == i), len(answer.legs))
+            begins, until = sum(leg.duration_s for leg in answer.legs[:number]), visit.window.until.value
+            yield {
+                "change": f"visits.{i}.window.until",
+                "to": begins,
+                "unit": "s",
+                "text": f"a window of '{visit.label}' until {begins:.1f} s ({begins - until:.1f} s later)",
+                "relative": (begins - until) / max(until, 1.0),
             }
     chargers = [name for name, place in task.environment.places.items() if place.charger is not None]
     unused = sorted(set(chargers) - set(task.docks))
