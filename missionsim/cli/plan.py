@@ -106,13 +106,14 @@ def _solved(task: TaskSpec, seconds: float | None, to: Output) -> tuple[Answer, 
 def _extend(answer: Answer, with_pareto: bool, with_alternatives: bool) -> None:
     from missionsim.planner import why
 
-    if not answer.feasible and answer.notes:
+    if not answer.feasible and answer.extra.pop("explained", True) and answer.notes:
         would_do = answer.extra.pop("would_do", [])
         told = [f"this would do: {change['text']}" for change in would_do]
         answer.extra["why"] = {"short": [], "would_do": would_do, "text": [*answer.notes, *told]}
         return
     if not answer.feasible:
-        answer.extra["why"] = why.explain(answer.site)
+        answer.extra["why"] = found = why.explain(answer.site)
+        found["text"] = [*answer.notes, *found["text"]]
         return
     if with_pareto:
         answer.extra["pareto"] = [

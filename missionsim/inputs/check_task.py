@@ -158,8 +158,8 @@ class _TaskCheck:
         load = 0.0 if given is None else given.value
         most = task.most_kg
         if most is not None and load > most:
-            where, allowed = ("defaults", "payload"), f"at most {most:g} kg"
-            self.check.add(where, "more than the robot may carry", f"{load:g} kg", allowed)
+            allowed = f"at most {most:g} kg"
+            self.check.add(("defaults", "payload"), "more than the robot may carry", f"{load:g} kg", allowed)
         for index, visit in enumerate(task.visits):
             taken = 0.0 if visit.take_up is None else visit.take_up.value
             if most is not None and taken > most:

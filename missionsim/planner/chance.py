@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
+from missionsim.errors import Fault, InputError
 from missionsim.files import write_text
 from missionsim.inputs.loading import load_mission
 from missionsim.inputs.task import TaskSpec
@@ -60,7 +61,10 @@ def as_run(answer: Answer) -> tuple[Answer, RunResult]:
     """
     task = answer.site.task
     with _mission(answer) as path:
-        mission = load_mission(path, overrides=task.elsewhere)
+        try:
+            mission = load_mission(path, overrides=task.elsewhere)
+        except InputError as error:
+            raise InputError([_in_task(answer, fault) for fault in error.faults]) from None
         run = simulate(mission)
     own = {os.path.abspath(item.path): str(item.path) for item in (task.robot, task.environment)}
     known = [(fault, own.get(os.path.abspath(fault.file))) for fault in mission.warnings]
@@ -86,6 +90,18 @@ def as_run(answer: Answer) -> tuple[Answer, RunResult]:
     found.charge_left_wh = {name: battery.charge_left_wh for name, battery in run.batteries.items()}
     found.extra = {**answer.extra, "corrected": float(np.max(np.abs(np.array(real) - plan) / np.maximum(real, SAME)))}
     return found, run
+
+
+def _in_task(answer: Answer, fault: Fault) -> Fault:
+    """A fault of the mission that a plan makes, at the place of the task where it comes from."""
+    task, (first, *rest) = answer.site.task, fault.path.split(".")
+    where: tuple[str | int, ...] = (first, *rest)
+    if first == "segments":
+        visit = answer.legs[int(rest[0])].visit
+        where = ("choose",) if visit is None else ("visits", visit, *rest[2:])
+    elif first != "defaults":
+        return fault
+    return task.document.fault(where, fault.message, got=fault.got, allowed=fault.allowed, hint=fault.hint)
 
 
 def holds(site: Site, columns: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:

@@ -174,7 +174,6 @@ def plan_rounds(site: Site, watch: Watch | None = None) -> Answer:
     """As many rounds as asked for, or as can be, with the least objective among those."""
     repeat = site.task.repeat
     assert repeat is not None
-    site = replace(site, deadline_s=min(site.deadline_s, math.inf if repeat.until is None else repeat.until.value))
     every = 0.0 if repeat.every is None else repeat.every.value
     many = repeat.rounds == "as_often_as_possible"
     asked = MOST_ROUNDS if repeat.rounds == "as_often_as_possible" else repeat.rounds
@@ -214,7 +213,7 @@ def plan_rounds(site: Site, watch: Watch | None = None) -> Answer:
     if best is None or not best.feasible:
         early = "the search was stopped before it found a plan; there may be one"
         note = early if best is not None else "not even one round can be done within the time and the charge"
-        return Answer(site, False, notes=[note], stopped=best is not None)
+        return Answer(site, False, notes=[note], extra={"explained": best is not None}, stopped=best is not None)
     done = best.extra["rounds"]
     if fixed:
         best.extra["assumed"].append("in one order of the visits")

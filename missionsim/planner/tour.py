@@ -231,7 +231,8 @@ def make_site(task: TaskSpec, order: Order | None = None) -> Site:
     physics = Physics(task)
     energy, time = task.weights()
     weights = np.array([time, *(energy[name] for name in physics.names)])
-    deadline = math.inf if task.within.deadline is None else task.within.deadline.value
+    ends = [task.within.deadline, None if task.repeat is None else task.repeat.until]
+    deadline = min((end.value for end in ends if end is not None), default=math.inf)
     site = Site(task, physics, order, deadline_s=deadline, weights=weights)
     site.stops.append(Stop(task.start))
     for i, visit in enumerate(task.visits):
