@@ -76,9 +76,11 @@ def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored],
     """The set of forms, those beside it, the fit of the first, and its gates."""
     near, beside = _set(done.near, search.grammar)
     fitted = search.settled(done.best if near[0].form == done.best.form else search.fit(near[0].form))
-    if done.best.form != near[0].form and done.best.errors.with_law < CLEARLY * fitted.errors.with_law:
+    # the best form is not near where its sign is wrong at the noise that all are compared at
+    best = next((one for one in done.near if one.form == done.best.form), None)
+    better = done.best.errors.with_law < CLEARLY * fitted.errors.with_law
+    if best is not None and best.form != near[0].form and better:
         # the plainest predicts left-out runs less well than the best, which then stands first
-        best = next(one for one in done.near if one.form == done.best.form)
         near = [best, *(one for one in near if one.form != best.form)][:MOST_LAWS]
         fitted = search.settled(done.best)
     return near, beside, fitted, gates(fitted)
