@@ -48,10 +48,6 @@ def make_plan(
         How often blocks are driven that are repeated until a time, by their number; without it as often as could be
         if nothing took longer than planned.
 
-    Returns
-    -------
-    Plan
-
     Raises
     ------
     missionsim.errors.InputError
