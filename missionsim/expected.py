@@ -41,11 +41,6 @@ def expected_run(mission: MissionSpec, battery: str) -> ExpectedRun:
     Missions that recharge are refused: whether to go on is decided anew at each dock, by the charge that the charger
     really gave, so each stretch from dock to dock is a mission of its own.
 
-    Parameters
-    ----------
-    mission : MissionSpec
-    battery : str
-
     Raises
     ------
     missionsim.errors.InputError

@@ -120,10 +120,6 @@ def compare(
     on_run : callable, optional
         Called with the name of each run when it is done.
 
-    Returns
-    -------
-    Comparison
-
     Raises
     ------
     missionsim.errors.InputError

@@ -77,10 +77,6 @@ def simulate(
     plan, model : optional
         Where they are known already.
 
-    Returns
-    -------
-    RunResult
-
     Raises
     ------
     missionsim.errors.InputError

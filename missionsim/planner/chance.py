@@ -53,12 +53,7 @@ def draws_of(answer: Answer, seed: int, runs: int = RUNS) -> dict[str, NDArray[A
 
 
 def as_run(answer: Answer) -> tuple[Answer, RunResult]:
-    """A plan with what SimPy says of its mission where that differs: of what the search takes more simply.
-
-    Returns
-    -------
-    Answer, RunResult
-    """
+    """A plan with what SimPy says of its mission where that differs: of what the search takes more simply."""
     task = answer.site.task
     with _mission(answer) as path:
         try:

@@ -229,10 +229,6 @@ def search(
         ``(outcome so far, labels waiting) -> stop?``, called now and then.
     every_goal : bool
         Go on after the first goal and collect all that are not dominated in `runners_up`.
-
-    Returns
-    -------
-    Outcome
     """
     outcome = Outcome(objective=best)
     room = bounds.room

@@ -174,10 +174,6 @@ def varied(vary: Iterable[tuple[str, Sequence[Any]]], base: Sequence[tuple[str, 
 def from_study(path: str | os.PathLike[str]) -> tuple[Path, list[Alternative]]:
     """Mission and alternatives of a study file, the baseline first.
 
-    Parameters
-    ----------
-    path : path-like
-
     Returns
     -------
     mission : Path

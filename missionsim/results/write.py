@@ -25,10 +25,6 @@ Table = Mapping[str, Sequence[Any]]
 def tables(result: RunResult) -> dict[str, Table]:
     """All tables of a run.
 
-    Parameters
-    ----------
-    result : RunResult
-
     Returns
     -------
     dict

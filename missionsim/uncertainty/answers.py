@@ -76,11 +76,6 @@ MARGIN_TOLERANCE_WH = 1e-6
 def proportion_interval(good: int, total: int, level: float = LEVEL) -> tuple[float, float]:
     """Wilson score interval of a proportion (Wilson 1927).
 
-    Parameters
-    ----------
-    good, total : int
-    level : float
-
     Returns
     -------
     tuple of float
@@ -101,11 +96,6 @@ def proportion_interval(good: int, total: int, level: float = LEVEL) -> tuple[fl
 
 def quantile_ranks(count: int, q: float, level: float = LEVEL) -> tuple[int, int]:
     """Ranks, from 0, of the order statistics that bound a quantile (David and Nagaraja 2003, section 7.1).
-
-    Parameters
-    ----------
-    count : int
-    q, level : float
 
     Returns
     -------

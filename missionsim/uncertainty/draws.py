@@ -113,10 +113,6 @@ class Sampler:
     def draw(self, seed: int, first: int, count: int) -> Draws:
         """Values of the runs ``first … first + count − 1``.
 
-        Parameters
-        ----------
-        seed, first, count : int
-
         Returns
         -------
         dict

@@ -28,12 +28,6 @@ _CHECK_DRAWS, _TRIED = 3, 256
 def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) -> ArrayMission | str:
     """Compile a mission for evaluation as arrays.
 
-    Parameters
-    ----------
-    mission : MissionSpec
-    model : PowerModel
-    sampler : Sampler
-
     Returns
     -------
     ArrayMission or str
