@@ -14,8 +14,7 @@ from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import Remark, read_logs
-from missionsim.runs.admit import admit, unchanging
-from missionsim.runs.copies import copies
+from missionsim.runs.admit import admit, copies, unchanging
 from missionsim.runs.run import Run
 from tests.diagnose.logs import drive
 from tests.rough import regimes
