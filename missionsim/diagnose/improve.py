@@ -68,8 +68,10 @@ class Improved:
     @property
     def worse(self) -> str:
         """In words, that the file predicts these runs worse; empty where it does not, or where nothing was added."""
+        if not self.added:
+            return ""
         before, recalibrated, *_, after, _floor = self.steps
-        return worse_note(before, recalibrated, after, self.heldout) if self.added else ""
+        return worse_note(before, recalibrated, after, self.heldout)
 
 
 def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask) -> Improved:

@@ -258,6 +258,18 @@ def test_improve_goes_to_the_noise_floor(folders: dict[str, Path], tmp_path: Pat
     assert "noise floor" in page.read_text(encoding="utf-8")
 
 
+def test_improve_adds_nothing_where_nothing_is_missing(folders: dict[str, Path], tmp_path: Path) -> None:
+    robot, out, page = (tmp_path / name for name in ("n.yaml", "n.json", "n.html"))
+    given = ("--yes", "--out", str(robot), "--json", str(out), "--report", str(page), "--quiet")
+    assert run("improve", "--robot", "pioneer3dx", str(folders["clean"]), *given) == 0
+    battery = json.loads(out.read_text(encoding="utf-8"))["batteries"]["robot"]
+    assert battery["added"] == []
+    assert battery["worse"] is None
+    assert [step["name"] for step in battery["steps"]] == ["before", "recalibrated", "noise floor"]
+    assert robot.exists()
+    assert page.exists()
+
+
 def test_improve_asks_on_a_terminal_only(
     folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
