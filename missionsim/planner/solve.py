@@ -91,7 +91,7 @@ class Fronts:
 
 VARIED = (0.3, 1.5)
 """By so much of what the mean arc costs the price of each resource is raised for the first drives."""
-MOST_LABELS = 6_000
+MOST_LABELS = 4_500
 """After which a search that has a plan gives up its proof."""
 PATIENCE = 6_000
 """Labels after which the search for more drives on one road ends."""

@@ -151,6 +151,11 @@ BAD = {
     "repeat={rounds: 2, until: 2 kg}": "kg is a unit of mass",
     "initial_charge={drive: 110 %}": "at: initial_charge.drive",
     "defaults={turn_at_places: true}": "turning at places is not planned",
+    "defaults.payload=99 kg": "at: defaults.payload",
+    "defaults={sensors: {sonar: 1}}": "at: defaults.sensors.sonar",
+    "defaults={speed: 9 m/s}": "at: defaults.speed",
+    "visits.0.navigation=map": "at: visits.0.navigation",
+    "choose={}\ndefaults={scheme: look}": "at: defaults.scheme",
     "wibble=3": "unknown key 'wibble'",
 }
 
@@ -158,7 +163,8 @@ BAD = {
 def test_bad_tasks_are_told_where_they_are_and_once(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     task = root / "missions/planning/inspection.yaml"
     for setting, told in BAD.items():
-        assert run_command(["plan", str(task), "--set", setting, "--quiet"]) == 2, setting
+        words = [part for change in setting.split("\n") for part in ("--set", change)]
+        assert run_command(["plan", str(task), *words, "--quiet"]) == 2, setting
         said = capsys.readouterr().err
         assert told in said, (setting, said)
         assert said.count("error:") == len({part.split("\n")[0] for part in said.split("at: ")[1:]}), said
@@ -233,6 +239,24 @@ def test_what_the_search_leaves_out_is_in_the_numbers(root: Path, tmp_path: Path
     left = min(b["charge_left_wh"] / b["capacity_wh"] for b in found["batteries"].values())
     again = plan(root, tmp_path, TWO, change, "choose.schemes=[mapped]", f"within.reserve={left + 1e-4}", code=1)
     assert not again["feasible"]
+
+
+@pytest.mark.parametrize(
+    ("change", "told", "would_do"),
+    [
+        ("visits.1.window={until: 1 min}", "within the windows", "visits.1.window.until"),
+        ("repeat={rounds: 3, until: 5 min}", "not even one round", "within.deadline"),
+    ],
+)
+def test_what_would_do_where_a_window_or_a_shift_is_too_short(
+    root: Path, tmp_path: Path, change: str, told: str, would_do: str
+) -> None:
+    why = plan(root, tmp_path, change, code=1)["why"]
+    assert told in why["text"][0]
+    found = next(change for change in why["would_do"] if change["change"] == would_do)
+    until = would_do if would_do.startswith("visits") else "repeat.until"
+    enough = found["to"] * (1 + 1e-9)
+    assert plan(root, tmp_path, change, f"{until}={enough} s", "repeat.rounds=1" if "repeat" in change else "order=any")
 
 
 def test_python_plans_rounds_as_the_command_does(root: Path, tmp_path: Path) -> None:
