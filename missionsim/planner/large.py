@@ -16,6 +16,8 @@ from missionsim.planner.orders import Order
 from missionsim.planner.tour import Site
 
 STARTS = 4
+CUTS = 25
+"""Rounds of cuts after which the bound is what it is."""
 LATE = 1e3
 """What a second after the end of a window counts, relative to a second of the whole drive."""
 
@@ -45,21 +47,54 @@ def solve_large(site: Site, solve: Callable[[Site], Answer]) -> Answer:
 
 
 def _bound(site: Site, apart: Array) -> float:
-    """Below which no order's objective is: each stop is left and entered once (assignment problem); else -infinity."""
-    from scipy.optimize import linear_sum_assignment
+    """Below which no order's objective is; -infinity where visits may be left out or change the load.
+
+    Each stop is left and entered once, and no set of stops is left by less than one drive in all: the linear program of
+    Dantzig, Fulkerson and Johnson (1954), with the sets that a minimal cut finds violated.
+    """
+    import networkx as nx
+    from scipy.optimize import linprog
+    from scipy.sparse import coo_array
 
     visits = site.task.visits
     if any(v.value is not None or v.take_up is not None or v.set_down is not None for v in visits):
         return -math.inf
     count = len(visits)
-    cost = apart[: count + 1, 1 : count + 2].copy()
-    cost[np.arange(1, count + 1), np.arange(count)] = math.inf
-    cost[~np.isfinite(cost)] = 1e12
-    if count:
-        cost[0, count] = 1e12
-    rows, columns = linear_sum_assignment(cost)
+    ends = [(i, j) for i in range(count + 1) for j in range(1, count + 2) if i != j and (i, j) != (0, count + 1)]
+    arcs = np.array([(i, j) for i, j in ends if math.isfinite(apart[i, j])])
+    tails, heads = arcs.T
+    number = np.arange(len(arcs))
+    degrees = coo_array(
+        (np.ones(2 * len(arcs)), (np.append(tails, count + heads), np.append(number, number))),
+        shape=(2 * count + 2, len(arcs)),
+    ).tocsr()
     standing = sum(float((site.standing(1 + i, site.order.load_kg) @ site.weights).min()) for i in range(count))
-    return float(cost[rows, columns].sum()) + standing
+    cuts: list[Array] = []
+    bound = -math.inf
+    for _ in range(CUTS):
+        found = linprog(
+            apart[tails, heads],
+            A_eq=degrees,
+            b_eq=np.ones(2 * count + 2),
+            A_ub=np.array(cuts) if cuts else None,
+            b_ub=-np.ones(len(cuts)) if cuts else None,
+            method="highs",
+        )
+        if not found.success:
+            break
+        bound = float(found.fun) + standing
+        graph = nx.DiGraph()
+        graph.add_weighted_edges_from(zip(tails.tolist(), heads.tolist(), found.x.tolist(), strict=True), "capacity")
+        new: set[frozenset[int]] = set()
+        for stop in range(1, count + 1):
+            value, (side, _) = nx.minimum_cut(graph, stop, count + 1)
+            if value < 1.0 - 1e-6:
+                new.add(frozenset(side))
+        if not new:
+            break
+        inside = [np.isin(arcs, list(side)) for side in new]
+        cuts += [-(one[:, 0] & ~one[:, 1]).astype(float) for one in inside]
+    return bound
 
 
 def orders(site: Site, apart: Array) -> list[tuple[int, ...]]:
