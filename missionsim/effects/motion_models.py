@@ -34,11 +34,6 @@ class MotionModel:
         """Every parameter of the terms once, in order; those that are not required may be left out of a robot file."""
         return tuple({spec.name: spec for effect in self.terms for spec in effect.parameters}.values())
 
-    @property
-    def required(self) -> tuple[str, ...]:
-        """Parameters that a robot file must give."""
-        return tuple(spec.name for spec in self.parameters if spec.required)
-
     def build(self, battery: str, parameters: Mapping[str, ModelParameter]) -> list[Term]:
         """One base term per effect.
 

@@ -32,12 +32,9 @@ class Timeline:
     def __len__(self) -> int:
         return int(np.shape(self.duration_s)[-1])
 
-    def covariates(self, index: NDArray[np.intp] | slice | None = None) -> dict[str, Any]:
-        """Covariates at the start of the intervals `index` (all by default)."""
-        if index is None:
-            return {**self.constants, **self.columns}
-        picked = {name: v[index] if is_text(v) else np.asarray(v)[..., index] for name, v in self.columns.items()}
-        return {**self.constants, **picked}
+    def covariates(self) -> dict[str, Any]:
+        """Covariates at the start of the intervals."""
+        return {**self.constants, **self.columns}
 
     def at(self, index: NDArray[np.intp], offset_s: Array, memory: frozenset[str] | None = None) -> dict[str, Any]:
         """Covariates of the intervals `index` at times after their start.

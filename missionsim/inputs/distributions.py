@@ -130,10 +130,6 @@ class Distribution:
             np.clip(scores, self._low, self._high, out=scores)
         return scores
 
-    def sample(self, rng: np.random.Generator, size: int | tuple[int, ...] | None = None) -> Array:
-        """Independent draws; SI."""
-        return self.quantile(rng.uniform(size=size))
-
     def scaled(self, factor: float) -> Distribution:
         """The distribution of `factor` times the value (factor > 0)."""
         numbers = (self.mean_, self.sd_, self.low, self.high, self.mode)

@@ -44,11 +44,6 @@ class Parameter:
     def __float__(self) -> float:
         return self.value
 
-    @property
-    def uncertain(self) -> bool:
-        """Whether a Monte Carlo varies it."""
-        return self.distribution is not None
-
     def scaled(self, factor: float, unit: str) -> Parameter:
         """`factor` times the parameter, in another unit."""
         sd, low, high = (None if number is None else number * factor for number in (self.sd, self.low, self.high))

@@ -25,11 +25,6 @@ class Phases:
     """All three: length, speed at its start and acceleration of each phase; phases that do not occur last 0 s. Shape
     (..., pieces, 3)."""
 
-    @property
-    def total_s(self) -> Array:
-        """Duration of the run, shape (...)."""
-        return np.asarray(self.duration_s.sum(axis=(-2, -1)))
-
 
 def junction_speeds(
     distance_m: Any, limit_m_s: Any, accel_m_s2: Any, decel_m_s2: Any, begin_m_s: Any = 0.0, end_m_s: Any = 0.0

@@ -187,7 +187,7 @@ def uncertain_statistics(causes: Causes, draws: int, seed: int) -> dict[str, dic
     plan = run(PLAN)
     model = build_power_model(mission(PLAN).robot)
     first = np.array([int(np.flatnonzero(plan.timeline.segment == i)[0]) for i in range(len(plan.segments))])
-    cov = plan.timeline.covariates(first)
+    cov = {name: column[first] for name, column in plan.timeline.columns.items()} | dict(plan.timeline.constants)
     driven = {**cov, "speed_m_s": np.asarray(cov["speed_m_s"]) * ratio}
     planned_s = _durations(PLAN)
     driven_s = planned_s * stretch / ratio

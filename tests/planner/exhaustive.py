@@ -189,7 +189,7 @@ class Exhaustive:
             made.accel_m_s2.ravel()[lasting],
             first[lasting],
         )
-        return np.column_stack([made.total_s, wh.reshape(len(combos), -1, 2).sum(axis=1)])
+        return np.column_stack([made.duration_s.sum(axis=(-2, -1)), wh.reshape(len(combos), -1, 2).sum(axis=1)])
 
     def best(self) -> float:
         """Least objective of all plans; infinite where there is none."""
