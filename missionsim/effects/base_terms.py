@@ -300,15 +300,7 @@ def motion_expression_terms(
     )
 
 
-def expression_term(
-    id: str,
-    formula: Expression,
-    specs: tuple[ParameterSpec, ...],
-    *,
-    component: str = "motors",
-    drive: bool = False,
-    source: str = "robot file",
-) -> Effect:
+def expression_term(id: str, formula: Expression, specs: tuple[ParameterSpec, ...], *, drive: bool = False) -> Effect:
     """A user's own formula over covariates and parameters as an effect."""
     own = {spec.name for spec in specs}
     needs = _needs(formula, own)
@@ -319,12 +311,11 @@ def expression_term(
     return Effect(
         id,
         formula.source,
-        source,
+        "robot file",
         formula.source,
         specs,
         needs,
         power,
-        component=component,
         drive=drive,
         sign=1 if specs and specs[0].low >= 0.0 else 0,
         memory=tuple(name for name in needs if name == "moving_time_s" or name.startswith("on_time_")),
