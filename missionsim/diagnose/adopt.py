@@ -36,35 +36,23 @@ class NotSignificant(MissionsimError):
 
 @dataclass(frozen=True)
 class Adopted:
-    """A robot file with an effect added.
-
-    Attributes
-    ----------
-    text : str
-        The new file.
-    effect : Finding
-        What was fitted.
-    significant : bool
-    reason : str
-        Why not, where it is not.
-    rivals : tuple of str
-        Effects that these data cannot tell from it.
-    base : mapping of str to (value, sd)
-        Recalibrated base parameters that were written.
-    heldout : HeldOut or None
-        Errors of the file before, recalibrated and as it was written.
-    meter : Meter
-        Delay and lag of the meter that were written.
-    """
+    """A robot file with an effect added."""
 
     text: str
+    """The new file."""
     effect: Finding
+    """What was fitted."""
     significant: bool
     reason: str
+    """Why not, where it is not."""
     rivals: tuple[str, ...]
+    """Effects that these data cannot tell from it."""
     base: Mapping[str, tuple[float, float]]
+    """Recalibrated base parameters that were written. Mapping of str to (value, sd)."""
     heldout: HeldOut | None = None
+    """Errors of the file before, recalibrated and as it was written."""
     meter: Meter = field(default_factory=Meter)
+    """Delay and lag of the meter that were written."""
 
     def to_json(self) -> dict[str, Any]:
         """As ``missionsim add-effect --json`` has it."""

@@ -30,12 +30,7 @@ from missionsim.physics import Array
 
 @dataclass(frozen=True)
 class Model:
-    """Everything known once a set of effects is in the model.
-
-    Attributes
-    ----------
-    design, noise, gram : at the clock of this model
-    """
+    """Everything known once a set of effects is in the model."""
 
     source: Source
     chosen: tuple[int, ...]
@@ -43,6 +38,7 @@ class Model:
     clock: Clock
     design: Design
     noise: Noise
+    """Both, and `gram`: at the clock of this model."""
     squares: LeastSquares | None = None
     """Least squares at this clock, where it predicts left-out runs better than the noise model does."""
 

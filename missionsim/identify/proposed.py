@@ -86,13 +86,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A law that the library does not hold.
-
-    Attributes
-    ----------
-    rise_nats, penalty_nats, tried
-        Rise of the likelihood, what chance makes of so many tries, and their number.
-    """
+    """A law that the library does not hold."""
 
     laws: tuple[Law, ...]
     """Forms that these data cannot tell apart; the plainest of the best first."""
@@ -105,6 +99,7 @@ class Proposal:
     share_sd: float
     rise_nats: float
     penalty_nats: float
+    """Both: rise of the likelihood, and what chance makes of so many tries."""
     _: KW_ONLY
     tried: int
     left_out_rmse_w: tuple[float, float]

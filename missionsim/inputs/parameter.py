@@ -13,13 +13,7 @@ STATUSES = ("published", "fitted", "assumed", "measured")
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of a robot, environment or mission file.
-
-    Attributes
-    ----------
-    status, source, note : str
-        ``published``, ``fitted``, ``assumed``, ``measured`` or empty, and where the number comes from.
-    """
+    """A number of a robot, environment or mission file."""
 
     value: float
     """Nominal value in the SI unit `unit` (energies J, angles rad, temperatures degC)."""
@@ -32,6 +26,7 @@ class Parameter:
     """What a Monte Carlo draws from; None for a certain number."""
     status: str = ""
     source: str = ""
+    """Both, and `note`: ``published``, ``fitted``, ``assumed``, ``measured`` or empty; where the number comes from."""
     unit: str = "1"
     """SI unit; for parameters of effects and motion models the unit that the file names."""
     _: KW_ONLY

@@ -56,27 +56,19 @@ _BELOW = "below its reserve: "
 
 @dataclass(frozen=True)
 class ArrayMission:
-    """A mission compiled for evaluation as arrays; `block` gives the same columns as `simulate_block`.
-
-    Attributes
-    ----------
-    plan : Plan
-        At the nominal values.
-    varying : PowerModel
-        The terms that some draw changes.
-    fixed : mapping
-        Battery and component → power of all other terms on each part [W], shape (parts,).
-    parts : tuple of Part
-        What the nominal run consists of: its legs, and waits for components that start up.
-    """
+    """A mission compiled for evaluation as arrays; `block` gives the same columns as `simulate_block`."""
 
     mission: MissionSpec
     model: PowerModel
     sampler: Sampler
     plan: Plan
+    """At the nominal values."""
     varying: PowerModel
+    """The terms that some draw changes."""
     fixed: Mapping[tuple[str, str], Array]
+    """Battery and component → power of all other terms on each part [W], shape (parts,)."""
     parts: tuple[Part, ...]
+    """What the nominal run consists of: its legs, and waits for components that start up."""
 
     def block(self, seed: int, first: int, count: int) -> dict[str, NDArray[Any]]:
         """Columns of the runs ``first … first + count − 1``."""
