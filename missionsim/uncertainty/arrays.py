@@ -217,7 +217,8 @@ class ArrayMission:
 
     def split(self, setup: RunSetup) -> tuple[Intervals, Any]:
         """Intervals of many runs, and which runs have another order of events."""
-        if all(part.phase is None and not part.waits for part in self.parts):
+        whole = all(part.phase is None and not part.waits for part in self.parts)
+        if whole and all(leg.recharge is None for leg in self.plan.legs):
             return Intervals.of(setup.plan), False
         phases, which, odd = phases_of(setup.plan, self.plan, self.parts, [info.startup_s for info in setup.components])
         return Intervals.of(setup.plan, phases, which), odd

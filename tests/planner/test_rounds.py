@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import pytest
@@ -94,6 +95,17 @@ def test_charges_on_a_round_that_the_battery_cannot_do_whole(root: Path, tmp_pat
         clock += leg["duration_s"]
     assert sum(time >= 1500.0 * (1 - 1e-12) for time in homes) >= 1
     assert max(homes) >= 3000.0 * (1 - 1e-12)
+
+
+@pytest.mark.study
+def test_a_shift_of_eight_hours_is_planned_within_half_a_minute_and_driven_as_planned(
+    root: Path, tmp_path: Path
+) -> None:
+    began = time.process_time()
+    found = plan(task_of(root, tmp_path))
+    assert time.process_time() - began < 30.0
+    assert found["rounds"] == found["rounds_at_most"] == 40
+    assert found["duration_s"] <= 8 * 3600.0
 
 
 def test_a_shift_that_is_stopped_is_a_plan_with_its_gap(root: Path, tmp_path: Path) -> None:

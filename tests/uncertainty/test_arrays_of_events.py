@@ -44,11 +44,14 @@ edges: [{from: home, to: far}, {from: far, to: side}, {from: side, to: home}]
 TAPER = ", charge_taper: {from: 70 %, end_power: 20 %}"
 
 
-def _prepared(folder: Path, segments: list[str], *, taper: str = "", boot: str = "", sd: str = "5 %") -> Prepared:
+def _prepared(
+    folder: Path, segments: list[str], *, taper: str = "", boot: str = "", sd: str = "5 %", fast: bool = False
+) -> Prepared:
     (folder / "robot.yaml").write_text(ROBOT.format(taper=taper, boot=boot, sd=sd))
     (folder / "site.yaml").write_text(SITE)
     head = "kind: mission\nname: events\nrobot: robot.yaml\nenvironment: site.yaml\nstart: home\n"
-    head += "initial_charge: {main: 60 %, brain: 55 %}\ndefaults: {speed: 0.8 m/s, scheme: follow}\nsegments:\n"
+    head += "initial_charge: {main: 60 %, brain: 55 %}\ndefaults: {speed: 0.5 m/s, scheme: creep}\nsegments:\n"
+    head = head if fast else head.replace("0.5 m/s, scheme: creep", "0.8 m/s, scheme: follow")
     path = folder / "mission.yaml"
     path.write_text(head + "\n".join(f"  - {segment}" for segment in [*segments, "drive: {to: home}"]) + "\n")
     prepare.cache_clear()
@@ -75,6 +78,7 @@ DRIVES = ["drive: {to: far}", "drive: {to: side, scheme: creep, speed: 0.5 m/s}"
         ([DRIVES[0], LOOK, DRIVES[1], LOOK], {"boot": "startup: {duration: 20 s, power: 40 W}, "}),
         ([*DRIVES, "drive: {to: home}", DOCK, *DRIVES], {}),
         ([*DRIVES, LOOK, "drive: {to: home}", DOCK, *DRIVES, "drive: {to: home}", DOCK], {"taper": TAPER}),
+        (["drive: {to: far}", "drive: {to: home}", DOCK, "drive: {to: side}"], {"fast": True, "taper": TAPER}),
         ([DOCK, "wait: {duration: 5 s, scheme: creep}", DOCK], {"taper": TAPER, "boot": "startup: {duration: 9 s}, "}),
     ],
 )
