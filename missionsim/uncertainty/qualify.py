@@ -146,9 +146,9 @@ def _disagreement(made: ArrayMission) -> str:
                     f"arrays and SimPy differ by {abs(ours / battery.energy_wh - 1):.1e} on battery '{name}' "
                     "(a term has a kink or fades inside an interval)"
                 )
-            left = float(columns[f"charge_left_{name}_wh"][i])
-            if not abs(left - battery.charge_left_wh) <= AGREEMENT * battery.capacity_wh:
-                return f"arrays and SimPy differ by {abs(left - battery.charge_left_wh):.1e} Wh in what is left in '{name}'"
+            off = abs(float(columns[f"charge_left_{name}_wh"][i]) - battery.charge_left_wh)
+            if not off <= AGREEMENT * battery.capacity_wh:
+                return f"arrays and SimPy differ by {off:.1e} Wh in what is left in battery '{name}'"
         if bool(columns["feasible"][i]) != result.feasible:
             return "arrays and SimPy do not agree on what is feasible"
     return ""
