@@ -214,9 +214,9 @@ def processor_seconds(command: list[str]) -> tuple[float, list[float]]:
 def test_two_processes_share_the_work(root: Path, tmp_path: Path) -> None:
     """By the processor time of the longest: a clock tells on a busy machine what others do."""
     mission = str(root / "missions/pioneer3dx/valve_patrol_as_driven.yaml")
-    command = ["montecarlo", mission, "--runs", str(PROCESS_RUNS), "--engine", "simpy", "--sobol", "0", "--quiet", "--out"]
-    alone, _ = processor_seconds([*command, str(tmp_path / "one"), "--workers", "1"])
-    first, others = processor_seconds([*command, str(tmp_path / "two"), "--workers", "2"])
+    command = ["montecarlo", mission, "--runs", str(PROCESS_RUNS), "--engine", "simpy", "--sobol", "0", "--quiet"]
+    alone, _ = processor_seconds([*command, "--out", str(tmp_path / "one"), "--workers", "1"])
+    first, others = processor_seconds([*command, "--out", str(tmp_path / "two"), "--workers", "2"])
     gain = alone / (first + others[0])
     told = " and ".join(f"{seconds:.1f}" for seconds in others[:2])
     print(f"\none process {alone:.1f} s; of two the first {first:.1f} s beside {told} s: {gain:.2f} times faster")
