@@ -176,8 +176,9 @@ def _fit(
             sd = np.array([FREE_SD if n in added else min(max(prior_sd.get(n, 0.03), 1e-6), FREE_SD) for n in names])
             ends = np.sort([[low[n] / start[n] - 1.0, high[n] / start[n] - 1.0] for n in names], axis=1)
         shift, cov = _solve(system, done, sd, ends, energy=not keep_base)
-        # rounding must not take a value at its bound beyond it
-        values = {n: min(max(start[n] * (1.0 + float(s)), low[n]), high[n]) for n, s in zip(names, shift, strict=True)}
+        values = {n: start[n] * (1.0 + float(s)) for n, s in zip(names, shift, strict=True)}
+        # rounding must not take what an effect gives back at its bound beyond it
+        values |= {n: min(max(values[n], low[n]), high[n]) for n in {*added, "regeneration"} & set(names)}
         model = model.with_values({f"{battery}/{n}": v for n, v in values.items()})
         if np.all(np.abs(shift - done) < STILL) or round_ == ROUNDS - 1:
             break
@@ -335,7 +336,7 @@ def _solve(system: _System, done: Array, sd: Array, ends: Array, *, energy: bool
         # the triangle of the rows has the same least squares, and few of them
         triangle = np.asarray(np.linalg.qr(np.column_stack([np.vstack(rows), np.concatenate(right)]), mode="r"))
         solved = lsq_linear(triangle[:, :-1], triangle[:, -1], (ends[:, 0] - 1e-12, ends[:, 1] + 1e-12))
-        shift = np.clip(solved.x, ends[:, 0], ends[:, 1])
+        shift = np.asarray(solved.x)
         noise = _noise(x, y, weight, shift)
         bread = np.linalg.pinv(normal / (noise**2 * d) + prior)
         numbers, cluster = np.unique(system.cluster, return_inverse=True)

@@ -97,7 +97,9 @@ def _round(value: float) -> float:
     return float(f"{value:.2g}")
 
 
-def make_grammar(covariates: Sequence[Mapping[str, Any]], components: Sequence[str] = ()) -> Grammar:
+def make_grammar(
+    covariates: Sequence[Mapping[str, Any]], components: Sequence[str] = (), *, clocks: bool = True
+) -> Grammar:
     """The factors that these runs allow.
 
     Parameters
@@ -129,9 +131,9 @@ def make_grammar(covariates: Sequence[Mapping[str, Any]], components: Sequence[s
         b.add(Factor("cpu_load", "cpu_load**2", "load²", 1), [x**2 for x in load])
         b.add(Factor("cpu_load", "max(cpu_load - 0.5, 0)", "(load − 0.5)₊", 2), [np.maximum(x - 0.5, 0) for x in load])
     for name, powers in (("cpu_freq_hz", (1, 3)), ("access_point_distance_m", (1, 2)), ("time_s", (1,))):
-        if b.has(name):
+        if b.has(name) and (clocks or name != "time_s"):
             _powers(b, name, name, SYMBOLS[name], b.raw(name), powers)
-    if b.has("moving_time_s"):
+    if clocks and b.has("moving_time_s"):
         clock = b.raw("moving_time_s")
         for tau in (60.0, 240.0):
             text = f"exp(-moving_time_s / {tau:g})"

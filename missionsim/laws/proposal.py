@@ -64,7 +64,8 @@ def propose(found: Any, covariates: Sequence[Mapping[str, Any]]) -> Proposed | N
         Covariates of every run that was given to it, at the raw rate, with those derived from the log.
     """
     ground = ground_of(found, covariates)
-    grammar = make_grammar(ground.covariates)
+    # where the base is far from right, what wanders unexplained looks like a clock, and warming up is in the library
+    grammar = make_grammar(ground.covariates, clocks=ground.model.squares is None)
     for memory in (False, True):
         made = _propose(ground, grammar, memory, found)
         if made is not None:
