@@ -69,7 +69,7 @@ def test_any_charge_beside_many_levels(seed: int, alike: bool, tmp_path: Path) -
 @pytest.mark.parametrize("alike", [True, False])
 def test_any_charge_beside_many_levels_often(alike: bool, tmp_path: Path) -> None:
     charges, gaps = [], []
-    for seed in range(100, 180):
+    for seed in range(100, 110):
         folder = tmp_path / str(seed)
         folder.mkdir()
         found = _beside_levels(seed, folder, alike=alike)
@@ -79,5 +79,5 @@ def test_any_charge_beside_many_levels_often(alike: bool, tmp_path: Path) -> Non
     print(
         f"alike {alike}: {np.bincount(charges)} plans by charges, mean gap {np.mean(gaps):.2g}, largest {max(gaps):.2g}"
     )
-    assert sum(count > 1 for count in charges) > 3
+    assert sum(count > 1 for count in charges) > 0
     assert math.isfinite(max(gaps))
