@@ -135,7 +135,7 @@ def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunRe
     physics = site.physics
     kept = physics.reserve_wh
     margin, ahead = np.zeros(len(kept)), 0.0
-    first = told_of = low = enough = None
+    first = surest = low = enough = beyond = None
     best: tuple[Answer, RunResult] | None = None
     for attempt in range(TRIES):
         physics.reserve_wh = kept + margin
@@ -145,7 +145,11 @@ def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunRe
         finally:
             physics.reserve_wh = kept
         if not found.feasible:
-            break
+            if asked is None or low is None:
+                break
+            beyond = np.append(margin, ahead)  # no plan keeps such margins
+            margin, ahead = 0.5 * (low + beyond)[:-1], float(0.5 * (low + beyond)[-1])
+            continue
         answer, run = as_run(replace(found, site=site))
         first = first or answer
         short, late = _short(answer, run), max(0.0, answer.duration_s - site.deadline_s * (1.0 + SAME))
@@ -157,6 +161,8 @@ def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunRe
                 told_of = told(site, draws_of(answer, SEED + 2 * attempt + 1))
             good = told_of["value"] >= asked
             answer.extra["probability"] = told_of | {"asked": asked}
+            if surest is None or told_of["value"] > surest["value"]:
+                surest = told_of
             answer.extra["margins"] = {
                 "reserve_wh": dict(zip(physics.names, margin.tolist(), strict=True)),
                 "deadline_s": ahead,
@@ -178,6 +184,8 @@ def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunRe
             return best or (answer, run)
         if enough is not None and low is not None:  # the cheapest plan lies between too little and enough
             now = 0.5 * (low + enough)
+        elif beyond is not None and low is not None:
+            now = 0.5 * (low + beyond)
         elif not (short > 0.0).any() and not late:
             break
         else:
@@ -187,14 +195,32 @@ def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunRe
         return best
     if first is None:
         return Answer(site, False, notes=found.notes, extra=found.extra), None
-    if told_of is None or asked is None:
+    if surest is None or asked is None:
         why = run.reason or "too late, or outside a window"
         note = f"the plan found does not hold when it is simulated ({why}), and within margins for that there is none"
         return Answer(site, False, notes=[note]), None
-    surest = told_of if found.feasible else first.extra["probability"]
     note = f"no plan was found that holds in {100 * asked:g} % of the draws"
-    extra = {"probability": surest | {"asked": asked}}
-    return Answer(site, False, notes=[f"{note}, the surest holds in {100 * surest['value']:.2f} %"], extra=extra), None
+    extra = {"probability": surest | {"asked": asked}, "would_do": _surer(site, columns, asked, surest["low"])}
+    return Answer(
+        site, False, notes=[f"{note}, the surest that was found holds in {100 * surest['value']:.2f} %"], extra=extra
+    ), None
+
+
+def _surer(site: Site, columns: dict[str, NDArray[Any]], asked: float, low: float) -> list[dict[str, Any]]:
+    """Single changes with which a plan holds as often as is asked: a later deadline if that alone does, and asking for
+    no more than the surest plan gives for certain."""
+    found = []
+    late = np.where(columns["feasible"], columns["duration_s"], np.inf)
+    # two standard errors more than is asked, for other draws will be others
+    share = asked + 2.0 * float(np.sqrt(asked * (1.0 - asked) / late.size))
+    end = float(np.quantile(late, share, method="higher")) if share < 1.0 else np.inf
+    if site.deadline_s < end < np.inf:
+        text = f"a deadline of {end:.1f} s ({end - site.deadline_s:.1f} s later)"
+        found.append({"change": "within.deadline", "to": end, "unit": "s", "text": text})
+    if (less := float(np.floor(1e3 * low) / 1e3)) > 0.0:
+        text = f"with_probability: {100 * less:.1f} %"
+        found.append({"change": "within.with_probability", "to": less, "unit": "", "text": text})
+    return found
 
 
 def _short(answer: Answer, run: RunResult) -> Array:

@@ -47,6 +47,16 @@ def test_no_plan_names_what_would_do_and_it_does(root: Path, tmp_path: Path) -> 
     assert plan(root, tmp_path, TWO, f"{change['change']}={change['to'] * (1 + 1e-9)} Wh")["feasible"]
 
 
+def test_where_no_plan_is_as_sure_as_asked_what_is_sure_would_do(root: Path, tmp_path: Path) -> None:
+    asked = ("within.with_probability=0.999999", "within.reserve={drive: 66 %}")
+    none = plan(root, tmp_path, *asked, code=1)
+    change = next(item for item in none["why"]["would_do"] if item["change"] == "within.with_probability")
+    assert 0.9 < change["to"] <= none["probability"]["low"]  # the cheapest plan holds in 87 %
+    assert f"this would do: {change['text']}" in none["why"]["text"]
+    less = plan(root, tmp_path, asked[1], f"within.with_probability={change['to']}")
+    assert less["probability"]["value"] >= change["to"]
+
+
 def test_no_plan_says_what_start_would_do_and_what_of_rounds(root: Path, tmp_path: Path) -> None:
     low = plan(root, tmp_path, TWO, "initial_charge={drive: 22 %}", code=1)
     change = next(item for item in low["why"]["would_do"] if item["change"] == "initial_charge.drive")
