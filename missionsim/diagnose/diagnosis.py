@@ -15,7 +15,8 @@ from missionsim.diagnose.features import Features, at_size, make_features, stead
 from missionsim.diagnose.heldout import KINDS, Models
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
-from missionsim.diagnose.proposed import depends_on, proposed_laws, without_stand_ins
+from missionsim.diagnose.proposed import as_finding as as_law
+from missionsim.diagnose.proposed import depends_on, of_motion, proposed_laws, with_law, without_stand_ins
 from missionsim.diagnose.split import Split, choose_split, lacking, read_runs, stretches, with_same_causes
 from missionsim.diagnose.subject import Subject, priors_of
 from missionsim.diagnose.waterfall import noted
@@ -164,7 +165,6 @@ class Examined:
     held: tuple[Run, ...]
 
 
-MOTION = frozenset({"speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad"})
 NOTHING_LEFT = "comes to nothing beside the others once all are fitted together"
 
 
@@ -261,11 +261,18 @@ def diagnose_battery(
     if laws and found.factor is None:
         proposed = proposed_laws(found, features.covariates, models, held)
         if features.unlogged:
-            proposed = tuple(law for law in proposed if _of_motion(law))
+            proposed = tuple(law for law in proposed if of_motion(law))
         if found.choice.forward is not None and found.effects:
             # where the base is far from right, effects that predict come first, unless a law predicts far better
             proposed = tuple(law for law in proposed if law.far_better)
     effects, candidates = without_stand_ins(proposed, found.effects, found.candidates)
+    if (
+        found.choice.forward is not None
+        and effects
+        and (first := next((p for p in proposed if p.first.simulated), None))
+    ):
+        made = as_law(first)
+        effects = with_law(models, made.effect, made.effect).needed_beside(made, effects)
     effects = models.of_all_braking(effects)
     effects, fitted = models.certain(effects)
     kept = {effect.effect for effect in effects}
@@ -368,13 +375,6 @@ def _beside_law(effect: Finding, laws: Sequence[Proposal], features: Features) -
     if not shared:
         return effect.remark
     return f"a law of {QUANTITY.get(shared[0], (shared[0], ''))[0]} explains beside it what that effect cannot"
-
-
-def _of_motion(law: Proposal) -> bool:
-    """Whether a law reads how the robot moves and what it carries alone, which loads that nobody logged do not follow:
-    these look like a law of time, temperature or processor load."""
-    read = {name for form in law.laws for name in form.variables}
-    return bool(read & MOTION) and read <= MOTION | {"payload_kg", "mass_kg"}
 
 
 def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:

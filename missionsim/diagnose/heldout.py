@@ -113,6 +113,15 @@ class Models:
             return tuple(effects)
         return tuple(cold if errors[2] <= errors[1] * (1.0 + CLEARLY) else new)
 
+    def needed_beside(self, law: Finding, effects: Sequence[Finding]) -> tuple[Finding, ...]:
+        """The effects without which left-out runs are predicted clearly worse, a law being there as well."""
+        kept = list(effects)
+        for effect in effects:
+            rest = [one for one in kept if one is not effect]
+            if self._of_other_half([*rest, law]) <= self._of_other_half([*kept, law]) * (1.0 + CLEARLY):
+                kept = rest
+        return tuple(kept)
+
     def _of_other_half(self, effects: Sequence[Finding]) -> float:
         """Mean square error of half of the runs, predicted from a fit to the other; of one run, of its fit [W2]."""
         halves = [self.runs[::2], self.runs[1::2]] if len(self.runs) > 1 else [self.runs]

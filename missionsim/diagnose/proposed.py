@@ -32,6 +32,7 @@ _SHORT = {
     "time_s": "time",
     "moving_time_s": "moving_time",
 }
+MOTION = frozenset({"speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad"})
 STANDS_IN = "stood in for a law that the library does not hold"
 
 
@@ -87,6 +88,13 @@ def without_stand_ins(
         replace(c, accepted=False, reason=STANDS_IN, open=True) if c.effect in gone else c for c in candidates
     )
     return tuple(e for e in effects if e.effect not in gone), judged
+
+
+def of_motion(law: Proposal) -> bool:
+    """Whether a law reads how the robot moves and what it carries alone, which loads that nobody logged do not follow:
+    these look like a law of time, temperature or processor load."""
+    read = {name for form in law.laws for name in form.variables}
+    return bool(read & MOTION) and read <= MOTION | {"payload_kg", "mass_kg"}
 
 
 def depends_on(laws: Sequence[Proposal], left: Unexplained) -> Unexplained:

@@ -6,11 +6,15 @@ from pathlib import Path
 
 import pytest
 
+from missionsim.diagnose import diagnose_files
 from missionsim.diagnose.improve import improve
 from missionsim.diagnose.split import choose_split
 from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.identify.settings import Settings
 from missionsim.logs import read_logs
+from tests.hidden_effects.study import ALL_CASES
+from tests.hidden_effects.world import make
+from tests.hidden_effects.world import write as write_case
 from tests.rough.regimes import REGIMES, case
 from tests.rough.world import WORLDS, write
 
@@ -52,3 +56,11 @@ def test_rough_worlds(kind: str, seed: int, tmp_path: Path) -> None:
 def test_a_noisy_speed_at_ten_hertz_does_not_hide_the_inertia() -> None:
     # rectified noise adds the same to every run: that is the base's to take, no fault of the effect
     assert list(case(REGIMES["10 Hz"], "acceleration", 0.05, 0)["named"]) == ["acceleration"]
+
+
+def test_no_effect_is_named_beside_a_law_that_needs_none(tmp_path: Path) -> None:
+    """A robot that skids above a turn rate: the laser, which is always on, was named with a power below nought."""
+    folder = write_case(make(ALL_CASES["outside-skid"], 1010), tmp_path)
+    (found,) = diagnose_files("pioneer3dx", [folder / "train"]).batteries.values()
+    assert not found.effects
+    assert "yaw_rate_rad_s" in found.proposed_laws[0].certain
