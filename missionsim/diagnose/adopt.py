@@ -145,7 +145,7 @@ def adopt(
     held = [log for log in split.heldout if battery in log.power_w]
     powers = (subject.model, models.fit(()).model, fitted.model)
     heldout = models.held_out(dict(zip(KINDS, powers, strict=True)), held, split.how, split.shifted) if held else None
-    meter = fitted.model.meters.get(battery, Meter())
+    meter = fitted.model.meter(battery)
     return Adopted(new, found, significant, reason, found.indistinguishable_from, base, heldout, meter)
 
 
@@ -196,7 +196,7 @@ def write(
             editing.remove_effect(i)
     for one in written:
         editing.add_effect(_entry(robot, one, split, models.battery, significant))
-    editing.set_meter(models.battery, fitted.model.meters.get(models.battery, Meter()))
+    editing.set_meter(models.battery, fitted.model.meter(models.battery))
     count = len(split.train)
     told = f"fitted to {count} run{'s' * (count != 1)}, data {data_tag(split.train)}"
     return editing.set_source(CALIBRATION, told).text, base

@@ -25,9 +25,10 @@ from missionsim.errors import InputError
 from missionsim.identify.align import Clock
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding, HeldOut, RunSeries, Where
 from missionsim.identify.identification import Identification, identify
-from missionsim.identify.proposed import QUANTITY, Proposal
+from missionsim.identify.proposed import Proposal
 from missionsim.identify.settings import ALPHA, MOST_PASSES, SAME_SIZE, Settings
 from missionsim.identify.verdict import decide
+from missionsim.laws.proposal import plain
 from missionsim.logs import describe
 from missionsim.runs.admit import unchanging
 from missionsim.runs.covariates import logged_name
@@ -374,7 +375,7 @@ def _beside_law(effect: Finding, laws: Sequence[Proposal], features: Features) -
     shared = [name for law in laws for name in law.first.variables if name in goes_by]
     if not shared:
         return effect.remark
-    return f"a law of {QUANTITY.get(shared[0], (shared[0], ''))[0]} explains beside it what that effect cannot"
+    return f"a law of {plain(shared[0])} explains beside it what that effect cannot"
 
 
 def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:

@@ -116,6 +116,10 @@ class PowerModel:
         ordered = tuple(sorted(self.terms, key=lambda term: term.effect.stage))
         object.__setattr__(self, "terms", ordered)
 
+    def meter(self, battery: str) -> Meter:
+        """How far the meter of a battery is behind the motion; at once where the file says nothing."""
+        return self.meters.get(battery, Meter())
+
     def of(self, battery: str) -> tuple[Term, ...]:
         """The terms of one battery, in order of evaluation."""
         return self._of.get(battery, ())

@@ -97,12 +97,22 @@ def final_fit(
         Fit the effects alone.
     """
     ready = prepare(model, runs, battery)
-    return _as_shown(_chosen(model, ready, prior_sd, clock, settings, fixed, keep_base), ready, clock)
+    plain, means = _fit(model, ready, prior_sd, clock, settings, fixed, keep_base)
+    own = [driven.run for driven in ready.runs]
+    step = float(np.median(np.concatenate([run.dt_s for run in own])))
+    few = sum(run.rows for run in own) <= MOST_ROWS
+    jolts = any("accel_m_s2" in (*t.effect.needs, t.effect.covariate) for t in model.of(battery) if not t.base)
+    best = plain
+    if means is not None and jolts and few and step <= 0.5 * settings.period_s:
+        other, raw = _fit(model, ready, prior_sd, clock, replace(settings, period_s=step), fixed, keep_base)
+        if raw is not None and raw.names == means.names:
+            best = other if raw.left_out(raw) < (1.0 - CLEARLY) * means.left_out(raw) else plain
+    return _as_shown(best, ready, clock)
 
 
 def _as_shown(fit: FinalFit, ready: Prepared, clock: Clock) -> FinalFit:
     """The fit with the meter of its clock, where the rows that were fitted agree better with it (or without one)."""
-    battery, before = ready.battery, fit.model.meters.get(ready.battery, Meter())
+    battery, before = ready.battery, fit.model.meter(ready.battery)
     if before == (found := Meter(clock.delay_s, clock.lag_s)):
         return fit
     powers = ready.powers(fit.model)
@@ -114,30 +124,6 @@ def _as_shown(fit: FinalFit, ready: Prepared, clock: Clock) -> FinalFit:
 
     best = min((Meter(), found), key=lambda meter: square(meter) * (1.0 - CLEARLY * (meter == Meter())))
     return replace(fit, model=replace(fit.model, meters={**fit.model.meters, battery: best}))
-
-
-def _chosen(
-    model: PowerModel,
-    ready: Prepared,
-    prior_sd: Mapping[str, float],
-    clock: Clock,
-    settings: Settings,
-    fixed: Sequence[str],
-    keep_base: bool,
-) -> FinalFit:
-    """The fit to means of the analysis or to rows as logged, whichever predicts."""
-    battery, runs = ready.battery, [driven.run for driven in ready.runs]
-    plain, means = _fit(model, ready, prior_sd, clock, settings, fixed, keep_base)
-    step = float(np.median(np.concatenate([run.dt_s for run in runs])))
-    rows = sum(run.rows for run in runs)
-    jolts = any("accel_m_s2" in (*t.effect.needs, t.effect.covariate) for t in model.of(battery) if not t.base)
-    if means is None or not jolts or step > 0.5 * settings.period_s or rows > MOST_ROWS:
-        return plain
-    finer = replace(settings, period_s=step)
-    other, raw = _fit(model, ready, prior_sd, clock, finer, fixed, keep_base)
-    if raw is None or raw.names != means.names:
-        return plain
-    return other if raw.left_out(raw) < (1.0 - CLEARLY) * means.left_out(raw) else plain
 
 
 def _fit(

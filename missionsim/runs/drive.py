@@ -130,8 +130,7 @@ def _evaluated(
         modelled[battery], terms[battery] = total, parts
         if battery not in block.power_w:
             continue
-        meter = model.meters.get(battery, Meter())
-        measured[battery], modelled[battery] = _shown(block, battery, total, meter, before)
+        measured[battery], modelled[battery] = _shown(block, battery, total, model.meter(battery), before)
     return Driven(block, cov["time_s"], model, cov, measured, modelled, terms, filled, unknown=unknown)
 
 
