@@ -27,17 +27,9 @@ Json = dict[str, Any]
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary path beside `path`; on success it is renamed to `path`, on failure removed.
 
-    A link stays a link, and a device or pipe (``/dev/null``, ``/dev/stdout``) is written to, never replaced.
-
-    Parameters
-    ----------
-    path : path-like
-        The final name; its folder is made.
-
-    Yields
-    ------
-    pathlib.Path
-        An empty temporary file with the same suffix, to be written by the caller.
+    A link stays a link, and a device or pipe (``/dev/null``, ``/dev/stdout``) is written to, never replaced. `path`:
+    the final name; its folder is made. Yields an empty temporary file with the same suffix, to be written by the
+    caller.
     """
     final = Path(path)
     special = "/dev" in map(str, final.absolute().parents) or (
@@ -138,10 +130,7 @@ def csv_cell(value: T) -> T | str:
 def needed(package: str, doing: str, file: str = "", extra: str = "logs") -> ModuleType:
     """A module of an optional package.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        It is not installed; with the command that installs it.
+    Raises InputError: it is not installed; with the command that installs it.
     """
     try:
         return importlib.import_module(package)

@@ -104,12 +104,8 @@ class RunSums:
 class Accumulator:
     """Everything that a comparison keeps of the rows.
 
-    Parameters
-    ----------
-    by : iterable of str
-        Further log columns to look at.
-    still : tuple of float, optional
-        Given where way and time are summed per control scheme, to be held against a plan: what counts as standing.
+    `by`: further log columns to look at; `still`: given where way and time are summed per control scheme, to be held
+    against a plan: what counts as standing.
     """
 
     def __init__(self, by: Iterable[str] = (), still: Still | None = None) -> None:

@@ -53,16 +53,8 @@ class Bin:
 class NumberAxis:
     """A numeric covariate on a decimal grid.
 
-    Parameters
-    ----------
-    name : str
-        Glossary name of the covariate.
-    title, unit : str
-        For people.
-    factor : float
-        From the glossary's unit to `unit` (180/π for angles).
-    magnitude : bool
-        Whether its absolute value is taken.
+    `name`: glossary name of the covariate; `title`, `unit`: for people; `factor`: from the glossary's unit to `unit`
+    (180/π for angles); `magnitude`: whether its absolute value is taken.
     """
 
     def __init__(self, name: str, title: str, unit: str, factor: float = 1.0, magnitude: bool = False) -> None:

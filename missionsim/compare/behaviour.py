@@ -232,20 +232,9 @@ def split_behaviour(
 ) -> tuple[SchemeGap, ...]:
     """Split replayed minus simulated energy of several runs of one mission.
 
-    Parameters
-    ----------
-    model : PowerModel
-    timeline : Timeline
-        The simulated mission.
-    driven : sequence of mapping of scheme to Motion
-        One a run, with the energy of the model that it drove; logs without schemes have one entry under ``""``, which
-        is held against the whole plan.
-    batteries : sequence of str
-
-    Returns
-    -------
-    tuple of SchemeGap
-        The parts of all schemes add up to replayed minus ``len(driven)`` times simulated energy.
+    `timeline`: the simulated mission. `driven`: one a run, with the energy of the model that it drove; logs without
+    schemes have one entry under ``""``, which is held against the whole plan. The parts of all schemes add up to
+    replayed minus ``len(driven)`` times simulated energy.
     """
     names = dict.fromkeys(name for run in driven for name in run)
     nameless = set(names) == {""}

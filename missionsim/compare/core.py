@@ -43,17 +43,9 @@ def mission_progress(series: Series, names: Sequence[str], plan: Timeline, segme
     """Progress of a run along a plan at the end of each bucket, 0 to 1, shape (n,).
 
     Where the log names its segments, a segment takes the share of the progress that it has of the planned time, and
-    progress within it runs with the time driven in it. Without them progress is the share of the run's time.
-
-    Parameters
-    ----------
-    series : Series
-        The run; its ``segment`` column holds indices into `names`.
-    names : sequence of str
-        Segments as the logs name them: numbers counted from 0 as in the plan, or names.
-    plan : Timeline
-    segments : sequence of str
-        Names of the plan's segments by number.
+    progress within it runs with the time driven in it. Without them progress is the share of the run's time. `series`:
+    the run; its ``segment`` column holds indices into `names`. `names`: segments as the logs name them: numbers counted
+    from 0 as in the plan, or names. `segments`: names of the plan's segments by number.
     """
     if not names or not len(plan.segment):
         return series.progress

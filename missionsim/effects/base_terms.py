@@ -190,18 +190,10 @@ def processor_term(
     """Processor power by control scheme, navigation and sensor set (Jaiem 2021, Table 4).
 
     A configuration that no row names takes the row of its scheme with the fewest units differing (another navigation
-    counts as half a unit). Where no scheme runs, or one without any row, the power is `idle`.
-
-    Parameters
-    ----------
-    entries : tuple of (scheme, navigation, sensors, parameter)
-        One row of the table each, the larger power first among equals; an empty navigation fits any.
-    columns : tuple of str
-        The ``on_…`` columns that distinguish configurations.
-    idle : str, optional
-        Parameter that holds where no scheme runs; 0 W without it.
-    exact : bool
-        Whether a configuration that no row names is a fault instead.
+    counts as half a unit). Where no scheme runs, or one without any row, the power is `idle`. `entries`: one row of the
+    table each, the larger power first among equals; an empty navigation fits any. `columns`: the ``on_…`` columns that
+    distinguish configurations. `idle`: parameter that holds where no scheme runs; 0 W without it. `exact`: whether a
+    configuration that no row names is a fault instead.
     """
     names = tuple(dict.fromkeys(entry[3] for entry in entries))
     specs = tuple(ParameterSpec(name, "W", "processor power") for name in (*names, *((idle,) if idle else ())))
@@ -246,12 +238,8 @@ def motion_expression_terms(
 ) -> tuple[Effect, Effect]:
     """A user's base formula as two terms: what motion adds, and what is left when nothing moves.
 
-    At rest the power is `standing`, or the formula at zero speed where that is not given.
-
-    Returns
-    -------
-    tuple of Effect
-        ``motion`` (of the drive) and ``electronics``.
+    At rest the power is `standing`, or the formula at zero speed where that is not given. Gives ``motion`` (of the
+    drive) and ``electronics``.
     """
     used = tuple(name for name in parameters if name in formula.names)
     rest = tuple(name for name in parameters if name in formula.names | (standing.names if standing else frozenset()))

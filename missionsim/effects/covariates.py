@@ -95,12 +95,7 @@ def derive(columns: Mapping[str, Any], time_s: Array, dt_s: Array) -> dict[str, 
 def elapsed(active: NDArray[np.bool_], dt_s: Array, *, reset: bool) -> Array:
     """Time spent active up to the middle of each row [s], shape (n,).
 
-    Parameters
-    ----------
-    active : ndarray of bool, shape (n,)
-    dt_s : ndarray, shape (n,)
-    reset : bool
-        Whether the clock starts again from zero at each switching on.
+    `active`: shape (n,); `dt_s`: shape (n,); `reset`: whether the clock starts again from zero at each switching on.
     """
     spent = np.where(active, dt_s, 0.0)
     total = np.cumsum(spent)
@@ -114,11 +109,7 @@ def elapsed(active: NDArray[np.bool_], dt_s: Array, *, reset: bool) -> Array:
 def acceleration(speed_m_s: Array, time_s: Array, smoothing_s: float | None = None) -> Array:
     """Rate of a noisy speed: slope of a local least-squares line over a width or three rows [m/s²].
 
-    Parameters
-    ----------
-    speed_m_s, time_s : ndarray, shape (n,)
-    smoothing_s : float, optional
-        Width; by default that of `smoothing_of`.
+    `speed_m_s`, `time_s`: shape (n,). `smoothing_s`: width; by default that of `smoothing_of`.
     """
     count = len(time_s)
     if count < 3:

@@ -77,18 +77,9 @@ _KINK = 0.25 * _GAP
 def averaged(powers: Array) -> tuple[Array, Array, Array]:
     """Mean of a power over an interval by the Kronrod rule, and how far it may be off.
 
-    Parameters
-    ----------
-    powers : ndarray, shape (..., 19)
-        At `SAMPLES` of the interval.
-
-    Returns
-    -------
-    mean : ndarray, shape (...)
-    spread : ndarray, shape (...)
-        Difference to the Gauss rule: what is not smooth between the nodes.
-    bent : ndarray, shape (...)
-        Bound of what a kink beyond the outermost nodes changes.
+    `powers` (shape (..., 19)): at `SAMPLES` of the interval. Gives `mean` (shape (...)); `spread` (shape (...)):
+    difference to the Gauss rule: what is not smooth between the nodes; `bent` (shape (...)): bound of what a kink
+    beyond the outermost nodes changes.
     """
     inside, ends = powers[..., : len(NODES)], powers[..., len(NODES) :]
     mean = inside @ (0.5 * WEIGHTS)
@@ -158,14 +149,9 @@ def _quadrature(
 ) -> None:
     """Put the integrals over pieces of intervals in place of the constant powers' energies, for terms that change.
 
-    Pieces whose error is too large are halved and tried again.
-
-    Parameters
-    ----------
-    index, offset, length : ndarray, shape (m,)
-        Interval, start within it and length of each piece.
-    varying : collection of TermKey
-        The terms that change within some of the pieces, at depths above 0.
+    Pieces whose error is too large are halved and tried again. `index`, `offset`, `length` (shape (m,)): interval,
+    start within it and length of each piece; `varying`: the terms that change within some of the pieces, at depths
+    above 0.
     """
     half = 0.5 * length
     times = offset[:, None] + half[:, None] * (SAMPLES + 1.0)

@@ -273,13 +273,7 @@ class PowerModel:
 
         By central differences of 1e-4, exact for the parameters in which the power is linear or quadratic. Where no
         term reads the power of others, the parameter's own term alone is evaluated. Parameters that are zero have no
-        logarithm and are left out.
-
-        Parameters
-        ----------
-        cov : mapping
-            Complete covariates of one run, with ``time_s``.
-        battery : str
+        logarithm and are left out. `cov`: complete covariates of one run, with ``time_s``.
         """
         step, rows = 1e-4, len(cov["time_s"])
         found: dict[str, Array] = {}
@@ -318,10 +312,7 @@ class PowerModel:
     def with_values(self, values: Mapping[str, float]) -> PowerModel:
         """A model with other parameter values, by ``battery/name``.
 
-        Raises
-        ------
-        missionsim.errors.InputError
-            For a name that the model does not have.
+        Raises InputError: for a name that the model does not have.
         """
         known = self.parameters
         for name in values:

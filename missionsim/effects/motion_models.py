@@ -72,10 +72,7 @@ def motion_model_ids() -> tuple[str, ...]:
 def get_motion_model(id: str) -> MotionModel:
     """The motion model of an id.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        For an unknown id, with the closest one.
+    Raises InputError: for an unknown id, with the closest one.
     """
     if id in _own():
         model = importlib.import_module(f"{effects.__name__}.{_PREFIX}{id}").MODEL

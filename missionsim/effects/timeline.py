@@ -39,18 +39,9 @@ class Timeline:
     def at(self, index: NDArray[np.intp], offset_s: Array, memory: frozenset[str] | None = None) -> dict[str, Any]:
         """Covariates of the intervals `index` at times after their start.
 
-        Parameters
-        ----------
-        index : ndarray of int, shape (m,)
-        offset_s : ndarray, shape (m, q)
-            Times after the start of each of them.
-        memory : frozenset of str, optional
-            The clocks that are read (see `changing`); the others stay as at the start. All by default.
-
-        Returns
-        -------
-        dict
-            Arrays of shape (m, q), or (m, 1) of what does not change; texts as `Labels` with codes of shape (m, 1).
+        `index`: shape (m,). `offset_s` (shape (m, q)): times after the start of each of them. `memory`: the clocks that
+        are read (see `changing`); the others stay as at the start. All by default. Gives arrays of shape (m, q), or (m,
+        1) of what does not change; texts as `Labels` with codes of shape (m, 1).
         """
         cov: dict[str, Any] = dict(self.constants)
         for name, value in self.columns.items():
@@ -70,10 +61,7 @@ class Timeline:
     def changing(self, memory: frozenset[str]) -> NDArray[np.bool_]:
         """Intervals in which something that matters changes with time, shape (n,).
 
-        Parameters
-        ----------
-        memory : frozenset of str
-            The clocks (``moving_time_s`` …) that some term of the model reads; the others are ignored.
+        `memory`: the clocks (``moving_time_s`` …) that some term of the model reads; the others are ignored.
         """
         result = np.zeros(len(self), dtype=bool)
         for name in self.rates:

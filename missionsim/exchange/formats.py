@@ -49,10 +49,7 @@ KNOWN = "Nav2 GeoJSON, Open-RMF building.yaml, LIF, GPX, QGroundControl .plan, V
 def import_site(path: str | Path, options: SiteOptions | None = None) -> Site:
     """Read a site, route graph, track or order of another tool, with remarks on what has no place in ours.
 
-    Raises
-    ------
-    InputError
-        All faults of the file, with lines; a file of no known format.
+    Raises InputError: all faults of the file, with lines; a file of no known format.
     """
     options = options or SiteOptions()
     text = read_text(path)

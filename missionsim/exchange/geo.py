@@ -61,12 +61,7 @@ def nurbs_length(
 ) -> float | None:
     """Length of a planar NURBS curve, m; None where degree, points and knots do not fit together.
 
-    Parameters
-    ----------
-    points : sequence of (x, y), length n
-    weights : sequence of float, length n
-    knots : sequence of float, length n + degree + 1
-    degree : int
+    `points`: length n; `weights`: length n; `knots`: length n + degree + 1.
     """
     count = len(points)
     if not 1 <= degree < count or len(knots) != count + degree + 1 or not all(w > 0 for w in weights):
@@ -88,18 +83,8 @@ def smooth_slopes(distance_m: Array, elevation_m: Array, ends_m: Array, width_m:
 
     The height of an end is that of a straight line fitted to the elevations around it, weighted by a triangle that is
     zero `width_m` away (local linear regression: a steady climb stays what it is, up to the ends of the track).
-
-    Parameters
-    ----------
-    distance_m, elevation_m : ndarray, shape (n,)
-        Along the track.
-    ends_m : ndarray, shape (k,)
-    width_m : float
-
-    Returns
-    -------
-    ndarray, shape (k - 1,)
-        rad, uphill positive.
+    `distance_m`, `elevation_m` (shape (n,)): along the track; `ends_m`: shape (k,). Gives an array of shape (k - 1,):
+    rad, uphill positive.
     """
     height = np.empty(len(ends_m))
     for index, end in enumerate(ends_m):

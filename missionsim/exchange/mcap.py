@@ -68,10 +68,7 @@ _POSE_SCHEMA = {
 def write_run(result: RunResult, mission: MissionSpec, path: str | Path) -> list[Path]:
     """Write a simulated run; each interval with its begin and its end: power is the mean of each.
 
-    Returns
-    -------
-    list of Path
-        The MCAP file, the layout and the map.
+    Gives the MCAP file, the layout and the map.
     """
     line = result.timeline
     every = np.arange(len(line))
@@ -101,10 +98,7 @@ def _ends(first: float, after: Array) -> Array:
 def write_comparison(robot: RobotSpec, logs: Sequence[str | Path], path: str | Path) -> list[Path]:
     """Write measured logs beside the model that they drive, row by row; several runs under topics of their own names.
 
-    Returns
-    -------
-    list of Path
-        The MCAP file, the layout and the map.
+    Gives the MCAP file, the layout and the map.
     """
     from missionsim.inputs.power import build_power_model
     from missionsim.logs import read_logs

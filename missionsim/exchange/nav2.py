@@ -170,16 +170,9 @@ def export_costs(
 ) -> GraphCosts:
     """Cost and speed limit of each edge for this robot, in the text of the graph.
 
-    Parameters
-    ----------
-    battery : str
-        Whose energy counts; all of them together by default.
-    wh_per_s : float
-        What a second is worth, Wh: the cost is energy + `wh_per_s` · time.
-    speed : float, optional
-        Wanted, m/s; the top speed by default. The limit of an edge holds as well.
-    best_speed : bool
-        Take the speed of the lowest cost, up to the limit, on each edge.
+    `battery`: whose energy counts; all of them together by default. `wh_per_s`: what a second is worth, Wh: the cost is
+    energy + `wh_per_s` · time. `speed`: wanted, m/s; the top speed by default. The limit of an edge holds as well.
+    `best_speed`: take the speed of the lowest cost, up to the limit, on each edge.
     """
     text = read_text(path)
     document = parse_json(text.removeprefix("\ufeff"), str(path))
@@ -235,22 +228,8 @@ def steady_power(
 ) -> dict[str, Array]:
     """Power of each battery while driving straight on: without starts, stops and turns, warm, batteries full.
 
-    Under the robot's first control scheme that moves.
-
-    Parameters
-    ----------
-    drives : sequence of (float, float)
-        Slope [rad] and speed [m/s] of each.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (len(drives),)
-        W.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        What the robot cannot do.
+    Under the robot's first control scheme that moves. `drives`: slope [rad] and speed [m/s] of each. Gives arrays of
+    shape (len(drives),) [W]. Raises InputError: what the robot cannot do.
     """
     from missionsim.inputs.loading import mission_from_text
     from missionsim.inputs.power import build_power_model

@@ -260,16 +260,8 @@ class _Route:
 def plan_of(mission: MissionSpec, origin: tuple[float, float] | None = None) -> tuple[Json, tuple[str, ...]]:
     """A plan of QGroundControl for the way of a mission, and what of the mission it cannot say.
 
-    Parameters
-    ----------
-    mission : MissionSpec
-    origin : (float, float), optional
-        Latitude and longitude of the map's point 0, 0, degrees; by default what its notes say, as `import-site` writes.
-
-    Raises
-    ------
-    InputError
-        No origin, or places without positions.
+    `origin`: latitude and longitude of the map's point 0, 0, degrees; by default what its notes say, as `import-site`
+    writes. Raises InputError: no origin, or places without positions.
     """
     from missionsim.exchange.route import stops_of
 

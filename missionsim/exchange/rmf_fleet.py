@@ -105,10 +105,7 @@ def _identifier(name: str) -> str:
 def read_fleet(path: str | Path) -> Fleet:
     """Read a fleet config.
 
-    Raises
-    ------
-    InputError
-        All its faults, with lines.
+    Raises InputError: all its faults, with lines.
     """
     document = read_document(path, read_text(path))
     faults = Faults(str(path))
@@ -178,16 +175,8 @@ def export_fleet(path: str | Path, robot: RobotSpec, logs: Sequence[Path] = (), 
     """Put what was measured of a robot into a fleet config.
 
     Friction and ambient power are those that let rmf_battery's formula follow the logs best (least squares of power);
-    without logs, those that follow our model at steady speeds up to the top speed.
-
-    Parameters
-    ----------
-    path : path-like
-        Fleet config.
-    robot : RobotSpec
-    logs : sequence of path
-    battery : str
-        The robot's; that of its motion by default.
+    without logs, those that follow our model at steady speeds up to the top speed. `path`: fleet config. `battery`: the
+    robot's; that of its motion by default.
     """
     fleet = read_fleet(path)
     battery = battery or (robot.motion.battery if robot.motion else next(iter(robot.batteries)))

@@ -210,17 +210,8 @@ class Site:
 def write_site(site: Site, out: str | Path, mission: str | Path | None = None, robot: str = "") -> None:
     """Write the environment, and perhaps the mission, after both have been loaded as a user would; all or nothing.
 
-    Parameters
-    ----------
-    site : Site
-    out, mission : path-like
-    robot : str
-        Shipped name, or path seen from the present folder.
-
-    Raises
-    ------
-    InputError
-        The file holds no mission, or what it asks for is not possible for the robot.
+    `robot`: shipped name, or path seen from the present folder. Raises InputError: the file holds no mission, or what
+    it asks for is not possible for the robot.
     """
     if mission is not None and not site.segments:
         raise InputError.single(f"{site.format} holds no mission", file=site.file, allowed="--out alone")

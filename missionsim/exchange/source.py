@@ -44,10 +44,7 @@ class Element:
 def read_text(path: str | Path) -> str:
     """Text of a file: UTF-8, UTF-16 with its mark, or what an XML declaration names.
 
-    Raises
-    ------
-    InputError
-        Cannot be read, too large, not text; with the line of the first bad byte.
+    Raises InputError: cannot be read, too large, not text; with the line of the first bad byte.
     """
     raw = read_bytes(path, str(path), MAX_BYTES)
     text = decoded(raw, _encoding(raw), str(path))
@@ -73,10 +70,8 @@ def _encoding(raw: bytes) -> str:
 def parse_json(text: str, name: str) -> Document:
     """JSON text as a document whose nodes know their `start` and `end` in it.
 
-    Raises
-    ------
-    InputError
-        The first place where the text is not JSON, values nested deeper than 64, or a key that stands twice.
+    Raises InputError: the first place where the text is not JSON, values nested deeper than 64, or a key that stands
+    twice.
     """
     starts = [0, *(match.end() for match in re.finditer("\n", text))]
     depth = 0
@@ -137,12 +132,7 @@ def parse_json(text: str, name: str) -> Document:
 
 
 def parse_xml(text: str, name: str) -> Element:
-    """XML text as elements with lines; document type declarations are refused, since entities can blow up.
-
-    Raises
-    ------
-    InputError
-    """
+    """XML text as elements with lines; document type declarations are refused, since entities can blow up."""
     parser = expat.ParserCreate("utf-8", namespace_separator=" ")
     parser.buffer_text = True
     root = Element("", {}, 0)

@@ -289,14 +289,8 @@ def order_of(
 ) -> tuple[Json, tuple[str, ...]]:
     """An order for the way of a mission as JSON data, and what of the mission it cannot say.
 
-    Parameters
-    ----------
-    version : str
-        Of VDA 5050: ``2.0.0``, ``2.1.0`` or ``3.0.0``.
-    timestamp : str
-        ISO 8601 in UTC, ``2026-01-01T00:00:00.000Z``; now where empty.
-    robot_id : str
-        Serial number; the manufacturer is the robot's name.
+    `version`: of VDA 5050: ``2.0.0``, ``2.1.0`` or ``3.0.0``. `timestamp`: ISO 8601 in UTC,
+    ``2026-01-01T00:00:00.000Z``; now where empty. `robot_id`: serial number; the manufacturer is the robot's name.
     """
     from datetime import UTC, datetime
 

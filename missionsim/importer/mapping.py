@@ -85,18 +85,8 @@ _LONG_BYTES, _BLOCK_ROWS = 64_000_000, 200_000
 def import_long(path: Path, spec: MapSpec, out: Path) -> LongRun | None:
     """Import a long text table of one run block by block, in bounded memory.
 
-    Parameters
-    ----------
-    path : Path
-    spec : MapSpec
-    out : Path
-        Parquet file to write.
-
-    Returns
-    -------
-    LongRun or None
-        None where the file is short, or has to be imported as a whole: by `import_source`. Checks of units and clocks
-        look at the first block only.
+    `out`: Parquet file to write. Gives None where the file is short, or has to be imported as a whole: by
+    `import_source`. Checks of units and clocks look at the first block only.
     """
     alone = all(c.lag is None and c.average is None and c.differentiate is None for c in spec.columns.values())
     turns = any(c.quaternion is not None and c.give == "heading" for c in spec.columns.values())

@@ -44,10 +44,7 @@ class Source:
 def find_files(given: Sequence[Path]) -> list[Path]:
     """The files that paths stand for: themselves, what matches a pattern, or every readable file of a folder, by name.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        A folder without anything readable, or no such file.
+    Raises InputError: a folder without anything readable, or no such file.
     """
     found: dict[Path, None] = {}
     faults = []
@@ -131,16 +128,9 @@ def _grouped(files: Sequence[Path], spec: MapSpec, name: str) -> list[Source]:
 def read_source(source: Source, spec: MapSpec) -> RawTable:
     """Read what a map needs from one source.
 
-    Returns
-    -------
-    RawTable
-        Columns under the map's signal names, and for a table also under their own names (as identifiers). Recordings
-        and joined files have their time in ``time_s``, counted from the first row.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        An unreadable source, or a signal that is not in it.
+    Gives columns under the map's signal names, and for a table also under their own names (as identifiers). Recordings
+    and joined files have their time in ``time_s``, counted from the first row. Raises InputError: an unreadable source,
+    or a signal that is not in it.
     """
     if spec.files:
         return _joined(source, spec)
@@ -281,10 +271,7 @@ def _parts(
 def stamps_of(raw: RawTable, names: Sequence[str], zone: str | None, unit: str | None) -> Stamps:
     """Times of a table from one column, or from a date and a time of day.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        With the reason why these are no times.
+    Raises InputError: with the reason why these are no times.
     """
     parts = [raw.columns[name] for name in names]
     try:

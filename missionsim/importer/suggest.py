@@ -104,17 +104,8 @@ _BATTERY = re.compile(r"(power|voltage|current|energy)_robot_(?=[wva]h?\Z)")
 def suggest_map(paths: Sequence[Path], battery: str = "robot") -> Suggestion:
     """Read a file, or the files of a run, and write a first map for it.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        One file (the first of several of the same kind), or files of one run that have to be joined.
-    battery : str
-        What the robot calls the battery that was measured.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        A file that cannot be read.
+    `paths`: one file (the first of several of the same kind), or files of one run that have to be joined; `battery`:
+    what the robot calls the battery that was measured. Raises InputError: a file that cannot be read.
     """
     joined = _to_join(paths)
     draft = _joined(joined) if joined else _single(paths[0])

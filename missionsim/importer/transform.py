@@ -19,19 +19,10 @@ from missionsim.runs.run import row_durations
 def attitude(x: Array, y: Array, z: Array, w: Array, give: str) -> Array:
     """Slope, heading, roll or pitch of a body from its quaternion (body to world; x forward, y left, z up).
 
-    Parameters
-    ----------
-    x, y, z, w : ndarray, shape (n,)
-        The quaternion; it is normalised, and rows of zeros give NaN.
-    give : str
-        ``slope``: angle of the forward axis above the horizon; ``heading``: its angle about the
-        vertical, unwrapped; ``roll`` and ``pitch``: rotations about the forward and the
-        left axis (REP 103: nose up is negative).
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        [rad].
+    `x`, `y`, `z`, `w` (shape (n,)): the quaternion; it is normalised, and rows of zeros give NaN. `give`: ``slope``:
+    angle of the forward axis above the horizon; ``heading``: its angle about the vertical, unwrapped; ``roll`` and
+    ``pitch``: rotations about the forward and the left axis (REP 103: nose up is negative). Gives an array of shape
+    (n,): [rad].
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         norm = np.sqrt(x * x + y * y + z * z + w * w)
@@ -57,12 +48,7 @@ def unwrap(angle: Array, period: float = 2 * np.pi) -> Array:
 def moving_average(values: Array, time_s: Array, over_s: float) -> Array:
     """Mean over a window of `over_s` around each row, of the values joined by straight lines; cut at the ends.
 
-    Parameters
-    ----------
-    values, time_s : ndarray, shape (n,)
-        Time increasing [s].
-    over_s : float
-        Length of the window [s].
+    `values`, `time_s` (shape (n,)): time increasing [s]; `over_s`: length of the window [s].
     """
     known = np.isfinite(values)
     if known.sum() < 2:
@@ -118,24 +104,13 @@ def shift_back(data: ColumnData, time_s: Array, lag_s: float) -> ColumnData:
 def refresh_times(signals: list[ColumnData], time_s: Array) -> tuple[Array, Array, NDArray[np.int64]]:
     """Windows between the refreshes of slow signals.
 
-    Parameters
-    ----------
-    signals : list of columns, shape (n,)
-        A change of any of them is a refresh.
-    time_s : ndarray, shape (n,)
+    `signals` (shape (n,)): a change of any of them is a refresh; `time_s`: shape (n,). Gives `start_s`, `stop_s` (shape
+    (m,)): each window reaches from a refresh to the next [s]; `row` (shape (m,)): row that holds the signals' values at
+    the end of the window.
 
-    Returns
-    -------
-    start_s, stop_s : ndarray, shape (m,)
-        Each window reaches from a refresh to the next [s].
-    row : ndarray of int, shape (m,)
-        Row that holds the signals' values at the end of the window.
-
-    Notes
-    -----
     Topics that come one shortly after the other count as one refresh, complete with the last of them. A refresh may
-    bring the same value again (standing still): a window longer than 1.5 usual ones is cut in usual ones,
-    all but the last with the value before.
+    bring the same value again (standing still): a window longer than 1.5 usual ones is cut in usual ones, all but the
+    last with the value before.
     """
     found = [_changes(signal) for signal in signals]
     at = np.unique(np.concatenate(found)) if found else np.empty(0, dtype=np.int64)
@@ -181,19 +156,9 @@ def average_windows(
 ) -> dict[str, ColumnData]:
     """Columns averaged over windows of time, weighted by the time each row stands for; text takes its last word.
 
-    Parameters
-    ----------
-    columns : mapping of columns, shape (n,)
-    time_s : ndarray, shape (n,)
-    start_s, stop_s : ndarray, shape (m,)
-        Windows ``(start, stop]`` that follow each other without overlap.
-    held : mapping
-        Column → row to take its value from, shape (m,), in place of a mean.
-
-    Returns
-    -------
-    dict
-        Shape (k,), k ≤ m: windows without any row are left out; ``time_s`` is the middle of the window.
+    `columns`: shape (n,); `time_s`: shape (n,); `start_s`, `stop_s` (shape (m,)): windows ``(start, stop]`` that follow
+    each other without overlap; `held`: column → row to take its value from, shape (m,), in place of a mean. Arrays of
+    the result have shape (k,), k ≤ m: windows without any row are left out; ``time_s`` is the middle of the window.
     """
     window = np.searchsorted(stop_s, time_s, side="left")
     inside = window < len(stop_s)
@@ -245,19 +210,9 @@ class Signal:
 def merge_signals(signals: dict[str, Signal], timeline: str | None, file: str) -> RawTable:
     """Bring all signals onto the times of one of them.
 
-    Parameters
-    ----------
-    signals : dict
-        Short name → signal, each with at least one message.
-    timeline : str or None
-        The signal whose messages give the rows; by default the one with most messages.
-    file : str
-        For messages.
-
-    Returns
-    -------
-    RawTable
-        ``time_s`` from the first row on. Rows begin when every signal has come at least once.
+    `signals`: short name → signal, each with at least one message. `timeline`: the signal whose messages give the rows;
+    by default the one with most messages. `file`: for messages. Gives ``time_s`` from the first row on. Rows begin when
+    every signal has come at least once.
     """
     remarks = []
     for name, signal in signals.items():

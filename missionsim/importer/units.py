@@ -98,18 +98,8 @@ _DIMENSION = {item.plain: name for name, item in reversed(DIMENSIONS.items())}
 def to_glossary(values: Array, unit: str, name: str) -> Array:
     """Values in `unit` as the glossary wants the column `name`; other columns go to coherent SI units.
 
-    Parameters
-    ----------
-    values : ndarray
-    unit : str
-        ``mW``, ``km/h``, ``deg``, ``ns``, ``%`` (of a slope: its tangent), …
-    name : str
-        Name of the log's column.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        An unknown unit, or one of another dimension.
+    `unit`: ``mW``, ``km/h``, ``deg``, ``ns``, ``%`` (of a slope: its tangent), …; `name`: name of the log's column.
+    Raises InputError: an unknown unit, or one of another dimension.
     """
     found = column_of(name)
     try:

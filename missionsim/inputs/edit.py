@@ -44,16 +44,8 @@ def robot_text(name_or_path: str | os.PathLike[str]) -> str:
 class Editing:
     """A robot file under change; it is opened once, and checked when its text is asked for.
 
-    Parameters
-    ----------
-    text : str
-        Robot file.
-
-    Raises
-    ------
-    InputError
-        By each change for a path that leads nowhere; by `text` where the result would not be a valid robot (unknown
-        effect, battery, parameter, an impossible value).
+    `text`: robot file. Raises InputError: by each change for a path that leads nowhere; by `text` where the result
+    would not be a valid robot (unknown effect, battery, parameter, an impossible value).
     """
 
     def __init__(self, text: str) -> None:
@@ -63,11 +55,8 @@ class Editing:
     def add_effect(self, effect: Mapping[str, object]) -> Editing:
         """One more entry under ``effects:``.
 
-        Parameters
-        ----------
-        effect : mapping
-            As in the file: ``{"effect": "grade", "battery": "robot", "parameters": {"k": {"value": 1.1, "sd": 0.02}},
-            "origin": {...}}``; numbers in SI.
+        `effect`: as in the file: ``{"effect": "grade", "battery": "robot", "parameters": {"k": {"value": 1.1, "sd":
+        0.02}}, "origin": {...}}``; numbers in SI.
         """
         entry = _plain(effect)
         if self._data.get("effects"):
@@ -86,12 +75,9 @@ class Editing:
     def set_values(self, updates: Mapping[str, float | Mapping[str, object]]) -> Editing:
         """Other numbers.
 
-        Parameters
-        ----------
-        updates : mapping
-            Path such as ``motion.parameters.c3`` (`Parameter.path`) to a number in SI, or to a mapping with ``value``
-            and perhaps ``sd`` (SI), ``status``, ``source``, ``note``. A new ``value`` takes out the old status, source
-            and note, since they spoke of the old value, and the old spread where no new one is given.
+        `updates`: path such as ``motion.parameters.c3`` (`Parameter.path`) to a number in SI, or to a mapping with
+        ``value`` and perhaps ``sd`` (SI), ``status``, ``source``, ``note``. A new ``value`` takes out the old status,
+        source and note, since they spoke of the old value, and the old spread where no new one is given.
         """
         known = numbers(self._robot)
         for path, update in updates.items():

@@ -19,10 +19,7 @@ _ROBOTS = _PACKAGE / "robots"
 def examples_folder() -> Path:
     """The folder that holds ``missions``, ``environments`` and ``docs``: of the wheel, or the clone.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where missionsim is installed without them.
+    Raises InputError: where missionsim is installed without them.
     """
     for base in (_PACKAGE / "examples", _PACKAGE.parent):
         if (base / "missions" / "pioneer3dx").is_dir():
@@ -45,20 +42,8 @@ def example_files() -> dict[Path, Path]:
 def write_examples(out: Path) -> list[Path]:
     """Copy missions, environments, docs (with example logs and maps) and the shipped robots into a folder.
 
-    Parameters
-    ----------
-    out : pathlib.Path
-        Made if need be. Files of the same name and content are left alone.
-
-    Returns
-    -------
-    list of pathlib.Path
-        Every file, relative to `out`.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where a file of that name has another content; nothing is written then.
+    `out`: made if need be. Files of the same name and content are left alone. Gives every file, relative to `out`.
+    Raises InputError: where a file of that name has another content; nothing is written then.
     """
     sources = example_files()
     changed = [name for name, path in sources.items() if (out / name).exists() and not _same(out / name, path)]

@@ -41,19 +41,8 @@ def to_faults(
 ) -> list[tuple[tuple[str | int, ...], Fault]]:
     """All errors of one validation, each with its path in the file.
 
-    Parameters
-    ----------
-    problem : pydantic.ValidationError
-    document : Document
-        Where the data came from.
-    model : type
-        The file's model, for the keys that are allowed.
-    shape : object
-        The data that was validated.
-
-    Returns
-    -------
-    list of (path, Fault)
+    `document`: where the data came from; `model`: the file's model, for the keys that are allowed; `shape`: the data
+    that was validated.
     """
     result: list[tuple[tuple[str | int, ...], Fault]] = []
     for error in problem.errors(include_url=False):

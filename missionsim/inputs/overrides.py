@@ -18,10 +18,7 @@ OF_ROBOT = ("body", "batteries", "motion", "components", "links", "switchboards"
 def split_assignment(text: str) -> tuple[str, str]:
     """``"defaults.speed=0.5 m/s"`` to its path and value.
 
-    Raises
-    ------
-    InputError
-        No ``=`` or an empty path.
+    Raises InputError: no ``=`` or an empty path.
     """
     path, equals, value = text.partition("=")
     if not equals or not path.strip():
@@ -51,17 +48,9 @@ def route(overrides: Iterable[tuple[str, object]], data: object) -> dict[str, li
 def apply(document: Document, overrides: Iterable[tuple[str, object]]) -> list[Fault]:
     """Set each path in the document's data.
 
-    Parameters
-    ----------
-    document : Document
-        Changed in place: its `data` is replaced by a changed copy, `overrides` remembers the paths.
-    overrides : iterable of (path, value)
-        Values are YAML text or plain data. List items are named by index or by their ``name``.
-
-    Returns
-    -------
-    list of Fault
-        Paths that do not exist, values that are not YAML.
+    `document`: changed in place: its `data` is replaced by a changed copy, `overrides` remembers the paths.
+    `overrides`: values are YAML text or plain data. List items are named by index or by their ``name``. Gives faults:
+    paths that do not exist, values that are not YAML.
     """
     faults: list[Fault] = []
     for path, value in overrides:

@@ -24,20 +24,8 @@ if TYPE_CHECKING:
 def build_power_model(robot: RobotSpec) -> PowerModel:
     """The power model of a robot.
 
-    Parameters
-    ----------
-    robot : RobotSpec
-        A checked robot file.
-
-    Returns
-    -------
-    PowerModel
-        Base terms (motion, components, switchboards, processor) and the robot's added effects.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        For a motion model or effect that is not known, or parameters that it lacks.
+    `robot`: a checked robot file. Gives base terms (motion, components, switchboards, processor) and the robot's added
+    effects. Raises InputError: for a motion model or effect that is not known, or parameters that it lacks.
     """
     constants = {"regeneration": robot.body.regeneration.value}
     if robot.body.mass is not None:

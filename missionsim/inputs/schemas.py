@@ -25,17 +25,8 @@ SCHEMA_FOLDER = Path(__file__).resolve().parent.parent / "schemas"
 def schema(kind: str, robot: RobotSpec | None = None) -> Schema:
     """JSON Schema (2020-12) of a kind of file.
 
-    Parameters
-    ----------
-    robot : RobotSpec, optional
-        Whose batteries, components and schemes are the only ones.
-    kind : str
-        ``robot``, ``environment``, ``mission``, ``study``, ``map`` or ``task``.
-
-    Raises
-    ------
-    InputError
-        Unknown kind.
+    `robot`: whose batteries, components and schemes are the only ones; `kind`: ``robot``, ``environment``, ``mission``,
+    ``study``, ``map`` or ``task``. Raises InputError: unknown kind.
     """
     if kind not in KINDS:
         raise InputError.unknown(f"no schema '{kind}'", kind, KINDS)
@@ -100,12 +91,7 @@ Schema = dict[str, Any]
 def unit_pattern(dimension: str, percent: bool = False) -> str:
     """Text of a number with a unit of one dimension; what is composed (``kg m/s^2``) is left to the loader.
 
-    Parameters
-    ----------
-    dimension : str
-        Key of `units.DIMENSIONS`; empty for any unit.
-    percent : bool
-        Whether ``%`` is a unit of it (slopes).
+    `dimension`: key of `units.DIMENSIONS`; empty for any unit. `percent`: whether ``%`` is a unit of it (slopes).
     """
     if not dimension:
         return _NUMBER + r"\s*\S*.*$"

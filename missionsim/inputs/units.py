@@ -120,10 +120,7 @@ def split(text: str) -> tuple[float, str] | None:
 def unit_factor(unit: str, dimension: str) -> tuple[float, float]:
     """Factor and offset to SI (``si = factor * number + offset``) of a unit of the wanted dimension.
 
-    Raises
-    ------
-    UnitError
-        Unknown unit, or a unit of another dimension.
+    Raises UnitError: unknown unit, or a unit of another dimension.
     """
     factor = _FACTORS[dimension].get(unit)
     if factor is not None:
@@ -137,22 +134,8 @@ def unit_factor(unit: str, dimension: str) -> tuple[float, float]:
 def parse_quantity(text: str, dimension: str) -> float:
     """Text with a unit to an SI float.
 
-    Parameters
-    ----------
-    text : str
-        ``"14.8 V"``; without a unit the number is in the field's plain unit.
-    dimension : str
-        Key of `DIMENSIONS`.
-
-    Returns
-    -------
-    float
-        In `DIMENSIONS[dimension].si`.
-
-    Raises
-    ------
-    UnitError
-        Not a number with a unit of that dimension.
+    `text`: ``"14.8 V"``; without a unit the number is in the field's plain unit. `dimension`: key of `DIMENSIONS`.
+    The result is in `DIMENSIONS[dimension].si`. Raises UnitError: not a number with a unit of that dimension.
     """
     parts = split(text)
     if parts is None:
@@ -178,10 +161,7 @@ def si_factor(unit: str) -> float | None:
 def parse_any(text: str) -> tuple[float, str]:
     """Text with any unit to a number in coherent SI units and the unit's name (for parameters of effects).
 
-    Raises
-    ------
-    UnitError
-        Not a number, or an unknown unit.
+    Raises UnitError: not a number, or an unknown unit.
     """
     parts = split(text)
     if parts is None:
@@ -196,10 +176,7 @@ def parse_any(text: str) -> tuple[float, str]:
 def any_unit(unit: str) -> tuple[float, str]:
     """Factor to coherent SI of any unit, and the SI unit's name (the unit itself where the factor is 1).
 
-    Raises
-    ------
-    UnitError
-        Unknown unit, or one with an offset (degC inside a product).
+    Raises UnitError: unknown unit, or one with an offset (degC inside a product).
     """
     if unit == "%":
         return 0.01, "1"

@@ -94,13 +94,7 @@ def view_of(document: Document, shape: object, faulty: Faulty) -> View:
 def repaired(view: View, problem: ValidationError, tried: dict[Path_, int]) -> object:
     """What is left after taking out or replacing what `problem` names; None where nothing can be done.
 
-    Parameters
-    ----------
-    view : View
-        What was validated.
-    problem : pydantic.ValidationError
-    tried : dict
-        How many stand-ins were tried at a path (of the file); changed.
+    `view`: what was validated. `tried`: how many stand-ins were tried at a path (of the file); changed.
     """
     edits: _Edits = {}
     drops: list[Path_] = []
@@ -174,11 +168,8 @@ _ROUNDS = 30
 def validate_document(document: Document, model: type[Loaded], faults: list[Fault]) -> Loaded | None:
     """Validate; after faults, try again without the faulty parts, so that the other checks can still speak.
 
-    Returns
-    -------
-    FileModel or None
-        Perhaps without its faulty parts, or with stand-ins for them (`FileModel.whole` is False then); None where
-        nothing could be made of the file.
+    The model is perhaps without its faulty parts, or with stand-ins for them (`FileModel.whole` is False then); None
+    where nothing could be made of the file.
     """
     context = {"folder": Path(document.file).parent}
     shape = document.data

@@ -71,10 +71,7 @@ class Rows:
 def order_time(rows: Rows) -> None:
     """Make time finite, increasing and counted from the start of the run.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        Fewer than two rows; a time that restarts; a unit that is plainly not the second.
+    Raises InputError: fewer than two rows; a time that restarts; a unit that is plainly not the second.
     """
     file = rows.raw.file
     finite = np.isfinite(rows.time)
@@ -155,16 +152,8 @@ def _gaps(rows: Rows) -> None:
 def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:
     """Fill single missing values, hold slower topics, leave out what cannot be filled.
 
-    Parameters
-    ----------
-    rows : Rows
-    required : set of str
-        Columns that the batteries' power comes from.
-
-    Returns
-    -------
-    dict
-        Column that was held from a slower topic → rows where it was really written.
+    `required`: columns that the batteries' power comes from. Gives column that was held from a slower topic → rows
+    where it was really written.
     """
     held: dict[str, Bools] = {}
     for name in list(rows.columns):

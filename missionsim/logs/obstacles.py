@@ -134,18 +134,9 @@ def clock_delay(
 ) -> ClockEstimate | None:
     """Delay between power and motion: the lag at which their changes agree best.
 
-    Parameters
-    ----------
-    time_s, power_w, speed_m_s, yaw_rate_rad_s : ndarray, shape (n,)
-        One run [s, W, m/s, rad/s].
+    `time_s`, `power_w`, `speed_m_s`, `yaw_rate_rad_s` (shape (n,)): one run [s, W, m/s, rad/s]. Gives None where the
+    log is too short, hardly moves, or the two do not go together (correlation under 0.2).
 
-    Returns
-    -------
-    ClockEstimate or None
-        None where the log is too short, hardly moves, or the two do not go together (correlation under 0.2).
-
-    Notes
-    -----
     A simple check: all series on an even grid, differenced (so that slow drifts do not matter); changes of power are
     regressed on those of speed, its square, what speeding up takes (v·a) and turning, at every lag within ±3 s. Without
     v·a the power of a heavy vehicle, which leads its speed, looks like a clock that is wrong. The diagnosis aligns the

@@ -79,17 +79,9 @@ class Refresh:
 def refreshes(values: Array, time_s: Array) -> Refresh | None:
     """Find out whether a column repeats the values of a slower topic.
 
-    Parameters
-    ----------
-    values, time_s : ndarray, shape (n,)
+    `values`, `time_s`: shape (n,). Gives None where the column changes in most rows, or stays for other reasons: at a
+    plateau, or standing still.
 
-    Returns
-    -------
-    Refresh or None
-        None where the column changes in most rows, or stays for other reasons: at a plateau, or standing still.
-
-    Notes
-    -----
     A slower topic shows as runs of equal values of nearly equal length whose values hardly ever come back; a coarse
     meter or a robot that stands still gives runs of every length, or few distinct values.
     """
@@ -119,20 +111,10 @@ def refreshes(values: Array, time_s: Array) -> Refresh | None:
 def power_from_energy(energy_wh: Array, time_s: Array) -> tuple[Array, Bools | None]:
     """Mean power around each row from a cumulative energy.
 
-    Parameters
-    ----------
-    energy_wh : ndarray, shape (n,)
-        Cumulative energy at each row [Wh].
-    time_s : ndarray, shape (n,)
-        [s].
-
-    Returns
-    -------
-    power_w : ndarray, shape (n,)
-        [W]. Where the counter moves in most rows: the energy between the half-way points to the neighbours, over that
-        time. Where it moves in fewer rows: its increment over the time since it moved before.
-    fresh : ndarray of bool or None
-        Rows in which the counter moved; None for the first case.
+    `energy_wh` (shape (n,)): cumulative energy at each row [Wh]; `time_s` (shape (n,)): [s]. Gives `power_w` (shape
+    (n,)): [W]. Where the counter moves in most rows: the energy between the half-way points to the neighbours, over
+    that time. Where it moves in fewer rows: its increment over the time since it moved before. `fresh`: rows in which
+    the counter moved; None for the first case.
     """
     n = len(time_s)
     moved = np.flatnonzero(np.diff(energy_wh) != 0.0) + 1

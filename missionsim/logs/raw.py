@@ -61,15 +61,7 @@ def wanted_kind(name: str) -> str:
 def from_arrow(table: Any, file: str, lines: Callable[[int], int], first_row: int = 0) -> RawTable:
     """Columns of a pyarrow table or record batch, numbers as float64 and text as codes.
 
-    Parameters
-    ----------
-    table : pyarrow.Table or pyarrow.RecordBatch
-    file : str
-        For messages.
-    lines : callable
-        See `RawTable`.
-    first_row : int
-        Row number of the first row in the file.
+    `file`: for messages; `lines`: see `RawTable`; `first_row`: row number of the first row in the file.
     """
     raw = RawTable(file, {}, lines, [], first_row)
     for name in table.schema.names:

@@ -102,10 +102,7 @@ def read_logs(
 def find_logs(paths: Iterable[PathLike] | PathLike) -> list[Path]:
     """The files that a list of files and folders stands for, each once, also where its content has several names.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        A path that does not exist, or a folder without logs.
+    Raises InputError: a path that does not exist, or a folder without logs.
     """
     return list(distinct_logs(paths))
 
@@ -163,10 +160,7 @@ def _files(paths: Iterable[PathLike] | PathLike) -> list[Path]:
 def read_raw(path: PathLike) -> RawTable:
     """A table as it stands in its file, without checks of its values; the content decides, not the name.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        The file cannot be read as a table.
+    Raises InputError: the file cannot be read as a table.
     """
     reader = table_reader(Path(path))
     assert reader.table is not None
@@ -183,17 +177,9 @@ def make_log(
 ) -> Run:
     """Check, repair and freeze a table whose columns already have glossary names.
 
-    Parameters
-    ----------
-    raw : RawTable
-    run : str
-        Name of the run.
-    robot : RobotSpec, optional
-        See `read_log`.
-    own : (int, int), optional
-        Rows of `raw` that belong to the result; the others are neighbours (blocks of a long file).
-    statistics : bool
-        Whether to run the checks that look at the values as a whole (units, frozen sensors, clock).
+    `run`: name of the run. `robot`: see `read_log`. `own`: rows of `raw` that belong to the result; the others are
+    neighbours (blocks of a long file). `statistics`: whether to run the checks that look at the values as a whole
+    (units, frozen sensors, clock).
     """
     faults = missing_columns(raw.columns, raw.file, lambda: raw.lines(-1))
     faults += [
@@ -270,10 +256,7 @@ def _freeze(
 def check_log(path: PathLike, *, robot: RobotSpec | None = None) -> list[Fault]:
     """All faults of a log, for ``missionsim validate``: what stops a reading, and what the checks find.
 
-    Returns
-    -------
-    list of Fault
-        Severity ``error`` where the log is against the contract of the columns, ``warning`` where it is doubtful.
+    Their severity is ``error`` where the log is against the contract of the columns, ``warning`` where it is doubtful.
     """
     path = Path(path)
     try:
@@ -286,11 +269,7 @@ def check_log(path: PathLike, *, robot: RobotSpec | None = None) -> list[Fault]:
 def describe(logs: Sequence[Run | LongRun], *, notes: bool = False) -> list[str]:
     """The remarks of several logs in words, one line each, the same remark of many runs joined.
 
-    Parameters
-    ----------
-    logs : sequence of Run
-    notes : bool
-        Whether to tell the harmless ones too.
+    `notes`: whether to tell the harmless ones too.
     """
     found: dict[tuple[str, str, str], list[tuple[str, Remark]]] = {}
     for log in logs:

@@ -123,10 +123,7 @@ def source_suffixes() -> tuple[str, ...]:
 def reader_of(path: Path) -> Reader:
     """The reader of a file, by its first bytes and then by its name; text of an unknown name is a table.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        Nothing there, a folder that is no source, a pipe, or a file that is not what its name says.
+    Raises InputError: nothing there, a folder that is no source, a pipe, or a file that is not what its name says.
     """
     if path.is_dir():
         for reader in registry().values():
@@ -165,10 +162,7 @@ def not_there(path: Path) -> Fault:
 def table_reader(path: Path) -> Reader:
     """As `reader_of`, for files that have to be a table.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        A bag or another recording of messages, which needs a map.
+    Raises InputError: a bag or another recording of messages, which needs a map.
     """
     reader = reader_of(path)
     if reader.table is None:

@@ -276,16 +276,8 @@ _STAYS = ("time_s", "payload_kg", "temp_ambient_c", "access_point_distance_m", "
 def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools]:
     """Tell numeric columns that hang at one value, and columns repeated from a slower topic.
 
-    Parameters
-    ----------
-    rows : Rows
-    fresh_of : callable
-        Whether a column is already known to be held from a slower topic.
-
-    Returns
-    -------
-    dict
-        Column → rows where it has a new value, for columns that repeat or hang.
+    `fresh_of`: whether a column is already known to be held from a slower topic. Gives column → rows where it has a new
+    value, for columns that repeat or hang.
     """
     result: dict[str, Bools] = {}
     time = rows.time

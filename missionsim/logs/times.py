@@ -87,21 +87,10 @@ def _in_numbers(text: str) -> str:
 def read_stamps(parts: Sequence[Array | Labels], name: str, zone: str | None = None, local: bool = False) -> Stamps:
     """Times of one column, or of a date and a time of day in two.
 
-    Parameters
-    ----------
-    parts : sequence of columns, shape (n,)
-        Numbers (an epoch by their size, else seconds of the logger's own) or texts.
-    name : str
-        For remarks.
-    zone : str, optional
-        Zone of local times, such as ``Europe/Berlin`` or ``+02:00``.
-    local : bool
-        Whether numbers since 1970 are wall time of a zone that is not known.
-
-    Raises
-    ------
-    TimeError
-        Texts that are no time stamps; local times that do not say which of two hours they are in.
+    `parts` (shape (n,)): numbers (an epoch by their size, else seconds of the logger's own) or texts; `name`: for
+    remarks; `zone`: zone of local times, such as ``Europe/Berlin`` or ``+02:00``; `local`: whether numbers since 1970
+    are wall time of a zone that is not known. Raises TimeError: texts that are no time stamps; local times that do not
+    say which of two hours they are in.
     """
     found = [_numbers(part) if not isinstance(part, Labels) else _texts(part) for part in parts]
     whole = found[0]
@@ -134,14 +123,7 @@ _JUMP_S = 3600.0
 def close_jumps(time_s: Array, remarks: list[Remark], usual: float | None = None) -> Array:
     """Times without jumps of the clock: each becomes a short gap, which parts the run for a diagnosis.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        [s].
-    remarks : list of Remark
-        What is said is added.
-    usual : float, optional
-        Usual step [s], where it is known.
+    `time_s` (shape (n,)): [s]; `remarks`: what is said is added; `usual`: usual step [s], where it is known.
     """
     step = np.diff(time_s)
     if len(step) < 2:
@@ -174,10 +156,7 @@ class TimeAxis:
     def apply(self, raw: RawTable) -> None:
         """Turn the column ``time_s`` of a table into seconds, and remark on what it was.
 
-        Raises
-        ------
-        missionsim.errors.InputError
-            Texts that are no time stamps.
+        Raises InputError: texts that are no time stamps.
         """
         data = raw.columns.get("time_s")
         if data is None or not raw.rows:

@@ -196,10 +196,7 @@ def judge(figure: Figure, ours: Ours | None) -> Item:
 def judge_all(paper: str, ours: Mapping[str, Ours]) -> list[Item]:
     """Every figure of a paper beside ours.
 
-    Raises
-    ------
-    KeyError
-        Where ours holds a key that the paper's data does not.
+    Raises KeyError: where ours holds a key that the paper's data does not.
     """
     figures = load_figures(paper)
     unknown = set(ours) - set(figures)

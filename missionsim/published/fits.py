@@ -101,15 +101,8 @@ def mecanum_fit(
     """Least squares of friction, mass, copper loss, electronics and pulse to the measured columns of Tables 3 and 4.
 
     Motion power is (F + M a) v + R_c (F + M a)², the robot's has a constant and, while speeding up, a pulse on top.
-
-    Parameters
-    ----------
-    figures : mapping
-        Of the paper.
-    profile, duration_s : str, float
-        The start's speed profile and its duration; the printed speed column fits no mass at all.
-    mass_kg : float, optional
-        Hold the mass, to see what the data say about it.
+    `figures`: of the paper. `profile`, `duration_s`: the start's speed profile and its duration; the printed speed
+    column fits no mass at all. `mass_kg`: hold the mass, to see what the data say about it.
     """
     from scipy.optimize import least_squares
 

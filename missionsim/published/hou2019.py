@@ -99,11 +99,7 @@ def _accuracy(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
 def direction_power(angles_rad: Array, friction_ratio: float | None = None) -> Array:
     """Power (W) of the robot at its greatest speed in directions from straight ahead.
 
-    Parameters
-    ----------
-    angles_rad : ndarray
-    friction_ratio : float, optional
-        Roller over wheel friction; that of the robot file if not given.
+    `friction_ratio`: roller over wheel friction; that of the robot file if not given.
     """
     robot = load_robot("mecanum4")
     model = build_power_model(robot)
@@ -166,10 +162,7 @@ def _inputs() -> Iterator[tuple[str, Ours]]:
 def identifiability(figures: Mapping[str, Figure]) -> list[dict[str, float | str]]:
     """Fits with different speed profiles of the start: what the data say about each parameter.
 
-    Returns
-    -------
-    list of dict
-        One row a fit, first the robot file's; the mass runs from one end of its range to the other at equal error.
+    Gives one row a fit, first the robot file's; the mass runs from one end of its range to the other at equal error.
     """
     rows: list[dict[str, float | str]] = []
     top = figures["time.max"].value

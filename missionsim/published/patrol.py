@@ -134,10 +134,7 @@ class Causes:
 def behaviour_draws(causes: Causes, draws: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Path stretch and speed ratio of each segment of the patrol, drawn from their causes.
 
-    Returns
-    -------
-    tuple of ndarray, shape (draws, segments)
-        Stretch (≥ 1) and speed over speed asked; 1 in the stops.
+    Gives an array of shape (draws, segments): stretch (≥ 1) and speed over speed asked; 1 in the stops.
     """
     spec = mission(DRIVEN)
     stretch = np.ones((draws, len(spec.segments)))

@@ -23,10 +23,7 @@ COLUMNS = ("item", "where", "published", "ours", "unit", "difference", "toleranc
 def papers_of(robots: Sequence[str]) -> list[str]:
     """Papers of the named robots (all if none); a paper's own name counts too.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        For a name without a paper.
+    Raises InputError: for a name without a paper.
     """
     known = {**PAPERS, **{paper: paper for paper in PAPERS.values()}}
     for name in robots:
@@ -122,10 +119,7 @@ def files(items: dict[str, list[Item]], tables: dict[str, Tables]) -> dict[str, 
 def write(out: Path, items: dict[str, list[Item]], tables: dict[str, Tables], pictures: bool = True) -> list[Path]:
     """Write tables, page and pictures into a folder; each file whole or not at all.
 
-    Returns
-    -------
-    list of Path
-        What was written.
+    Gives what was written.
     """
     written = []
     for name, text in files(items, tables).items():

@@ -60,13 +60,8 @@ def processing_work(
 ) -> tuple[float, float]:
     """Cycles per batch at rest, and more per m/s, with which the quality of service just holds at the printed limit.
 
-    Parameters
-    ----------
-    figures : mapping
-    fixed_s, share_at_rest : float
-        Time that no clock shortens, and share of the work that no speed adds (assumed; not printed).
-    reading : float
-        1 for m/s, `KMH` for km/h.
+    `fixed_s`, `share_at_rest`: time that no clock shortens, and share of the work that no speed adds (assumed; not
+    printed). `reading`: 1 for m/s, `KMH` for km/h.
     """
     period_s = 1.0 / figures["batches"].value
     work = (period_s - fixed_s) * figures["freq.max"].value * 1e9

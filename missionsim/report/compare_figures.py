@@ -30,11 +30,8 @@ POINTS = 4000
 def write_figures(comparison: Comparison, folder: Path) -> list[Path]:
     """Draw every figure of a comparison into `folder`.
 
-    Returns
-    -------
-    list of Path
-        ``power_<battery>_<run>.png`` (the `MOST_RUNS` worst runs), ``error_by_covariate_<battery>.png``,
-        ``error_over_progress_<battery>.png`` and ``error_map_<battery>.png`` where the logs hold a pose.
+    Gives ``power_<battery>_<run>.png`` (the `MOST_RUNS` worst runs), ``error_by_covariate_<battery>.png``,
+    ``error_over_progress_<battery>.png`` and ``error_map_<battery>.png`` where the logs hold a pose.
     """
     written = []
     for one in comparison.batteries.values():

@@ -58,13 +58,7 @@ PART_TITLES = {
 def compare_page(comparison: Comparison, *, tolerance_pct: float | None = None, footer: str = "") -> str:
     """The page as HTML.
 
-    Parameters
-    ----------
-    comparison : Comparison
-    tolerance_pct : float, optional
-        The tolerance asked for, for the verdict.
-    footer : str
-        How it was made (version, command).
+    `tolerance_pct`: the tolerance asked for, for the verdict; `footer`: how it was made (version, command).
     """
     title = f"{comparison.robot or 'Model'}: model against measurements"
     count = len(comparison.runs)

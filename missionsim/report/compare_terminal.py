@@ -142,16 +142,7 @@ BEHAVIOUR = ("scheme", "path_stretch", "speed_tracking", "dwell_s", "planned_m",
 def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
     """Write ``runs.csv``, ``where.csv``, ``terms.csv`` and, with a mission, ``behaviour.csv``.
 
-    Parameters
-    ----------
-    comparison : Comparison
-    folder : Path
-        Made where it is not there.
-
-    Returns
-    -------
-    list of Path
-        The files written.
+    `folder`: made where it is not there. Gives the files written.
     """
     batteries = list(comparison.batteries.values())
     tables: dict[str, tuple[Sequence[str], list[Sequence[object]]]] = {

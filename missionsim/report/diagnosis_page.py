@@ -59,13 +59,7 @@ MOST_ALIKE = 14
 def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "", robot: str = "", logs: Sequence[str | Path] = ()) -> str:
     """The page as HTML.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-    footer : str
-        How it was made (version, command).
-    robot, logs
-        As they were given, for the command to type next.
+    `footer`: how it was made (version, command); `robot`, `logs`: as they were given, for the command to type next.
     """
     runs = max((len(b.runs) for b in diagnosis.batteries.values()), default=0)
     return page(

@@ -47,20 +47,8 @@ def write_figures(
 ) -> list[Path]:
     """Draw all figures of a run into a folder.
 
-    Parameters
-    ----------
-    result : RunResult
-        With its intervals (``trace=True``).
-    folder : path-like
-    format : str
-        ``png`` or ``svg``.
-    environment : EnvironmentSpec, optional
-        The mission's, for the map.
-
-    Returns
-    -------
-    list of Path
-        ``power``, ``charge`` and ``energy`` with the suffix of the format, and ``site`` where a map was driven.
+    `result`: with its intervals (``trace=True``); `format`: ``png`` or ``svg``; `environment`: the mission's, for the
+    map. Gives ``power``, ``charge`` and ``energy`` with the suffix of the format, and ``site`` where a map was driven.
     """
     figures = {"power": power_figure(result), "charge": charge_figure(result), "energy": energy_figure(result)}
     if environment is not None and result.edges_driven():
@@ -261,18 +249,7 @@ _BANDS = ((0.01, 0.99, 0.15), (0.05, 0.95, 0.25), (0.25, 0.75, 0.40))
 def write_batch_figures(store: BlockStore, firsts: list[int], batteries: tuple[str, ...], folder: Path) -> list[Path]:
     """Draw ``energy_histogram.png`` and ``charge_fan.png``.
 
-    Parameters
-    ----------
-    store : BlockStore
-    firsts : list of int
-        Blocks that count.
-    batteries : tuple of str
-    folder : Path
-
-    Returns
-    -------
-    list of Path
-        The files written.
+    `firsts`: blocks that count. Gives the files written.
     """
     from matplotlib.figure import Figure
 

@@ -15,13 +15,7 @@ from missionsim.report.traces import RESIDUAL, Trace, axis, line
 def improve_page(robot: str, done: Sequence[Improved], *, footer: str = "") -> str:
     """The page as HTML.
 
-    Parameters
-    ----------
-    robot : str
-    done : sequence of Improved
-        One a battery.
-    footer : str
-        How it was made.
+    `done`: one a battery; `footer`: how it was made.
     """
     sections: list[Section] = []
     for one in done:

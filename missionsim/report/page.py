@@ -143,17 +143,8 @@ HOUSE_LAYOUT: dict[str, Any] = {
 def page(title: str, sections: Sequence[Section], *, subtitle: str = "", footer: str = "") -> str:
     """The whole page as text, UTF-8.
 
-    Parameters
-    ----------
-    title, subtitle, footer : str
-        Plain text; escaped.
-    sections : sequence of Section
-        What the page shows, in order.
-
-    Returns
-    -------
-    str
-        HTML with scripts, styles and data inside it; a content policy in its head forbids any request.
+    `title`, `subtitle`, `footer`: plain text; escaped. `sections`: what the page shows, in order. Gives HTML with
+    scripts, styles and data inside it; a content policy in its head forbids any request.
     """
     charts: list[dict[str, Any]] = []
     environment = _environment()

@@ -11,12 +11,7 @@ from missionsim.report.traces import axis
 def plan_page(answer: Answer, *, footer: str = "") -> str:
     """The page as HTML, which opens from disk.
 
-    Parameters
-    ----------
-    answer : Answer
-        With ``why`` in `extra` where it is not feasible.
-    footer : str
-        How it was made.
+    `answer`: with ``why`` in `extra` where it is not feasible; `footer`: how it was made.
     """
     task = answer.site.task
     title = f"{task.name} with {task.robot.name}"

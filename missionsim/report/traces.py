@@ -51,18 +51,9 @@ def tiles(
 ) -> Trace:
     """Coloured squares around places, as bars that stand on their lower edges.
 
-    Parameters
-    ----------
-    x, y, values : ndarray, shape (n,)
-        Middles, and what the colours stand for.
-    size : float
-        Width and height in units of the axes.
-    limit : float
-        Magnitude of the values at which the colours end.
-    colours : sequence of str
-        From −limit to +limit, equally far apart.
-    bar : mapping, optional
-        The scale of the colours beside the chart, as Plotly's ``colorbar``; none without it.
+    `x`, `y`, `values` (shape (n,)): middles, and what the colours stand for. `size`: width and height in units of the
+    axes. `limit`: magnitude of the values at which the colours end. `colours`: from −limit to +limit, equally far
+    apart. `bar`: the scale of the colours beside the chart, as Plotly's ``colorbar``; none without it.
     """
     scale = [[i / (len(colours) - 1), colour] for i, colour in enumerate(colours)]
     ends = {"colorscale": scale, "cmin": -limit, "cmax": limit, "showscale": bar is not None, "colorbar": bar}
@@ -94,17 +85,8 @@ def one_of(label: str, options: Sequence[tuple[str, Sequence[Block]]], note: str
 def min_max_indices(values: Array, points: int) -> NDArray[np.int64]:
     """Indices of a series to draw: the lowest and highest value of each of ``points/2`` equal stretches, and both ends.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        The series; NaN are kept only where a stretch has nothing else.
-    points : int
-        Upper limit of the number of indices, at least 4.
-
-    Returns
-    -------
-    ndarray of int, shape (m,)
-        Increasing, m ≤ max(points, 4).
+    `values` (shape (n,)): the series; NaN are kept only where a stretch has nothing else. `points`: upper limit of the
+    number of indices, at least 4. Gives an array of shape (m,): increasing, m ≤ max(points, 4).
     """
     size = len(values)
     limit = max(points, 4)

@@ -144,16 +144,7 @@ def _given(battery: BatteryResult | None, *names: str) -> dict[str, Any]:
 def varied(vary: Iterable[tuple[str, Sequence[Any]]], base: Sequence[tuple[str, Any]] = ()) -> list[Alternative]:
     """Every combination of varied values, each on top of what the baseline sets.
 
-    Parameters
-    ----------
-    vary : iterable of (path, values)
-    base : sequence of (path, value)
-        What the baseline sets.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        For more combinations than `MOST_ALTERNATIVES`.
+    `base`: what the baseline sets. Raises InputError: for more combinations than `MOST_ALTERNATIVES`.
     """
     pairs = list(vary)
     count = 1
@@ -172,13 +163,7 @@ def varied(vary: Iterable[tuple[str, Sequence[Any]]], base: Sequence[tuple[str, 
 
 
 def from_study(path: str | os.PathLike[str]) -> tuple[Path, list[Alternative]]:
-    """Mission and alternatives of a study file, the baseline first.
-
-    Returns
-    -------
-    mission : Path
-    alternatives : list of Alternative
-    """
+    """Mission and alternatives of a study file, the baseline first."""
     study = load_study(path)
     base = tuple(study.baseline.items())
     folder = Path(path).parent
@@ -200,21 +185,9 @@ def run_alternatives(
 ) -> WhatIf:
     """Run every alternative in full.
 
-    Parameters
-    ----------
-    mission : path-like
-        Mission file.
-    alternatives : sequence of Alternative
-        The baseline first.
-    done : callable
-        Called without arguments after each run (a progress bar).
-    workers : int
-        Processes on this machine.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        All faults of all alternatives, where the baseline or every other one is impossible.
+    `mission`: mission file; `alternatives`: the baseline first; `done`: called without arguments after each run (a
+    progress bar); `workers`: processes on this machine. Raises InputError: all faults of all alternatives, where the
+    baseline or every other one is impossible.
     """
     size = max(1, min(_AT_ONCE, -(-len(alternatives) // workers)))
     parts = [alternatives[i : i + size] for i in range(0, len(alternatives), size)]

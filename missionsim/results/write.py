@@ -224,11 +224,7 @@ def write_table(table: Table, path: str | Path) -> Path:
 def provenance(mission: MissionSpec, command: Sequence[str] = ()) -> dict[str, Any]:
     """Where a result comes from: files with their hashes, what the command line set, versions, command line.
 
-    Parameters
-    ----------
-    mission : MissionSpec
-    command : sequence of str
-        The command line, if there was one.
+    `command`: the command line, if there was one.
     """
     from missionsim import __version__
 

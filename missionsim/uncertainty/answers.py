@@ -23,19 +23,8 @@ _OTHER = "other reasons"
 def failures(store: BlockStore, firsts: list[int], total: int) -> dict[str, Any]:
     """Places where batteries run empty, and why runs fail, in bounded memory.
 
-    Parameters
-    ----------
-    store : BlockStore
-    firsts : list of int
-        First runs of the blocks that count.
-    total : int
-        Number of runs.
-
-    Returns
-    -------
-    dict
-        ``empty``: battery, segment, share of all runs, median of the time; ``reasons``: message and share. The most
-        frequent first.
+    `firsts`: first runs of the blocks that count; `total`: number of runs. Gives ``empty``: battery, segment, share of
+    all runs, median of the time; ``reasons``: message and share. The most frequent first.
     """
     counts: Counter[tuple[str, str]] = Counter()
     times: dict[tuple[str, str], list[Array]] = {}
@@ -76,10 +65,7 @@ MARGIN_TOLERANCE_WH = 1e-6
 def proportion_interval(good: int, total: int, level: float = LEVEL) -> tuple[float, float]:
     """Wilson score interval of a proportion (Wilson 1927).
 
-    Returns
-    -------
-    tuple of float
-        Low and high end; (0, 1) without any run.
+    Gives low and high end; (0, 1) without any run.
     """
     if total == 0:
         return 0.0, 1.0
@@ -97,10 +83,7 @@ def proportion_interval(good: int, total: int, level: float = LEVEL) -> tuple[fl
 def quantile_ranks(count: int, q: float, level: float = LEVEL) -> tuple[int, int]:
     """Ranks, from 0, of the order statistics that bound a quantile (David and Nagaraja 2003, section 7.1).
 
-    Returns
-    -------
-    tuple of int
-        −1 and `count` where the sample is too small to bound the quantile on that side.
+    Gives −1 and `count` where the sample is too small to bound the quantile on that side.
     """
     from scipy.stats import binom
 
@@ -111,11 +94,7 @@ def quantile_ranks(count: int, q: float, level: float = LEVEL) -> tuple[int, int
 def describe(column: Array) -> dict[str, Any]:
     """Mean, standard deviation and quantiles of a column with their 95 % intervals; failed runs (NaN) left out.
 
-    Quantiles are those of Hyndman and Fan 1996, type 7.
-
-    Parameters
-    ----------
-    column : ndarray, shape (runs,)
+    Quantiles are those of Hyndman and Fan 1996, type 7. `column`: shape (runs,).
     """
     ordered = np.sort(column[np.isfinite(column)])
     count = len(ordered)
@@ -144,19 +123,9 @@ def _at(ordered: Array, rank: int) -> float | None:
 def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) -> dict[str, Any]:
     """The answers of a batch; one column of it is in memory at a time, 8 bytes a run.
 
-    Parameters
-    ----------
-    store : BlockStore
-    firsts : list of int
-        First runs of the blocks that count.
-    batteries : tuple of str
-
-    Returns
-    -------
-    dict
-        ``runs``, ``p_feasible``, ``speed_limited_share``, ``batteries``, ``failures``, ``duration_s``, ``importance``
-        of the contract's JSON.
-        Importance is found from the first `IMPORTANCE_RUNS` runs.
+    `firsts`: first runs of the blocks that count. Gives ``runs``, ``p_feasible``, ``speed_limited_share``,
+    ``batteries``, ``failures``, ``duration_s``, ``importance`` of the contract's JSON. Importance is found from the
+    first `IMPORTANCE_RUNS` runs.
     """
     total = good = limited = 0
     for table in store.tables(("feasible", "speed_limited"), firsts):
@@ -259,16 +228,9 @@ def rank_importance(
     """Which values matter: first-order index from the sample itself, and Spearman's rank correlation.
 
     The index is the correlation ratio of the energy over classes of equal counts of the value (Plischke 2012), less
-    what classes of pure noise would show. ``total`` needs a design of its own (`sobol`) and is None here.
-
-    Parameters
-    ----------
-    drawn : iterable of (str, ndarray)
-        Name of a value and its draws, shape (n,).
-    energies : mapping
-        Battery → ndarray of shape (n,), NaN where a run failed.
-    margins : mapping, optional
-        The same for what each battery keeps above its reserve, on which capacity and ageing act too.
+    what classes of pure noise would show. ``total`` needs a design of its own (`sobol`) and is None here. `drawn`: name
+    of a value and its draws, shape (n,); `energies`: battery → ndarray of shape (n,), NaN where a run failed;
+    `margins`: the same for what each battery keeps above its reserve, on which capacity and ageing act too.
     """
     found: list[dict[str, Any]] = []
     ok = np.all([np.isfinite(energy) for energy in energies.values()], axis=0) if energies else np.zeros(0, dtype=bool)

@@ -95,11 +95,7 @@ class ArrayMission:
     def evaluate(self, draws: Draws, count: int) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
         """Columns at given draws, and the runs that need SimPy.
 
-        Parameters
-        ----------
-        draws : dict
-            Value name → ndarray of shape (count,).
-        count : int
+        `draws`: value name → ndarray of shape (count,).
         """
         columns, again = self._empty(count), np.zeros(count, dtype=bool)
         together = max(1, MOST_NUMBERS // self.intervals)
@@ -238,14 +234,8 @@ class ArrayMission:
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Covariates at the start of each interval and their change per second.
 
-        Parameters
-        ----------
-        intervals : Intervals
-        part : slice
-            The runs.
-        duration : ndarray, shape (runs, intervals)
-        knots : ndarray, shape (intervals + 1, runs)
-            Instants between the intervals.
+        `part`: the runs; `duration`: shape (runs, intervals); `knots` (shape (intervals + 1, runs)): instants between
+        the intervals.
         """
         cov, rates = intervals.covariates(part)
         names = list(self.mission.robot.components)

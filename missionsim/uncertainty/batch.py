@@ -77,10 +77,8 @@ def block_runs(prepared: Prepared) -> int:
 def prepare(task: Task) -> Prepared:
     """Load what a task needs; a worker keeps it for all its blocks.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where files have faults, the nominal mission cannot be planned, or `arrays` is asked but impossible.
+    Raises InputError: where files have faults, the nominal mission cannot be planned, or `arrays` is asked but
+    impossible.
     """
     mission = load_mission(task.mission, overrides=task.overrides, robot=task.robot)
     model = build_power_model(mission.robot)
@@ -155,27 +153,10 @@ def run_batch(
 ) -> list[int]:
     """Compute all blocks that are not there yet.
 
-    Parameters
-    ----------
-    task : Task
-    runs : int
-    store : BlockStore
-    engine : str
-        ``simpy`` or ``arrays``, as decided.
-    workers : int
-        Processes on this machine.
-    executor : concurrent.futures.Executor, optional
-        Where to compute instead (a cluster's client).
-    until : float, optional
-        Stop when the 95 % interval of the probability of success is at most this wide. Judged block by block in the
-        order of runs, so that the answer does not depend on who computed what first.
-    advance : callable
-        Told the number of runs of each block that is done.
-
-    Returns
-    -------
-    list of int
-        First runs of the blocks that count, in order.
+    `engine`: ``simpy`` or ``arrays``, as decided. `workers`: processes on this machine. `executor`: where to compute
+    instead (a cluster's client). `until`: stop when the 95 % interval of the probability of success is at most this
+    wide. Judged block by block in the order of runs, so that the answer does not depend on who computed what first.
+    `advance`: told the number of runs of each block that is done. Gives first runs of the blocks that count, in order.
     """
     counted: list[int] = []
     good = total = 0

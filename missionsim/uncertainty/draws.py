@@ -31,10 +31,7 @@ def _digest(size: int, *parts: object) -> bytes:
 class Streams:
     """Numbers of the streams of one seed; one generator serves all, put into each chunk's state in turn.
 
-    Parameters
-    ----------
-    seed : int
-        The batch's seed, any size.
+    `seed`: the batch's seed, any size.
     """
 
     def __init__(self, seed: int) -> None:
@@ -113,10 +110,7 @@ class Sampler:
     def draw(self, seed: int, first: int, count: int) -> Draws:
         """Values of the runs ``first … first + count − 1``.
 
-        Returns
-        -------
-        dict
-            Name → ndarray of shape (count,), SI. The same for any block and whatever else is uncertain.
+        Gives name → ndarray of shape (count,), SI. The same for any block and whatever else is uncertain.
         """
         streams = Streams(seed)
         correlated = self._correlated(
@@ -175,10 +169,7 @@ def _from_scores(law: Distribution, streams: Streams, name: str, first: int, cou
 def make_sampler(mission: MissionSpec) -> Sampler:
     """The sampler of a mission, its robot and its environment.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where correlations name a value that is not uncertain, or cannot hold together.
+    Raises InputError: where correlations name a value that is not uncertain, or cannot hold together.
     """
     found: list[UncertainValue] = []
     for prefix, part in (("", mission), ("robot.", mission.robot), ("environment.", mission.environment)):

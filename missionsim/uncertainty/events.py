@@ -83,20 +83,8 @@ def phases_of(
 ) -> tuple[list[Phase], list[int], Any]:
     """The phases of many runs and what each is part of.
 
-    Parameters
-    ----------
-    plan : Plan
-        Of many runs.
-    nominal : Plan
-        From which `parts` are.
-    parts : tuple of Part
-    startup_s : list of float or ndarray, shape (runs,)
-        Of each component.
-
-    Returns
-    -------
-    list of Phase, list of int, ndarray of bool or bool
-        Phases, the part of each, and which runs have another order of events.
+    `plan`: of many runs; `nominal`: from which `parts` are; `startup_s` (shape (runs,)): of each component. Gives
+    phases, the part of each, and which runs have another order of events.
     """
     by_leg, usual = _by_leg(plan), _by_leg(nominal)
     made: list[Phase] = []
@@ -162,14 +150,8 @@ def charge_course(
 ) -> tuple[Array, Array, Array]:
     """Energy left in a battery [J] that some intervals charge: at even instants, at the end, and the least of all.
 
-    Parameters
-    ----------
-    battery : ConstantEnergy
-        With capacities and charges of the runs.
-    docked : list of int
-        Intervals at a charger that serves it.
-    used_j, knots : ndarray, shapes (intervals, runs) and (intervals + 1, runs)
-        Energy delivered, and instants between the intervals.
+    `battery`: with capacities and charges of the runs; `docked`: intervals at a charger that serves it; `used_j`,
+    `knots`: energy delivered, and instants between the intervals.
     """
     left, times = [np.broadcast_to(battery.initial, knots.shape[1:])], [knots[0]]
     for i, used in enumerate(used_j):

@@ -36,28 +36,11 @@ _POINTS = 1 << 14
 def sobol_importance(prepared: Prepared, seed: int, samples: int, ranks: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """First-order and total Sobol indices of each battery's energy.
 
-    Parameters
-    ----------
-    prepared : Prepared
-    seed : int
-    samples : int
-        A power of two, `FEWEST` or more; the mission is evaluated ``samples × (values + 2)`` times.
-    ranks : list of dict
-        Rank correlations to be carried over.
+    `samples`: a power of two, `FEWEST` or more; the mission is evaluated ``samples × (values + 2)`` times. `ranks`:
+    rank correlations to be carried over. Gives ``parameter``, ``battery``, ``first``, ``total`` with their 95 %
+    intervals, largest total first. What is left to chance is one value, `CHANCE`. Raises InputError: where values are
+    correlated: the indices are not defined then.
 
-    Returns
-    -------
-    list of dict
-        ``parameter``, ``battery``, ``first``, ``total`` with their 95 % intervals, largest total first. What is left to
-        chance is one value, `CHANCE`.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where values are correlated: the indices are not defined then.
-
-    Notes
-    -----
     Saltelli et al. 2010, estimators (b) and (f) of Table 2, on scrambled Sobol' points (`scipy.stats.qmc`). A bootstrap
     would take these points for independent ones and give intervals far too wide; here `DESIGNS` designs are scrambled
     independently, and the interval is that of the jackknife over them with Student's t.
@@ -148,10 +131,7 @@ def _indices(prepared: Prepared, seed: int, samples: int, values: int) -> tuple[
 def _ratio(parts: Array, variances: Array) -> Array:
     """Ratio of sums over designs with its interval by the jackknife.
 
-    Parameters
-    ----------
-    parts : ndarray, shape (designs, values, batteries)
-    variances : ndarray, shape (designs, batteries)
+    `parts`: shape (designs, values, batteries); `variances`: shape (designs, batteries).
     """
     from scipy.stats import t
 

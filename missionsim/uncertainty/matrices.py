@@ -27,10 +27,7 @@ PROGRESS_POINTS = 21
 def table(numbers: Sequence[float | Array]) -> Array:
     """Numbers of intervals, each a float or an array of all runs.
 
-    Returns
-    -------
-    ndarray, shape (intervals, runs)
-        Or (intervals,) where none of them is an array.
+    Gives an array of shape (intervals, runs), or (intervals,) where none of them is an array.
     """
     if not any(isinstance(number, np.ndarray) for number in numbers):
         return np.array(numbers, dtype=float)
@@ -52,12 +49,8 @@ def running_sum(rows: Array) -> Array:
 class Progress:
     """Linear interpolation at even parts of each run's duration.
 
-    Parameters
-    ----------
-    knots : ndarray, shape (k, runs)
-        Instants from 0 that do not decrease along a run, the last one its duration.
-    points : int
-        How many parts, with both ends.
+    `knots` (shape (k, runs)): instants from 0 that do not decrease along a run, the last one its duration; `points`:
+    how many parts, with both ends.
     """
 
     def __init__(self, knots: Array, points: int) -> None:

@@ -18,10 +18,7 @@ from missionsim.uncertainty.batch import Task, block_runs, compute_block, prepar
 class PairedDifference:
     """Difference of an alternative to the baseline, run by run.
 
-    Attributes
-    ----------
-    real : bool
-        Whether the interval leaves out zero.
+    `real`: whether the interval leaves out zero.
     """
 
     quantity: str
@@ -44,16 +41,8 @@ class PairedDifference:
 def paired_difference(quantity: str, baseline: Array, other: Array) -> PairedDifference | None:
     """Mean of the differences of paired runs with a Student interval.
 
-    Parameters
-    ----------
-    quantity : str
-    baseline, other : ndarray, shape (n,)
-        Run by run with the same draws; runs that failed in either (NaN) are left out.
-
-    Returns
-    -------
-    PairedDifference or None
-        None with fewer than two pairs.
+    `baseline`, `other` (shape (n,)): run by run with the same draws; runs that failed in either (NaN) are left out.
+    Gives None with fewer than two pairs.
     """
     change = np.asarray(other, dtype=float) - np.asarray(baseline, dtype=float)
     change = change[np.isfinite(change)]
@@ -71,19 +60,9 @@ def compare_alternatives(
 ) -> list[dict[str, Any]]:
     """Run all alternatives with the same draws.
 
-    Parameters
-    ----------
-    tasks : sequence of Task
-        The baseline first; all with the same seed.
-    runs : int
-    advance : callable
-        Told the number of runs of each block that is done.
-
-    Returns
-    -------
-    list of dict
-        One an alternative: engine, share of feasible runs with its interval, mean energies and margins above the
-        reserve, and for all but the first the differences.
+    `tasks`: the baseline first; all with the same seed. `advance`: told the number of runs of each block that is done.
+    Gives, for each alternative: engine, share of feasible runs with its interval, mean energies and margins above the
+    reserve, and for all but the first the differences.
     """
     found: list[dict[str, Any]] = []
     baseline: dict[str, Array] = {}

@@ -28,10 +28,7 @@ _CHECK_DRAWS, _TRIED = 3, 256
 def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) -> ArrayMission | str:
     """Compile a mission for evaluation as arrays.
 
-    Returns
-    -------
-    ArrayMission or str
-        The compiled mission, or in words why its runs need SimPy.
+    Gives the compiled mission, or in words why its runs need SimPy.
     """
     try:
         plan = make_plan(mission)

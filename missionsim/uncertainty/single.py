@@ -29,10 +29,7 @@ def simulate_run(
 ) -> tuple[dict[str, float], RunResult, bool]:
     """Run number `run` of a batch alone, with SimPy.
 
-    Returns
-    -------
-    tuple
-        The drawn values by name, the result, and whether a drawn speed was cut to what the robot can do.
+    Gives the drawn values by name, the result, and whether a drawn speed was cut to what the robot can do.
     """
     drawn = {name: float(values[0]) for name, values in sampler.draw(seed, run, 1).items()}
     plan = _plan(mission, model, drawn, seed, run)

@@ -37,10 +37,7 @@ class BlockStore:
     def drop_damaged(self, count_of: Callable[[int], int]) -> list[int]:
         """Delete blocks that cannot be read or have not as many runs as they should; their first runs.
 
-        Parameters
-        ----------
-        count_of : callable
-            First run of a block → its number of runs.
+        `count_of`: first run of a block → its number of runs.
         """
         damaged = []
         for first in self.firsts():
@@ -128,10 +125,7 @@ class BlockStore:
     def locked(self) -> Iterator[None]:
         """Keep the folder for this process alone; a lock that a killed process held is free.
 
-        Raises
-        ------
-        missionsim.errors.InputError
-            Where another process writes a batch here.
+        Raises InputError: where another process writes a batch here.
         """
         try:
             import fcntl
@@ -160,10 +154,7 @@ class BlockStore:
     def begin(self, identity: Mapping[str, Any], *, resume: bool) -> None:
         """Make the folder for a batch, or take up an interrupted one.
 
-        Raises
-        ------
-        missionsim.errors.InputError
-            Where the folder holds a batch and `resume` was not asked, or a different batch.
+        Raises InputError: where the folder holds a batch and `resume` was not asked, or a different batch.
         """
         path = self.folder / BATCH_FILE
         if path.is_file():

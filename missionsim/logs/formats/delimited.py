@@ -43,16 +43,8 @@ class TextColumn(Exception):
 def read_csv(path: Path, options: Options) -> RawTable:
     """Read a whole text table.
 
-    Parameters
-    ----------
-    path : Path
-    options : Options
-        `typed`, `header`, `delimiter`, `wants`, and `most`: rows that suffice.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        With line and column of every cell that cannot be read (the first 20, and the number of the others).
+    `options`: `typed`, `header`, `delimiter`, `wants`, and `most`: rows that suffice. Raises InputError: with line and
+    column of every cell that cannot be read (the first 20, and the number of the others).
     """
     import pyarrow as pa
 

@@ -132,21 +132,10 @@ def sniff(
 ) -> Dialect:
     """Read the start of a text table and find out how it is written.
 
-    Parameters
-    ----------
-    path, file
-        The file, and its name in messages.
-    header : sequence of str
-        Names of the columns of a file that has no header line.
-    delimiter, encoding : str, optional
-        Where they are known.
-    typed : bool
-        Whether the file has to be a log: a header, and names of the glossary once.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        Empty, binary, without a header, or with a header that names a column of the glossary twice.
+    `path`, `file`: the file, and its name in messages; `header`: names of the columns of a file that has no header
+    line; `delimiter`, `encoding`: where they are known; `typed`: whether the file has to be a log: a header, and names
+    of the glossary once. Raises InputError: empty, binary, without a header, or with a header that names a column of
+    the glossary twice.
     """
     with open(path, "rb") as handle:
         head = handle.read(_HEAD_BYTES)

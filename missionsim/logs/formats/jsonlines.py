@@ -29,12 +29,8 @@ def read_json(path: Path, options: Options) -> Recording:
     """Fields of JSON messages as ``topic.key.inner[0]``, each topic at its own times.
 
     The topic is what the message says (``topic``), ``state`` for VDA 5050, else ``json``; where several vehicles write
-    into one file, ``state[serial number]``. Lists of objects give their length as ``.count``.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        No JSON, or messages without a time.
+    into one file, ``state[serial number]``. Lists of objects give their length as ``.count``. Raises InputError: no
+    JSON, or messages without a time.
     """
     held: dict[tuple[str, str], list[dict[str, Any]]] = {}
     remarks: list[Remark] = []
@@ -172,10 +168,7 @@ READERS = (
 def read_json_mcap(path: Path, options: Options) -> Recording | None:
     """Fields of JSON messages as ``/topic.key.inner[0]``, at the times of the log; None where messages are no JSON.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        A damaged file.
+    Raises InputError: a damaged file.
     """
     try:
         from mcap.reader import make_reader

@@ -45,20 +45,9 @@ class Unfit(ValueError):
 class Layout:
     """Where the numbers of one message stand.
 
-    Parameters
-    ----------
-    types : mapping
-        Type → (constants, fields), as rosbags has them.
-    kind : str
-        Type of the message.
-    data : bytes
-    cdr : bool
-        ROS 2's encapsulation with alignment; else ROS 1's.
-
-    Attributes
-    ----------
-    same : list of (int, int)
-        Bytes that another message of the same size has to share, to have this layout.
+    `types`: type → (constants, fields), as rosbags has them. `kind`: type of the message. `cdr`: ROS 2's encapsulation
+    with alignment; else ROS 1's. The attribute `same`: bytes that another message of the same size has to share, to
+    have this layout.
     """
 
     def __init__(self, types: Types, kind: str, data: bytes, cdr: bool) -> None:
@@ -183,13 +172,7 @@ class Held:
 class Batch:
     """The messages of a topic of which only numbers are wanted.
 
-    Parameters
-    ----------
-    types, kind, cdr
-        See `Layout`.
-    fields : collection of str
-    held : Held
-        Where the numbers go to.
+    `types`, `kind`, `cdr`: see `Layout`; `held`: where the numbers go to.
     """
 
     def __init__(self, types: Types, kind: str, fields: Collection[str], cdr: bool, held: Held) -> None:

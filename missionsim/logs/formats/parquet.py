@@ -29,10 +29,7 @@ def _open(path: Path, file: str) -> Iterator[Any]:
 def read_parquet(path: Path, options: Options) -> RawTable:
     """Read a whole Parquet file, or the columns that are wanted.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        Not a Parquet file, cut short, or with a column twice.
+    Raises InputError: not a Parquet file, cut short, or with a column twice.
     """
     file = str(path)
     with _open(path, file) as handle:

@@ -33,10 +33,7 @@ _Get = Callable[[Any], Any]
 def open_bag(path: Path) -> Iterator[Any]:
     """A rosbags reader of a ROS 1 bag, a ROS 2 bag (its folder, or a file in it), or a lone MCAP file.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        rosbags is not installed, or it cannot read the bag.
+    Raises InputError: rosbags is not installed, or it cannot read the bag.
     """
     file = str(path)
     bags, types = needed("rosbags.highlevel", "reading bags", file), needed("rosbags.typesys", "reading bags", file)
@@ -56,18 +53,9 @@ def open_bag(path: Path) -> Iterator[Any]:
 def read_bag(path: Path, options: Options) -> Recording:
     """Fields of a bag, each topic at its own times from the start of the bag.
 
-    Parameters
-    ----------
-    path : Path
-    options : Options
-        `fields` as ``/topic.field.sub[0]``, a joint by its name (``/joint_states.effort[left]``), a diagnostic value as
-        ``/diagnostics[status name].key``, the state of a lifecycle node as ``/node/transition_event.state``; `most`
-        messages of each topic; `clock`.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        An unreadable bag.
+    `options`: `fields` as ``/topic.field.sub[0]``, a joint by its name (``/joint_states.effort[left]``), a diagnostic
+    value as ``/diagnostics[status name].key``, the state of a lifecycle node as ``/node/transition_event.state``;
+    `most` messages of each topic; `clock`. Raises InputError: an unreadable bag.
     """
     if path.suffix == ".mcap" and (recording := read_json_mcap(path, options)) is not None:
         return recording
