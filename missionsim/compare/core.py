@@ -20,7 +20,7 @@ from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
 from missionsim.errors import Fault, InputError
-from missionsim.logs.remarks import Remark, merge
+from missionsim.logs.raw import Remark, merge
 from missionsim.physics import Array
 from missionsim.runs.admit import admit
 from missionsim.runs.assume import assume

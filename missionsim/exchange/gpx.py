@@ -11,8 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from missionsim.exchange.geo import LocalPlane, smooth_slopes
-from missionsim.exchange.site import Site, SiteOptions, clean, says_charger
+from missionsim.exchange.site import LocalPlane, Site, SiteOptions, clean, says_charger, smooth_slopes
 from missionsim.exchange.source import Element, Faults
 from missionsim.physics import Array
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import InputError
-from missionsim.exchange.geo import LocalPlane
-from missionsim.exchange.site import Site, SiteOptions
+from missionsim.exchange.site import LocalPlane, Site, SiteOptions
 from missionsim.exchange.source import Faults, Value
 from missionsim.files import Json
 

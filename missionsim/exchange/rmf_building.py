@@ -10,8 +10,7 @@ import cmath
 from dataclasses import dataclass, field
 from typing import Any
 
-from missionsim.exchange.geo import mercator_to_degrees
-from missionsim.exchange.site import Site, SiteOptions
+from missionsim.exchange.site import Site, SiteOptions, mercator_to_degrees
 from missionsim.exchange.source import Value
 
 _SYSTEMS = ("reference_image", "wgs84", "web_mercator", "cartesian_meters")

@@ -16,8 +16,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import InputError
-from missionsim.exchange.geo import nurbs_length
-from missionsim.exchange.site import Site, SiteOptions, says_charger
+from missionsim.exchange.site import Site, SiteOptions, nurbs_length, says_charger
 from missionsim.exchange.source import Value
 from missionsim.files import Json
 

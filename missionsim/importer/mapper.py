@@ -13,11 +13,10 @@ from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import Expression, compile_expression
 from missionsim.glossary import column_of
 from missionsim.importer import transform
-from missionsim.importer.units import to_glossary
+from missionsim.importer.roles import to_glossary
 from missionsim.inputs.log_map import ColumnMap, MapSpec
 from missionsim.labels import Labels
-from missionsim.logs.raw import ColumnData, RawTable
-from missionsim.logs.remarks import Remark
+from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.logs.times import TimeError, read_stamps
 from missionsim.physics import Array
 

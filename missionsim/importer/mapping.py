@@ -20,10 +20,9 @@ from missionsim.importer.sources import find_sources, read_source, table_options
 from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.logs.blocks import checked_blocks
 from missionsim.logs.formats.delimited import iter_csv
-from missionsim.logs.raw import ColumnData, RawTable
+from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.logs.read import PathLike, make_log
 from missionsim.logs.readers import reader_of
-from missionsim.logs.remarks import Remark
 from missionsim.logs.times import close_jumps
 from missionsim.logs.write import LongRun, write_blocks
 from missionsim.runs.run import Run

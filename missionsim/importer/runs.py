@@ -14,8 +14,7 @@ from missionsim.importer.roles import Field
 from missionsim.importer.sources import identifier
 from missionsim.inputs.log_map import MapSpec, RunsMap
 from missionsim.labels import Labels
-from missionsim.logs.raw import RawTable
-from missionsim.logs.remarks import Remark
+from missionsim.logs.raw import RawTable, Remark
 from missionsim.physics import Array
 
 

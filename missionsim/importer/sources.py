@@ -17,9 +17,8 @@ from missionsim.importer.roles import fields_of
 from missionsim.importer.transform import Signal, merge_signals
 from missionsim.inputs.log_map import FileMap, MapSpec
 from missionsim.inputs.units import UnitError, unit_factor
-from missionsim.logs.raw import ColumnData, RawTable
+from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.logs.readers import Options, Reader, Topic, not_there, reader_of, source_suffixes
-from missionsim.logs.remarks import Remark
 from missionsim.logs.times import Stamps, TimeError, read_stamps
 
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")

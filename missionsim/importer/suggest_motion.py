@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.importer import transform
-from missionsim.importer.roles import Field, Guess
+from missionsim.importer.roles import UNITS, Field, Guess, words_of
 from missionsim.importer.sources import identifier
-from missionsim.importer.units import UNITS, words_of
 from missionsim.labels import Labels
 from missionsim.physics import Array
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from missionsim.importer.roles import Guess
-from missionsim.importer.units import UNITS, words_of
+from missionsim.importer.roles import UNITS, Guess, words_of
 from missionsim.labels import Labels
 from missionsim.logs.power import refreshes
 from missionsim.physics import Array

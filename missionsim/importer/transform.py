@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.labels import Labels
-from missionsim.logs.raw import ColumnData, RawTable
-from missionsim.logs.remarks import Remark
+from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.physics import Array
 from missionsim.runs.run import row_durations
 

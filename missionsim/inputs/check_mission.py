@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from missionsim.errors import Fault
-from missionsim.inputs.checker import Checker, Where
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import CorrelationSpec, MissionSpec
 from missionsim.inputs.parameter import uncertain_values
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.segments import flat_segments
 from missionsim.inputs.tree import Document, dotted
+from missionsim.inputs.validation import Checker, Where
 
 _DECIDED = {"time_s", "speed_m_s", "accel_m_s2", "yaw_rate_rad_s", "lateral_speed_m_s", "slope_rad", "payload_kg"}
 _DECIDED |= {"surface", "scheme", "navigation", "segment", "x_m", "y_m", "heading_rad"}

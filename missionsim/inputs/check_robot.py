@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 
 from missionsim.effects.base import ParameterSpec
 from missionsim.errors import Fault, InputError, did_you_mean
-from missionsim.inputs.checker import Checker, Where
 from missionsim.inputs.robot import ComponentSpec, EffectSpec, LawSpec, RobotSpec, SchemeSpec
 from missionsim.inputs.tree import Document
 from missionsim.inputs.units import same_dimension
+from missionsim.inputs.validation import Checker, Where
 from missionsim.inputs.values import Parameter
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from missionsim.errors import Fault
-from missionsim.inputs.checker import Checker, Where
 from missionsim.inputs.task import TaskSpec, VisitSpec, speeds_of
 from missionsim.inputs.tree import Document
+from missionsim.inputs.validation import Checker, Where
 
 
 def check_task(task: TaskSpec, document: Document) -> list[Fault]:

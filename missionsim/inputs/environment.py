@@ -11,8 +11,8 @@ from pydantic import Field, model_validator
 
 from missionsim.errors import Fault
 from missionsim.inputs.base import FileModel, Identifier, Model, Name, Text, wrong
-from missionsim.inputs.checker import Checker
 from missionsim.inputs.tree import Document
+from missionsim.inputs.validation import Checker
 from missionsim.inputs.values import (
     Angle,
     Condition,

@@ -11,8 +11,7 @@ from typing import Any
 
 from missionsim.errors import did_you_mean
 from missionsim.inputs import units
-from missionsim.inputs.distributions import KINDS, Distribution
-from missionsim.inputs.parameter import STATUSES, Issue, Issues, Parameter
+from missionsim.inputs.parameter import KINDS, STATUSES, Distribution, Issue, Issues, Parameter
 from missionsim.inputs.tree import as_written
 
 _KEYS = ("value", "sd", "low", "high", "distribution", "unit", "status", "source", "note")

@@ -12,8 +12,7 @@ from pydantic_core import core_schema
 
 from missionsim.inputs import units
 from missionsim.inputs.base import told
-from missionsim.inputs.distributions import KINDS
-from missionsim.inputs.parameter import STATUSES, Issue, Issues, Parameter
+from missionsim.inputs.parameter import KINDS, STATUSES, Issue, Issues, Parameter
 from missionsim.inputs.tree import as_written
 from missionsim.inputs.uncertain import UncertainReader
 

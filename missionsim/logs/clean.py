@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from missionsim.errors import Fault, InputError
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
-from missionsim.logs.raw import ColumnData, RawTable
-from missionsim.logs.remarks import Remark
+from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.physics import Array
 
 Bools = NDArray[np.bool_]

@@ -13,8 +13,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 
 from missionsim.errors import Fault, InputError, did_you_mean
-from missionsim.logs.raw import ColumnData, RawTable
-from missionsim.logs.remarks import Remark
+from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.physics import Array
 
 ENTRY_POINTS = "missionsim.readers"

@@ -10,8 +10,7 @@ import numpy as np
 
 from missionsim.errors import Fault, InputError
 from missionsim.labels import Labels
-from missionsim.logs.raw import RawTable
-from missionsim.logs.remarks import Remark
+from missionsim.logs.raw import RawTable, Remark
 from missionsim.physics import Array
 
 _CLOCK = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,]\d+)?)?"

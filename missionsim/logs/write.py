@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from missionsim.errors import InputError
 from missionsim.files import atomic_write, csv_cell
 from missionsim.labels import Labels
-from missionsim.logs.remarks import Remark, merge
+from missionsim.logs.raw import Remark, merge
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
@@ -11,7 +12,6 @@ import numpy as np
 from missionsim.inputs import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import Array, mecanum
-from missionsim.published import fits
 from missionsim.published.figures import Figure, Ours, load_figures, mission, run
 
 PAPER = "hou2019"
@@ -50,7 +50,7 @@ def start_powers(times_s: Array) -> dict[str, Array]:
 
 
 def _tables(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
-    times, _ = fits.table_series(figures, "3", "measured")
+    times, _ = table_series(figures, "3", "measured")
     powers = start_powers(times)
     for table, name in (("3", "motion"), ("4", "robot")):
         for i, time in enumerate(times):
@@ -72,17 +72,17 @@ def _constants(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
 def paper_errors(figures: Mapping[str, Figure]) -> dict[str, tuple[float, float, float]]:
     """RMSE (W), mean and greatest absolute error (%) of the paper's own model, by table, from its printed columns."""
     return {
-        table: fits.errors(*(fits.table_series(figures, table, column)[1] for column in ("modelled", "measured")))
+        table: errors(*(table_series(figures, table, column)[1] for column in ("modelled", "measured")))
         for table in ("3", "4")
     }
 
 
 def robot_errors(figures: Mapping[str, Figure]) -> dict[str, tuple[float, float, float]]:
     """The same of the shipped robot file."""
-    times, _ = fits.table_series(figures, "3", "measured")
+    times, _ = table_series(figures, "3", "measured")
     powers = start_powers(times)
     return {
-        table: fits.errors(powers[name], fits.table_series(figures, table, "measured")[1])
+        table: errors(powers[name], table_series(figures, table, "measured")[1])
         for table, name in (("3", "motion"), ("4", "robot"))
     }
 
@@ -167,7 +167,7 @@ def identifiability(figures: Mapping[str, Figure]) -> list[dict[str, float | str
     rows: list[dict[str, float | str]] = []
     top = figures["time.max"].value
     for profile, duration in (("linear", top), ("minimum_jerk", top), ("minimum_jerk", top + 0.02)):
-        fit = fits.mecanum_fit(figures, profile=profile, duration_s=duration)
+        fit = mecanum_fit(figures, profile=profile, duration_s=duration)
         names = ("rmse_table{}_w", "mape_table{}_pct", "max_table{}_pct")
         scores = zip(names, zip(*fit.errors.values(), strict=True), strict=True)
         rows.append(
@@ -181,3 +181,86 @@ def identifiability(figures: Mapping[str, Figure]) -> list[dict[str, float | str
             }
         )
     return rows
+
+
+@dataclass(frozen=True)
+class MecanumFit:
+    """A fit of the few-parameter model to Hou's Tables 3 and 4."""
+
+    friction_n: float
+    mass_kg: float
+    copper_w_n2: float
+    electronics_w: float
+    pulse_w: float
+    """These: the five fitted parameters."""
+    errors: dict[str, tuple[float, float, float]]
+    """By table: RMSE (W), mean and greatest absolute error (%) over the moving samples."""
+    condition: float
+    """Of the Jacobian scaled by the parameters: large where the data do not see some direction."""
+
+
+Profile = Callable[..., tuple[Array, Array]]
+PROFILES: dict[str, Profile] = {"linear": mecanum.linear_ramp, "minimum_jerk": mecanum.minimum_jerk}
+
+
+def table_series(figures: Mapping[str, Figure], table: str, column: str) -> tuple[Array, Array]:
+    """Times (s) and values of one column (``speed``, ``modelled``, ``measured``) of Hou's Table 3 or 4."""
+    prefix, suffix = f"table{table}.t", f".{column}"
+    keys = [key for key in figures if key.startswith(prefix) and key.endswith(suffix)]
+    times = [float(key[len(prefix) : -len(suffix)]) for key in keys]
+    return np.array(times), np.array([figures[key].value for key in keys])
+
+
+def errors(model_w: Array, measured_w: Array) -> tuple[float, float, float]:
+    """RMSE (W), mean and greatest absolute error (%) over the samples in which the robot moves."""
+    moving = measured_w > 0.0
+    miss = model_w[moving] - measured_w[moving]
+    relative = 100.0 * np.abs(miss) / measured_w[moving]
+    return float(np.sqrt(np.mean(miss**2))), float(np.mean(relative)), float(np.max(relative))
+
+
+def mecanum_fit(
+    figures: Mapping[str, Figure], *, profile: str = "linear", duration_s: float = 0.3, mass_kg: float | None = None
+) -> MecanumFit:
+    """Least squares of friction, mass, copper loss, electronics and pulse to the measured columns of Tables 3 and 4.
+
+    Motion power is (F + M a) v + R_c (F + M a)², the robot's has a constant and, while speeding up, a pulse on top.
+    `figures`: of the paper. `profile`, `duration_s`: the start's speed profile and its duration; the printed speed
+    column fits no mass at all. `mass_kg`: hold the mass, to see what the data say about it.
+    """
+    from scipy.optimize import least_squares
+
+    times, motion_measured = table_series(figures, "3", "measured")
+    _, robot_measured = table_series(figures, "4", "measured")
+    top = figures["speed.max"].value
+    speed, accel = PROFILES[profile](times, speed_m_s=top, duration_s=duration_s)
+    moving = (speed > 0.0).astype(float)
+    speeding = ((times > 0.0) & (times <= duration_s + 1e-9)).astype(float)
+
+    def unpack(x: Array) -> Array:
+        return x if mass_kg is None else np.concatenate([x[:1], [mass_kg], x[1:]])
+
+    def model(x: Array) -> tuple[Array, Array]:
+        friction, mass, copper, electronics, pulse = unpack(x)
+        force = (friction + mass * accel) * moving
+        motion_w = force * speed + copper * force**2
+        return motion_w, motion_w + electronics * moving + pulse * speeding
+
+    def residuals(x: Array) -> Array:
+        motion_w, robot_w = model(x)
+        return np.concatenate([motion_w - motion_measured, robot_w - robot_measured])[np.tile(moving, 2) > 0]
+
+    start = np.array([17.0, 3.0, 0.01, 1.0, 1.0])
+    first = start if mass_kg is None else np.delete(start, 1)
+    fit = least_squares(residuals, first, bounds=(0.0, np.inf), x_scale=first, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    friction, mass, copper, electronics, pulse = (float(v) for v in unpack(fit.x))
+    motion_w, robot_w = model(fit.x)
+    return MecanumFit(
+        friction_n=friction,
+        mass_kg=mass,
+        copper_w_n2=copper,
+        electronics_w=electronics,
+        pulse_w=pulse,
+        errors={"3": errors(motion_w, motion_measured), "4": errors(robot_w, robot_measured)},
+        condition=float(np.linalg.cond(fit.jac * fit.x)),
+    )

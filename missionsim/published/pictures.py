@@ -10,7 +10,7 @@ import numpy as np
 
 from missionsim.files import atomic_write
 from missionsim.physics import Array
-from missionsim.published import fits, hou2019, parasuraman2012, patrol, rover2025
+from missionsim.published import hou2019, parasuraman2012, patrol, rover2025
 from missionsim.published.figures import ABOUT, load_figures, run
 
 if TYPE_CHECKING:
@@ -196,8 +196,8 @@ def _start(figure: Figure) -> None:
     figures = load_figures("hou2019")
     fine = np.linspace(0.0, 1.3, 521)
     for axes, table, name in zip(_pair(figure), ("3", "4"), ("motion", "robot"), strict=True):
-        time, measured = fits.table_series(figures, table, "measured")
-        _, modelled = fits.table_series(figures, table, "modelled")
+        time, measured = hou2019.table_series(figures, table, "measured")
+        _, modelled = hou2019.table_series(figures, table, "modelled")
         axes.plot(fine, hou2019.start_powers(fine)[name], color=COLOURS[4], linewidth=0.9, label="ours, all times")
         axes.plot(time, hou2019.start_powers(time)[name], "s", color=COLOURS[0], markersize=4, label="ours, samples")
         axes.plot(time, measured, "o", color="black", markersize=4, fillstyle="none", label="measured (printed)")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.published import fits, hou2019, jaiem2021, parasuraman2012, patrol, rover2025
+from missionsim.published import hou2019, jaiem2021, parasuraman2012, patrol, rover2025
 from missionsim.published.figures import load_figures
 
 Rows = list[dict[str, Any]]
@@ -137,7 +137,7 @@ def components() -> Rows:
 
 def static_powers() -> Rows:
     """Khepera III: the one solution of the four percentages."""
-    found = fits.static_powers(load_figures("parasuraman2012"))
+    found = parasuraman2012.static_powers(load_figures("parasuraman2012"))
     return [
         {"quantity": "static power without radio", "value": found.without_radio_w, "unit": "W"},
         {"quantity": "Bluetooth", "value": found.bluetooth_w, "unit": "W"},

@@ -16,7 +16,7 @@ from missionsim.runs.odd import odd_runs
 from missionsim.runs.run import Run
 
 if TYPE_CHECKING:
-    from missionsim.logs.remarks import Remark
+    from missionsim.logs.raw import Remark
 
 
 SHARE = 0.003

@@ -19,7 +19,7 @@ from missionsim.physics import Array
 if TYPE_CHECKING:
     import pandas as pd
 
-    from missionsim.logs.remarks import Remark
+    from missionsim.logs.raw import Remark
 
 
 Bools = NDArray[np.bool_]

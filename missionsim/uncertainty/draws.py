@@ -11,9 +11,8 @@ import numpy as np
 from numpy.random import SFC64, Generator, Philox
 
 from missionsim.errors import InputError, did_you_mean
-from missionsim.inputs.distributions import Distribution
 from missionsim.inputs.mission import MissionSpec
-from missionsim.inputs.parameter import uncertain_values
+from missionsim.inputs.parameter import Distribution, uncertain_values
 from missionsim.physics import Array
 
 CHUNK = 4096

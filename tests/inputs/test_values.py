@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from missionsim.inputs.distributions import Distribution
-from missionsim.inputs.parameter import Parameter
+from missionsim.inputs.parameter import Distribution, Parameter
 from missionsim.inputs.values import EffectNumber, Fraction, Power, Slope, Temperature, quantity
 
 POWER: TypeAdapter[Parameter] = TypeAdapter(Power)

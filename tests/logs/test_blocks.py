@@ -12,7 +12,7 @@ import pytest
 
 from missionsim.labels import Labels
 from missionsim.logs import LogTable, iter_blocks, read_log
-from missionsim.logs.remarks import merge
+from missionsim.logs.raw import merge
 from tests.logs.conftest import motion, write_csv
 
 

@@ -14,7 +14,7 @@ from missionsim.cli.app import run_command as main
 from missionsim.errors import InputError
 from missionsim.importer import transform
 from missionsim.importer.mapping import import_source
-from missionsim.importer.units import to_glossary
+from missionsim.importer.roles import to_glossary
 from missionsim.inputs.loading import check_files, load_map
 from missionsim.labels import Labels
 from missionsim.logs import LogTable, read_log

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from missionsim.inputs.distributions import Distribution
+from missionsim.inputs.parameter import Distribution
 from missionsim.uncertainty.draws import CHUNK, Sampler, Streams, UncertainValue, run_generator
 
 

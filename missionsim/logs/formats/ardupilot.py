@@ -15,8 +15,8 @@ import numpy as np
 from missionsim.errors import InputError
 from missionsim.files import first_line, needed
 from missionsim.logs.formats.jsonlines import column
+from missionsim.logs.raw import Remark
 from missionsim.logs.readers import Options, Reader, Recording, Topic
-from missionsim.logs.remarks import Remark
 
 _ENDLESS = re.compile(rb"\xa3\x95\x80.[\x00-\x02]", re.DOTALL)
 """A format whose messages are shorter than their own header: pymavlink would never come to the end."""

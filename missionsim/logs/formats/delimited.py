@@ -24,9 +24,8 @@ from missionsim.logs.formats.dialect import (
     sniff,
 )
 from missionsim.logs.power import measures
-from missionsim.logs.raw import RawTable, from_arrow, wanted_kind
+from missionsim.logs.raw import RawTable, Remark, from_arrow, wanted_kind
 from missionsim.logs.readers import Options, Reader
-from missionsim.logs.remarks import Remark
 from missionsim.logs.times import is_stamp
 
 _BLOCK_BYTES = 1 << 22

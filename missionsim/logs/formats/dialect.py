@@ -12,7 +12,7 @@ from pathlib import Path
 
 from missionsim.errors import Fault, InputError
 from missionsim.glossary import column_of
-from missionsim.logs.remarks import Remark
+from missionsim.logs.raw import Remark
 from missionsim.logs.times import is_stamp
 
 MISSING_WORDS = (

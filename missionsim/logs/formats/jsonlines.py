@@ -13,9 +13,8 @@ import numpy as np
 from missionsim.errors import Fault, InputError
 from missionsim.files import first_line
 from missionsim.labels import Labels
-from missionsim.logs.raw import ColumnData, numbers_in
+from missionsim.logs.raw import ColumnData, Remark, numbers_in
 from missionsim.logs.readers import Options, Reader, Recording, Topic
-from missionsim.logs.remarks import Remark
 from missionsim.logs.times import TimeError, read_stamps
 
 _TIMES = ("timestamp", "time", "stamp", "ts", "t", "time_s", "datetime", "date", "@timestamp")

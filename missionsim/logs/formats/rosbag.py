@@ -16,8 +16,8 @@ from missionsim.errors import InputError
 from missionsim.files import first_line, needed
 from missionsim.logs.formats.jsonlines import read_json_mcap
 from missionsim.logs.formats.packed import Batch, Held
+from missionsim.logs.raw import Remark
 from missionsim.logs.readers import Options, Reader, Recording, Topic
-from missionsim.logs.remarks import Remark
 from missionsim.physics import Array
 
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[[^\]]+\])*)\Z")

@@ -13,9 +13,8 @@ import numpy as np
 
 from missionsim.errors import InputError
 from missionsim.files import first_line, needed
-from missionsim.logs.raw import ColumnData
+from missionsim.logs.raw import ColumnData, Remark
 from missionsim.logs.readers import Options, Reader, Recording, Topic
-from missionsim.logs.remarks import Remark
 
 _HEADER_BYTES = 16
 _KINDS = frozenset(b"BFIMPQARDLCSO")
