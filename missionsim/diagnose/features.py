@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.effects.base import Effect
-from missionsim.effects.families import FLOORS, floors_effect, logged_power_columns
-from missionsim.effects.library import all_effects, execution_effects
+from missionsim.effects.library import FLOORS, all_effects, execution_effects, floors_effect, logged_power_columns
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.fit.prepare import Prepared, never_on, prepare
 from missionsim.identify.data import Candidate, RunData

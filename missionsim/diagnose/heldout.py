@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.diagnose.features import Features
-from missionsim.effects.families import FLOORS
-from missionsim.effects.library import get_effect
+from missionsim.effects.library import FLOORS, get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.fit.final import CLEARLY, FREE_SD, FinalFit, final_fit
 from missionsim.identify.align import Clock

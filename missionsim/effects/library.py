@@ -1,311 +1,224 @@
-"""The library of effects, every id of the contract, and the door for effects of other packages.
-
-Coefficients are called ``k`` (``E`` for the start surge); each effect is linear in its first parameter.
-"""
+"""The library of effects, every id of the contract (``library.yaml``), and the door for effects of other packages."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+import operator
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
-from missionsim.effects.base import Effect, ParameterSpec, plugins
-from missionsim.effects.covariates import Covariates, number
-from missionsim.effects.families import (
-    FLOORS,
-    TAU,
-    battery_resistance_effect,
-    coefficient,
-    component_power_effect,
-    component_warmup_effect,
-    floor_effect,
-    floors_effect,
-    logged_power_effect,
-)
+from missionsim.effects.base import Effect, Parameters, ParameterSpec, plugins
+from missionsim.effects.covariates import Covariates, label_equals, number
 from missionsim.errors import InputError, did_you_mean
+from missionsim.glossary import column_of
 from missionsim.physics import electrical, motion
 
-REFERENCE_GRID_C = (25.0,)
-_SPEED = ("speed_m_s",)
+LOGGED = "logged"
+"""Component under which watts that are logged beside are booked."""
+_SHAPES = {
+    "tau": ParameterSpec(
+        "tau", "s", "time constant", low=1.0, high=7200.0, default=120.0, grid=(20.0, 60.0, 180.0, 540.0)
+    ),
+    "T0": ParameterSpec(
+        "T0", "degC", "temperature at which nothing is added", low=-20.0, high=60.0, default=25.0, grid=(25.0,)
+    ),
+    "regeneration": ParameterSpec(
+        "regeneration",
+        "1",
+        "share of it that braking or a descent gives back; without it that of the robot's body",
+        high=1.0,
+        default=0.0,
+        grid=(0.0, 0.7),
+        optional=True,
+    ),
+    "relief": ParameterSpec(
+        "relief",
+        "1",
+        "1 where what it gives back first takes over what the drive needs, with all such terms together; 0: by itself",
+        high=1.0,
+        default=0.0,
+        optional=True,
+    ),
+    "rolling": ParameterSpec(
+        "rolling", "1", "C_r of the rolling force", high=0.5, default=0.02, grid=(0.0, 0.02, 0.06)
+    ),
+}
+"""Parameters that set the form of effects, by name."""
 
 
-def _drive(
-    id: str,
-    equation: str,
-    source: str,
-    unit: str,
-    meaning: str,
-    needs: tuple[str, ...],
-    power: Callable[..., Any],
-    **more: Any,
-) -> Effect:
-    parameters = (coefficient(unit, "coefficient"), *more.pop("shape", ()))
-    return Effect(id, equation, source, meaning, parameters, needs, power, drive=True, **more)
-
-
-def _grade(cov: Covariates, p: Mapping[str, Any]) -> Any:
-    lifting = motion.grade_power(cov["speed_m_s"], cov["slope_rad"], number(cov, "mass_kg", 1.0), p["k"])
-    return _given_back(lifting, p["regeneration"], p) if "regeneration" in p else lifting
-
-
-def _given_back(power_w: Any, regeneration: Any, p: Mapping[str, Any]) -> Any:
+def _given_back(power_w: Any, regeneration: Any, p: Parameters) -> Any:
     """Its share of what braking gives back; all of it where the model limits all such terms together."""
     return motion.two_sided(power_w, np.where(np.asarray(p.get("relief", 0.0)) > 0.0, 1.0, regeneration))
 
 
-def _acceleration(cov: Covariates, p: Mapping[str, Any]) -> Any:
+def _grade(cov: Covariates, p: Parameters) -> Any:
+    lifting = motion.grade_power(cov["speed_m_s"], cov["slope_rad"], number(cov, "mass_kg", 1.0), p["k"])
+    return _given_back(lifting, p["regeneration"], p) if "regeneration" in p else lifting
+
+
+def _acceleration(cov: Covariates, p: Parameters) -> Any:
     kinetic = motion.acceleration_power(cov["speed_m_s"], cov["accel_m_s2"], number(cov, "mass_kg", 1.0), p["k"], 1.0)
     if "regeneration" in p:
         return _given_back(kinetic, p["regeneration"], p)
     return kinetic if np.any(np.asarray(number(cov, "regeneration")) > 0.0) else np.maximum(kinetic, 0.0)
 
 
-def _copper(cov: Covariates, p: Mapping[str, Any]) -> Any:
+def _copper(cov: Covariates, p: Parameters) -> Any:
     slope, mass = number(cov, "slope_rad"), number(cov, "mass_kg", 1.0)
     return motion.traction_copper_loss(cov["speed_m_s"], cov["accel_m_s2"], slope, mass, p["k"], p["rolling"])
 
 
-_REFERENCE = ParameterSpec(
-    "T0", "degC", "temperature at which nothing is added", low=-20.0, high=60.0, default=25.0, grid=REFERENCE_GRID_C
-)
-
-_BACK = ParameterSpec(
-    "regeneration",
-    "1",
-    "share of it that braking or a descent gives back; without it that of the robot's body",
-    high=1.0,
-    default=0.0,
-    grid=(0.0, 0.7),
-    optional=True,
-)
-_RELIEF = ParameterSpec(
-    "relief",
-    "1",
-    "1 where what it gives back first takes over what the drive needs, with all such terms together; 0: by itself",
-    high=1.0,
-    default=0.0,
-    optional=True,
-)
-_ROLLING = ParameterSpec("rolling", "1", "C_r of the rolling force", high=0.5, default=0.02, grid=(0.0, 0.02, 0.06))
-
-_EFFECTS: tuple[Effect, ...] = (
-    _drive(
-        "grade",
-        "k·m·g·v·sin θ, never below what the drive can give back; downhill times regeneration where that is given",
-        "Newton: weight along the slope; in none of the four papers",
-        "1",
-        "lifting the robot on a slope",
-        ("slope_rad", "speed_m_s"),
-        _grade,
-        shape=(_BACK, _RELIEF),
-        back="regeneration",
-        recovers=True,
-        relief=lambda p: motion.relieved_part(p["k"]),
-    ),
-    _drive(
-        "payload",
-        "k·m_payload·v",
-        "Coulomb friction of the added weight; Parasuraman 2012, Eq. 14 has it without the speed",
-        "m/s^2",
-        "rolling resistance of the load carried",
-        ("payload_kg", "speed_m_s"),
-        lambda c, p: motion.payload_power(c["speed_m_s"], c["payload_kg"], p["k"]),
-    ),
-    _drive(
-        "acceleration",
-        "k·m·a·v when speeding up, times regeneration when braking",
-        "rover paper, Eq. 3 (m dv/dt); Jaiem 2021, Eq. 5, term C6 a v, without recovery",
-        "1",
-        "inertia of the robot when it speeds up, and what braking gives back",
-        ("speed_m_s", "accel_m_s2"),
-        covariate="accel_m_s2",
-        power=_acceleration,
-        shape=(_BACK, _RELIEF),
-        back="regeneration",
-        recovers=True,
-        one_sided=True,
-    ),
-    _drive(
-        "copper_loss",
-        "k·F², F = m·(a + g·sin θ + C_r·g)",
-        "Joule: current follows the torque of the drive; Hou et al. 2019, section 2, for four wheels",
-        "W/N^2",
-        "heat in the motors' windings, with the force of the drive squared",
-        ("speed_m_s", "accel_m_s2"),
-        covariate="accel_m_s2",
-        power=_copper,
-        shape=(_ROLLING,),
-    ),
-    _drive(
-        "turning_scrub",
-        "k·|ω|",
-        "Coulomb friction of tyres that slide sideways; in none of the four papers",
-        "W s/rad",
-        "tyres or rollers scrubbing sideways in turns",
-        ("yaw_rate_rad_s",),
-        lambda c, p: motion.turning_power(c["yaw_rate_rad_s"], p["k"]),
-    ),
-    _drive(
-        "rolling_friction",
-        "k·v",
-        "Jaiem 2021, Eq. 6, term C3 v; rover paper, Eq. 4, term C_r",
-        "N",
-        "constant friction force",
-        _SPEED,
-        lambda c, p: motion.rolling_power(c["speed_m_s"], p["k"]),
-    ),
-    _drive(
-        "viscous_friction",
-        "k·v²",
-        "Jaiem 2021, Eq. 6, term C2 v^2; rover paper, Eq. 4, term C_v",
-        "N s/m",
-        "friction force that grows with speed",
-        _SPEED,
-        lambda c, p: motion.viscous_power(c["speed_m_s"], p["k"]),
-    ),
-    _drive(
-        "aerodynamic_drag",
-        "k·v³",
-        "rover paper, Eqs. 1 and 5, k = rho C_d A / 2",
-        "kg/m",
-        "air resistance",
-        _SPEED,
-        lambda c, p: motion.drag_power(c["speed_m_s"], p["k"]),
-    ),
-    _drive(
-        "cold_friction",
-        "k·v·exp(−moving time/τ)",
-        "assumed form: grease that warms up, one time constant",
-        "N",
-        "cold grease that warms up as the robot moves",
-        ("speed_m_s", "moving_time_s"),
-        shape=(TAU,),
-        memory=("moving_time_s",),
-        covariate="moving_time_s",
-        power=lambda c, p: motion.cold_friction_power(c["speed_m_s"], c["moving_time_s"], p["k"], p["tau"]),
-    ),
-    _drive(
-        "temperature_friction",
-        "k·v·(T₀ − T)",
-        "assumed form: first order about the reference temperature",
-        "N/K",
-        "friction that falls with the ambient temperature",
-        ("temp_ambient_c", "speed_m_s"),
-        shape=(_REFERENCE,),
-        power=lambda c, p: motion.temperature_friction_power(c["speed_m_s"], c["temp_ambient_c"], p["k"], p["T0"]),
-    ),
-    Effect(
-        "start_surge",
-        "E joules at each start from rest",
-        "assumed form: one energy a start",
-        "inrush when the motors start",
-        (ParameterSpec("E", "J", "energy of one start"),),
-        ("speed_m_s", "starts"),
-        power=lambda c, p: p["E"] * number(c, "starts_per_s"),
-        impulse=lambda c, p: p["E"] * c["starts"],
-        drive=True,
-        covariate="starts",
-    ),
-    Effect(
-        "conversion_loss",
-        "k·P² of the load on that battery",
-        "Joule: resistance times current squared at nearly constant voltage",
-        "ohmic loss of converters and wiring",
-        (coefficient("1/W", "coefficient", 1.0),),
-        (),
-        lambda c, p: electrical.conversion_loss(number(c, "load_w"), p["k"]),
-        component="conversion",
-        of_load=True,
-        covariate="load_w",
-    ),
-    Effect(
-        "standby_load",
-        "k, always",
-        "assumed form: a constant, as the controller boards of Jaiem 2021",
-        "a constant load that nobody listed",
-        (coefficient("W", "power"),),
-        (),
-        lambda c, p: p["k"] * np.ones_like(number(c, "speed_m_s", 0.0), dtype=float),
-        component="standby",
-    ),
-    Effect(
-        "cpu_load",
-        "k·load",
-        "rover paper, Eq. 6, term P_work U at one clock",
-        "processor power that follows its load",
-        (coefficient("W", "power at full load"),),
-        ("cpu_load",),
-        lambda c, p: p["k"] * c["cpu_load"],
-        component="cpu",
-    ),
-    Effect(
-        "cpu_frequency",
-        "k·load·f³",
-        "Jaiem 2021, section 3.2; rover paper, Eq. 6, with the voltage following the clock",
-        "dynamic processor power with voltage following frequency",
-        (coefficient("W/Hz^3", "coefficient"),),
-        ("cpu_load", "cpu_freq_hz"),
-        lambda c, p: electrical.cpu_frequency_power(c["cpu_load"], c["cpu_freq_hz"], p["k"]),
-        component="cpu",
-        covariate="cpu_freq_hz",
-    ),
-    Effect(
-        "radio_range",
-        "k·d²",
-        "free space: sending power with the distance squared; assumed for the whole radio",
-        "radio that sends harder far from its access point",
-        (coefficient("W/m^2", "coefficient"),),
-        ("access_point_distance_m",),
-        lambda c, p: electrical.radio_power(c["access_point_distance_m"], p["k"]),
-        component="radio",
-    ),
-)
+_WRITTEN: dict[str, Callable[[Covariates, Parameters], Any]] = {
+    "grade": _grade,
+    "acceleration": _acceleration,
+    "copper_loss": _copper,
+    "standby_load": lambda c, p: p["k"] * np.ones_like(number(c, "speed_m_s", 0.0), dtype=float),
+}
+"""Powers that are more than one function of physics."""
+_FUNCTIONS = {**vars(motion), **vars(electrical), "product": operator.mul}
 
 
-def _execution(id: str, equation: str, source: str, unit: str, meaning: str) -> Effect:
-    return Effect(
+_PLAIN = ("component", "covariate", "of_load", "recovers", "one_sided", "back")
+
+
+def _called(call: str, needs: Sequence[str]) -> Callable[[Covariates, Parameters], Any]:
+    """A power that is written as ``function(argument, …)`` of parameters and covariates."""
+    name, inner = call.rstrip(")").split("(")
+    function, arguments = _FUNCTIONS[name], inner.split(", ")
+
+    def power(cov: Covariates, p: Parameters) -> Any:
+        return function(*(p[a] if a in p else cov[a] if a in needs else number(cov, a) for a in arguments))
+
+    return power
+
+
+def _declared(id: str, told: Mapping[str, Any]) -> Effect:
+    """The effect of an entry of the file."""
+    needs, (name, meaning) = tuple(told.get("needs", ())), told.get("coefficient", ("k", "coefficient"))
+    more: dict[str, Any] = {key: told[key] for key in _PLAIN if key in told} | {"drive": "component" not in told}
+    if "impulse" in told:
+        more["impulse"] = _called(told["impulse"], needs)
+    if "relief" in told:
+        relief = _called(told["relief"], ())
+        more["relief"] = lambda p: relief({}, p)
+    first = ParameterSpec(name, told["unit"], meaning, high=told.get("high", float("inf")))
+    shape = tuple(_SHAPES[one] for one in told.get("shape", ()))
+    power = _called(told["power"], needs) if "power" in told else _WRITTEN[id]
+    text = (told["equation"], told["source"], told["meaning"])
+    return Effect(id, *text, (first, *shape), needs, power, memory=tuple(told.get("memory", ())), **more)
+
+
+def _named(value: Any, name: str) -> Any:
+    """An entry of a family, or a part of one, with what ``{name}`` stands for."""
+    if isinstance(value, dict):
+        return {key: _named(one, name) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_named(one, name) for one in value]
+    return value.replace("{name}", name) if isinstance(value, str) else value
+
+
+_FILE: dict[str, dict[str, dict[str, Any]]] = yaml.load(
+    Path(__file__).with_name("library.yaml").read_text("utf-8"), Loader=yaml.CSafeLoader
+)
+_EFFECTS = tuple(_declared(id, told) for id, told in _FILE["effects"].items())
+_EXECUTION = tuple(
+    Effect(
         id,
-        equation,
-        source,
-        meaning,
-        (ParameterSpec("k", unit, meaning),),
+        told["equation"],
+        told["source"],
+        told["meaning"],
+        (ParameterSpec("k", told["unit"], told["meaning"]),),
         ("speed_m_s",),
         lambda c, p: 0.0 * number(c, "speed_m_s"),
-        component="motors",
         execution=True,
+    )
+    for id, told in _FILE["execution"].items()
+)
+FLOORS = tuple(_FILE["floors"])
+"""Ids of the effects with a coefficient for each floor."""
+
+
+def floors_effect(id: str, surfaces: tuple[str, ...]) -> Effect:
+    """An effect of `FLOORS` on several surfaces at once, one coefficient ``k_<surface>`` each."""
+    of = _FILE["floors"][id]
+    unit_power = _called(of["power"], of["needs"])
+
+    def power(c: Covariates, p: Parameters) -> Any:
+        whole = unit_power(c, {"k": 1.0})
+        return sum((p[f"k_{name}"] * whole * label_equals(c["surface"], name) for name in surfaces), start=0.0 * whole)
+
+    specs = tuple(ParameterSpec(f"k_{name}", of["unit"], f"{of['meaning']} on {name}") for name in surfaces)
+    text = (f"k_s·{of['equation']} on surface s", of["source"], f"{of['meaning']}, by floor")
+    parts = tuple(spec.name for spec in specs)
+    return Effect(id, *text, specs, tuple(of["needs"]), power, drive=True, covariate=of["covariate"], parts=parts)
+
+
+def floor_effect(id: str, surface: str) -> Effect:
+    """An effect of `FLOORS` on one surface: ``k`` where the floor is `surface`."""
+    of, whole = _FILE["floors"][id], floors_effect(id, (surface,))
+    return replace(
+        whole,
+        id=f"{id}:{surface}",
+        equation=f"k·{of['equation']} on surface '{surface}'",
+        meaning=f"more {of['meaning']} on {surface}",
+        parameters=(ParameterSpec("k", of["unit"], "coefficient"),),
+        parts=(),
+        power=lambda c, p: whole.power(c, {f"k_{surface}": p["k"]}),
     )
 
 
-_EXECUTION: tuple[Effect, ...] = (
-    _execution(
-        "path_stretch",
-        "distance driven / distance planned, per scheme",
-        "Jaiem 2021, sections 3.4.1 and 3.4.2, in words",
-        "1",
-        "paths longer than planned",
-    ),
-    _execution(
-        "speed_tracking",
-        "speed reached / speed asked, per scheme",
-        "Jaiem 2021, section 3.4.2, in words",
-        "1",
-        "speeds lower than asked",
-    ),
-    _execution(
-        "dwell",
-        "unplanned standing still",
-        "assumed: standing that no segment plans",
-        "s",
-        "time stood still that no segment plans",
-    ),
-)
+def _of_family(family: str, name: str) -> Effect:
+    return _declared(f"{family}:{name}", _named(_FILE["families"][family], name))
+
+
+def battery_resistance(battery: str) -> Effect:
+    """`battery_resistance`: ``k (P/U)²`` of the load on a battery whose voltage is known."""
+    return _declared("battery_resistance", _named(_FILE["families"]["battery_resistance"], battery))
+
+
+def logged_power_effect(column: str) -> Effect:
+    """`logged_power:<column>`: ``k`` times the watts of a log column (``…_w``, or ``…_kw`` times 1000)."""
+    factor = 1000.0 if column.endswith("_kw") else 1.0
+    return Effect(
+        f"logged_power:{column}",
+        f"k·{column}" + (" in W" if factor > 1.0 else ""),
+        "assumed: what another meter measured is drawn from this battery, with k the loss on the way",
+        f"{column}, which is logged beside, drawn from this battery",
+        (ParameterSpec("k", "1", "battery power for each watt logged, near 1", high=10.0),),
+        (column,),
+        lambda c, p: p["k"] * factor * c[column],
+        component=LOGGED,
+        covariate=column,
+    )
+
+
+_OWN_WATTS = frozenset(("drive_w", "load_w", "measured_w", "base_w"))
+_WHOLE = frozenset(("total", "battery", "batt", "pack", "bus", "sum"))
+
+
+def logged_power_columns(names: Iterable[str], batteries: Sequence[str]) -> tuple[str, ...]:
+    """Columns that hold watts of something beside the batteries: what may be a `logged_power`.
+
+    The name ends in ``_w`` or ``_kw``, is no column of the glossary (``power_<x>_w`` is one where the robot has a
+    battery x), and has no word for the whole (total, battery, pack, bus, sum).
+    """
+    found = []
+    for name in sorted(names):
+        of = name.removeprefix("power_").removesuffix("_w")
+        known = name in _OWN_WATTS or (column_of(name) is not None and of in batteries)
+        if name.endswith(("_w", "_kw")) and not known and _WHOLE.isdisjoint(name.split("_")):
+            found.append(name)
+    return tuple(found)
 
 
 _FAMILIES: dict[str, Callable[[str], Effect]] = {
-    "component_power": component_power_effect,
-    "component_warmup": component_warmup_effect,
+    "component_power": functools.partial(_of_family, "component_power"),
+    "component_warmup": functools.partial(_of_family, "component_warmup"),
     "logged_power": logged_power_effect,
     **{id: functools.partial(floor_effect, id) for id in FLOORS},
 }
@@ -352,7 +265,7 @@ def get_effect(id: str, surfaces: tuple[str, ...] = (), battery: str = "<battery
     if id in FLOORS:
         return floors_effect(id, surfaces)
     if id == "battery_resistance":
-        return battery_resistance_effect(battery)
+        return battery_resistance(battery)
     others = plugins(Effect)
     if id in others:
         return others[id]
@@ -377,11 +290,11 @@ def all_effects(
     """
     return (
         *_EFFECTS,
-        battery_resistance_effect(battery),
+        battery_resistance(battery),
         *(floors_effect(id, surfaces) for id in FLOORS if surfaces),
         *(logged_power_effect(name) for name in columns),
-        *(component_power_effect(name) for name in components),
-        *(component_warmup_effect(name) for name in components),
+        *(_of_family("component_power", name) for name in components),
+        *(_of_family("component_warmup", name) for name in components),
         *(effect for effect in plugins(Effect).values() if not effect.execution),
     )
 

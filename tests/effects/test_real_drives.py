@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from missionsim.diagnose.features import Features, make_features
-from missionsim.effects.families import logged_power_columns
-from missionsim.effects.library import get_effect
+from missionsim.effects.library import get_effect, logged_power_columns
 from missionsim.effects.model import PowerModel
 from missionsim.engine.simulate import simulate
 from missionsim.fit.parameters import fit_parameters
