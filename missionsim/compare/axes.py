@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from missionsim.labels import Labels
 from missionsim.physics import Array
@@ -65,12 +65,13 @@ class NumberAxis:
         self._size = 0
         self._sums: dict[str, Array] = {}
 
-    def place(self, column: Any) -> NDArray[np.int64] | None:
+    def place(self, column: ArrayLike | Labels) -> NDArray[np.int64] | None:
         """Cell of each row, counted from the axis' first cell (widened if need be), shape (n,); -1 for NaN.
 
         Returns None where no row has a number.
         """
-        values = np.abs(column) if self._magnitude else np.asarray(column)
+        given: Array = np.asarray(column)
+        values = np.abs(given) if self._magnitude else given
         if self._factor != 1.0:
             values = values * self._factor
         low, high = float(np.min(values)), float(np.max(values))
@@ -170,7 +171,7 @@ class LabelAxis:
         self._codes: dict[str, int] = {}
         self._sums: dict[str, Array] = {}
 
-    def place(self, column: Any) -> NDArray[np.int64] | None:
+    def place(self, column: ArrayLike | Labels) -> NDArray[np.int64] | None:
         """Code of each row's value, shape (n,); -1 where it is missing."""
         if isinstance(column, Labels):
             table = np.array([self._code(name) for name in column.names] + [-1], dtype=np.int64)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
+from missionsim.files import Json
 from missionsim.glossary import STILL_SPEED_M_S
 from missionsim.physics import Array
 from missionsim.runs.error import ErrorStatistics
@@ -202,7 +203,7 @@ class MissionGap:
         ]
         return [text.replace("-", "−") for text in [first, *(f"{line}." for line in told)]]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """Numbers beside the contract's ``gap_wh``."""
         return {
             "energy_simulated_wh": self.energy_simulated_wh,

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from missionsim.compare.accumulate import Series
 from missionsim.compare.behaviour import MissionGap
 from missionsim.compare.place import PlaceCell
 from missionsim.compare.where import Dependence, Where, in_words, ranked
 from missionsim.effects.model import TermKey
-from missionsim.files import sha256
+from missionsim.files import Json, sha256
 from missionsim.physics import Array
 from missionsim.runs.error import Errors, ErrorStatistics, RunError
 
@@ -82,7 +81,7 @@ class RunComparison(_Totals):
         """Name of the run."""
         return self.error.run
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The contract's fields and ours beside them."""
         return {
             "run": self.run,
@@ -196,9 +195,9 @@ class BatteryComparison(_Totals):
         middle = [] if self.mission is None else self.mission.words
         return [first.replace("-", "−"), *middle, *in_words(self.dependences)]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The contract's fields and ours beside them."""
-        data: dict[str, Any] = {
+        data: Json = {
             "energy_measured_wh": self.energy_measured_wh,
             "energy_model_wh": self.energy_model_wh,
             "energy_error_pct": self.energy_error_pct,
@@ -245,7 +244,7 @@ class Comparison:
         """Whether the energy error of every battery is within ± `tolerance_pct`."""
         return all(abs(one.energy_error_pct) <= tolerance_pct for one in self.batteries.values())
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The contract's ``missionsim.comparison/1``."""
         return {
             "schema": SCHEMA,

@@ -30,7 +30,7 @@ from missionsim.runs.motion import still_of
 from missionsim.runs.run import Run, coarser
 
 if TYPE_CHECKING:
-    from missionsim.effects.timeline import Timeline
+    from missionsim.inputs.robot import RobotSpec
 
 
 def simulated_energy(model: PowerModel, plan: Timeline, battery: str) -> Array:
@@ -85,7 +85,7 @@ def compare(
     model: PowerModel,
     logs: Iterable[Run | PathLike] | PathLike,
     *,
-    robot: Any = None,
+    robot: RobotSpec | None = None,
     plan: Timeline | None = None,
     segments: Sequence[str] = (),
     mission: str = "",
@@ -168,7 +168,7 @@ def compare(
 
 
 def compare_files(
-    robot: Any,
+    robot: PathLike | RobotSpec,
     logs: Sequence[PathLike] | PathLike,
     *,
     mission: PathLike | None = None,
@@ -190,9 +190,11 @@ def compare_files(
     from missionsim.inputs.power import build_power_model
     from missionsim.logs import find_logs
 
-    named = isinstance(robot, (str, os.PathLike))
     logs = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)
-    loading: list[Callable[[], Any]] = [lambda: load_robot(robot) if named else robot, lambda: find_logs(logs)]
+    loading: list[Callable[[], Any]] = [
+        lambda: load_robot(robot) if isinstance(robot, (str, os.PathLike)) else robot,
+        lambda: find_logs(logs),
+    ]
     if mission is not None:
         loading.append(lambda: load_mission(mission, robot=robot))
     spec, _, loaded = _all_or_faults(loading)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.effects.covariates import Covariates
 from missionsim.physics import Array
 
 MAX_SIDE = 60
@@ -42,7 +42,7 @@ class PlaceGrid:
         self._sums: dict[str, Array] = {}
         self._shape = (0, 0)
 
-    def add(self, cov: Mapping[str, Any], weights: Mapping[str, Array]) -> None:
+    def add(self, cov: Covariates, weights: Mapping[str, Array]) -> None:
         """Add the `weights` of rows, arrays of shape (n,), at their ``x_m`` and ``y_m``."""
         if "x_m" not in cov or "y_m" not in cov:
             return

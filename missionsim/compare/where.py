@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from missionsim.compare.accumulate import Accumulator
 from missionsim.compare.axes import Bin
+from missionsim.files import Json
 
 BLOCK_S = 20.0
 """Errors nearer in time than this count as one observation, since power errors last for many seconds."""
@@ -50,7 +50,7 @@ class Where:
     """This value's part of what its covariate explains (`Dependence.explained`). It is shared out by time × |bias| ×
     |bias − overall bias|: values where the model is right, or as wrong as everywhere, get none of it."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The contract's fields and ours beside them."""
         return {name: getattr(self, name) for name in IN_JSON}
 

@@ -381,7 +381,7 @@ def _beside_law(effect: Finding, laws: Sequence[Proposal], features: Features) -
 def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:
     from missionsim.compare import compare
 
-    result = compare(subject.model, list(split.train), robot=subject.name)
+    result = compare(subject.model, list(split.train))
     if battery not in result.batteries:
         return ()
     told = [w for w in result.batteries[battery].where if w.explains > WORTH_SAYING][:MOST_WHERE]

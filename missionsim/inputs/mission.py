@@ -146,7 +146,7 @@ class MissionSpec(FileModel):
         """What the command line set: (path, text)."""
         return self._overrides
 
-    def setting(self, segment: Any, key: str) -> Any:
+    def setting(self, segment: object, key: str) -> Any:
         """A setting of a segment, else of `defaults`, else None (``speed``, ``scheme``, ``payload``…)."""
         own = getattr(segment, key, None)
         return own if own is not None else getattr(self.defaults, key, None)

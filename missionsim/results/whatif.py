@@ -119,7 +119,7 @@ class WhatIf:
             "alternatives": self.rows(),
         }
 
-    def table(self) -> dict[str, list[Any]]:
+    def table(self) -> dict[str, list[object]]:
         """One tidy table: a row an alternative, battery and term; `term` is ``total`` for the sum."""
         rows: list[dict[str, Any]] = []
         for row in self.rows():
@@ -141,7 +141,7 @@ def _given(battery: BatteryResult | None, *names: str) -> dict[str, Any]:
     return {name: getattr(battery, name, None) for name in names}
 
 
-def varied(vary: Iterable[tuple[str, Sequence[Any]]], base: Sequence[tuple[str, Any]] = ()) -> list[Alternative]:
+def varied(vary: Iterable[tuple[str, Sequence[object]]], base: Sequence[tuple[str, object]] = ()) -> list[Alternative]:
     """Every combination of varied values, each on top of what the baseline sets.
 
     `base`: what the baseline sets. Raises InputError: for more combinations than `MOST_ALTERNATIVES`.

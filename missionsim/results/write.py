@@ -13,7 +13,7 @@ import numpy as np
 
 from missionsim.effects.covariates import Labels
 from missionsim.engine.outcome import RunResult
-from missionsim.files import atomic_write, csv_cell, to_json, write_text
+from missionsim.files import Json, atomic_write, csv_cell, to_json, write_text
 
 if TYPE_CHECKING:
     from missionsim.inputs.mission import MissionSpec
@@ -41,11 +41,11 @@ def tables(result: RunResult) -> dict[str, Table]:
     return made | {"edges": edges_table(result)} if result.edges_driven() else made
 
 
-def intervals_table(result: RunResult) -> dict[str, Sequence[Any]]:
+def intervals_table(result: RunResult) -> dict[str, Sequence[object]]:
     """One row an interval: start, length, segment, covariates at its start, mean powers [W], charge at its end [Wh]."""
     line = result.timeline
     names = np.array([segment.name for segment in result.segments] or [""], dtype=object)
-    table: dict[str, Sequence[Any]] = {
+    table: dict[str, Sequence[object]] = {
         "start_s": line.start_s.tolist(),
         "duration_s": line.duration_s.tolist(),
         "segment": line.segment.tolist(),
@@ -65,7 +65,7 @@ def intervals_table(result: RunResult) -> dict[str, Sequence[Any]]:
     return table
 
 
-def segments_table(result: RunResult) -> dict[str, Sequence[Any]]:
+def segments_table(result: RunResult) -> dict[str, Sequence[object]]:
     """One row a segment: time, distance, energy and charge of each battery, and what coming home from its end takes.
 
     `reserve_<battery>_wh` is the charge at the end less the energy home (Parasuraman 2012, Eq. 13); energy home and
@@ -82,7 +82,7 @@ def segments_table(result: RunResult) -> dict[str, Sequence[Any]]:
         distance = np.bincount(line.segment, weights=np.hypot(ahead, aside), minlength=count)
     passed = result.places_passed()
     end = [result.segment_end_s.get(i) for i in range(count)]
-    table: dict[str, Sequence[Any]] = {
+    table: dict[str, Sequence[object]] = {
         "segment": list(range(count)),
         "segment_name": [segment.name for segment in result.segments],
         "kind": [segment.kind for segment in result.segments],
@@ -105,7 +105,7 @@ def segments_table(result: RunResult) -> dict[str, Sequence[Any]]:
     return table
 
 
-def energy_table(result: RunResult) -> dict[str, Sequence[Any]]:
+def energy_table(result: RunResult) -> dict[str, Sequence[object]]:
     """One row a cell: segment × battery × component × term, with its energy [Wh]; the cells add up to the drain."""
     names = ("segment", "segment_name", "battery", "component", "term", "energy_wh")
     columns: list[list[Any]] = [[] for _ in names]
@@ -119,10 +119,10 @@ def energy_table(result: RunResult) -> dict[str, Sequence[Any]]:
     return dict(zip(names, columns, strict=True))
 
 
-def summary_table(result: RunResult) -> dict[str, Sequence[Any]]:
+def summary_table(result: RunResult) -> dict[str, Sequence[object]]:
     """One row a battery."""
     rows = [vars(battery) for battery in result.batteries.values()]
-    table: dict[str, Sequence[Any]] = {
+    table: dict[str, Sequence[object]] = {
         "mission": [result.mission] * len(rows),
         "robot": [result.robot] * len(rows),
         "feasible": [result.feasible] * len(rows),
@@ -134,11 +134,11 @@ def summary_table(result: RunResult) -> dict[str, Sequence[Any]]:
     return table
 
 
-def edges_table(result: RunResult) -> dict[str, Sequence[Any]]:
+def edges_table(result: RunResult) -> dict[str, Sequence[object]]:
     """One row an edge of the map driven: from where to where, when, energy and charge at its end of each battery."""
     edges = result.edges_driven()
     keys = ("segment", "name", "edge", "begin", "end", "length_m", "begin_s", "end_s")
-    table: dict[str, Sequence[Any]] = {key: [getattr(edge, key) for edge in edges] for key in keys}
+    table: dict[str, Sequence[object]] = {key: [getattr(edge, key) for edge in edges] for key in keys}
     for battery in result.batteries:
         table[f"energy_{battery}_wh"] = [edge.energy_wh[battery] for edge in edges]
         table[f"charge_{battery}_wh"] = [edge.charge_wh[battery] for edge in edges]
@@ -221,7 +221,7 @@ def write_table(table: Table, path: str | Path) -> Path:
     return path
 
 
-def provenance(mission: MissionSpec, command: Sequence[str] = ()) -> dict[str, Any]:
+def provenance(mission: MissionSpec, command: Sequence[str] = ()) -> Json:
     """Where a result comes from: files with their hashes, what the command line set, versions, command line.
 
     `command`: the command line, if there was one.

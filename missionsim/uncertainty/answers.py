@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.files import Json
 from missionsim.physics import Array
 from missionsim.uncertainty.single import drawn_columns
 from missionsim.uncertainty.store import BlockStore
@@ -20,7 +21,7 @@ KEPT_REASONS = 1000
 _OTHER = "other reasons"
 
 
-def failures(store: BlockStore, firsts: list[int], total: int) -> dict[str, Any]:
+def failures(store: BlockStore, firsts: list[int], total: int) -> Json:
     """Places where batteries run empty, and why runs fail, in bounded memory.
 
     `firsts`: first runs of the blocks that count; `total`: number of runs. Gives ``empty``: battery, segment, share of
@@ -91,7 +92,7 @@ def quantile_ranks(count: int, q: float, level: float = LEVEL) -> tuple[int, int
     return int(binom.ppf(tail, count, q)) - 1, int(binom.ppf(1.0 - tail, count, q))
 
 
-def describe(column: Array) -> dict[str, Any]:
+def describe(column: Array) -> Json:
     """Mean, standard deviation and quantiles of a column with their 95 % intervals; failed runs (NaN) left out.
 
     Quantiles are those of Hyndman and Fan 1996, type 7. `column`: shape (runs,).
@@ -120,7 +121,7 @@ def _at(ordered: Array, rank: int) -> float | None:
     return float(ordered[rank]) if 0 <= rank < len(ordered) else None
 
 
-def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) -> dict[str, Any]:
+def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) -> Json:
     """The answers of a batch; one column of it is in memory at a time, 8 bytes a run.
 
     `firsts`: first runs of the blocks that count. Gives ``runs``, ``p_feasible``, ``speed_limited_share``,
@@ -199,7 +200,7 @@ def _proportion(good: int, total: int) -> dict[str, Any]:
     return {"value": good / total if total else None, "low": low, "high": high}
 
 
-def capacity_needed(column: Array, share: float = 0.99) -> dict[str, Any]:
+def capacity_needed(column: Array, share: float = 0.99) -> Json:
     """Energy that suffices for `share` of the runs, without any reserve, with its 95 % interval [Wh].
 
     The need of a run that fails, or that not even a bottomless battery brings to its end, is not known (NaN) and counts
@@ -224,7 +225,7 @@ def capacity_needed(column: Array, share: float = 0.99) -> dict[str, Any]:
 
 def rank_importance(
     drawn: Iterable[tuple[str, Array]], energies: Mapping[str, Array], margins: Mapping[str, Array] | None = None
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """Which values matter: first-order index from the sample itself, and Spearman's rank correlation.
 
     The index is the correlation ratio of the energy over classes of equal counts of the value (Plischke 2012), less

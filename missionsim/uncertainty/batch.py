@@ -19,7 +19,7 @@ from numpy import __version__ as numpy_version
 import missionsim
 from missionsim import __version__
 from missionsim.errors import InputError
-from missionsim.files import sha256
+from missionsim.files import Json, sha256
 from missionsim.inputs.loading import load_mission
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
@@ -106,7 +106,7 @@ def compute_block(task: Task, first: int, count: int) -> dict[str, NDArray[Any]]
     return simulate_block(prepared.mission, prepared.model, prepared.sampler, task.seed, first, count)
 
 
-def identity(task: Task, runs: int, engine: str) -> dict[str, Any]:
+def identity(task: Task, runs: int, engine: str) -> Json:
     """What makes a batch this batch: a resumed one must agree in all of it."""
     prepared = prepare(task)
     files = {"mission": sha256(task.mission)}
@@ -174,7 +174,7 @@ def run_batch(
 
 def batch_answer(
     task: Task, prepared: Prepared, engine: str, store: BlockStore, firsts: list[int], sobol: int | None
-) -> dict[str, Any]:
+) -> Json:
     """All that the batch says, as JSON has it."""
     from missionsim.uncertainty.answers import summarise
     from missionsim.uncertainty.importance import affordable_samples, sobol_importance

@@ -11,6 +11,7 @@ import numpy as np
 from missionsim.engine.setup import split_values
 from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError, MissionsimError
+from missionsim.files import Json
 from missionsim.physics import Array
 from missionsim.plan.build import make_plan
 from missionsim.uncertainty.answers import LEVEL
@@ -33,7 +34,7 @@ _POINTS = 1 << 14
 """So many points are evaluated at once, at most."""
 
 
-def sobol_importance(prepared: Prepared, seed: int, samples: int, ranks: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def sobol_importance(prepared: Prepared, seed: int, samples: int, ranks: list[Json]) -> list[Json]:
     """First-order and total Sobol indices of each battery's energy.
 
     `samples`: a power of two, `FEWEST` or more; the mission is evaluated ``samples × (values + 2)`` times. `ranks`:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from missionsim.files import Json
 from missionsim.physics import Array
 from missionsim.uncertainty.answers import LEVEL, proportion_interval
 from missionsim.uncertainty.batch import Task, block_runs, compute_block, prepare
@@ -33,7 +34,7 @@ class PairedDifference:
         """Whether these runs show a difference at all."""
         return self.low > 0.0 or self.high < 0.0
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """Numbers and verdict."""
         return {"quantity": self.quantity, "mean": self.mean, "low": self.low, "high": self.high, "real": self.real}
 
@@ -57,7 +58,7 @@ def paired_difference(quantity: str, baseline: Array, other: Array) -> PairedDif
 
 def compare_alternatives(
     tasks: Sequence[Task], runs: int, advance: Callable[[int], object] = lambda count: None
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """Run all alternatives with the same draws.
 
     `tasks`: the baseline first; all with the same seed. `advance`: told the number of runs of each block that is done.
