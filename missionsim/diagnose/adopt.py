@@ -161,22 +161,8 @@ def write(
 ) -> tuple[str, dict[str, tuple[float, float]]]:
     """Write effects and the base that was fitted with them into the text of a robot file.
 
-    Parameters
-    ----------
-    text, robot
-        As for `adopt`.
-    models : Models
-    effects : sequence of Finding
-        With the values of `fitted`; all of its effects.
-    fitted : FinalFit
-    split : Split
-    significant : bool
-
-    Returns
-    -------
-    text : str
-    base : dict of str to (value, sd)
-        Base parameters that were written.
+    `text`, `robot`: as for `adopt`. `effects`: with the values of `fitted`; all of its effects. Gives `base`: base
+    parameters that were written.
     """
     from missionsim.inputs import edit
 

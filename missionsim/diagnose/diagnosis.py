@@ -243,17 +243,9 @@ def diagnose_battery(
 ) -> BatteryDiagnosis:
     """The diagnosis of one battery.
 
-    Parameters
-    ----------
-    subject, split, battery, timeline, settings, segments
-        As for `diagnose`.
-    clock : Clock, optional
-        At which held-out errors and series are told, so that several models can be held against each other; by default
-        the one that is found.
-    seen : Examined, optional
-        What `examine` gave.
-    laws : bool
-        Whether to look for a law that the library does not hold.
+    `subject`, `split`, `battery`, `timeline`, `settings`, `segments`: as for `diagnose`. `clock`: at which held-out
+    errors and series are told, so that several models can be held against each other; by default the one that is found.
+    `seen`: what `examine` gave. `laws`: whether to look for a law that the library does not hold.
     """
     seen = seen or examine(subject, split, battery, settings, clock)
     features, found, models = seen.features, seen.found, seen.models

@@ -58,15 +58,8 @@ def execution_effects(
 ) -> list[ExecutionEffect]:
     """Path stretch, speed tracking and dwell of every scheme, from the plan's intervals and the motion in the logs.
 
-    Parameters
-    ----------
-    timeline : Timeline
-        The simulated mission; each log is one drive of it.
-    logs : sequence of Run
-        With ``speed_m_s``; with ``scheme`` where the mission has more than one.
-    battery : str
-    alpha : float
-        Family-wise rate of false alarms over all effects and schemes.
+    `timeline`: the simulated mission; each log is one drive of it. `logs`: with ``speed_m_s``; with ``scheme`` where
+    the mission has more than one. `alpha`: family-wise rate of false alarms over all effects and schemes.
     """
     still = still_of(timeline)
     plan = planned(timeline)

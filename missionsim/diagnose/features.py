@@ -73,24 +73,10 @@ def make_features(
 ) -> Features:
     """Evaluate base model, its gradient and every effect of the library that the logs allow.
 
-    Parameters
-    ----------
-    model : PowerModel
-        The robot, effects already found included.
-    logs : sequence of LogTable
-        One a run; those that do not measure `battery` are left out.
-    battery : str
-    own : sequence of Effect
-        The user's own candidates beside the library.
-    switchable : sequence of str
-        Components of the robot that can be switched.
-    skip : sequence of str
-        Ids of effects that the robot file already holds on this battery.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where the base model needs a column that the logs lack, or no log measures the battery.
+    `model`: the robot, effects already found included. `logs`: one a run; those that do not measure `battery` are left
+    out. `own`: the user's own candidates beside the library. `switchable`: components of the robot that can be
+    switched. `skip`: ids of effects that the robot file already holds on this battery. Raises InputError: where the
+    base model needs a column that the logs lack, or no log measures the battery.
     """
     ready = prepare(model, logs, battery)
     surfaces = ready.texts.get("surface", ())
@@ -182,13 +168,8 @@ def at_size(features: Features, sizes: Mapping[str, float]) -> Features:
     """The same features, with the columns of some effects as they are at a size of the effect.
 
     What a descent gives back ends where the drive needs nothing any more, so that the power of `grade` is not
-    proportional to its coefficient; its column is the power at the size found, divided by that size.
-
-    Parameters
-    ----------
-    features : Features
-    sizes : mapping of str to float
-        Coefficient by id of the effect; effects without a shape and levels only.
+    proportional to its coefficient; its column is the power at the size found, divided by that size. `sizes`:
+    coefficient by id of the effect; effects without a shape and levels only.
     """
     runs = []
     for run, cov in zip(features.runs, features.covariates, strict=True):

@@ -56,16 +56,8 @@ class Models:
     ) -> FinalFit:
         """Fit the base with some effects.
 
-        Parameters
-        ----------
-        effects : sequence of Finding
-            With start values and shape parameters.
-        runs : sequence of Run, optional
-            Other runs than all fitted ones.
-        fixed : bool
-            Whether the effects stay as they are and only the base is fitted.
-        keep_base : bool
-            Whether only the effects are fitted.
+        `effects`: with start values and shape parameters; `runs`: other runs than all fitted ones; `fixed`: whether the
+        effects stay as they are and only the base is fitted; `keep_base`: whether only the effects are fitted.
         """
         numbers = [(effect.effect, *((n, e.value) for n, e in effect.parameters.items())) for effect in effects]
         names = None if runs is None else tuple(run.run for run in runs)

@@ -65,11 +65,7 @@ class Leftover:
 def leftover(found: Identification, covariates: Sequence[Mapping[str, Any]]) -> Leftover | None:
     """What recalibration and the effects found leave over in one kind of motion; None where nothing stands out.
 
-    Parameters
-    ----------
-    found : Identification
-    covariates : sequence of mapping
-        Covariates of each fitted run at its raw rate, as in `missionsim.diagnose.features.Features`.
+    `covariates`: covariates of each fitted run at its raw rate, as in `missionsim.diagnose.features.Features`.
     """
     model = found.choice.model
     source, design = model.source, model.design
@@ -100,16 +96,9 @@ def standing_out(
 ) -> Leftover | None:
     """The kind of motion with most of the squared error in a small part of the time, if its mean is clear of noise.
 
-    Parameters
-    ----------
-    error_w, seconds : array of shape (n,)
-        Model minus measured power [W]; time that a row stands for [s].
-    run : array of shape (n,)
-        Number of the run.
-    rows : array of shape (kinds, n)
-        Whether a row lies in each of `MOTIONS`.
-    noise_w : float
-        Standard deviation of the noise of a row [W].
+    `error_w`, `seconds` (shape (n,)): model minus measured power [W]; time that a row stands for [s]. `run` (shape
+    (n,)): number of the run. `rows` (shape (kinds, n)): whether a row lies in each of `MOTIONS`. `noise_w`: standard
+    deviation of the noise of a row [W].
     """
     square = error_w**2 * seconds
     if square.sum() <= 0.0:

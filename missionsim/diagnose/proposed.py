@@ -44,15 +44,8 @@ def proposed_laws(
 ) -> tuple[Proposal, ...]:
     """The proposal, if any form passes every gate, with its errors on held-out runs.
 
-    Parameters
-    ----------
-    found : Identification
-    covariates : sequence of mapping
-        Of the fitted runs, at the raw rate.
-    models : Models, optional
-        Models fitted to these runs, for the errors on others.
-    heldout : sequence of Run
-        Runs that nothing was fitted to.
+    `covariates`: of the fitted runs, at the raw rate; `models`: models fitted to these runs, for the errors on others;
+    `heldout`: runs that nothing was fitted to.
     """
     made = propose(found, covariates)
     if made is None:
@@ -113,18 +106,8 @@ def law_name(formula: str) -> str:
 def with_candidate(text: str, battery: str, formula: str) -> tuple[str, str]:
     """The text of a robot file with a law as a candidate of its own, and the candidate's name.
 
-    Parameters
-    ----------
-    text : str
-        Robot file.
-    battery : str
-    formula : str
-        ``k * …`` over columns of the log; its only parameter is ``k``, whose unit follows from the columns.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        For a formula that cannot be read or has no ``k``.
+    `text`: robot file. `formula`: ``k * …`` over columns of the log; its only parameter is ``k``, whose unit follows
+    from the columns. Raises InputError: for a formula that cannot be read or has no ``k``.
     """
     from missionsim.inputs import edit
     from missionsim.inputs.loading import robot_from_text
@@ -157,10 +140,7 @@ def _may_give_back(formula: str) -> bool:
 def formula_of(proposed: Sequence[Proposal], asked: str) -> str:
     """The formula that a user asks for: as text, or by its number among the forms proposed.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        For a number that no form has, or a form that `run` cannot evaluate yet.
+    Raises InputError: for a number that no form has, or a form that `run` cannot evaluate yet.
     """
     if not asked.strip().isdigit():
         return asked

@@ -58,18 +58,10 @@ def read_runs(robot: RobotSpec, model: PowerModel, logs: Sequence[str | Path]) -
 def choose_split(logs: Sequence[Any], holdout: str | Sequence[str | Path] | None = None) -> Split:
     """Split runs into those that are fitted and those that are held out.
 
-    Parameters
-    ----------
-    logs : sequence of LogTable
-    holdout : str or sequence, optional
-        A fraction (``"0.25"``, ``"25 %"``; ``"0"`` or ``"none"`` for none), names of runs (``"run_06,run_07"``), a
-        condition over columns (``"surface == 'carpet'"``: runs in which it holds at least half of the time), or files
-        and folders of other logs. By default the last quarter of four or more runs.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        For a value that is none of these, a condition that no run or every run meets, unknown runs.
+    `holdout`: a fraction (``"0.25"``, ``"25 %"``; ``"0"`` or ``"none"`` for none), names of runs (``"run_06,run_07"``),
+    a condition over columns (``"surface == 'carpet'"``: runs in which it holds at least half of the time), or files and
+    folders of other logs. By default the last quarter of four or more runs. Raises InputError: for a value that is none
+    of these, a condition that no run or every run meets, unknown runs.
     """
     logs = tuple(logs)
     if holdout is None:

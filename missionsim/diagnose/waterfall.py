@@ -36,10 +36,7 @@ class Told(NamedTuple):
 def noise_floor(diagnosis: BatteryDiagnosis) -> tuple[float, float]:
     """Errors that a true model would show: the noise, and runs whose meters and drives differ.
 
-    Returns
-    -------
-    tuple of float
-        Mean over runs of the absolute energy error [%], and RMS of the power error [W].
+    Gives mean over runs of the absolute energy error [%], and RMS of the power error [W].
     """
     noise: Mapping[str, float] = diagnosis.noise
     power_w = diagnosis.mean_power_w
@@ -67,18 +64,9 @@ def rise_note(
 ) -> str:
     """In words, why an energy error grew with an effect although the power error fell; empty where it did not.
 
-    Parameters
-    ----------
-    name : str
-        What came in.
-    energy_pct, rmse_w : tuple of float
-        Errors without and with it.
-    floor_pct : float
-        Mean absolute energy error of a true model.
-    count : int
-        Number of runs that the errors are of.
-    fitted : int
-        Number of runs that the model was fitted to; their common level is known no better than that.
+    `name`: what came in. `energy_pct`, `rmse_w`: errors without and with it. `floor_pct`: mean absolute energy error of
+    a true model. `count`: number of runs that the errors are of. `fitted`: number of runs that the model was fitted to;
+    their common level is known no better than that.
     """
     before, after = energy_pct
     if after <= before + SEEN * floor_pct or rmse_w[1] >= rmse_w[0]:

@@ -19,17 +19,8 @@ MOST_BURSTS = 500_000
 class Activities:
     """The activities of a plan as processes, which wait for places and segments that `fire` tells.
 
-    Parameters
-    ----------
-    env : simpy.Environment
-    board : Switchboard
-    plan : Plan
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        For bursts beyond `MOST_BURSTS` by the times of the plan. What the plan does not know (charging until a level,
-        waiting for a component) only makes a mission longer.
+    Raises InputError: for bursts beyond `MOST_BURSTS` by the times of the plan. What the plan does not know (charging
+    until a level, waiting for a component) only makes a mission longer.
     """
 
     def __init__(self, env: simpy.Environment, board: Switchboard, plan: Plan) -> None:

@@ -129,15 +129,9 @@ class ConstantEnergy:
     def charging(self, state: Array, power_w: Array, draw_w: Array, seconds: Array) -> list[tuple[Array, Array]]:
         """Charging for some time at constant power, held once full, many at once.
 
-        Parameters
-        ----------
-        state, power_w, draw_w, seconds : ndarray, shape (n,)
-            Energy left [J], powers of the charger and of the robot's draw meanwhile, time at the charger.
-
-        Returns
-        -------
-        list of (ndarray, ndarray), each shape (n,)
-            Time and energy left where the taper bends or the charge is full, and at the end.
+        `state`, `power_w`, `draw_w`, `seconds` (shape (n,)): energy left [J], powers of the charger and of the robot's
+        draw meanwhile, time at the charger. Gives an array of shape (n,): time and energy left where the taper bends or
+        the charge is full, and at the end.
         """
         bends, clock = [], np.zeros_like(seconds)
         for upper, part in self.taper:

@@ -33,12 +33,7 @@ class ComponentInfo:
 class Switchboard:
     """All components of a robot, who needs how many units of them, and how many are on.
 
-    Parameters
-    ----------
-    env : simpy.Environment
-    recorder : Recorder
-    infos : iterable of ComponentInfo
-        In the order of the recorder's columns.
+    `infos`: in the order of the recorder's columns.
     """
 
     def __init__(self, env: simpy.Environment, recorder: Recorder, infos: Iterable[ComponentInfo]) -> None:

@@ -27,17 +27,8 @@ ROOT_TOLERANCE_S = 1e-9
 class Curves:
     """Power of one battery in the intervals of a timeline; evaluated for all of them when first asked for.
 
-    Parameters
-    ----------
-    model : PowerModel
-    line : Timeline
-    battery : str
-    values : mapping or None
-        Parameters that differ from the model's.
-    changing : ndarray of bool, shape (n,)
-        Where the power changes within the interval.
-    energy_j : ndarray, shape (n,)
-        Of all terms; its mean is the power where nothing changes.
+    `values`: parameters that differ from the model's. `changing` (shape (n,)): where the power changes within the
+    interval. `energy_j` (shape (n,)): of all terms; its mean is the power where nothing changes.
     """
 
     def __init__(
@@ -104,20 +95,9 @@ def interpolants(
 ) -> dict[int, tuple[list[float], list[list[float]]]]:
     """Piecewise Chebyshev interpolants of powers, halved until their last coefficients vanish.
 
-    Parameters
-    ----------
-    sample : callable
-    index : ndarray of int, shape (m,)
-        Intervals.
-    length : ndarray, shape (m,)
-        Their lengths [s].
-    tolerance : float
-        Size of the last coefficients relative to the first.
-
-    Returns
-    -------
-    dict
-        Interval → (borders [s], coefficients of each piece between them; what is rounding at their end left out).
+    `index` (shape (m,)): intervals; `length` (shape (m,)): their lengths [s]; `tolerance`: size of the last
+    coefficients relative to the first. Gives interval → (borders [s], coefficients of each piece between them; what is
+    rounding at their end left out).
     """
     nodes = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
     matrix = np.polynomial.chebyshev.chebvander(nodes, _NODES - 1)
@@ -168,17 +148,8 @@ def _single(series: list[float], length: float) -> Callable[[float], float]:
 def root(function: Callable[[float], float], low: float, high: float, at_low: float, at_high: float) -> float:
     """Zero of a continuous function between two points of different sign (Illinois variant of regula falsi).
 
-    Parameters
-    ----------
-    function : callable
-    low, high : float
-    at_low, at_high : float
-        Its values there.
-
-    Returns
-    -------
-    float
-        Within 1e-9 of a change of sign, or as near as floating-point numbers allow.
+    `at_low`, `at_high`: its values there. The result is within 1e-9 of a change of sign, or as near as floating-point
+    numbers allow.
     """
     if at_low == 0.0:
         return low
@@ -216,19 +187,8 @@ def adaptive_runge_kutta(
 ) -> list[tuple[float, float]]:
     """Solution of ``dy/dt = f(t, y)`` with steps whose error is below `tolerance` each (Dormand and Prince 1980, 5(4)).
 
-    Parameters
-    ----------
-    slope : callable
-    start : float
-        y at t = 0.
-    duration : float
-    tolerance : float
-        Absolute, for y of the order of one.
-
-    Returns
-    -------
-    list of (float, float)
-        Time and value at the beginning and after each accepted step.
+    `start`: y at t = 0; `tolerance`: absolute, for y of the order of one. Gives time and value at the beginning and
+    after each accepted step.
     """
     points = [(0.0, start)]
     if duration <= 0.0:

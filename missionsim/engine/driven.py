@@ -46,14 +46,8 @@ def edges_driven(
 ) -> list[DrivenEdge]:
     """The edges of a run in order; standing on them (obstacles) belongs to them.
 
-    Parameters
-    ----------
-    environment : EnvironmentSpec
-    rows : sequence of Row
-        Of the recorder, as many as `line` has intervals.
-    legs : sequence of Leg
-    line, energies, charge_wh
-        As in `missionsim.engine.outcome.RunResult`.
+    `rows`: of the recorder, as many as `line` has intervals; `line`, `energies`, `charge_wh`: as in
+    `missionsim.engine.outcome.RunResult`.
     """
     leg_of = np.array([row.leg for row in rows], dtype=np.intp)
     starts = np.flatnonzero(np.append(True, leg_of[1:] != leg_of[:-1])) if len(leg_of) else leg_of

@@ -56,12 +56,7 @@ Evaluating = Generator[Asked, Evaluated, T]
 def together(model: PowerModel, components: Sequence[str], runs: Sequence[Evaluating[T]]) -> list[T | Exception]:
     """Results of runs whose questions are answered together; where a run fails, its exception.
 
-    Parameters
-    ----------
-    model : PowerModel
-    components : sequence of str
-        Names, as in the recorders' states.
-    runs : sequence of generator
+    `components`: names, as in the recorders' states.
     """
     found: list[T | Exception] = [RuntimeError("unfinished")] * len(runs)
     answers: dict[int, Evaluated | Exception | None] = dict.fromkeys(range(len(runs)))
@@ -118,17 +113,8 @@ class Batch:
 class Meter:
     """Energy and charge of a run.
 
-    Parameters
-    ----------
-    model : PowerModel
-    recorder : Recorder
-    legs : list of Leg
-        Of the plan; may grow while the mission runs.
-    batteries : mapping of str to Battery
-    values : mapping, optional
-        Parameters that differ from the model's.
-    segments : sequence of SegmentInfo, optional
-        Whose names messages tell.
+    `legs`: of the plan; may grow while the mission runs. `values`: parameters that differ from the model's. `segments`:
+    whose names messages tell.
     """
 
     def __init__(

@@ -142,19 +142,9 @@ def timeline(
 ) -> Timeline:
     """The interval table of the rows of one or many runs, one after the other.
 
-    Parameters
-    ----------
-    parts : sequence of (rows, legs, states)
-        Of each run: its rows, and the legs of its plan and the states of its components (`Recorder.states`), to which
-        rows refer by index.
-    components : sequence of str
-    needs : set of str
-        Covariates that the model reads; ``time_s`` is only given where it is one of them.
-
-    Returns
-    -------
-    Timeline
-        Glossary columns and rates, ready for `missionsim.effects.integrate`.
+    `parts`: of each run: its rows, and the legs of its plan and the states of its components (`Recorder.states`), to
+    which rows refer by index. `needs`: covariates that the model reads; ``time_s`` is only given where it is one of
+    them. Gives glossary columns and rates, ready for `missionsim.effects.integrate`.
     """
     flat = chain.from_iterable((r[0], r[1], r[4], r[6], r[7], *r[3][2:]) for rows, _, _ in parts for r in rows)
     start, duration, elapsed, moving_time, starts, speed, accel, lateral, lateral_rate, yaw, yaw_rate, moving = (

@@ -39,25 +39,9 @@ def doubts(
 
     A component or a law with negative power is told wherever it has it; a formula of motion or of an added effect where
     the whole battery is charged, unless that is while braking or descending of a robot that regenerates. Terms that the
-    engine itself limits to what a robot gives back are none of it.
-
-    Parameters
-    ----------
-    model : PowerModel
-    line : Timeline
-    energies : mapping
-        Battery → term key → energy of each interval [J], shape (n,).
-    charge_wh : mapping of str to ndarray, shape (n,)
-        At the end of each interval.
-    batteries : mapping of str to Battery
-    segments : sequence of SegmentInfo
-    places : mapping of str to Place, optional
-        Of the batteries in the robot file.
-
-    Returns
-    -------
-    tuple of Fault
-        Of severity ``warning``, at the place of the formula.
+    engine itself limits to what a robot gives back are none of it. `energies`: battery → term key → energy of each
+    interval [J], shape (n,); `charge_wh` (shape (n,)): at the end of each interval; `places`: of the batteries in the
+    robot file. They stand at the place of the formula.
     """
     found: list[Fault] = []
     if not len(line):

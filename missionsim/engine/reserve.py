@@ -23,26 +23,12 @@ def home_energies(
 ) -> Evaluating[list[dict[str, float | None]]]:
     """Energy in Wh to come home from the end of each segment, by battery.
 
-    Parameters
-    ----------
-    world : World
-        After its execution.
-    homing : Homing
-    model : PowerModel
-    values : mapping
-        Parameters that differ from the model's.
-    only_last : bool
-        Only from where the robot is at the end; the list then has one entry.
+    `world`: after its execution. `values`: parameters that differ from the model's. `only_last`: only from where the
+    robot is at the end; the list then has one entry. Gives one entry a segment; values are None where no way home is
+    known.
 
-    Returns
-    -------
-    list of dict
-        One entry a segment; values are None where no way home is known.
-
-    Notes
-    -----
-    The way is driven at once (nothing to wait for), with the components of the last leg that drove and what is
-    always on; activities beside the mission are taken as over.
+    The way is driven at once (nothing to wait for), with the components of the last leg that drove and what is always
+    on; activities beside the mission are taken as over.
     """
     legs, ends_s, last_row = world.legs, world.ends_s, world.recorder.rows[-1:]
     ends = {leg.segment: index for index, leg in enumerate(legs) if leg.last}

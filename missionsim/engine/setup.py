@@ -30,19 +30,9 @@ def build_battery(
 ) -> Battery:
     """The battery of a robot file.
 
-    Parameters
-    ----------
-    name : str
-    spec : BatterySpec
-    number : callable
-        Value of a parameter, drawn or nominal.
-    initial : float
-        State of charge at the start, as a fraction.
-    temperature_c : float, optional
-        Ambient, for batteries whose capacity or resistance depends on it.
+    `number`: value of a parameter, drawn or nominal; `initial`: state of charge at the start, as a fraction;
+    `temperature_c`: ambient, for batteries whose capacity or resistance depends on it.
 
-    Notes
-    -----
     The capacity of an `equivalent_circuit` is the energy under its open-circuit curve, times the charge, times the
     ageing factor; a capacity in Wh becomes a charge through the nominal voltage, or the mean of the curve.
     """
@@ -103,10 +93,7 @@ def _taper(spec: BatterySpec, number: Callable[[Parameter], float]) -> tuple[tup
 def check_covariates(plan: Plan, model: PowerModel) -> None:
     """Refuse a mission that does not say what the robot's effects need to know (temperature, processor load…).
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        With the effect, the column and a segment that lacks it.
+    Raises InputError: with the effect, the column and a segment that lacks it.
     """
     keys = {
         "temp_ambient_c": "temperature",

@@ -35,20 +35,9 @@ class ChargerTooWeak(Exception):
 class World:
     """Everything that takes part in one execution.
 
-    Parameters
-    ----------
-    plan : Plan
-    model : PowerModel
-    batteries : mapping of str to Battery
-    components : sequence of ComponentInfo
-    alarms : sequence of Alarm
-        Instants, found by an earlier execution, at which a battery interrupts this one.
-    leave : callable, optional
-        Way to a dock for alarms of kind ``reserve``.
-    goes_on : bool
-        Whether the robot comes back from there and goes on where it stopped.
-    values : mapping, optional
-        Parameters that differ from the model's.
+    `alarms`: instants, found by an earlier execution, at which a battery interrupts this one; `leave`: way to a dock
+    for alarms of kind ``reserve``; `goes_on`: whether the robot comes back from there and goes on where it stopped;
+    `values`: parameters that differ from the model's.
     """
 
     def __init__(

@@ -78,23 +78,10 @@ def final_fit(
     held by their priors, which count against errors clustered by run; the energy of all runs agrees exactly. Rows as
     they were logged take the place of the means where an effect follows acceleration and they predict left-out rows
     better: it may act otherwise in a jolt than over a second. The model shows its power as late and sluggishly as the
-    clock says where the rows that were fitted agree better with that.
-
-    Parameters
-    ----------
-    model : PowerModel
-        Base and effects with start values; effects are the terms that are not base.
-    runs : sequence of Run
-    battery : str
-    prior_sd : mapping
-        Relative standard deviation of each base parameter, about the value in `model`.
-    clock : Clock
-        Delay and lag of the meter.
-    settings : Settings
-    fixed : sequence of str
-        Parameters that stay as they are.
-    keep_base : bool
-        Fit the effects alone.
+    clock says where the rows that were fitted agree better with that. `model`: base and effects with start values;
+    effects are the terms that are not base. `prior_sd`: relative standard deviation of each base parameter, about the
+    value in `model`. `clock`: delay and lag of the meter. `fixed`: parameters that stay as they are. `keep_base`: fit
+    the effects alone.
     """
     ready = prepare(model, runs, battery)
     plain, means = _fit(model, ready, prior_sd, clock, settings, fixed, keep_base)

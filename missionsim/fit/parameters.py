@@ -183,20 +183,8 @@ def fit_parameters(
 ) -> ModelFit:
     """Fit every parameter of one battery's model to logs; see `missionsim.fit.final.final_fit`.
 
-    Parameters
-    ----------
-    model : PowerModel
-        Start values, units, priors.
-    logs : sequence of Run
-    battery : str
-    free : bool
-        Ignore the priors, for a model whose values are only start values.
-    settings : Settings, optional
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where the model needs a column that the logs lack, or no log measures the battery.
+    `model`: start values, units, priors; `free`: ignore the priors, for a model whose values are only start values.
+    Raises InputError: where the model needs a column that the logs lack, or no log measures the battery.
     """
     settings = settings or Settings()
     ready = prepare(model, logs, battery)

@@ -93,11 +93,8 @@ class Prepared:
 def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
     """Covariates, base power and gradient of every run that measures a battery.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where no log measures the battery, or the base model needs a column that a log lacks and that has no plain
-        meaning (see `missionsim.runs.assume.assume`).
+    Raises InputError: where no log measures the battery, or the base model needs a column that a log lacks and that has
+    no plain meaning (see `missionsim.runs.assume.assume`).
     """
     tables = [log for log in logs if battery in log.power_w]
     if not tables:

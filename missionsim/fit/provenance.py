@@ -65,14 +65,8 @@ def sd_on_other_logs(sd: float, source: str) -> float:
     """Relative standard deviation of a parameter for logs that it was not fitted to.
 
     What `calibrate` writes is how well the average over its own logs is known. On another day the robot is not quite
-    the same, so that `OTHER_DAY_SD` adds to it; else drift would pass for a missing effect.
-
-    Parameters
-    ----------
-    sd : float
-        As the robot file has it.
-    source : str
-        What the file says of where the number comes from; others than fits keep their sd.
+    the same, so that `OTHER_DAY_SD` adds to it; else drift would pass for a missing effect. `sd`: as the robot file has
+    it. `source`: what the file says of where the number comes from; others than fits keep their sd.
     """
     return math.hypot(sd, OTHER_DAY_SD) if _TAG.search(source) else sd
 

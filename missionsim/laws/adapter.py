@@ -151,11 +151,7 @@ class Ground:
 def ground_of(found: Identification, covariates: Sequence[Mapping[str, Any]]) -> Ground:
     """The ground of an identification: effects that it names stay in, those that it puts in doubt do not.
 
-    Parameters
-    ----------
-    found : Identification
-    covariates : sequence of mapping
-        Of every run that was given to it, at the raw rate.
+    `covariates`: of every run that was given to it, at the raw rate.
     """
     model = found.choice.model
     columns = model.design.layout.columns

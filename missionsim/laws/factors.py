@@ -102,13 +102,9 @@ def make_grammar(
 ) -> Grammar:
     """The factors that these runs allow.
 
-    Parameters
-    ----------
-    covariates : sequence of mapping
-        Covariates of each run at its raw rate, with those that follow from the log (``accel_m_s2``,
-        ``moving_time_s``, ``on_time_<component>_s``).
-    components : sequence of str
-        Components whose switching may matter; all with an ``on_`` column where empty.
+    `covariates`: covariates of each run at its raw rate, with those that follow from the log (``accel_m_s2``,
+    ``moving_time_s``, ``on_time_<component>_s``). `components`: components whose switching may matter; all with an
+    ``on_`` column where empty.
     """
     b = _Builder(covariates)
     names = sorted(set.intersection(*(set(run) for run in covariates)))

@@ -57,11 +57,7 @@ class Proposed:
 def propose(found: Any, covariates: Sequence[Mapping[str, Any]]) -> Proposed | None:
     """The law that an identification lacks, or None where nothing passes every gate.
 
-    Parameters
-    ----------
-    found : missionsim.identify.identification.Identification
-    covariates : sequence of mapping
-        Covariates of every run that was given to it, at the raw rate, with those derived from the log.
+    `covariates`: covariates of every run that was given to it, at the raw rate, with those derived from the log.
     """
     ground = ground_of(found, covariates)
     # where the base is far from right, what wanders unexplained looks like a clock, and warming up is in the library

@@ -27,11 +27,7 @@ _EXTRAS = (
 class Asked:
     """Settings, behaviour and speeds of segments, under the control scheme in `scheme`.
 
-    Parameters
-    ----------
-    mission : MissionSpec
-    numbers : mapping
-        Values that differ from the files', by path; arrays where many runs are planned at once.
+    `numbers`: values that differ from the files', by path; arrays where many runs are planned at once.
     """
 
     def __init__(self, mission: MissionSpec, numbers: Mapping[str, float]) -> None:

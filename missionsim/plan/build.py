@@ -65,17 +65,8 @@ def make_plan(
 def plan_runs(mission: MissionSpec, numbers: Mapping[str, Array]) -> Plan:
     """The plan of many runs at once, as arrays: what follows from a drawn number is an array of shape (runs,).
 
-    Parameters
-    ----------
-    mission : MissionSpec
-    numbers : mapping
-        Drawn values by path (see `make_plan`), arrays of shape (runs,).
-
-    Returns
-    -------
-    Plan
-        With `odd`: the runs whose plan has another shape, to be planned alone with `make_plan`. Nothing is left to
-        chance.
+    `numbers`: drawn values by path (see `make_plan`), arrays of shape (runs,). The plan has `odd`: the runs whose plan
+    has another shape, to be planned alone with `make_plan`. Nothing is left to chance.
     """
     with np.errstate(all="ignore"):  # a run of which no plan can be made is odd
         return _Builder(mission, cast("Mapping[str, float]", numbers), None).build()
@@ -86,14 +77,8 @@ def legs_of(
 ) -> Iterator[list[Leg]]:
     """The legs of single segments of a mission, each begun at a place of its own.
 
-    Parameters
-    ----------
-    mission : MissionSpec
-        Gives robot, environment and defaults; its own segments are not used.
-    segments : iterable of (str, SegmentSpec)
-        Place where the segment begins, and the segment.
-    numbers : mapping, optional
-        See `make_plan`.
+    `mission`: gives robot, environment and defaults; its own segments are not used. `segments`: place where the segment
+    begins, and the segment. `numbers`: see `make_plan`.
     """
     builder = _Builder(mission, numbers or {}, None)
     for place, segment in segments:

@@ -21,16 +21,8 @@ MOST_OBSTACLES = 10_000
 def failures(probability: float, rng: np.random.Generator) -> int:
     """How often something fails before it succeeds (geometric, by inversion of one uniform number).
 
-    Parameters
-    ----------
-    probability : float
-        Of failing, each time, independently; 0 or more, below 1.
-    rng : numpy.random.Generator
-
-    Raises
-    ------
-    missionsim.errors.MissionsimError
-        Where a drawn probability is none, or 1: it would never succeed.
+    `probability`: of failing, each time, independently; 0 or more, below 1. Raises MissionsimError: where a drawn
+    probability is none, or 1: it would never succeed.
     """
     if not 0.0 <= probability < 1.0:
         raise MissionsimError(f"a probability of {probability:g} was drawn; allowed: from 0 to less than 1")
@@ -53,26 +45,10 @@ def stopped_by_obstacles(
     """Legs cut where an obstacle makes the robot stop and wait.
 
     Obstacles arrive as a Poisson process over the distance driven; the robot brakes, stands for an exponentially
-    distributed time (the wait does not depend on how long the obstacle has been there) and sets off again.
-
-    Parameters
-    ----------
-    legs : iterable of Leg
-    spacing_m : float
-        Mean distance between obstacles, above 0.
-    stop_s : float
-        Mean time stood at one.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    tuple
-        The legs with the stops among them, and the number of stops.
-
-    Raises
-    ------
-    missionsim.errors.MissionsimError
-        Where more than half of `MOST_OBSTACLES` are to be expected on a leg.
+    distributed time (the wait does not depend on how long the obstacle has been there) and sets off again. `spacing_m`:
+    mean distance between obstacles, above 0; `stop_s`: mean time stood at one. Gives the legs with the stops among
+    them, and the number of stops. Raises MissionsimError: where more than half of `MOST_OBSTACLES` are to be expected
+    on a leg.
     """
     made: list[Leg] = []
     stops = 0

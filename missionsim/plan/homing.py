@@ -15,14 +15,8 @@ class Homing:
 
     The dock is the policy's; without one the nearest place with a charger; without any charger the place where the
     mission starts. The way is the shortest by length, driven with the scheme, sensors, payload and speed of the last
-    leg that drove (the defaults before the first), without stretch.
-
-    Parameters
-    ----------
-    mission : MissionSpec
-    limits : Limits
-    routes : Routes or None
-        None without an environment: then there is no way home.
+    leg that drove (the defaults before the first), without stretch. `routes`: None without an environment: then there
+    is no way home.
     """
 
     def __init__(self, mission: MissionSpec, limits: Limits, routes: Routes | None) -> None:
@@ -57,27 +51,11 @@ class Homing:
         """The way to the nearest of some docks, and back to where the robot left the plan.
 
         From an edge under way it goes on to its end or back to its beginning, whichever is shorter in all; one that
-        stands comes back to the same place.
-
-        Parameters
-        ----------
-        last : Leg or None
-            The leg that is driven, or that was the last to be; None at the mission's start.
-        done_m : float
-            Metres on it when the robot stands.
-        like : Leg
-            How the ways are driven.
-        docks : sequence of str
-        back : bool
-            Whether the way back counts; there is none otherwise.
-        stands : bool
-            Whether the robot stands rather than drives.
-
-        Returns
-        -------
-        tuple or None
-            Legs to the dock, the dock, legs back, and whether they lead to the end of the edge under way. None where
-            the place is not known or no way leads there.
+        stands comes back to the same place. `last`: the leg that is driven, or that was the last to be; None at the
+        mission's start. `done_m`: metres on it when the robot stands. `like`: how the ways are driven. `back`: whether
+        the way back counts; there is none otherwise. `stands`: whether the robot stands rather than drives. Gives legs
+        to the dock, the dock, legs back, and whether they lead to the end of the edge under way. None where the place
+        is not known or no way leads there.
         """
         if self.routes is None:
             return None

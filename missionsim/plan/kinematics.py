@@ -31,19 +31,10 @@ def junction_speeds(
 ) -> Array:
     """Highest speeds at the borders of the pieces of a run.
 
-    Parameters
-    ----------
-    distance_m, limit_m_s : array_like, shape (..., pieces)
-        Length and speed limit of each piece.
-    accel_m_s2, decel_m_s2 : array_like, shape (...)
-        Limits of speeding up and of braking, both positive.
-    begin_m_s, end_m_s : array_like, shape (...)
-        Speeds at both ends; at rest by default. They must be reachable from each other.
-
-    Returns
-    -------
-    ndarray, shape (..., pieces + 1)
-        Speeds in m/s (forward and backward pass with ``v² + 2 a d``).
+    `distance_m`, `limit_m_s` (shape (..., pieces)): length and speed limit of each piece. `accel_m_s2`, `decel_m_s2`
+    (shape (...)): limits of speeding up and of braking, both positive. `begin_m_s`, `end_m_s` (shape (...)): speeds at
+    both ends; at rest by default. They must be reachable from each other. Gives an array of shape (..., pieces + 1):
+    speeds in m/s (forward and backward pass with ``v² + 2 a d``).
     """
     distance, limit = np.broadcast_arrays(np.asarray(distance_m, float), np.asarray(limit_m_s, float))
     accel, decel = np.asarray(accel_m_s2, float), np.asarray(decel_m_s2, float)
@@ -66,21 +57,9 @@ def ramp_phases(
 ) -> Phases:
     """Trapezoids and triangles of a run, from rest to rest or between given speeds.
 
-    Parameters
-    ----------
-    distance_m, limit_m_s : array_like, shape (..., pieces)
-    accel_m_s2, decel_m_s2 : array_like, shape (...)
-        Positive and finite.
-    begin_m_s, end_m_s : array_like, shape (...)
-        As for `junction_speeds`.
+    `distance_m`, `limit_m_s`: shape (..., pieces); `accel_m_s2`, `decel_m_s2` (shape (...)): positive and finite;
+    `begin_m_s`, `end_m_s` (shape (...)): as for `junction_speeds`. Gives three phases a piece.
 
-    Returns
-    -------
-    Phases
-        Three phases a piece.
-
-    Notes
-    -----
     Inside a piece of length d from v0 to v1 the peak is ``v_p² = (2 a b d + b v0² + a v1²) / (a + b)``, cut at the
     limit; also for angles (rad, rad/s, rad/s²) of a turn on the spot.
     """

@@ -198,8 +198,6 @@ class Limits(NamedTuple):
 class Plan:
     """A mission as numbers, in the order of execution.
 
-    Notes
-    -----
     A plan of many runs (`missionsim.plan.build.plan_runs`) has an array with one number a run in place of each number
     that is drawn; `each` gives the plans of single runs.
     """

@@ -56,11 +56,7 @@ class Way:
 class Routes:
     """The ways of an environment and the shortest routes among them.
 
-    Parameters
-    ----------
-    environment : EnvironmentSpec
-    number : callable
-        Value of a parameter of the environment (an uncertain one may be drawn).
+    `number`: value of a parameter of the environment (an uncertain one may be drawn).
     """
 
     def __init__(self, environment: EnvironmentSpec, number: Number) -> None:

@@ -39,14 +39,8 @@ def group(
 ) -> tuple[Step, ...]:
     """Steps of a sequence of legs.
 
-    Parameters
-    ----------
-    legs : sequence of Leg
-    limits : Limits
-    breaks : callable, optional
-        ``(before, after) -> bool``: further reasons to stop between two legs (a component with a start-up time).
-    odd : Odd, optional
-        Of a plan of many runs.
+    `breaks`: ``(before, after) -> bool``: further reasons to stop between two legs (a component with a start-up time);
+    `odd`: of a plan of many runs.
     """
     odd = Odd() if odd is None else odd
     spans: list[tuple[int, int]] = []

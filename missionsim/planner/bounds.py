@@ -22,17 +22,9 @@ HAIR = 2e-9
 class Tour:
     """Network of the core: a node is a state of the order and a stop; resources are objective, time, Wh missing.
 
-    Parameters
-    ----------
-    site : Site
-    drives : callable
-        ``(payload, from stop, to stop) -> list of Drive``.
-    values : ndarray, optional
-        Value of each visit, where some may be left out: then one more resource is the value that is not made yet.
-    most_missed : float
-        Limit of that resource.
-    by_value : bool
-        The value that is not made is the objective, in place of that resource.
+    `drives`: ``(payload, from stop, to stop) -> list of Drive``; `values`: value of each visit, where some may be left
+    out: then one more resource is the value that is not made yet; `most_missed`: limit of that resource; `by_value`:
+    the value that is not made is the objective, in place of that resource.
     """
 
     def __init__(
@@ -242,12 +234,7 @@ def _stands(site: Site, weights: Array, worth: Array | None) -> Array:
 def slack_of(tour: Tour, prices: Array) -> Array:
     """By how much the cheapest tour with prices on top that drives between two stops is above the cheapest of all.
 
-    Without limits, and by docks where it likes.
-
-    Returns
-    -------
-    ndarray, shape (loads, stops, stops)
-        From, to.
+    Without limits, and by docks where it likes. Gives an array of shape (loads, stops, stops): from, to.
     """
     site, order, goal = tour.site, tour.site.order, tour.site.goal
     weights, worth = tour.priced(prices)
@@ -327,15 +314,9 @@ def bounds_of(
 ) -> Bounds:
     """What the search may know of the rest of each way.
 
-    Parameters
-    ----------
-    tour : Tour
-    multipliers : list of ndarray, shape (resources - 1,)
-        Prices on all but the objective; the row of zeros is added.
-    uncharged : list of ndarray, optional
-        Prices for ways on which there is no more charging; then the others are for ways that lead by a dock.
-    ahead : list of ndarray, optional
-        Prices on top of the first multiplier's as far as the next dock, where each battery must last.
+    `multipliers` (shape (resources - 1,)): prices on all but the objective; the row of zeros is added. `uncharged`:
+    prices for ways on which there is no more charging; then the others are for ways that lead by a dock. `ahead`:
+    prices on top of the first multiplier's as far as the next dock, where each battery must last.
     """
     site = tour.site
     physics, task = site.physics, site.task

@@ -66,11 +66,8 @@ class Drives:
     def distances(self, weights: Array, nodes: NDArray[np.intp], *, back: bool = False) -> Array:
         """Least weighted use from nodes to every state, shape (nodes, states); with `back`, from every state to them.
 
-        Parameters
-        ----------
-        weights : ndarray, shape (1 + batteries,)
-            Of seconds and Wh; the weighted use may be negative on single arcs (downhill), not on circles.
-        nodes : ndarray of int
+        `weights` (shape (1 + batteries,)): of seconds and Wh; the weighted use may be negative on single arcs
+        (downhill), not on circles.
         """
         key = (weights.tobytes(), nodes.tobytes(), back)
         if key not in self._distances:
@@ -188,29 +185,12 @@ class Drives:
     ) -> tuple[dict[int, list[Drive]], int]:
         """The undominated drives from a state to others.
 
-        Parameters
-        ----------
-        source : int
-        targets : ndarray of int
-            States.
-        weights : ndarray, shape (1 + batteries,), optional
-            With `gap`: only drives whose weighted use is within `gap` of the least one's.
-        more : ndarray, shape (targets,), optional
-            What is added to the weighted use of all drives to each target.
-        gap : float
-        most : ndarray, shape (1 + batteries,), optional
-            Seconds and Wh that no drive may take more than.
-        timeless : bool
-            A drive is not kept for being quicker; then `weights` has nothing for seconds.
-        patience : int
-            Labels after which the search ends.
-
-        Returns
-        -------
-        dict
-            Target → drives, by weighted use.
-        int
-            Labels that this took; where that is more than `patience`, there may be more drives.
+        `targets`: states. `weights` (shape (1 + batteries,)): with `gap`: only drives whose weighted use is within
+        `gap` of the least one's. `more` (shape (targets,)): what is added to the weighted use of all drives to each
+        target. `most` (shape (1 + batteries,)): seconds and Wh that no drive may take more than. `timeless`: a drive is
+        not kept for being quicker; then `weights` has nothing for seconds. `patience`: labels after which the search
+        ends. Gives target → drives, by weighted use, and the labels that this took; where those are more than
+        `patience`, there may be more drives.
         """
         road = self.road
         resources = road.use.shape[1]

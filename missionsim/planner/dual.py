@@ -39,10 +39,7 @@ class Prices:
 def cheapest(tour: Tour, prices: Array) -> tuple[list[tuple[int, int]], float] | None:
     """The tour of least objective with prices on top, without charging and without limits.
 
-    Returns
-    -------
-    tuple or None
-        Stops with the state after each, from the first after the start, and what the tour costs.
+    Gives stops with the state after each, from the first after the start, and what the tour costs.
     """
     site, table = tour.site, tour.rest(prices)
     if not math.isfinite(table[0, 0]):

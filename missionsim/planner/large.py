@@ -25,11 +25,7 @@ LATE = 1e3
 def solve_large(site: Site, solve: Callable[[Site], Answer]) -> Answer:
     """The plan of an order that local search finds (moves of up to three visits, and reversals; Or 1976, Croes 1958).
 
-    Parameters
-    ----------
-    site : Site
-    solve : callable
-        Site with a given order → its best plan.
+    `solve`: site with a given order → its best plan.
     """
     apart = matrix(site, site.order.load_kg, site.weights)
     found = orders(site, apart)

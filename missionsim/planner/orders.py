@@ -20,13 +20,7 @@ class Order:
     """The states of a task's visits.
 
     A state is the set of visits done, as bits; in a given order that leaves nothing out (or of more than `MOST_FREE`
-    visits) it is how many of them lie behind.
-
-    Parameters
-    ----------
-    task : TaskSpec
-    sequence : sequence of int, optional
-        An order to keep to.
+    visits) it is how many of them lie behind. `sequence`: an order to keep to.
     """
 
     def __init__(self, task: TaskSpec, sequence: tuple[int, ...] | None = None) -> None:

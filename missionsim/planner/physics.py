@@ -50,17 +50,8 @@ def mission_of(task: TaskSpec) -> MissionSpec:
 class Physics:
     """The power model of a task's robot, for arrays of phases.
 
-    Parameters
-    ----------
-    task : TaskSpec
-
-    Attributes
-    ----------
-    names : tuple of str
-        Batteries, in the order of all arrays.
-    limits : Limits
-        Accelerations of the body.
-    capacity_wh, initial_wh, reserve_wh : ndarray, shape (batteries,)
+    `names`: batteries, in the order of all arrays; `limits`: accelerations of the body; `capacity_wh`, `initial_wh`,
+    `reserve_wh`: shape (batteries,).
     """
 
     def __init__(self, task: TaskSpec) -> None:
@@ -99,19 +90,9 @@ class Physics:
     ) -> Array:
         """Energy that each battery delivers in each of many phases.
 
-        Parameters
-        ----------
-        settings : ndarray of int, shape (n,)
-            From `settings_index`.
-        duration_s, speed_m_s, accel_m_s2 : ndarray, shape (n,)
-            Length, speed at the start and acceleration of each phase; speed and acceleration 0 is standing.
-        starts : ndarray of bool, shape (n,)
-            Whether the robot stood before.
-
-        Returns
-        -------
-        ndarray, shape (n, batteries)
-            Wh.
+        `settings` (shape (n,)): from `settings_index`. `duration_s`, `speed_m_s`, `accel_m_s2` (shape (n,)): length,
+        speed at the start and acceleration of each phase; speed and acceleration 0 is standing. `starts` (shape (n,)):
+        whether the robot stood before. Gives an array of shape (n, batteries) [Wh].
         """
         keys = np.stack([settings, duration_s, speed_m_s, accel_m_s2, starts], axis=1).astype(float)
         steady = (keys[:, 3] == 0.0) & (keys[:, 4] == 0.0) & (not self.fades)

@@ -144,13 +144,8 @@ class Road:
 def make_road(physics: Physics, pieces: dict[str, list[Piece]], stops: Sequence[State]) -> Road:
     """The graph of a site: from the stops, every state that can be reached, and what each arc costs.
 
-    Parameters
-    ----------
-    physics : Physics
-    pieces : mapping of str to list of Piece
-        By the place where they begin.
-    stops : sequence of State
-        Where the robot may stand: it starts there and may end its drive there.
+    `pieces`: by the place where they begin; `stops`: where the robot may stand: it starts there and may end its drive
+    there.
     """
     accel = physics.limits.accel_m_s2 or 0.0
     decel = physics.limits.decel_m_s2 or accel
@@ -251,19 +246,8 @@ def _instant(piece: Piece) -> bool:
 def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDArray[np.bool_]) -> Array:
     """Time and energies of pieces between speeds, evaluated as arrays.
 
-    Parameters
-    ----------
-    physics : Physics
-    driven : sequence of Piece
-    speeds : ndarray, shape (n, 2)
-        At begin and end of each [m/s].
-    rest : ndarray of bool, shape (n,)
-        Whether the robot stood before.
-
-    Returns
-    -------
-    ndarray, shape (n, 1 + batteries)
-        Seconds and Wh.
+    `speeds` (shape (n, 2)): at begin and end of each [m/s]; `rest` (shape (n,)): whether the robot stood before. Gives
+    an array of shape (n, 1 + batteries): seconds and Wh.
     """
     use = np.zeros((len(driven), 1 + len(physics.names)))
     number: dict[Piece, int] = {}

@@ -55,15 +55,7 @@ def reach_task(
 ) -> TaskSpec:
     """The task of going out from a place and coming back to it (or to another).
 
-    Parameters
-    ----------
-    environment : Path
-    robot : str
-        Shipped robot or robot file.
-    begin : str
-    overrides : sequence of (path, value)
-        On the task: ``within.reserve``, ``choose.speeds``, ``robot.…``.
-    end : str, optional
+    `robot`: shipped robot or robot file; `overrides`: on the task: ``within.reserve``, ``choose.speeds``, ``robot.…``.
     """
     spec = load_robot(robot)
     moving = [name for name, scheme in spec.schemes.items() if scheme.motion]
@@ -86,19 +78,9 @@ def reach_task(
 def reach(task: TaskSpec, probability: float = 0.95, done: Callable[[], object] = lambda: None) -> list[Reached]:
     """Every place of a task's environment: whether it can be gone to and come back from.
 
-    Parameters
-    ----------
-    task : TaskSpec
-        From `reach_task`.
-    probability : float
-        Share of draws of the uncertain values in which the charge is to suffice.
-    done : callable
-        Called after each place.
-
-    Returns
-    -------
-    list of Reached
-        In the order of the environment; without the places that no open way leads to and back from.
+    `task`: from `reach_task`; `probability`: share of draws of the uncertain values in which the charge is to suffice;
+    `done`: called after each place. The places are in the order of the environment, without those that no open way
+    leads to and back from.
     """
     found = []
     for place in task.environment.places:

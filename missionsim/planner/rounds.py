@@ -33,14 +33,7 @@ FEW = 4
 class Rounds(Tour):
     """The network of one round so many times; each round's nodes and one where it sets out from its start.
 
-    Parameters
-    ----------
-    site : Site
-    drives : callable
-        As of `Tour`.
-    rounds : int
-    every_s : float
-        No round sets out before so long after the one before was due.
+    `drives`: as of `Tour`; `every_s`: no round sets out before so long after the one before was due.
     """
 
     def __init__(

@@ -26,15 +26,9 @@ Watch = Callable[[str, float, float], bool]
 class Fronts:
     """The drives between stops, found when first asked for: all that none is better than, or those cheapest for prices.
 
-    Parameters
-    ----------
-    site : Site
-    weights : ndarray, shape (1 + batteries,), optional
-        With `gap`, see `missionsim.planner.drives.Drives.between`.
-    gap : float or None
-        None for those that are the cheapest for prices about `weights`.
-    slack : ndarray, shape (loads, stops, stops), optional
-        By how much any tour that drives between two stops is above the cheapest, with the same weights.
+    `weights` (shape (1 + batteries,)): with `gap`, see `missionsim.planner.drives.Drives.between`; `gap`: None for
+    those that are the cheapest for prices about `weights`; `slack` (shape (loads, stops, stops)): by how much any tour
+    that drives between two stops is above the cheapest, with the same weights.
     """
 
     def __init__(

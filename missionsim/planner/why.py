@@ -20,11 +20,8 @@ AMPLE_WH = 1e5
 def explain(site: Site) -> dict[str, Any]:
     """What is short where there is no plan, each with the single change that would do, smallest first.
 
-    Returns
-    -------
-    dict
-        ``short``: what lacks (``time`` or a battery), how much, where; ``would_do``: single changes, each of which
-        gives a plan; ``text``: both as sentences.
+    Gives ``short``: what lacks (``time`` or a battery), how much, where; ``would_do``: single changes, each of which
+    gives a plan; ``text``: both as sentences.
     """
     if not site.order.possible:
         limit = "above nothing" if site.task.most_kg is None else f"between 0 and {site.task.most_kg:g} kg"

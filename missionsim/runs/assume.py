@@ -34,20 +34,8 @@ class Assumed:
 def assume(model: PowerModel, columns: Iterable[str], measured: Iterable[str], *, source: str = "") -> Assumed:
     """Decide what a run can drive: fill what has a plain meaning, leave out or skip the rest, and say so.
 
-    Parameters
-    ----------
-    model : PowerModel
-    columns : iterable of str
-        Columns of the run.
-    measured : iterable of str
-        Batteries that are wanted; those whose power was measured.
-    source : str
-        Name of the log for the message.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where no battery is both measured and modelled.
+    `columns`: columns of the run. `measured`: batteries that are wanted; those whose power was measured. `source`: name
+    of the log for the message. Raises InputError: where no battery is both measured and modelled.
     """
     have = {*columns, *_DERIVED}
     scheme = columns.get("scheme") if isinstance(columns, Mapping) else None

@@ -106,10 +106,7 @@ class Errors:
 def errors_of(model: PowerModel, runs: Iterable[Run], battery: str) -> Errors:
     """Errors of a model on runs that measured a battery; what a run lacks is assumed as `missionsim.runs.drive` says.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where a run cannot drive the base model.
+    Raises InputError: where a run cannot drive the base model.
     """
     found = []
     for run in runs:
@@ -148,17 +145,8 @@ def progress_grid() -> Array:
 def cumulative_at(progress: Array, energy: Array, grid: Array) -> Array:
     """Cumulative energy at the progress values `grid`.
 
-    Parameters
-    ----------
-    progress : ndarray, shape (n,)
-        Progress at the *end* of each interval, from above 0 to 1, not decreasing.
-    energy : ndarray, shape (n,)
-        Energy of each interval, any unit.
-    grid : ndarray, shape (m,)
-
-    Returns
-    -------
-    ndarray, shape (m,)
+    `progress` (shape (n,)): progress at the *end* of each interval, from above 0 to 1, not decreasing; `energy` (shape
+    (n,)): energy of each interval, any unit; `grid`: shape (m,). Gives an array of shape (m,).
     """
     total = np.interp(grid, np.concatenate([[0.0], progress]), np.concatenate([[0.0], np.cumsum(energy)]))
     return np.asarray(total, dtype=np.float64)
@@ -178,13 +166,8 @@ def error_curve(measured: Array, predicted: Array, relative_to: str = "measured"
 def error_statistics(curve: Array, relative_to: str = "measured") -> ErrorStatistics:
     """Peak, final, mean and standard deviation (of the population) of the magnitude of an error curve.
 
-    Parameters
-    ----------
-    curve : ndarray, shape (n,)
-        Signed error over equally spaced progress [%]; NaN are left out.
+    `curve` (shape (n,)): signed error over equally spaced progress [%]; NaN are left out.
 
-    Notes
-    -----
     Jaiem et al. 2021, section 3.4.2, print these four for an underestimate as positive numbers, hence the magnitude.
     """
     known = np.abs(curve[np.isfinite(curve)])

@@ -100,17 +100,9 @@ def motions(
 ) -> dict[str, Motion]:
     """Sums of each control scheme over rows, by its name.
 
-    Parameters
-    ----------
-    cov : mapping
-        With ``speed_m_s``; arrays of shape (n,).
-    seconds : ndarray, shape (n,)
-        Time that each row stands for.
-    power_w : mapping of battery to ndarray, shape (n,)
-        Power whose energy is summed; gaps count as nought.
-    still : tuple of float
-    by_scheme : bool
-        Whether schemes are told apart; else all rows are summed under ``""``.
+    `cov`: with ``speed_m_s``; arrays of shape (n,). `seconds` (shape (n,)): time that each row stands for. `power_w`
+    (shape (n,)): power whose energy is summed; gaps count as nought. `by_scheme`: whether schemes are told apart; else
+    all rows are summed under ``""``.
     """
     count = len(seconds)
     zero = np.zeros(count)

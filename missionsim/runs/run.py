@@ -137,15 +137,8 @@ def _is_measurement(name: str, batteries: Collection[str] | None) -> bool:
 def row_durations(time_s: Array) -> Array:
     """Time that each row stands for: half-way to its neighbours, the end rows symmetric but not before time zero.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        Increasing, n ≥ 2 [s].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        [s]; for evenly spaced rows that start half a step after zero the sum is n steps.
+    `time_s` (shape (n,)): increasing, n ≥ 2 [s]. Gives an array of shape (n,): [s]; for evenly spaced rows that start
+    half a step after zero the sum is n steps.
     """
     middle = 0.5 * (time_s[1:] + time_s[:-1])
     first = time_s[0] - (middle[0] - time_s[0])
