@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,6 +20,7 @@ Covariates = Mapping[str, Any]
 """Glossary name → `Value`, or a str / `Labels` for text columns."""
 SMOOTHING_S = (0.5, 1.0, 1.5, 2.0)
 """Widths over which a speed is smoothed before it is differentiated: the least that its noise allows."""
+_OF_WHEELS = re.compile(r"(^|_)wheels?_(.*_)?(rad_s|m_s)$")
 QUIET = 0.15
 """Part of the robot's acceleration that noise may make up: what is beyond counts as speeding up, max(a, 0), all the
 time."""
@@ -48,6 +50,8 @@ def is_moving(cov: Covariates) -> Truth:
     """Whether the robot moves: it stands where |v| < 0.005 m/s and |ω| < 0.02 rad/s (contract); sideways counts as v.
 
     A plan says itself when the robot moves (column ``moving``), so that a ramp from rest is moving from its start.
+    Where wheels are logged beside (``wheel_yaw_rad_s``, ``left_wheel_rad_s``, ``wheel_speed_m_s``), a robot whose
+    wheels turn does not stand: in snow or mud a drive works hard and gets nowhere.
     """
     if "moving" in cov:
         return np.asarray(cov["moving"]) > 0.0
@@ -55,7 +59,12 @@ def is_moving(cov: Covariates) -> Truth:
     if "lateral_speed_m_s" in cov:
         speed = np.hypot(speed, cov["lateral_speed_m_s"])
     turning = np.abs(number(cov, "yaw_rate_rad_s"))
-    return np.asarray((speed >= STILL_SPEED_M_S) | (turning >= STILL_YAW_RATE_RAD_S))
+    moving = np.asarray((speed >= STILL_SPEED_M_S) | (turning >= STILL_YAW_RATE_RAD_S))
+    for name in cov:
+        if _OF_WHEELS.search(name):
+            least = STILL_SPEED_M_S if name.endswith("_m_s") else STILL_YAW_RATE_RAD_S
+            moving = moving | (np.abs(cov[name]) >= least)
+    return moving
 
 
 def derive(columns: Mapping[str, Any], time_s: Array, dt_s: Array) -> dict[str, Any]:

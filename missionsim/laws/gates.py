@@ -60,7 +60,8 @@ def gates(fitted: Fitted, block_s: float = BLOCK_S) -> Gates:
         "blocks": 0.5 * z * z > fitted.penalty,
         "left-out runs": not several
         or (errors.with_law < LEAST_BETTER * errors.without and 2 * errors.better >= errors.acting),
-        "several runs": not rough or errors.acting >= SEVERAL_RUNS,
+        # two runs know little of a product of three: what it says of other runs is a guess
+        "several runs": errors.acting >= (SEVERAL_RUNS if rough else len(fitted.form)),
     }
     return Gates(sd, z, errors, passed)
 

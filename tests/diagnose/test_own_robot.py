@@ -159,3 +159,19 @@ def test_what_is_drawn_at_rest_is_never_written_below_nought() -> None:
     assert base["standing"].value >= -1e-9
     assert base["kinect.power"].value >= -1e-9
     assert base["c2"].value < 0.0  # a formula may bend either way
+
+
+def test_a_robot_whose_wheels_spin_in_snow_does_not_stand() -> None:
+    logs = []
+    for seed in range(4):
+        log = drive(seed, seconds=300.0)
+        stuck = (log.columns["speed_m_s"] == 0.0) & (np.arange(log.rows) % 4 < 2)
+        assert stuck.sum() > 10
+        wheels = np.where(stuck, 0.3, log.columns["speed_m_s"])
+        power = log.power_w[BATTERY] + np.where(stuck, 3.66 - 2.67, 0.0)  # what moving draws at no speed
+        columns = {**log.columns, "left_wheel_speed_m_s": wheels, "power_robot_w": power}
+        logs.append(replace(log, columns=columns, power_w={BATTERY: power}))
+    blind = [replace(o, columns={n: x for n, x in o.columns.items() if "wheel" not in n}) for o in logs]
+    found = [calibrate_new(NewRobot("own", BASE), some).fit.parameters["standing"].value for some in (logs, blind)]
+    assert found[0] == pytest.approx(2.67 + 2.34, abs=0.1)
+    assert found[1] > found[0] + 0.3
