@@ -181,19 +181,14 @@ def monte_carlo(
     """Draw the uncertain values many times; see ``missionsim montecarlo``. The table has one row a run."""
     import tempfile
 
-    from missionsim.uncertainty.batch import Task, batch_answer, identity, prepare, run_batch
+    from missionsim.uncertainty.batch import Task, answer_batch
     from missionsim.uncertainty.store import BlockStore
 
     task = Task(str(mission), _pairs(set), None if robot is None else str(robot), seed, engine)
-    prepared = prepare(task)
-    chosen = "simpy" if prepared.arrays is None else "arrays"
     with tempfile.TemporaryDirectory(prefix="missionsim-", ignore_cleanup_errors=True) as folder:
         store = BlockStore(Path(folder) / "batch")
-        with store.locked():
-            store.begin(identity(task, runs, chosen), resume=False)
-            firsts = run_batch(task, runs, store, engine=chosen, workers=workers)
-            answer = batch_answer(task, prepared, chosen, store, firsts, sobol)
-            columns = {n: c for n in store.names() if (c := store.column(n, firsts)).ndim == 1}
+        answer, firsts = answer_batch(task, runs, store, workers=workers, sobol=sobol)
+        columns = {n: c for n in store.names() if (c := store.column(n, firsts)).ndim == 1}
     p = answer["p_feasible"]
     share = f"{p['value']:.3g} ({p['low']:.3g} to {p['high']:.3g})"
     line = f"{answer['mission']}: {answer['runs']} runs, feasible with probability {share}"

@@ -169,32 +169,28 @@ def _only(prepared: Prepared, seed: int, run: int, out: Path | None, to: Output)
 
 
 def _batch(task: Task, prepared: Prepared, batch: Batch, out: Path, to: Output) -> int:
-    from missionsim.uncertainty.batch import batch_answer, block_runs, block_span, identity, run_batch
+    from missionsim.uncertainty.batch import answer_batch
     from missionsim.uncertainty.importance import refuse_correlated
     from missionsim.uncertainty.store import BlockStore
 
     if batch.sobol:
         refuse_correlated(prepared)
-    engine = "simpy" if prepared.arrays is None else "arrays"
     store = BlockStore(out)
     try:
-        with to.progress() as bar, _executor(batch.scheduler) as executor, store.locked():
-            store.begin(identity(task, batch.count, engine), resume=batch.resume)
-            if batch.resume:
-                _tell_damaged(store.drop_damaged(lambda first: block_span(block_runs(prepared), batch.count, first)[1]))
-            row = bar.add_task(f"runs ({engine})", total=batch.count)
-            firsts = run_batch(
+        with to.progress() as bar, _executor(batch.scheduler) as executor:
+            row = bar.add_task(f"runs ({prepared.engine})", total=batch.count)
+            answer, firsts = answer_batch(
                 task,
                 batch.count,
                 store,
-                engine=engine,
+                resume=batch.resume,
                 workers=batch.workers,
                 executor=executor,
                 until=batch.until,
+                sobol=batch.sobol,
                 advance=lambda count: bar.advance(row, count),
+                on_damaged=_tell_damaged,
             )
-            answer = batch_answer(task, prepared, engine, store, firsts, batch.sobol)
-            write_text(out / "summary.json", to_json(answer))
         if batch.plot:
             from missionsim.report.figures_run import write_batch_figures
 

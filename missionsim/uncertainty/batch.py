@@ -19,7 +19,7 @@ from numpy import __version__ as numpy_version
 import missionsim
 from missionsim import __version__
 from missionsim.errors import InputError
-from missionsim.files import Json, sha256
+from missionsim.files import Json, sha256, to_json, write_text
 from missionsim.inputs.loading import load_mission
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
@@ -65,12 +65,16 @@ class Prepared:
     why_not_arrays: str
     intervals: int
 
+    @property
+    def engine(self) -> str:
+        """``arrays`` where the mission allows them, else ``simpy``."""
+        return "simpy" if self.arrays is None else "arrays"
+
 
 def block_runs(prepared: Prepared) -> int:
     """Runs in a block of a batch."""
-    engine = "simpy" if prepared.arrays is None else "arrays"
     width = prepared.intervals + len(prepared.sampler.values)
-    return max(1, min(BLOCK_RUNS[engine], BLOCK_NUMBERS[engine] // max(1, width)))
+    return max(1, min(BLOCK_RUNS[prepared.engine], BLOCK_NUMBERS[prepared.engine] // max(1, width)))
 
 
 @functools.lru_cache(maxsize=4)
@@ -106,7 +110,7 @@ def compute_block(task: Task, first: int, count: int) -> dict[str, NDArray[Any]]
     return simulate_block(prepared.mission, prepared.model, prepared.sampler, task.seed, first, count)
 
 
-def identity(task: Task, runs: int, engine: str) -> Json:
+def identity(task: Task, runs: int) -> Json:
     """What makes a batch this batch: a resumed one must agree in all of it."""
     prepared = prepare(task)
     files = {"mission": sha256(task.mission)}
@@ -120,7 +124,7 @@ def identity(task: Task, runs: int, engine: str) -> Json:
         "python": platform.python_version(),
         # another version may draw other numbers
         "numpy": numpy_version,
-        "engine": engine,
+        "engine": prepared.engine,
         "seed": task.seed,
         "runs": runs,
         "block_runs": block_runs(prepared),
@@ -135,57 +139,66 @@ def identity(task: Task, runs: int, engine: str) -> Json:
 def _code() -> str:
     """Hash of the package's sources: a version under development changes without its number."""
     folder, found = Path(missionsim.__file__).parent, hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
+    for path in sorted([*folder.rglob("*.py"), *folder.rglob("*.yaml")]):
         found.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
     return found.hexdigest()
 
 
-def run_batch(
+def answer_batch(
     task: Task,
     runs: int,
     store: BlockStore,
     *,
-    engine: str,
+    resume: bool = False,
     workers: int = 1,
     executor: Executor | None = None,
     until: float | None = None,
+    sobol: int | None = None,
     advance: Callable[[int], None] = lambda runs: None,
-) -> list[int]:
-    """Compute all blocks that are not there yet.
+    on_damaged: Callable[[list[int]], None] = lambda firsts: None,
+) -> tuple[Json, list[int]]:
+    """Begin a batch in a folder, or `resume` it, compute what is missing, and say all of it (also in ``summary.json``).
 
-    `engine`: ``simpy`` or ``arrays``, as decided. `workers`: processes on this machine. `executor`: where to compute
-    instead (a cluster's client). `until`: stop when the 95 % interval of the probability of success is at most this
-    wide. Judged block by block in the order of runs, so that the answer does not depend on who computed what first.
-    `advance`: told the number of runs of each block that is done. Gives first runs of the blocks that count, in order.
+    `workers`: processes on this machine. `executor`: where to compute instead (a cluster's client). `until`: stop when
+    the 95 % interval of the probability of success is at most this wide. `advance`: told the number of runs of each
+    block that is done; `on_damaged`: the first runs of blocks that are computed again. Gives the answer, and the first
+    runs of the blocks that count, in order.
     """
-    counted: list[int] = []
-    good = total = 0
-    for first, count in _finished(task, engine, runs, store, workers, executor):
-        advance(count)
-        counted.append(first)
-        if until is not None:
-            feasible = store.column("feasible", [first])
-            good, total = good + int(feasible.sum()), total + count
-            low, high = proportion_interval(good, total)
-            if high - low <= until:
-                break
-    return counted
+    prepared = prepare(task)
+    with store.locked():
+        store.begin(identity(task, runs), resume=resume)
+        if resume:
+            on_damaged(store.drop_damaged(lambda first: _span(block_runs(prepared), runs, first)[1]))
+        firsts: list[int] = []
+        good = total = 0
+        # judged block by block in the order of runs, so that the answer does not depend on who computed what first
+        for first, count in _finished(task, runs, store, workers, executor):
+            advance(count)
+            firsts.append(first)
+            if until is not None:
+                feasible = store.column("feasible", [first])
+                good, total = good + int(feasible.sum()), total + count
+                low, high = proportion_interval(good, total)
+                if high - low <= until:
+                    break
+        answer = _answer(task, store, firsts, sobol)
+        write_text(store.folder / "summary.json", to_json(answer))
+    return answer, firsts
 
 
-def batch_answer(
-    task: Task, prepared: Prepared, engine: str, store: BlockStore, firsts: list[int], sobol: int | None
-) -> Json:
+def _answer(task: Task, store: BlockStore, firsts: list[int], sobol: int | None) -> Json:
     """All that the batch says, as JSON has it."""
     from missionsim.uncertainty.answers import summarise
     from missionsim.uncertainty.importance import affordable_samples, sobol_importance
     from missionsim.uncertainty.single import left_to_chance, unread_values
 
-    answer: dict[str, Any] = {
+    prepared = prepare(task)
+    answer: Json = {
         "schema": "missionsim.montecarlo/1",
         "mission": prepared.mission.name,
         "robot": prepared.mission.robot.name,
         "seed": task.seed,
-        "engine": engine,
+        "engine": prepared.engine,
         "why_not_arrays": prepared.why_not_arrays,
         "unread": list(unread_values(prepared.mission, prepared.model, prepared.sampler)),
         "chance": [name.removeprefix("chance.") for name in left_to_chance(prepared.mission)],
@@ -198,25 +211,25 @@ def batch_answer(
     return answer
 
 
-def block_span(size: int, runs: int, first: int) -> tuple[int, int]:
+def _span(size: int, runs: int, first: int) -> tuple[int, int]:
     """First run and number of runs of the block that begins with run `first`; `size` is that of a whole block."""
     return first, min(size, runs - first)
 
 
 def _finished(
-    task: Task, engine: str, runs: int, store: BlockStore, workers: int, executor: Executor | None
+    task: Task, runs: int, store: BlockStore, workers: int, executor: Executor | None
 ) -> Iterator[tuple[int, int]]:
     """Spans in order of runs, each after its block is on disk."""
     size = block_runs(prepare(task))
     firsts = range(0, runs, size)
-    span = functools.partial(block_span, size, runs)
+    span = functools.partial(_span, size, runs)
     if executor is None and workers <= 1:
         for first in firsts:
             if not store.has(first):
                 store.write(first, compute_block(task, *span(first)))
             yield span(first)
         return
-    decided = replace(task, engine=engine)  # so that no worker tries again what cannot be arrays
+    decided = replace(task, engine=prepare(task).engine)  # so that no worker tries again what cannot be arrays
     if executor is not None:  # a cluster's workers may see other disks
         work = functools.partial(compute_block, decided)
         try:

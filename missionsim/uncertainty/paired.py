@@ -69,7 +69,6 @@ def compare_alternatives(
     baseline: dict[str, Array] = {}
     for task in tasks:
         prepared = prepare(task)
-        engine = "simpy" if prepared.arrays is None else "arrays"
         batteries = prepared.mission.robot.batteries
         quantities = ["feasible", "duration_s"]
         quantities += [f"{what}_{name}_wh" for name in batteries for what in ("energy", "margin")]
@@ -83,7 +82,7 @@ def compare_alternatives(
             advance(count)
         columns = {name: np.concatenate(values) for name, values in parts.items()}
         row: dict[str, Any] = {
-            "engine": engine,
+            "engine": prepared.engine,
             "p_feasible": float(columns["feasible"].mean()),
             "p_feasible_interval": list(proportion_interval(int(columns["feasible"].sum()), runs)),
             "mean": {name: float(np.nanmean(values)) for name, values in columns.items() if name != "feasible"},

@@ -89,7 +89,7 @@ def test_a_batch_of_other_code_or_python_is_not_resumed(
     assert run_command(command) == 0
     assert run_command([*command, "--resume"]) == 0
     known = json.loads((out / "batch.json").read_text())
-    assert known[key] == identity(Task(PATROL, (), None, 0, "auto"), 20, "arrays")[key]
+    assert known[key] == identity(Task(PATROL, (), None, 0, "auto"), 20)[key]
     (out / "batch.json").write_text(json.dumps({**known, key: "another"}))
     assert run_command([*command, "--resume"]) == 2
     assert f"the batch in this folder is another one, by its {key}" in capsys.readouterr().err
