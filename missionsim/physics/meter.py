@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
 
 from missionsim.physics import Array
+
+FORGOTTEN = 1e-18
+"""Part of what a meter showed that no longer changes a number."""
 
 
 class Meter(NamedTuple):
@@ -45,8 +47,11 @@ def metered(power_w: Array, time_s: Array, meter: Meter) -> Array:
     energy, behind = power_w * length, np.zeros(len(power_w))
     if lag_s > 0.0:
         keep = np.exp(-length / lag_s)
-        steps = zip(keep.tolist(), (power_w * (1.0 - keep)).tolist(), strict=True)
-        at_edge = np.array([*accumulate(steps, lambda y, step: y * step[0] + step[1], initial=float(power_w[0]))])
+        at_edge, memory, reach = np.concatenate([power_w[:1], power_w * (1.0 - keep)]), np.append(0.0, keep), 1
+        while memory.max() > FORGOTTEN:  # y[n+1] = keep[n] y[n] + ..., over 1, 2, 4, 8 … rows
+            at_edge[reach:] += memory[reach:] * at_edge[:-reach]
+            memory[reach:] *= memory[:-reach]
+            reach *= 2
         behind = (at_edge[:-1] - power_w) * lag_s
         energy += behind * (1.0 - keep)
     whole = np.concatenate([[0.0], np.cumsum(energy)])[row] + power_w[row] * inside
