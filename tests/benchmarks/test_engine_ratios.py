@@ -91,12 +91,9 @@ def exponent(small: int, large: int, work: Callable[[int], Callable[[], object]]
     ratios = []
     gc.collect()
     gc.freeze()
-    try:
-        for _ in range(turns):
-            one = best(lambda: [few() for _ in range(large // small)], 1)
-            ratios.append(best(many, 1) / one)
-    finally:
-        gc.unfreeze()
+    for _ in range(turns):
+        one = best(lambda: [few() for _ in range(large // small)], 1)
+        ratios.append(best(many, 1) / one)
     return 1.0 + math.log(statistics.median(ratios)) / math.log(large / small)
 
 

@@ -8,7 +8,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -27,12 +27,10 @@ MOST = 3.0
 
 
 @pytest.fixture(autouse=True)
-def without_the_heap_of_other_tests() -> Iterator[None]:
+def without_the_heap_of_other_tests() -> None:
     """What they left is not looked through by the garbage collector while this is measured."""
     gc.collect()
     gc.freeze()
-    yield
-    gc.unfreeze()
 
 
 SEED = 4
