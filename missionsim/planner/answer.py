@@ -168,6 +168,8 @@ def answer_of(tour: Tour, label: Label, objective: float, bound: float) -> Answe
                 level = charger.level_of(x, seconds)
                 use = np.concatenate([[seconds], charger.draw_w * seconds / 3600.0])
                 add("charge", stop.place, use, after[2 : 2 + len(names)], payload_kg=payload, level=level)
+            elif made.legs and made.legs[-1].kind == "drive":
+                add("wait", stop.place, np.zeros(1 + len(names)), payload_kg=payload)  # it stood there all the same
             continue
         drive = step.move[1]
         for piece, use in zip(drive.pieces, drive.costs, strict=True):

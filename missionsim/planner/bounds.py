@@ -147,13 +147,14 @@ class Tour:
         objective = -made if self.by_value else float(self.site.objective(use))
         return np.array([objective, *use, *([-made] if self.counted else [])])
 
-    def rest(self, prices: Array, ahead: Array | None = None) -> Array:
+    def rest(self, prices: Array, ahead: Array | None = None, *, straight: bool = False) -> Array:
         """Least objective from each state and stop to the end, with prices on all resources but the objective.
 
-        With `ahead` by way of a dock, these prices on top as far as there.
+        With `ahead` by way of a dock, these prices on top as far as there; `straight` by way of none.
         """
         weights, worth = self.priced(prices)
-        return rest_of(self.site, weights, worth, None if ahead is None else weights + ahead[: len(weights)])
+        more = None if ahead is None else weights + ahead[: len(weights)]
+        return rest_of(self.site, weights, worth, more, straight=straight)
 
     def priced(self, prices: Array) -> tuple[Array, Array | None]:
         """Weights of seconds and Wh, and what each visit is worth, with prices on top."""
@@ -162,30 +163,38 @@ class Tour:
         return self.site.weights + prices[:count], worth
 
 
-def matrix(site: Site, payload_kg: float, weights: Array) -> Array:
-    """Least weighted seconds and Wh of driving from each stop to each, without what is done there."""
+def matrix(site: Site, payload_kg: float, weights: Array, *, straight: bool = False) -> Array:
+    """Least weighted seconds and Wh of driving from each stop to each, without what is done there.
+
+    To stand at a dock on the way may take less than to roll through; with `straight` that is left out.
+    """
     road = site.road(payload_kg)
     out, into = site.nodes[payload_kg]
     found = road.distances(weights, out)[:, into]
     places = np.array([stop.place for stop in site.stops])
-    return np.where(places[:, None] == places[None, :], 0.0, found)
+    found = np.where(places[:, None] == places[None, :], 0.0, found)
+    for dock in () if straight else range(site.goal + 1, len(site.stops)):
+        found = np.minimum(found, found[:, dock, None] + found[None, dock, :])
+    return found
 
 
-def rest_of(site: Site, weights: Array, worth: Array | None = None, ahead: Array | None = None) -> Array:
+def rest_of(
+    site: Site, weights: Array, worth: Array | None = None, ahead: Array | None = None, *, straight: bool = False
+) -> Array:
     """Least weighted seconds and Wh from each state and stop to the end, shape (states, stops).
 
     What charging takes is left out; with `ahead` the way leads by a dock, and these are the weights as far as there.
-    `worth` is taken off for each visit made. Held and Karp (1962), backwards over the visits that are left.
+    `worth` is taken off for each visit made; `straight` as for `matrix`. Held and Karp (1962), backwards over the visits that are left.
     """
     if ahead is not None:
         table = rest_of(site, weights, worth)
         return _back(site, ahead, worth, _by_dock(site, ahead, table))
     order, goal = site.order, site.goal
-    apart = _by_load(site, weights)
+    apart = _by_load(site, weights, straight)
     table = np.full((order.count, len(site.stops)), math.inf)
     table[order.ends] = apart[order.loads[1][order.ends], :, goal]
     table[order.ends, goal] = 0.0
-    return _back(site, weights, worth, table)
+    return _back(site, weights, worth, table, straight)
 
 
 def _by_dock(site: Site, weights: Array, table: Array) -> Array:
@@ -204,10 +213,10 @@ def _by_dock(site: Site, weights: Array, table: Array) -> Array:
     return found
 
 
-def _back(site: Site, weights: Array, worth: Array | None, table: Array) -> Array:
+def _back(site: Site, weights: Array, worth: Array | None, table: Array, straight: bool = False) -> Array:
     """A table of what the end takes, filled in backwards over the visits."""
     order, goal = site.order, site.goal
-    apart, stands = _by_load(site, weights), _stands(site, weights, worth)
+    apart, stands = _by_load(site, weights, straight), _stands(site, weights, worth)
     which = order.loads[1]
     for states, visits, afters in order.steps:
         there = stands[which[afters], visits] + table[afters, 1 + visits]
@@ -287,7 +296,7 @@ def in_time(site: Site) -> bool:
     return math.isfinite(arrives) and bool(arrives <= site.deadline_s * (1.0 + 1e-9))
 
 
-def _by_load(site: Site, weights: Array) -> Array:
+def _by_load(site: Site, weights: Array, straight: bool = False) -> Array:
     """`matrix` for each load that may come up, shape (loads, stops, stops)."""
     loads, which = site.order.loads
     used = {int(which[0])}
@@ -295,7 +304,7 @@ def _by_load(site: Site, weights: Array) -> Array:
         used |= {*which[states].tolist(), *which[afters].tolist()}
     made = np.full((len(loads), len(site.stops), len(site.stops)), math.inf)
     for load in used:
-        made[load] = matrix(site, float(loads[load]), weights)
+        made[load] = matrix(site, float(loads[load]), weights, straight=straight)
     return made
 
 
@@ -358,7 +367,7 @@ def bounds_of(
         on_top = zero if more is None else more
         priced, lasting = multiplier > 0.0, on_top > 0.0
         rows.append(np.concatenate([[1.0], multiplier + on_top]))
-        rests.append(tour.over(tour.rest(multiplier, more)))
+        rests.append(tour.over(tour.rest(multiplier, more, straight=len(rests) < len(first))))
         offsets.append(float(multiplier[priced] @ tour.limits[1:][priced] + on_top[lasting] @ most[1:][lasting]))
     shear = None
     if tour.waits:

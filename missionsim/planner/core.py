@@ -37,6 +37,11 @@ class Leaving(NamedTuple):
 class Refill(Protocol):
     """What may be done at a node to have more of some resources again."""
 
+    @property
+    def obliged(self) -> bool:
+        """Whether a way through the node has to do it: else it has no reason to stop there."""
+        ...
+
     def options(self, x: Array) -> list[Array]:
         """Ways to refill from a vector: each a chain of vectors, shape (points, resources).
 
@@ -302,13 +307,13 @@ def quick(
     outcome = Outcome(objective=best)
     room = bounds.room
     layer = list(starts)
+    fronts: dict[int, _Front] = {}  # of all steps: a label that none was better than may still go round in circles
     try:
         while layer:
             fresh = [new for label in layer for new in expand(network, label, bounds, room, outcome.objective)]
             ranked = [(value, number, new) for number, (value, new) in enumerate(fresh)]
             heapq.heapify(ranked)
             layer = []
-            fronts: dict[int, _Front] = {}
             while ranked and len(layer) < width:
                 value, number, label = heapq.heappop(ranked)
                 if value >= outcome.objective:
@@ -347,6 +352,8 @@ def expand(network: Network, label: Label, bounds: Bounds, room: Array, below: f
             for chain in refill.options(point):
                 new = Label(node, chain, label, ("refill", i))
                 yield _settle(network, new, bounds, room), new
+        if refill.obliged:
+            return
     leaving = network.leaving(node)
     heads, use = leaving.heads, leaving.use
     if not len(heads):

@@ -36,12 +36,13 @@ class Prices:
     """Proved that there is no plan."""
 
 
-def cheapest(tour: Tour, prices: Array) -> tuple[list[tuple[int, int]], float] | None:
+def cheapest(tour: Tour, prices: Array, *, straight: bool = False) -> tuple[list[tuple[int, int]], float] | None:
     """The tour of least objective with prices on top, without charging and without limits.
 
-    Gives stops with the state after each, from the first after the start, and what the tour costs.
+    Docks are stood at where that takes less, unless it is to lead `straight` from visit to visit. Gives stops with the
+    state after each, from the first after the start, and what the tour costs.
     """
-    site, table = tour.site, tour.rest(prices)
+    site, table = tour.site, tour.rest(prices, straight=straight)
     if not math.isfinite(table[0, 0]):
         return None
     weights, worth = tour.priced(prices)
@@ -52,7 +53,7 @@ def cheapest(tour: Tour, prices: Array) -> tuple[list[tuple[int, int]], float] |
     while here != site.goal:
         payload = order.payload_kg(state)
         if payload not in known:
-            known[payload] = matrix(site, payload, weights)
+            known[payload] = matrix(site, payload, weights, straight=straight)
         apart = known[payload][here]
         options = []
         for visit, after in order.after(state):
@@ -108,7 +109,7 @@ def best_prices(tour: Tour, *, charging: bool = True) -> Prices:
     tried: list[tuple[float, Array]] = []
     most = float(tour.first[0]) if tour.by_value else _most(tour, chargers)
     for _ in range(ROUNDS):
-        found = cheapest(tour, prices)
+        found = cheapest(tour, prices, straight=not charging)
         if found is None:
             result.impossible = True
             break

@@ -105,6 +105,11 @@ class Charger:
             return None
         return min(self.levels, key=lambda level: abs(float(self.seconds_to(x, level).max()) - seconds))
 
+    @property
+    def obliged(self) -> bool:
+        """A stop without charging is no stop; where any charge may be had, next to none may be."""
+        return True
+
     def options(self, x: Array) -> list[Array]:
         """Levels one by one, or the chain of all charges up to full."""
         if self.levels is not None:

@@ -77,8 +77,9 @@ def _segment(answer: Answer, leg: Leg) -> list[str]:
         body["payload"] = leg.payload_kg
         return [f"  - {kind}: {flow(body)}  # {_charges(leg)}"]
     elif leg.kind == "wait":
-        what = "the next round is due" if task.repeat is not None else "the window opens"
-        return [f"  - wait: {flow({'duration': leg.duration_s})}  # until {what}: {_charges(leg)}"]
+        until = "until the next round is due" if task.repeat is not None else "until the window opens"
+        why = until if leg.duration_s > 0.0 else "a stop at the dock"
+        return [f"  - wait: {flow({'duration': leg.duration_s})}  # {why}: {_charges(leg)}"]
     else:
         recharge = {"until": leg.level} if leg.level is not None else {"duration": leg.duration_s}
         return [f"  - dock: {flow({'recharge': recharge})}  # at {leg.place}: {_charges(leg)}"]

@@ -11,9 +11,10 @@ import yaml
 
 from missionsim.inputs.loading import load_task
 from missionsim.planner.answer import Answer
+from missionsim.planner.chance import plan_task
 from missionsim.planner.solve import solve_site
 from missionsim.planner.tour import make_site
-from tests.planner.exhaustive import random_task
+from tests.planner.exhaustive import ROBOT, random_task
 
 LEVELS = [round(0.05 * step, 2) for step in range(1, 21)]
 
@@ -81,3 +82,72 @@ def test_any_charge_beside_many_levels_often(alike: bool, tmp_path: Path) -> Non
     )
     assert sum(count > 1 for count in charges) > 0
     assert math.isfinite(max(gaps))
+
+
+def _files(folder: Path, site: dict, task: dict, robot: dict = ROBOT) -> Path:
+    site = {"kind": "environment", "name": "site", **site}
+    task = {"kind": "task", "name": "task", "robot": "robot.yaml", "environment": "site.yaml", **task}
+    for name, data in (("robot.yaml", robot), ("site.yaml", site), ("task.yaml", task)):
+        (folder / name).write_text(yaml.safe_dump(data, sort_keys=False))
+    return folder / "task.yaml"
+
+
+def _line(*docks: dict | None, length: float = 30.0) -> dict:
+    """Places p0, p1, … in a row, some with chargers."""
+    places = {f"p{i}": {"x": length * i, "y": 0.0} for i in range(len(docks))}
+    for i, charger in enumerate(docks):
+        places[f"p{i}"] |= {} if charger is None else {"charger": charger}
+    return {"places": places, "edges": [{"from": f"p{i}", "to": f"p{i + 1}"} for i in range(len(docks) - 1)]}
+
+
+def test_docks_of_different_batteries_are_not_gone_to_and_fro_for_ever(tmp_path: Path) -> None:
+    site = _line({"power": 40.0, "batteries": ["drive"]}, {"power": 40.0, "batteries": ["brain"]}, None, length=90.0)
+    small = {"drive": {**ROBOT["batteries"]["drive"], "capacity": 2.0}, "brain": ROBOT["batteries"]["brain"]}
+    task = {
+        "start": "p0",
+        "initial_charge": {"drive": 0.7, "brain": 0.6},
+        "visits": [{"place": "p2", "inspect": 900.0}],
+        "choose": {"schemes": ["quick", "slow"], "docks": "all", "charge": [0.6, 1.0]},
+    }
+    path = _files(tmp_path, site, task, {**ROBOT, "batteries": small})
+    asked = []
+    answer = solve_site(make_site(load_task(path)), lambda *_: asked.append(0) or len(asked) > 300)
+    assert not answer.feasible
+    assert len(asked) < 300
+
+
+@pytest.mark.parametrize("charge", ["any", [1.0], "none"])
+def test_to_stand_at_a_dock_may_save_more_than_charging_there_takes(charge: str | list[float], tmp_path: Path) -> None:
+    """Slowly through the middle takes less of the drive's battery, and standing takes nothing of it."""
+    site = _line(None, {"power": 40.0}, None, length=12.0)
+    body = {**ROBOT["body"], "max_acceleration": 0.3, "max_deceleration": 0.3}
+    motion = {**ROBOT["motion"], "parameters": {**ROBOT["motion"]["parameters"], "standing": 0.0}}
+    robot = {**ROBOT, "body": body, "motion": motion, "effects": ROBOT["effects"][:1]}
+    chosen = {"docks": "none"} if charge == "none" else {"docks": "all", "charge": charge}
+    task = {
+        "start": "p0",
+        "visits": [{"place": "p2", "inspect": 5.0}],
+        "end": "p2",
+        "choose": {"speeds": [1.4], "schemes": ["quick"], **chosen},
+        "least": {"energy": {"drive": 1.0}},
+    }
+    answer, run = plan_task(load_task(_files(tmp_path, site, task, robot)))
+    assert run is not None
+    assert run.duration_s == pytest.approx(answer.duration_s, rel=1e-9)
+    assert {name: b.energy_wh for name, b in run.batteries.items()} == pytest.approx(answer.energy_wh, rel=1e-9)
+    assert "corrected" not in answer.extra
+    stood = any(leg.place == "p1" and leg.kind in ("charge", "wait") for leg in answer.legs)
+    assert stood == (charge != "none")
+    assert answer.objective == pytest.approx(_twice(1.4, 0.3, 12.0, motion["parameters"], stood) / 3600.0, rel=1e-9)
+
+
+def _twice(top: float, rate: float, length: float, power: dict[str, float], stood: bool) -> float:
+    """Joules of (c2·v² + c3·v + c4) over two lengths one after the other, from rest to rest, in closed form."""
+    runs = [length, length] if stood else [2.0 * length]
+    total = 0.0
+    for metres in runs:
+        peak = min(top, math.sqrt(metres * rate))
+        ramp, level = peak / rate, (metres - peak * peak / rate) / peak
+        total += 2.0 * (power["c2"] * peak**2 * ramp / 3.0 + power["c4"] * ramp)
+        total += power["c3"] * metres + (power["c2"] * peak**2 + power["c4"]) * level
+    return total

@@ -17,6 +17,8 @@ EMPTY = Leaving(np.zeros(0, dtype=np.intp), np.zeros((0, 3)), [])
 class _Curve:
     """Charging by breakpoints of time and charge; a vector is (time as objective, time, charge missing)."""
 
+    obliged = False
+
     def __init__(self, time: list[float], charge: list[float]) -> None:
         self.time, self.charge = np.array(time), np.array(charge)
 
