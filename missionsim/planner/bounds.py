@@ -184,7 +184,8 @@ def rest_of(
     """Least weighted seconds and Wh from each state and stop to the end, shape (states, stops).
 
     What charging takes is left out; with `ahead` the way leads by a dock, and these are the weights as far as there.
-    `worth` is taken off for each visit made; `straight` as for `matrix`. Held and Karp (1962), backwards over the visits that are left.
+    `worth` is taken off for each visit made; `straight` as for `matrix`. Held and Karp (1962), backwards over the
+    visits that are left.
     """
     if ahead is not None:
         table = rest_of(site, weights, worth)
