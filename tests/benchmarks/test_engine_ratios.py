@@ -8,8 +8,8 @@ import gc
 import math
 import pstats
 import statistics
-import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,20 +24,12 @@ from missionsim.results import write_results
 from missionsim.results.whatif import Alternative, run_alternatives, varied
 from missionsim.results.write import tables
 from tests.benchmarks import patrol
+from tests.benchmarks.conftest import InTurns, seconds_of
 from tests.engine.making import load
 from tests.engine.test_batteries import PLACES, simple
 
 pytestmark = pytest.mark.benchmark_ratio
-
-
-def best(function: Callable[[], object], times: int) -> float:
-    """Least processor time of several calls: what else the machine does can only add."""
-    best = float("inf")
-    for _ in range(times):
-        begin = time.process_time()
-        function()
-        best = min(best, time.process_time() - begin)
-    return best
+BY_HAND = 25.0
 
 
 def energies(result: RunResult) -> list[float]:
@@ -49,7 +41,7 @@ def energies(result: RunResult) -> list[float]:
     return found
 
 
-def test_the_patrol_beside_scripts_in_simpy(tmp_path: Path) -> None:
+def test_the_patrol_beside_scripts_in_simpy(tmp_path: Path, in_turns: InTurns) -> None:
     """How much faster than polling depends on how long the mission idles, so two lengths of the same 40 segments.
 
     The script by hand is the least for this one mission (no trace, no batteries, no files), with the same energies.
@@ -65,11 +57,8 @@ def test_the_patrol_beside_scripts_in_simpy(tmp_path: Path) -> None:
         # polling misses the exact result by its step, not by more
         polling = patrol.polling_script(scale)
         assert sum(polling.energy_j) == pytest.approx(sum(energies(result)), rel=0.02 / scale)
-        slow = best(lambda scale=scale: patrol.polling_script(scale), 1)  # type: ignore[misc]
-        ours = script = float("inf")
-        for _ in range(15):  # in turns: what else the machine does meets both
-            ours = min(ours, best(lambda mission=mission: simulate(mission), 1))  # type: ignore[misc]
-            script = min(script, best(lambda scale=scale: patrol.by_hand(scale), 1))  # type: ignore[misc]
+        slow = seconds_of(partial(patrol.polling_script, scale))
+        ours, script = in_turns(partial(simulate, mission), partial(patrol.by_hand, scale), BY_HAND)
         polled.append(slow / ours)
         hand.append(ours / script)
         print(
@@ -78,7 +67,7 @@ def test_the_patrol_beside_scripts_in_simpy(tmp_path: Path) -> None:
         )
     assert polled[0] >= 60.0
     assert polled[1] >= 8.0
-    assert max(hand) <= 25.0
+    assert max(hand) <= BY_HAND
 
 
 def exponent(small: int, large: int, work: Callable[[int], Callable[[], object]], turns: int = 3) -> float:
@@ -92,8 +81,8 @@ def exponent(small: int, large: int, work: Callable[[int], Callable[[], object]]
     gc.collect()
     gc.freeze()
     for _ in range(turns):
-        one = best(lambda: [few() for _ in range(large // small)], 1)
-        ratios.append(best(many, 1) / one)
+        one = seconds_of(lambda: [few() for _ in range(large // small)])
+        ratios.append(seconds_of(many) / one)
     return 1.0 + math.log(statistics.median(ratios)) / math.log(large / small)
 
 
@@ -124,7 +113,7 @@ def test_segments_and_their_tables_cost_the_same_each(tmp_path: Path) -> None:
     assert growth <= 1.1
 
 
-def test_tables_beside_a_bare_writer(tmp_path: Path) -> None:
+def test_tables_beside_a_bare_writer(tmp_path: Path, in_turns: InTurns) -> None:
     """All files of a run, computed, checked and renamed, against the bare writer of the standard library."""
     result = simulate(rounds(500, False))
     made = tables(result)
@@ -134,20 +123,22 @@ def test_tables_beside_a_bare_writer(tmp_path: Path) -> None:
             with (tmp_path / f"{name}.csv").open("w", newline="", encoding="utf-8") as handle:
                 csv.writer(handle).writerows(zip(*table.values(), strict=True))
 
-    ours = theirs = float("inf")
-    for _ in range(5):  # in turns
-        ours = min(ours, best(lambda: write_results(result, tmp_path / "ours"), 1))
-        theirs = min(theirs, best(bare, 1))
+    ours, theirs = in_turns(lambda: write_results(result, tmp_path / "ours"), bare, 4.0)
     print(f"files of a run take {ours / theirs:.1f} times as long as a bare writer of their cells")
     assert ours / theirs <= 4.0
 
 
-def test_alternatives_share_what_they_can(root: Path) -> None:
+def test_alternatives_share_what_they_can(root: Path, in_turns: InTurns) -> None:
     """100 alternatives take less than 100 runs, each with its own files read."""
     path = root / "missions/pioneer3dx/corridor_forward_motion_50cm_s.yaml"
     alternatives = [Alternative("baseline"), *varied([("defaults.speed", [0.3 + 0.001 * i for i in range(99)])])]
-    together = best(lambda: run_alternatives(path, alternatives), 2) / len(alternatives)
-    alone = best(lambda: simulate(load_mission(path, [("defaults.speed", 0.4)])), 5)
+    count = len(alternatives)
+    together, alone = in_turns(
+        lambda: run_alternatives(path, alternatives),
+        lambda: simulate(load_mission(path, [("defaults.speed", 0.4)])),
+        count / 1.8,
+    )
+    together /= count
     print(f"an alternative {together * 1e3:.1f} ms, alone {alone * 1e3:.1f} ms: {alone / together:.1f} times faster")
     assert alone / together >= 1.8
 
@@ -164,7 +155,7 @@ def test_a_run_passes_through_few_functions(tmp_path: Path) -> None:
     assert everything <= 300
 
 
-def test_cost_grows_with_events_not_with_simulated_time(tmp_path: Path) -> None:
+def test_cost_grows_with_events_not_with_simulated_time(tmp_path: Path, in_turns: InTurns) -> None:
     (tmp_path / "short").mkdir()
     (tmp_path / "long").mkdir()
     short = load_mission(patrol.write(tmp_path / "short"))
@@ -172,13 +163,15 @@ def test_cost_grows_with_events_not_with_simulated_time(tmp_path: Path) -> None:
     a, b = simulate(short), simulate(long)
     assert b.duration_s > 90.0 * a.duration_s
     assert len(a.timeline) == len(b.timeline)
-    taken = [(best(lambda: simulate(long), 2), best(lambda: simulate(short), 2)) for _ in range(20)]  # in turns
-    ratio = min(one for one, _ in taken) / min(other for _, other in taken)
+    more, less = in_turns(lambda: simulate(long), lambda: simulate(short), 1.5)
+    ratio = more / less
     print(f"a mission 100 times longer costs {ratio:.2f} times as much")
     assert ratio < 1.5
 
 
-def test_cost_of_an_event_within_ten_bare_timeouts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cost_of_an_event_within_ten_bare_timeouts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_turns: InTurns
+) -> None:
     patrol.write(tmp_path)
     bursts = 10_000
     path = tmp_path / "bursts.yaml"
@@ -213,8 +206,6 @@ def test_cost_of_an_event_within_ten_bare_timeouts(tmp_path: Path, monkeypatch: 
         env.process(loop())
         env.run()
 
-    ours = theirs = float("inf")
-    for _ in range(12):
-        ours, theirs = min(ours, best(lambda: simulate(mission), 1) / steps), min(theirs, best(bare, 1) / steps)
+    ours, theirs = (seconds / steps for seconds in in_turns(lambda: simulate(mission), bare, 10.0))
     print(f"ours {ours * 1e6:.1f} µs an event, bare timeout {theirs * 1e6:.2f} µs, ratio {ours / theirs:.1f}")
     assert ours / theirs < 10.0

@@ -1,13 +1,10 @@
-"""Imports beside the bare readers of others, in one run: the processor's time, the best of three turns."""
+"""Imports beside the bare readers of others, in one run, by the processor's time."""
 
 from __future__ import annotations
 
-import gc
 import subprocess
 import sys
-import time
 import tracemalloc
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,32 +15,15 @@ from missionsim.cli.app import run_command
 from missionsim.importer.mapping import import_source
 from missionsim.inputs.loading import load_map
 from missionsim.logs.write import write_log
+from tests.benchmarks.conftest import InTurns
 from tests.logs.bag_writers import write_bag
 
 MOST_CSV, MOST_BAG = 3.0, 2.0
 KINDS = ("ros1", "sqlite3", "mcap")
 
 
-def _ratio(ours: Callable[[], object], theirs: Callable[[], object]) -> float:
-    """Least processor time of one over that of the other, measured in turns, without the heap that other tests left."""
-    found: dict[Callable[[], object], list[float]] = {ours: [], theirs: []}
-    gc.collect()
-    gc.freeze()
-    try:
-        for _ in range(3):
-            for work, times in found.items():
-                begin = time.process_time()
-                work()
-                times.append(time.process_time() - begin)
-    finally:
-        gc.unfreeze()
-    ratio = min(found[ours]) / min(found[theirs])
-    print(f"ratio {ratio:.2f}")
-    return ratio
-
-
 @pytest.mark.benchmark_ratio
-def test_csv_beside_pandas(tmp_path: Path) -> None:
+def test_csv_beside_pandas(tmp_path: Path, in_turns: InTurns) -> None:
     t = np.arange(200_000) * 0.05
     v = np.clip(0.5 + 0.4 * np.sin(t / 9), 0.0, None)
     frame = {"time": t, "volts": 25 - 0.1 * v, "amps": 1 + v, "v [km/h]": 3.6 * v, "w": np.sin(t / 7)}
@@ -56,17 +36,21 @@ def test_csv_beside_pandas(tmp_path: Path) -> None:
         (log,) = import_source(source, spec)
         write_log(log, tmp_path / "ours.parquet")
 
-    assert _ratio(ours, lambda: pd.read_csv(source).to_parquet(tmp_path / "theirs.parquet")) <= MOST_CSV
+    mine, other = in_turns(ours, lambda: pd.read_csv(source).to_parquet(tmp_path / "theirs.parquet"), MOST_CSV)
+    print(f"ratio {mine / other:.2f}")
+    assert mine / other <= MOST_CSV
 
 
 @pytest.mark.benchmark_ratio
 @pytest.mark.parametrize("kind", KINDS)
-def test_bag_beside_its_reader(tmp_path: Path, kind: str) -> None:
+def test_bag_beside_its_reader(tmp_path: Path, kind: str, in_turns: InTurns) -> None:
     """Against a loop over the wanted topics that does not even look into the messages."""
     bag = write_bag(tmp_path / ("run.bag" if kind == "ros1" else "run"), kind, 30.0, often=5, picture_bytes=10_000)
     assert run_command(["import", str(bag), "--suggest", "--out", str(tmp_path / "map.yaml"), "--quiet"]) == 0
     spec = load_map(tmp_path / "map.yaml")
-    assert _ratio(lambda: import_source(bag, spec), lambda: iterate(bag)) <= MOST_BAG
+    mine, other = in_turns(lambda: import_source(bag, spec), lambda: iterate(bag), MOST_BAG)
+    print(f"ratio {mine / other:.2f}")
+    assert mine / other <= MOST_BAG
 
 
 def iterate(bag: Path) -> int:

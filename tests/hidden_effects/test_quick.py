@@ -1,9 +1,14 @@
-"""A quick subset of the study for CI, on tuning seeds; the full study has its own command (see score.py)."""
+"""A quick subset of the study for CI, on tuning seeds; the full study has its own command (see score.py).
+
+Marked `study` is what a quick test elsewhere holds as well: names of further effects `tests/identify`, behaviours
+`tests/diagnose/test_execution.py`, two effects at once `test_own_robot.py`, what no library holds `test_practice.py`.
+"""
 
 from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,14 +27,18 @@ def row(case: str, seed: int = 1) -> dict:
     return result
 
 
-@pytest.mark.parametrize("robot", ["pioneer3dx", "husky_like", "small_rover"])
+def study(*values: str) -> list[Any]:
+    return [pytest.param(value, marks=pytest.mark.study) for value in values]
+
+
+@pytest.mark.parametrize("robot", ["pioneer3dx", "small_rover", *study("husky_like")])
 def test_nothing_hidden_names_nothing(robot):
     result = row(f"nothing-{robot}-level2", 0)
     assert result["named"] == ""
     assert result["verdict"] == "nothing_missing"
 
 
-FIVE = ["grade", "acceleration", "surface_rolling_resistance", "cpu_load"]
+FIVE = ["grade", "surface_rolling_resistance", *study("acceleration", "cpu_load")]
 
 
 @pytest.mark.parametrize("effect", FIVE)
@@ -51,13 +60,14 @@ def test_oil_that_thickens_exponentially_brings_no_second_name():
     assert row("temperature_friction-5pct", 42)["named"] == "temperature_friction"
 
 
+@pytest.mark.study
 def test_two_effects_are_both_named():
     result = row("two-turning_scrub-surface_rolling_resistance")
     assert result["all_named"], result
     assert not result["confident_wrong"], result
 
 
-@pytest.mark.parametrize("truth", ["payload", pytest.param("surface_rolling_resistance", marks=pytest.mark.study)])
+@pytest.mark.parametrize("truth", ["payload", *study("surface_rolling_resistance")])
 def test_payload_only_on_carpet_cannot_be_told_apart_until_the_proposed_experiment_is_driven(truth):
     result = row(f"confounded-carpet_payload-{truth}")
     assert result["honest"], result
@@ -65,7 +75,8 @@ def test_payload_only_on_carpet_cannot_be_told_apart_until_the_proposed_experime
     assert result["resolved_by_two"], result
 
 
-@pytest.mark.parametrize("what", ["fan", pytest.param("skid", marks=pytest.mark.study)])
+@pytest.mark.study
+@pytest.mark.parametrize("what", ["fan", "skid"])
 def test_what_no_library_holds_is_not_named(what):
     result = row(f"outside-{what}")
     assert not result["confident_wrong"], result
@@ -78,13 +89,14 @@ def test_other_meters_and_few_runs(variant):
     assert not result["confident_wrong"], result
 
 
-@pytest.mark.parametrize("name", ["path_stretch", "speed_tracking", "dwell"])
+@pytest.mark.parametrize("name", ["dwell", *study("path_stretch", "speed_tracking")])
 def test_behaviour_effects_are_found_from_the_plan_and_the_motion(name):
     result = row(f"execution-{name}-8pct")
     assert name in result["named"].split(), result
     assert not result["confident_wrong"], result
 
 
+@pytest.mark.study
 def test_nothing_planned_names_no_behaviour():
     assert row("nothing-planned")["named"] == ""
 
