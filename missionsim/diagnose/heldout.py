@@ -219,9 +219,10 @@ class Models:
         return np.asarray(source.averaged(raw, clock)[0])
 
     def _term(self, effect: Finding) -> Term:
-        own = self.features.effects[effect.effect]
-        if effect.effect in FLOORS:
+        if effect.effect in FLOORS:  # scrub by floor is a hypothesis only after scrub was found
             own = get_effect(effect.effect, tuple(name.removeprefix("k_") for name in effect.parameters))
+        else:
+            own = self.features.effects[effect.effect]
         values = {name: ModelParameter(e.value or 1e-9, e.unit) for name, e in effect.parameters.items()}
         values |= {
             s.name: ModelParameter(s.default, s.unit)

@@ -21,6 +21,7 @@ from missionsim.fit.refit import refit_robot
 from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import robot_from_text
+from missionsim.labels import Labels
 from missionsim.logs import LogTable, read_logs
 from tests.hidden_effects.study import ALL_CASES
 from tests.hidden_effects.world import make
@@ -175,3 +176,19 @@ def test_a_robot_whose_wheels_spin_in_snow_does_not_stand() -> None:
     found = [calibrate_new(NewRobot("own", BASE), some).fit.parameters["standing"].value for some in (logs, blind)]
     assert found[0] == pytest.approx(2.67 + 2.34, abs=0.1)
     assert found[1] > found[0] + 0.3
+
+
+def test_scrub_that_differs_by_floor_is_added_after_scrub() -> None:
+    logs = []
+    for seed in range(10):
+        carpet = seed % 2 == 0
+        log = drive(seed, seconds=300.0, scrub_w_s_rad=16.0 if carpet else 8.0)
+        logs.append(
+            replace(log, columns={**log.columns, "surface": Labels.of(["carpet" if carpet else "tile"] * log.rows)})
+        )
+    split = Split(tuple(logs[:8]), tuple(logs[8:]), "the last two")
+    made = calibrate_new(NewRobot("own", BASE), split.train)
+    done = improve(made.text, split, BATTERY, Settings(), lambda *_: True)
+    assert done.added == ("turning_scrub", "surface_turning_scrub")
+    more = {e.effect: e.parameters for e in robot_from_text(done.text).effects}["surface_turning_scrub"]
+    assert more["k_carpet"].value == pytest.approx(8.0, rel=0.2)
