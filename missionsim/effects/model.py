@@ -272,7 +272,7 @@ class PowerModel:
         """Change of a battery's power with the logarithm of each parameter, ``∂P/∂ln θ`` [W], arrays of shape (n,).
 
         By central differences of 1e-4, exact for the parameters in which the power is linear or quadratic. Where no
-        term reads the power of others, the parameter's own term alone is evaluated. Parameters that are zero have no
+        other term depends on its power, the parameter's own term alone is evaluated. Parameters that are zero have no
         logarithm and are left out. `cov`: complete covariates of one run, with ``time_s``.
         """
         step, rows = 1e-4, len(cov["time_s"])
@@ -283,24 +283,28 @@ class PowerModel:
             slope = np.ascontiguousarray(np.broadcast_to(slope, (rows,)))
             found[name] = found[name] + slope if name in found else slope
 
+        own = alone = self.of(battery)
         if "regeneration" in self.parameters_of(battery) or any(
             (self._limits(term) or term.effect.of_load) and any(p.value != 0.0 for p in term.parameters.values())
-            for term in self.of(battery)
+            for term in own
         ):
-            for name, parameter in self.parameters_of(battery).items():
+            alone = tuple(t for t in own if not (t.effect.drive or t.effect.recovers))
+            if any(term.effect.of_load for term in own):
+                alone = ()
+            coupled = replace(self, terms=tuple(term for term in own if term not in alone))
+            for name, parameter in coupled.parameters_of(battery).items():
                 if parameter.value != 0.0:
                     moved = ({f"{battery}/{name}": parameter.value * (1.0 + sign * step)} for sign in (1.0, -1.0))
-                    up, down = (self.total(cov, battery, values) for values in moved)
+                    up, down = (coupled.total(cov, battery, values) for values in moved)
                     add(name, up, down)
-            return found
-        for term in self.of(battery):
+        for term in alone:
             nominal = {name: parameter.value for name, parameter in term.parameters.items()}
             for name, value in nominal.items():
                 if value != 0.0:
                     moved = ({**nominal, name: value * (1.0 + sign * step)} for sign in (1.0, -1.0))
                     up, down = (term.effect.power(cov, values) for values in moved)
                     add(term.name_of(name), up, down, term.scale)
-        return found
+        return {name: found[name] for name in self.parameters_of(battery) if name in found}
 
     def _limits(self, term: Term) -> bool:
         """Whether a term is limited by what the drive needs, so that the powers of the model are not a plain sum."""
