@@ -6,8 +6,6 @@ when this module is imported.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -81,8 +79,8 @@ class RoverEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._steps = 0
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+        self, *, seed: int | None = None, options: dict[str, object] | None = None
+    ) -> tuple[Observation, dict[str, object]]:
         """A new track; with a seed always the same one."""
         super().reset(seed=seed)
         count = int(np.ceil(self.length_m / self.piece_m)) + 1
@@ -93,7 +91,7 @@ class RoverEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._steps = 0
         return self._observe(), self._info(0.0, 0.0)
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, object]]:
         """One time step at a speed and a clock."""
         share = 0.5 * (np.clip(np.asarray(action, dtype=float), -1.0, 1.0) + 1.0)
         change = self.accel_m_s2 * self.step_s
@@ -125,7 +123,7 @@ class RoverEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         values = [self._position / self.length_m, self._speed / self.top_m_s, left, here[0], following[0], *slopes]
         return np.clip(np.array(values, dtype=np.float32), self._low, self._high)
 
-    def _info(self, energy_j: float, missed: float) -> dict[str, Any]:
+    def _info(self, energy_j: float, missed: float) -> dict[str, object]:
         return {"energy_j": energy_j, "missed_batches": missed, "drawn_j": self._drawn, "position_m": self._position}
 
 

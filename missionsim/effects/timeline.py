@@ -69,14 +69,14 @@ class Timeline:
                 result |= np.asarray(self.rates[name]) != 0.0
         return result
 
-    def way_m(self) -> float:
-        """Way driven in all intervals [m], forward and sideways."""
-        if not len(self):
-            return 0.0
-        time, rates = self.duration_s, self.rates
-        ahead = self.columns["speed_m_s"] * time + 0.5 * rates["speed_m_s"] * time**2
-        aside = self.columns["lateral_speed_m_s"] * time + 0.5 * rates["lateral_speed_m_s"] * time**2
-        return float(np.sum(np.hypot(ahead, aside)))
+    def ways_m(self) -> NDArray[np.float64]:
+        """Way driven in each interval [m], forward and sideways."""
+        time, cov, rates = self.duration_s, self.columns, self.rates
+        if "speed_m_s" not in cov:
+            return np.zeros(len(self))
+        ahead = cov["speed_m_s"] * time + 0.5 * rates["speed_m_s"] * time**2
+        aside = cov["lateral_speed_m_s"] * time + 0.5 * rates["lateral_speed_m_s"] * time**2
+        return np.asarray(np.hypot(ahead, aside))
 
     @staticmethod
     def joined(lines: Sequence[Timeline]) -> Timeline:

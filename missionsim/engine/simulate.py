@@ -299,7 +299,7 @@ class RunSetup:
             completed=world.completed,
             reason="; ".join(reasons),
             duration_s=duration,
-            distance_m=line.way_m(),
+            distance_m=float(np.sum(line.ways_m())),
             timeline=line,
             energies=energies,
             charge_wh=charge,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Container, Iterator
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -26,6 +26,9 @@ from missionsim.inputs.values import (
     Speed,
     Temperature,
 )
+
+if TYPE_CHECKING:
+    from networkx import MultiDiGraph
 
 _ROUNDING = 1e-3
 """Lengths may be this much (relative) below the straight distance: maps are rounded."""
@@ -176,7 +179,7 @@ class EnvironmentSpec(FileModel):
             waiting += new
         return found
 
-    def graph(self) -> Any:
+    def graph(self) -> MultiDiGraph:
         """Directed networkx multigraph: nodes with `spec`, edges with `spec`, `length_m`, `slope_rad`, `reverse`."""
         import networkx
 

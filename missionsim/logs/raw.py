@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from missionsim.glossary import column_of
 from missionsim.labels import ColumnData as ColumnData
 from missionsim.labels import Labels
 from missionsim.physics import Array
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,9 @@ def wanted_kind(name: str) -> str:
     return {"number": "number", "text": "text"}.get(found[0].kind, "any")
 
 
-def from_arrow(table: Any, file: str, lines: Callable[[int], int], first_row: int = 0) -> RawTable:
+def from_arrow(
+    table: pa.Table | pa.RecordBatch, file: str, lines: Callable[[int], int], first_row: int = 0
+) -> RawTable:
     """Columns of a pyarrow table or record batch, numbers as float64 and text as codes.
 
     `file`: for messages; `lines`: see `RawTable`; `first_row`: row number of the first row in the file.

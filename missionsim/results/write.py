@@ -74,12 +74,7 @@ def segments_table(result: RunResult) -> dict[str, Sequence[object]]:
     line = result.timeline
     count = len(result.segments)
     duration = np.bincount(line.segment, weights=line.duration_s, minlength=count)
-    rates, cov = line.rates, line.columns
-    distance: Any = np.zeros(count)
-    if "speed_m_s" in cov:
-        ahead = cov["speed_m_s"] * line.duration_s + 0.5 * rates["speed_m_s"] * line.duration_s**2
-        aside = cov["lateral_speed_m_s"] * line.duration_s + 0.5 * rates["lateral_speed_m_s"] * line.duration_s**2
-        distance = np.bincount(line.segment, weights=np.hypot(ahead, aside), minlength=count)
+    distance = np.bincount(line.segment, weights=line.ways_m(), minlength=count)
     passed = result.places_passed()
     end = [result.segment_end_s.get(i) for i in range(count)]
     table: dict[str, Sequence[object]] = {

@@ -36,7 +36,8 @@ def failures(store: BlockStore, firsts: list[int], total: int) -> Json:
         for place, many in Counter(places).items():
             if counts[place] < KEPT_TIMES:
                 here = [i for i, at in zip(failed, places, strict=True) if at == place]
-                times.setdefault(place, []).append(part["failed_at_s"][here[: KEPT_TIMES - counts[place]]])
+                seconds = np.asarray(part["failed_at_s"], dtype=float)[here[: KEPT_TIMES - counts[place]]]
+                times.setdefault(place, []).append(seconds)
             counts[place] += many
         for message, many in Counter(part["message"][part["message"] != ""].tolist()).items():
             reasons[message if message in reasons or len(reasons) < KEPT_REASONS else _OTHER] += many
@@ -128,6 +129,10 @@ def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) 
     ``batteries``, ``failures``, ``duration_s``, ``importance`` of the contract's JSON. Importance is found from the
     first `IMPORTANCE_RUNS` runs.
     """
+
+    def numbers(name: str) -> Array:
+        return np.asarray(store.column(name, firsts), dtype=float)
+
     total = good = limited = 0
     for table in store.tables(("feasible", "speed_limited"), firsts):
         total, good = total + len(table["feasible"]), good + int(np.count_nonzero(table["feasible"]))
@@ -137,7 +142,7 @@ def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) 
         "runs": total,
         "p_feasible": _proportion(good, total),
         "speed_limited_share": limited / total if total else None,
-        "duration_s": describe(store.column("duration_s", firsts)),
+        "duration_s": describe(numbers("duration_s")),
         "batteries": {},
         "failures": failures(store, firsts, total),
     }
@@ -145,10 +150,10 @@ def summarise(store: BlockStore, firsts: list[int], batteries: tuple[str, ...]) 
     for battery in batteries:
         prefix = f"component_{battery}_"
         answer["batteries"][battery] = {
-            "energy_wh": describe(store.column(f"energy_{battery}_wh", firsts)),
-            "margin_wh": describe(store.column(f"margin_{battery}_wh", firsts)),
+            "energy_wh": describe(numbers(f"energy_{battery}_wh")),
+            "margin_wh": describe(numbers(f"margin_{battery}_wh")),
             "p_reserve": _proportion(_with_reserve(store, firsts, battery), total),
-            "capacity_needed_wh": capacity_needed(store.column(f"needed_{battery}_wh", firsts)),
+            "capacity_needed_wh": capacity_needed(numbers(f"needed_{battery}_wh")),
             "by_component_wh": {
                 name[len(prefix) : -len("_wh")]: value for name, value in mean.items() if name.startswith(prefix)
             },
@@ -190,7 +195,7 @@ def _with_reserve(store: BlockStore, firsts: list[int], battery: str) -> int:
     """How many runs no empty battery ended and left this battery its reserve."""
     good = 0
     for part in store.tables((f"margin_{battery}_wh", "failed_battery"), firsts):
-        enough = part[f"margin_{battery}_wh"] >= -MARGIN_TOLERANCE_WH
+        enough = np.asarray(part[f"margin_{battery}_wh"], dtype=float) >= -MARGIN_TOLERANCE_WH
         good += int(np.count_nonzero(enough & (part["failed_battery"] == "")))
     return good
 

@@ -12,7 +12,7 @@ from concurrent.futures import CancelledError, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from numpy import __version__ as numpy_version
 
@@ -33,8 +33,10 @@ from missionsim.uncertainty.store import BlockStore
 from missionsim.workers import interrupts_held, process_pool
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
+T = TypeVar("T")
 BLOCK_RUNS = {"simpy": 50, "arrays": 8192}
 """Runs in a block, at most; the mission alone decides, so that tables do not depend on the number of workers."""
 BLOCK_NUMBERS = {"simpy": 200_000, "arrays": 8_000_000}
@@ -102,7 +104,7 @@ def prepare(task: Task) -> Prepared:
     return Prepared(mission, model, sampler, compiled, "", intervals)
 
 
-def compute_block(task: Task, first: int, count: int) -> dict[str, NDArray[Any]]:
+def compute_block(task: Task, first: int, count: int) -> dict[str, NDArray[np.generic]]:
     """Columns of the runs ``first … first + count − 1``; pure, so that any process may compute it."""
     prepared = prepare(task)
     if prepared.arrays is not None:
@@ -274,7 +276,7 @@ def _write_block(task: Task, store: BlockStore, first: int, count: int) -> None:
 
 def _pooled(
     pool: Any,
-    work: Callable[[int, int], dict[str, NDArray[Any]] | None],
+    work: Callable[[int, int], dict[str, NDArray[np.generic]] | None],
     firsts: range,
     span: Callable[[int], tuple[int, int]],
     store: BlockStore,
@@ -302,7 +304,7 @@ def _pooled(
         yield span(first)
 
 
-def wait_for(futures: Iterable[Any]) -> tuple[set[Any], set[Any]]:
+def wait_for(futures: Iterable[Future[T]]) -> tuple[set[Future[T]], set[Future[T]]]:
     """The futures that are done, once at least one is; works for those of a cluster's client as well."""
     listed = list(futures)
     if listed and not isinstance(listed[0], Future):

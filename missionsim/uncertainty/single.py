@@ -76,7 +76,7 @@ def simulate_block(
     *,
     draws: Draws | None = None,
     runs: Sequence[int] | NDArray[np.intp] | None = None,
-) -> dict[str, NDArray[Any]]:
+) -> dict[str, NDArray[np.generic]]:
     """A block of runs with SimPy, as columns; a run that fails is kept with its draws and its message.
 
     `draws` are those of `sampler`, if they are there already; `runs` the numbers of the runs, where they are not
@@ -191,9 +191,9 @@ def _columns(
     *,
     batteries: tuple[str, ...],
     components: tuple[tuple[str, str], ...],
-) -> dict[str, NDArray[Any]]:
+) -> dict[str, NDArray[np.generic]]:
     count = len(rows)
-    columns: dict[str, NDArray[Any]] = {"run": np.asarray(own, dtype=np.int64)}
+    columns: dict[str, NDArray[np.generic]] = {"run": np.asarray(own, dtype=np.int64)}
     for name in ("feasible", "speed_limited"):
         columns[name] = np.array([bool(row.get(name, False)) for row in rows])
     numbers = ["duration_s", "distance_m", "failed_at_s"]

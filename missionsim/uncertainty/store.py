@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from missionsim.errors import InputError
 from missionsim.files import atomic_write, write_text
+from missionsim.physics import Array
 
 BATCH_FILE = "batch.json"
 LOCK_FILE = ".lock"
@@ -56,7 +57,7 @@ class BlockStore:
         with pq.ParquetFile(self.path(first), page_checksum_verification=True) as file:
             return file.read(columns=None if names is None else [*names], use_threads=False)
 
-    def write(self, first: int, columns: Mapping[str, NDArray[Any]]) -> None:
+    def write(self, first: int, columns: Mapping[str, NDArray[np.generic]]) -> None:
         """Write a block, whole or not at all; the same columns give the same bytes."""
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -90,12 +91,12 @@ class BlockStore:
         firsts = self.firsts()
         return list(pq.read_schema(self.path(firsts[0])).names) if firsts else []
 
-    def column(self, name: str, firsts: list[int] | None = None) -> NDArray[Any]:
+    def column(self, name: str, firsts: list[int] | None = None) -> NDArray[np.generic]:
         """One column of all blocks, in order of runs; shape (runs,) or (runs, points)."""
         parts = [table[name] for table in self.tables((name,), firsts)]
         return np.concatenate(parts) if parts else np.zeros(0)
 
-    def tables(self, names: Sequence[str], firsts: list[int] | None = None) -> Iterator[dict[str, NDArray[Any]]]:
+    def tables(self, names: Sequence[str], firsts: list[int] | None = None) -> Iterator[dict[str, NDArray[np.generic]]]:
         """Some columns, block by block."""
         for first in self.firsts() if firsts is None else firsts:
             try:
@@ -109,13 +110,13 @@ class BlockStore:
                 ) from error
             yield {name: _numpy(table.column(name).combine_chunks()) for name in names}
 
-    def beginning(self, names: Sequence[str], firsts: list[int] | None, count: int) -> dict[str, NDArray[Any]]:
+    def beginning(self, names: Sequence[str], firsts: list[int] | None, count: int) -> dict[str, Array]:
         """The first `count` numbers of some columns."""
-        found: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
+        found: dict[str, list[Array]] = {name: [] for name in names}
         length = 0
         for table in self.tables(names, firsts) if names else ():
             for name, part in table.items():
-                found[name].append(part[: count - length])
+                found[name].append(np.asarray(part[: count - length], dtype=float))
             length += len(table[names[0]])
             if length >= count:
                 break
@@ -151,7 +152,7 @@ class BlockStore:
                 if new and not any(self.folder.iterdir()):
                     self.folder.rmdir()
 
-    def begin(self, identity: Mapping[str, Any], *, resume: bool) -> None:
+    def begin(self, identity: Mapping[str, object], *, resume: bool) -> None:
         """Make the folder for a batch, or take up an interrupted one.
 
         Raises InputError: where the folder holds a batch and `resume` was not asked, or a different batch.
@@ -198,7 +199,7 @@ def _short(value: Any) -> str:
     return f"{text[:8]}…" if len(text) == 64 else text
 
 
-def _numpy(chunk: Any) -> NDArray[Any]:
+def _numpy(chunk: Any) -> NDArray[np.generic]:
     if hasattr(chunk.type, "list_size"):
         return np.asarray(chunk.flatten()).reshape(-1, chunk.type.list_size)
     return np.asarray(chunk.to_numpy(zero_copy_only=False))

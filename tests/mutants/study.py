@@ -65,7 +65,7 @@ MUTANTS = [
         "physics",
         "physics/electrical.py",
         ("return p2 * np.square(rate_hz) + p1 * rate_hz", "return p2 * np.square(rate_hz) - p1 * rate_hz"),
-        ("np.exp(-np.asarray(on_time_s) / tau_s)", "np.exp(-np.asarray(on_time_s) * tau_s)"),
+        ("np.exp(-f64(on_time_s) / tau_s)", "np.exp(-f64(on_time_s) * tau_s)"),
         ("return k * np.square(load_w)", "return k * load_w"),
         ("np.asarray(frequency_hz) ** 3", "np.asarray(frequency_hz) ** 2"),
     ),

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from missionsim.logs.raw import Remark
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 from missionsim.physics import Array
 
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[[^\]]+\])*)\Z")
 _STATUS = re.compile(r"(/[^.\[]+)\[(.+?)\]\.(.+)\Z", re.DOTALL)
 _MOST_ELEMENTS = 16
@@ -30,7 +33,7 @@ _Get = Callable[[Any], Any]
 
 
 @contextlib.contextmanager
-def open_bag(path: Path) -> Iterator[Any]:
+def open_bag(path: Path) -> Iterator[AnyReader]:
     """A rosbags reader of a ROS 1 bag, a ROS 2 bag (its folder, or a file in it), or a lone MCAP file.
 
     Raises InputError: rosbags is not installed, or it cannot read the bag.
@@ -81,7 +84,7 @@ def read_bag(path: Path, options: Options) -> Recording:
                     if all(count > options.most or count >= infos[name].msgcount for name, count in seen.items()):
                         break
                     continue
-                message = reader.deserialize(data, connection.msgtype)
+                message: Any = reader.deserialize(data, connection.msgtype)
             except StopIteration:
                 break
             except Exception as error:  # a damaged bag raises whatever its parsers meet
