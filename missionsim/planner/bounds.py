@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from missionsim.physics import Array
 from missionsim.planner.core import Bounds, Leaving
 from missionsim.planner.drives import Drive
+from missionsim.planner.pieces import undominated
 from missionsim.planner.tour import Charger, Site
 
 LONGEST_S = 1e6
@@ -37,12 +38,13 @@ class Tour:
         by_value: bool = False,
     ) -> None:
         self.site = site
+        self.none = Drive(np.zeros(len(site.weights)), np.zeros(len(site.physics.names)))
         self.size = len(site.stops)
         self.nodes = site.order.count * self.size
         self.values = values
         self.by_value = by_value
         self.counted = values is not None and not by_value
-        self.waits = site.windowed
+        self.latest = site.waits_until
         self._drives = drives
         self._known: dict[int, Leaving] = {}
         self.chargers = [site.charger(number) for number in range(self.size)]
@@ -123,24 +125,28 @@ class Tour:
         payload = site.order.payload_kg(state)
         heads: list[int] = []
         use: list[Array] = []
+        peaks: list[Array] = []
         moves: list[Any] = []
         for head, after in nexts:
             for drive in self._drives(payload, stop, head):
                 for choice, whole in self.arc_uses(drive, head, after):
                     use.append(whole)
+                    peaks.append(drive.peak)
                     heads.append(after * self.size + head)
                     moves.append((head, drive, whole, choice))
-        return Leaving(np.array(heads, dtype=np.intp), np.array(use).reshape(len(heads), len(self.first)), moves)
+        whole_use = np.array(use).reshape(len(heads), len(self.first))
+        count = len(site.physics.names)
+        peak = np.zeros_like(whole_use)
+        peak[:, 2 : 2 + count] = np.array(peaks).reshape(len(heads), count)
+        dips = (peak > np.maximum(whole_use, 0.0) + 1e-12)[:, 2 : 2 + count].any()
+        return Leaving(np.array(heads, dtype=np.intp), whole_use, moves, peak if dips else None)
 
     def arc_uses(self, drive: Drive, head: int, after: int) -> list[tuple[int, Array]]:
         """What driving to a stop and what is done there add to the vector, for each scheme that none is better than."""
         visit = self.site.stops[head].visit
         made = 0.0 if self.values is None or visit is None else float(self.values[visit])
         stands = self.site.standing(head, self.site.order.payload_kg(after))
-        kept: list[int] = []
-        for i in np.lexsort(stands.T[::-1]).tolist():  # whatever is no better in anything comes later
-            if not (stands[kept] <= stands[i]).all(axis=1).any():
-                kept.append(i)
+        kept = undominated(stands, self.site.shear, np.zeros((len(stands), 0)))
         return [(i, self._vector(drive.use + stands[i], made)) for i in kept]
 
     def _vector(self, use: Array, made: float) -> Array:
@@ -371,8 +377,12 @@ def bounds_of(
         rests.append(tour.over(tour.rest(multiplier, more, straight=len(rests) < len(first))))
         offsets.append(float(multiplier[priced] @ tour.limits[1:][priced] + on_top[lasting] @ most[1:][lasting]))
     shear = None
-    if tour.waits:
+    if tour.latest > 0.0:
         shear = tour.waiting()
         shear[1] = 0.0
     apart = len(first) or None
-    return Bounds(most, least, np.array(rows), np.stack(rests, axis=1), np.array(offsets), shear, site.timeless, apart)
+    rest = np.stack(rests, axis=1)
+    timeless = site.timeless
+    return Bounds(
+        most, least, np.array(rows), rest, np.array(offsets), shear, tour.latest, timeless=timeless, apart=apart
+    )

@@ -32,6 +32,8 @@ class Leaving(NamedTuple):
     heads: NDArray[np.intp]
     use: Array
     moves: Sequence[Any]
+    peak: Array | None = None
+    """The most that is used on the way, where that may be more than at its end. Shape (n, resources)."""
 
 
 class Refill(Protocol):
@@ -92,10 +94,14 @@ class Bounds:
     offset: Array
     """Shape (multipliers,)."""
     shear: Array | None = None
-    """What waiting for a unit of the second resource takes of each: where labels may have to wait, an earlier one is no
-    better than a later one by more than waiting would cost it. Shape (resources,)."""
+    """What waiting for a unit of time takes of each: where labels may have to wait, an earlier one is no better than a
+    later one by more than waiting would cost it. Shape (resources,)."""
+    until: float = math.inf
+    """Later than this nothing waits."""
+    clock: int = 1
+    """Which resource is time."""
     timeless: bool = False
-    """The second resource, time, counts for nothing where labels are compared."""
+    """Time counts for nothing where labels are compared."""
     apart: int | None = None
     """So many of the first rows bound the ways without, the others those with at least one more refill."""
 
@@ -107,13 +113,13 @@ class Bounds:
 
     @cached_property
     def _without_time(self) -> NDArray[np.intp]:
-        return np.delete(np.arange(len(self.most)), 1)
+        return np.delete(np.arange(len(self.most)), self.clock)
 
     def sheared(self, points: Array) -> Array:
         """Vectors as they are compared."""
         if self.timeless:
             return np.asarray(points[:, self._without_time])
-        return points if self.shear is None else points - points[:, 1:2] * self.shear
+        return points if self.shear is None else points - np.minimum(points[:, [self.clock]], self.until) * self.shear
 
     def of(self, nodes: Any, x: Array) -> Array:
         """Lower bounds of the objective by way of vectors ``x`` at nodes, shape (n,)."""
@@ -359,14 +365,21 @@ def expand(network: Network, label: Label, bounds: Bounds, room: Array, below: f
     if not len(heads):
         return
     after = points.min(axis=0) + use  # of a chain: what none of its points is below
-    picked = np.flatnonzero((after <= room[heads]).all(axis=1))
+    fits = (after <= room[heads]).all(axis=1)
+    highest = None if leaving.peak is None else bounds.most + EPSILON * (1.0 + np.abs(bounds.most)) - leaving.peak
+    if highest is not None:
+        fits &= (points.min(axis=0) <= highest).all(axis=1)
+    picked = np.flatnonzero(fits)
     if not picked.size:
         return
     values = bounds.of(heads[picked], after[picked])
     for i, value in zip(picked.tolist(), values.tolist(), strict=True):
         if value < below:
             head = int(heads[i])
-            new = Label(head, points + use[i], label, leaving.moves[i])
+            kept = points if highest is None else within(points, highest[i])
+            if not len(kept):
+                continue
+            new = Label(head, kept + use[i], label, leaving.moves[i])
             new.ready = len(points) == 1 and network.opens(head) is None
             yield value, new
 

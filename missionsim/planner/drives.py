@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -23,13 +23,23 @@ class Drive:
     """A way from a stop to another: seconds and Wh of each battery, its pieces, and those of each piece."""
 
     use: Array
+    peak: Array
+    """The most that has been drawn of each battery on the way, Wh."""
     pieces: tuple[Piece, ...] = ()
     costs: tuple[Array, ...] = ()
 
 
 class _OnRoad:
-    def __init__(self, road: Road, use: Array) -> None:
-        count = len(road.states)
+    """A label is seconds, Wh of each battery, and of those that are given back to the most so far and the last drop."""
+
+    def __init__(self, road: Road) -> None:
+        count, width = len(road.states), road.use.shape[1]
+        drop = road.peak - road.use[:, 1:]
+        given = np.flatnonzero((road.peak - np.maximum(road.use[:, 1:], 0.0) > 1e-15).any(axis=0))
+        self.size = width + 2 * len(given)
+        self._of, self._most = 1 + given, slice(width, width + len(given))
+        self._drop = slice(width + len(given), self.size)
+        use = np.concatenate([road.use, np.zeros((len(drop), len(given))), drop[:, given]], axis=1)
         order = np.argsort(road.tails, kind="stable")
         begins = np.searchsorted(road.tails[order], np.arange(count + 1))
         self._leaving = []
@@ -43,8 +53,14 @@ class _OnRoad:
     def refill(self, node: int) -> None:
         return None
 
-    def opens(self, node: int) -> None:
-        return None
+    def opens(self, node: int) -> Callable[[Array], Array] | None:
+        return self._top if len(self._of) else None
+
+    def _top(self, points: Array) -> Array:
+        made = points.copy()
+        made[:, self._most] = np.maximum(made[:, self._most], made[:, self._of] + made[:, self._drop])
+        made[:, self._drop] = 0.0
+        return made
 
 
 class Drives:
@@ -57,7 +73,6 @@ class Drives:
 
     def __init__(self, road: Road) -> None:
         self.road = road
-        self._networks: dict[bool, _OnRoad] = {}
         pairs = road.tails * len(road.states) + road.heads
         self._by_pair = np.argsort(pairs, kind="stable")
         self._pairs, self._begins, self._counts = np.unique(pairs[self._by_pair], return_index=True, return_counts=True)
@@ -148,6 +163,10 @@ class Drives:
                 raise self._endless(graph) from None
         return made
 
+    @cached_property
+    def _network(self) -> _OnRoad:
+        return _OnRoad(self.road)
+
     def _endless(self, graph: Any) -> InputError:
         """Slopes that lead downhill all the way round."""
         import networkx as nx
@@ -167,9 +186,11 @@ class Drives:
     def _drive(self, arcs: list[int]) -> Drive:
         road = self.road
         use = np.zeros(road.use.shape[1])
+        peak = use[1:]
         for arc in arcs:  # in the order in which a label adds them up
+            peak = np.maximum(peak, use[1:] + road.peak[arc])
             use = use + road.use[arc]
-        return Drive(use, tuple(road.driven[arc] for arc in arcs), tuple(road.use[arcs]))
+        return Drive(use, peak, tuple(road.driven[arc] for arc in arcs), tuple(road.use[arcs]))
 
     def between(
         self,
@@ -181,6 +202,8 @@ class Drives:
         gap: float = math.inf,
         most: Array | None = None,
         timeless: bool = False,
+        waiting: Array | None = None,
+        until: float = math.inf,
         patience: int = 10**9,
     ) -> tuple[dict[int, list[Drive]], int]:
         """The undominated drives from a state to others.
@@ -188,13 +211,13 @@ class Drives:
         `targets`: states. `weights` (shape (1 + batteries,)): with `gap`: only drives whose weighted use is within
         `gap` of the least one's. `more` (shape (targets,)): what is added to the weighted use of all drives to each
         target. `most` (shape (1 + batteries,)): seconds and Wh that no drive may take more than. `timeless`: a drive is
-        not kept for being quicker; then `weights` has nothing for seconds. `patience`: labels after which the search
-        ends. Gives target → drives, by weighted use, and the labels that this took; where those are more than
-        `patience`, there may be more drives.
+        not kept for being quicker; then `weights` has nothing for seconds. `waiting` (shape (1 + batteries,)): what an
+        earlier drive may take by the second until the later one ends, but no longer than `until`. `patience`: labels
+        after which the search ends. Gives target → drives, by weighted use, and the labels that this took; where those
+        are more than `patience`, there may be more drives.
         """
         road = self.road
         resources = road.use.shape[1]
-        kept = slice(1 if timeless else 0, None)
         chosen = np.ones(resources) if weights is None else weights
         to_targets = self.distances(chosen, targets, back=True)
         start = to_targets[:, source]
@@ -210,13 +233,23 @@ class Drives:
                 unit[r] = 1.0
                 least[:, r] = np.maximum(least[:, r], self.distances(unit, targets, back=True).min(axis=0))
         least = np.where(np.isnan(least), math.inf, least)
-        bounds = Bounds(limit[kept], least[:, kept], chosen[None, kept], rest[:, None], np.zeros(1))
+        more_of = self._network.size - resources
+        wide = partial(np.pad, pad_width=(0, more_of))
+        bounds = Bounds(
+            wide(limit, constant_values=math.inf),
+            np.pad(least, ((0, 0), (0, more_of))),
+            wide(chosen)[None],
+            rest[:, None],
+            np.zeros(1),
+            None if waiting is None else wide(waiting),
+            until,
+            clock=0,
+            timeless=timeless,
+        )
         wanted = set(targets.tolist())
-        if timeless not in self._networks:
-            self._networks[timeless] = _OnRoad(road, road.use[:, kept])
         outcome = search(
-            self._networks[timeless],
-            [Label(source, np.zeros((1, resources))[:, kept])],
+            self._network,
+            [Label(source, np.zeros((1, self._network.size)))],
             lambda node: node in wanted,
             bounds,
             best=gap,

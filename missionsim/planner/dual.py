@@ -10,7 +10,6 @@ import numpy as np
 from missionsim.physics import Array
 from missionsim.planner.bounds import Tour, matrix
 from missionsim.planner.core import Label, chain_of
-from missionsim.planner.drives import Drive
 from missionsim.planner.tour import Charger
 
 ROUNDS = 40
@@ -75,7 +74,7 @@ def tour_label(tour: Tour, steps: list[tuple[int, int]], weights: Array) -> Labe
     for head, after in steps:
         payload = site.order.payload_kg(state)
         if site.stops[stop].place == site.stops[head].place:
-            drive = Drive(np.zeros(len(weights)))
+            drive = tour.none
         else:
             ends = [nodes[[number]] for nodes, number in zip(site.nodes[payload], (stop, head), strict=True)]
             drive = next(iter(site.road(payload).supported([weights], *ends).values()))[0]
@@ -167,7 +166,13 @@ def _lasts(tour: Tour, label: Label) -> bool:
     most = physics.capacity_wh
     if tour.site.task.within.reserve_throughout:
         most = most - np.maximum(physics.reserve_wh, 0.0)
-    return all(bool((step.points[0][2 : 2 + len(most)] <= most * (1 + 1e-12)).all()) for step in chain_of(label))
+    missing = slice(2, 2 + len(most))
+    return all(
+        bool((step.parent.points[0][missing] + step.move[1].peak <= most * (1 + 1e-12)).all())
+        and bool((step.points[0][missing] <= most * (1 + 1e-12)).all())
+        for step in chain_of(label)
+        if step.parent is not None
+    )
 
 
 def prices_ahead(tour: Tour, prices: Array) -> list[Array]:

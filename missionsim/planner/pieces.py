@@ -136,16 +136,18 @@ class Road:
     """Both: shape (arcs,)."""
     use: Array
     """Seconds, and Wh of each battery. Shape (arcs, 1 + batteries)."""
+    peak: Array
+    """The most that has been drawn on the way, before braking or a slope gives back. Shape (arcs, batteries)."""
     driven: list[Piece]
     """By arc."""
     index: dict[State, int] = field(default_factory=dict)
 
 
-def make_road(physics: Physics, pieces: dict[str, list[Piece]], stops: Sequence[State]) -> Road:
+def make_road(physics: Physics, pieces: dict[str, list[Piece]], stops: Sequence[State], shear: Array) -> Road:
     """The graph of a site: from the stops, every state that can be reached, and what each arc costs.
 
     `pieces`: by the place where they begin; `stops`: where the robot may stand: it starts there and may end its drive
-    there.
+    there; `shear` (shape (1 + batteries,)): what a second until a later end may take of an earlier one.
     """
     accel = physics.limits.accel_m_s2 or 0.0
     decel = physics.limits.decel_m_s2 or accel
@@ -174,9 +176,9 @@ def make_road(physics: Physics, pieces: dict[str, list[Piece]], stops: Sequence[
                 speeds.append((state.speed, final))
     states = list(index)
     rest = np.array([states[tail].speed == 0.0 and states[tail].kind != ROLLED for tail in tails], dtype=bool)
-    use = cost_of(physics, driven, np.array(speeds).reshape(-1, 2), rest)
-    road = Road(states, np.array(tails, dtype=np.intp), np.array(heads, dtype=np.intp), use, driven, index)
-    return _undominated(road)
+    use, peak = cost_of(physics, driven, np.array(speeds).reshape(-1, 2), rest)
+    road = Road(states, np.array(tails, dtype=np.intp), np.array(heads, dtype=np.intp), use, peak, driven, index)
+    return _undominated(road, shear)
 
 
 def _binding(pieces: dict[str, list[Piece]], places: set[str], decel: float) -> dict[str, set[float]]:
@@ -243,11 +245,11 @@ def _instant(piece: Piece) -> bool:
     return piece.legs[0].instant
 
 
-def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDArray[np.bool_]) -> Array:
+def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Time and energies of pieces between speeds, evaluated as arrays.
 
     `speeds` (shape (n, 2)): at begin and end of each [m/s]; `rest` (shape (n,)): whether the robot stood before. Gives
-    an array of shape (n, 1 + batteries): seconds and Wh.
+    seconds and Wh, shape (n, 1 + batteries), and the most Wh drawn at the end of any phase, shape (n, batteries).
     """
     use = np.zeros((len(driven), 1 + len(physics.names)))
     number: dict[Piece, int] = {}
@@ -286,8 +288,9 @@ def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDAr
         lasting = np.array([leg.duration_s for _, leg in standing])
         zero = np.zeros(len(standing))
         parts.append((owner, settings, lasting, zero, zero, zero))
+    peak = np.zeros((len(driven), len(physics.names)))
     if not parts:
-        return use
+        return use, peak
     owner, settings, duration, speed, rate, starts = (np.concatenate(column) for column in zip(*parts, strict=True))
     np.add.at(use[:, 0], owner, duration)
     energy = physics.energy_wh(settings, duration, speed, rate, starts)
@@ -300,22 +303,31 @@ def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDAr
             file=str(physics.task.path),
             allowed="every covariate that the robot's effects read, in defaults or on the edge",
         )
-    return use
+    turn = np.argsort(owner, kind="stable")  # the phases of each piece one after the other
+    begins = np.flatnonzero(np.diff(owner[turn], prepend=-1))
+    drawn = np.cumsum(energy[turn], axis=0)
+    before = np.repeat(drawn[begins] - energy[turn][begins], np.diff(np.append(begins, len(turn))), axis=0)
+    peak[owner[turn][begins]] = np.maximum.reduceat(drawn - before, begins, axis=0)
+    return use, np.maximum(peak, np.maximum(use[:, 1:], 0.0))
 
 
-def _undominated(road: Road) -> Road:
+def undominated(use: Array, shear: Array, peak: Array) -> list[int]:
+    """Rows that no other is better than: in time, even where it then has to wait, energies and peaks."""
+    compared = np.concatenate([use - use[:, :1] * shear, peak], axis=1)
+    kept: list[int] = []
+    for i in np.lexsort(compared.T[::-1]).tolist():  # whatever is no better in anything comes later
+        if not (compared[kept] <= compared[i]).all(axis=1).any():
+            kept.append(i)
+    return kept
+
+
+def _undominated(road: Road, shear: Array) -> Road:
     """Without arcs that cost no less than another between the same states."""
-    order = np.lexsort((road.use[:, 0], road.heads, road.tails))
+    order = np.lexsort((road.heads, road.tails))
     ends = np.stack([road.tails, road.heads], axis=1)[order]
     cuts = np.flatnonzero((np.diff(ends, axis=0) != 0).any(axis=1)) + 1
     keep: list[int] = []
     for group in np.split(order, cuts):
-        kept: list[int] = []
-        for i in group.tolist():
-            mine = road.use[i]
-            if not kept or not (road.use[kept] <= mine).all(axis=1).any():
-                kept.append(i)
-        keep += kept
-    return Road(
-        road.states, road.tails[keep], road.heads[keep], road.use[keep], [road.driven[i] for i in keep], road.index
-    )
+        keep += group[undominated(road.use[group], shear, road.peak[group])].tolist()
+    driven = [road.driven[i] for i in keep]
+    return Road(road.states, road.tails[keep], road.heads[keep], road.use[keep], road.peak[keep], driven, road.index)

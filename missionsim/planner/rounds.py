@@ -41,7 +41,7 @@ class Rounds(Tour):
     ) -> None:
         super().__init__(site, drives)
         self.rounds, self.every_s = rounds, every_s
-        self.waits = every_s > 0.0
+        self.latest = (rounds - 1) * every_s
         self._out = self.nodes
         self._each = self.nodes + self.size
         self.nodes = self._each * rounds
@@ -73,18 +73,19 @@ class Rounds(Tour):
                 one = super().leaving(0 if inner == self._out else inner)
                 there = ~np.isin(one.heads, self._home) if inner == self._out else np.ones(len(one.heads), dtype=bool)
                 moves = [move for move, kept in zip(one.moves, there, strict=True) if kept]
-                known = Leaving(one.heads[there] + first, one.use[there], moves)
+                peak = None if one.peak is None else one.peak[there]
+                known = Leaving(one.heads[there] + first, one.use[there], moves, peak)
             self._all[node] = known
         return known
 
     def _still(self, heads: list[int]) -> Leaving:
-        nothing, use = Drive(np.zeros(len(self.site.weights))), np.zeros((len(heads), len(self.first)))
+        nothing, use = self.none, np.zeros((len(heads), len(self.first)))
         return Leaving(np.array(heads, dtype=np.intp), use, [(self.at(head)[1], nothing, use[0], 0) for head in heads])
 
     def opens(self, node: int) -> Callable[[Array], Array] | None:
         """Waiting until a round is due."""
         number, inner = divmod(node, self._each)
-        return self.until(number * self.every_s) if self.waits and number and inner == self._out else None
+        return self.until(number * self.every_s) if self.every_s > 0.0 and number and inner == self._out else None
 
     def over(self, table: Array, whole: bool = True) -> Array:
         """A table of one round, shape (states, stops), for the nodes of all; with what the `whole` rest adds."""

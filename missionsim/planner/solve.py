@@ -46,7 +46,7 @@ class Fronts:
     def __call__(self, payload_kg: float, stop: int, head: int) -> list[Drive]:
         site = self.site
         if site.stops[stop].place == site.stops[head].place:
-            return [Drive(np.zeros(1 + len(site.physics.names)))]
+            return [Drive(np.zeros(1 + len(site.physics.names)), np.zeros(len(site.physics.names)))]
         road = site.road(payload_kg)
         out, into = site.nodes[payload_kg]
         key = (payload_kg, int(out[stop]))
@@ -70,6 +70,8 @@ class Fronts:
                 gap=self.gap,
                 most=limit,
                 timeless=site.timeless,
+                waiting=site.shear if site.shear.any() else None,
+                until=site.waits_until,
                 patience=max(patience, 1),
             )
             self._patience[payload_kg] = patience - taken
@@ -207,7 +209,7 @@ def charges_tried(tour: Tour) -> list[str]:
     """
     alike = [(charger.gain_w.tolist(), charger.tapers) for charger in tour.chargers if charger is not None]
     some = len(tour.site.physics.names) > 1 and any(c is not None and c.levels is None for c in tour.chargers)
-    lost = some and (tour.waits or any(one != alike[0] for one in alike))
+    lost = some and (tour.latest > 0.0 or any(one != alike[0] for one in alike))
     return ["of several charges in one mission only the last was tried to any level"] if lost else []
 
 

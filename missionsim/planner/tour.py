@@ -159,7 +159,7 @@ class Site:
         if payload_kg not in self.roads:
             physics, stops = self.physics, self.stops
             leaving = [_leaving(physics, stop, i) for i, stop in enumerate(stops)]
-            road = make_road(physics, pieces_of(self.task, physics, payload_kg), leaving)
+            road = make_road(physics, pieces_of(self.task, physics, payload_kg), leaving, self.shear)
             self.roads[payload_kg] = Drives(road)
             out = np.array([road.index[state] for state in leaving], dtype=np.intp)
             into = np.array([road.index[State(stop.place, 0.0, STOPPED)] for stop in stops], dtype=np.intp)
@@ -191,6 +191,18 @@ class Site:
     def windowed(self) -> bool:
         """Whether some visit must begin within a window."""
         return any(visit.window is not None for visit in self.task.visits)
+
+    @cached_property
+    def waits_until(self) -> float:
+        """When the last visit's window opens, or the last round sets out; 0 where nothing has to wait."""
+        windows = [visit.window.from_.value for visit in self.task.visits if visit.window is not None]
+        repeat = self.task.repeat
+        return max([*windows, 0.0 if repeat is None or repeat.every is None else math.inf], default=0.0)
+
+    @cached_property
+    def shear(self) -> Array:
+        """Wh that waiting for a second takes, where something may have to wait. Shape (1 + batteries,)."""
+        return self.waiting * np.append(0.0, np.full(len(self.physics.names), float(self.waits_until > 0.0)))
 
     @cached_property
     def waiting(self) -> Array:
