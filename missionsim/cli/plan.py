@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -89,18 +91,32 @@ def plan(
 
 
 def _solved(task: TaskSpec, seconds: float | None, to: Output) -> tuple[Answer, RunResult | None]:
-    """Search with progress on standard error, and an end to it."""
+    """Search with progress on standard error, and an end to it: after some time, or at Ctrl-C (at once at a second)."""
     from missionsim.planner.chance import plan_task
 
     began = time.monotonic()
+    stop = False
+
+    def on_interrupt(*_: object) -> None:
+        nonlocal stop
+        if stop:
+            raise KeyboardInterrupt
+        stop = True
+
     with to.progress() as bar:
         told = bar.add_task("planning", total=None)
 
         def watch(what: str, objective: float, bound: float) -> bool:
             bar.update(told, description=f"planning: best {objective:.6g}, none below {bound:.6g}")
-            return seconds is not None and time.monotonic() - began > seconds
+            return stop or (seconds is not None and time.monotonic() - began > seconds)
 
-        return plan_task(task, watch)
+        if threading.current_thread() is not threading.main_thread():
+            return plan_task(task, watch)
+        before = signal.signal(signal.SIGINT, on_interrupt)
+        try:
+            return plan_task(task, watch)
+        finally:
+            signal.signal(signal.SIGINT, before)
 
 
 def _extend(answer: Answer, with_pareto: bool, with_alternatives: bool) -> None:

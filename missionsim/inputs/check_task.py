@@ -72,7 +72,9 @@ class _TaskCheck:
                     raw = self.check.document.node(where).children
                     self.check.known((*where, number) if isinstance(raw, list) else where, name, labels, "visit")
             window, deadline = visit.window, self.task.within.deadline
-            if window is not None and deadline is not None and window.from_.value > deadline.value:
+            if visit.value is not None or window is None or deadline is None:
+                continue  # what may be left out need not be possible
+            if window.from_.value > deadline.value:
                 got, allowed = f"{window.from_.value:g} s", f"before {deadline.value:g} s"
                 self.check.add(("visits", index, "window"), "the window opens after the deadline", got, allowed)
 
@@ -162,7 +164,7 @@ class _TaskCheck:
             self.check.add(("defaults", "payload"), "more than the robot may carry", f"{load:g} kg", allowed)
         for index, visit in enumerate(task.visits):
             taken = 0.0 if visit.take_up is None else visit.take_up.value
-            if most is not None and taken > most:
+            if most is not None and taken > most and visit.value is None:
                 where, allowed = ("visits", index, "take_up"), f"at most {most:g} kg"
                 self.check.add(where, "more than the robot may carry", f"{taken:g} kg", allowed)
             load += taken - (0.0 if visit.set_down is None else visit.set_down.value)
@@ -185,8 +187,9 @@ class _TaskCheck:
         if task.goal not in out:
             message = f"no open way leads from '{task.start}' to '{task.goal}'"
             self.check.add(("end" if task.end else "start",), message, task.goal, ", ".join(sorted(out))[:200])
+            return
         for index, visit in enumerate(task.visits):
-            if visit.place in self.places and task.goal in out and not {visit.place} <= out & back:
+            if visit.value is None and visit.place in self.places and not {visit.place} <= out & back:
                 way = f"from '{task.start}'" if visit.place not in out else f"on to '{task.goal}'"
                 message = f"'{visit.place}' cannot be visited: no open way leads {way}"
                 allowed = ", ".join(sorted(out & back))[:200]

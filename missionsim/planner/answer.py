@@ -204,7 +204,7 @@ def _vectors(chain: list[Label], tour: Tour) -> list[Array]:
     return vectors[::-1]
 
 
-def before_wait(point: Array, points: Array, wait: Callable[[Array], Array] | None) -> Array:
+def before_wait(point: Array, points: Array, wait: Callable[..., Array] | None) -> Array:
     """The point of a chain that waiting takes to another."""
     if wait is None:
         return point

@@ -83,7 +83,7 @@ class Tour:
         """The charger of a dock."""
         return self.chargers[self.at(node)[1]]
 
-    def opens(self, node: int) -> Callable[[Array], Array] | None:
+    def opens(self, node: int) -> Callable[..., Array] | None:
         """Waiting at a visit until its window opens."""
         if not self.site.windowed:
             return None
@@ -95,13 +95,13 @@ class Tour:
         stand = float(self.site.standing(node % self.size, self.site.order.payload_kg(state))[0, 0])
         return self.until(window.from_.value + stand)
 
-    def until(self, begin: float) -> Callable[[Array], Array]:
-        """What waiting until some time does to the points of a chain."""
+    def until(self, begin: float) -> Callable[..., Array]:
+        """What waiting until some time does to the points of a chain, or to points apart."""
         waiting = self.waiting()
 
-        def wait(points: Array) -> Array:
-            kept = [points[0]]
-            for first, second in itertools.pairwise(points):
+        def wait(points: Array, *, apart: bool = False) -> Array:
+            kept = list(points) if apart else [points[0]]
+            for first, second in itertools.pairwise(() if apart else points):
                 if first[1] < begin < second[1]:
                     kept.append(first + (begin - first[1]) / (second[1] - first[1]) * (second - first))
                 kept.append(second)
@@ -284,8 +284,8 @@ def slack_of(tour: Tour, prices: Array) -> Array:
     return np.asarray(np.maximum(found - after[0, 0], 0.0))
 
 
-def in_time(site: Site) -> bool:
-    """Whether some order keeps all windows and the deadline, driven as fast as can be on batteries without end."""
+def in_time(site: Site) -> NDArray[np.intp]:
+    """States to end in for which some order keeps all windows and the deadline, as fast as can be, whatever it draws."""
     order, which, visits = site.order, site.order.loads[1], site.task.visits
     seconds = np.eye(len(site.weights))[0]
     apart, stands = _by_load(site, seconds), _stands(site, seconds, None)
@@ -299,8 +299,8 @@ def in_time(site: Site) -> bool:
         begin[begin > until[nexts]] = math.inf
         np.minimum.at(early, (afters, 1 + nexts), begin + stands[which[afters], nexts])
     last = np.flatnonzero(order.ends)
-    arrives = (early[last] + apart[which[last], :, site.goal]).min(initial=math.inf)
-    return math.isfinite(arrives) and bool(arrives <= site.deadline_s * (1.0 + 1e-9))
+    arrives = (early[last] + apart[which[last], :, site.goal]).min(axis=1)
+    return last[np.isfinite(arrives) & (arrives <= site.deadline_s * (1.0 + 1e-9))]
 
 
 def _by_load(site: Site, weights: Array, straight: bool = False) -> Array:
@@ -341,13 +341,12 @@ def bounds_of(
     most = tour.limits.copy()
     if site.windowed:
         most[1] = min(site.deadline_s, LONGEST_S)  # that windows end can be said of an end only
-    most[2 : 2 + count] = physics.capacity_wh
+    most[2 : 2 + count] = site.usable_wh
     if any(charger is not None and charger.levels is None for charger in tour.chargers):
         # charged just as much as will do, a battery must not come out empty by rounding
         most[2 : 2 + count] -= HAIR * physics.capacity_wh
-    if task.within.reserve_throughout:
-        most[2 : 2 + count] -= reserve
-        reserve = np.zeros(count)
+    # what must be left at the end beyond what must be left always
+    reserve = np.maximum(reserve - (physics.capacity_wh - site.usable_wh), 0.0)
     least = np.zeros((tour.nodes, len(most)))
     unit = np.eye(1 + count)
     least[:, 1] = tour.over(rest_of(site, unit[0]))

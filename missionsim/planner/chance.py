@@ -133,27 +133,29 @@ def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunRe
     site = make_site(task if task.repeat is None else of_one_kind(task))
     asked = None if task.within.with_probability is None else task.within.with_probability.value
     physics = site.physics
-    kept = physics.reserve_wh
-    margin, ahead = np.zeros(len(kept)), 0.0
+    kept, count = physics.reserve_wh, len(physics.names)
+    margins = np.zeros(2 * count + 1)  # at the end and on the way of each battery, of time
     first = surest = low = enough = beyond = None
     best: tuple[Answer, RunResult] | None = None
     for attempt in range(TRIES):
-        physics.reserve_wh = kept + margin
+        now = margins
+        physics.reserve_wh, physics.held_wh = kept + now[:count], now[count:-1]
         try:
-            within = replace(site, deadline_s=site.deadline_s - ahead)
+            within = replace(site, deadline_s=site.deadline_s - float(now[-1]))
             found = plan_rounds(within, watch) if task.repeat is not None else solve_site(within, watch)
         finally:
-            physics.reserve_wh = kept
+            physics.reserve_wh, physics.held_wh = kept, np.zeros(count)
         if not found.feasible:
             if asked is None or low is None:
                 break
-            beyond = np.append(margin, ahead)  # no plan keeps such margins
-            margin, ahead = 0.5 * (low + beyond)[:-1], float(0.5 * (low + beyond)[-1])
+            beyond = now  # no plan keeps such margins
+            margins = 0.5 * (low + beyond)
             continue
         answer, run = as_run(replace(found, site=site))
         first = first or answer
-        short, late = _short(answer, run), max(0.0, answer.duration_s - site.deadline_s * (1.0 + SAME))
-        good = run.feasible and not late and not _missed(answer)
+        late = max(0.0, answer.duration_s - site.deadline_s * (1.0 + SAME))
+        short = np.append(_short(answer, run), late)
+        good = run.feasible and not (short > SAME).any() and not _missed(answer)
         if asked is not None:
             columns = draws_of(answer, SEED + 2 * attempt)
             told_of = told(site, columns)
@@ -164,37 +166,43 @@ def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunRe
             if surest is None or told_of["value"] > surest["value"]:
                 surest = told_of
             answer.extra["margins"] = {
-                "reserve_wh": dict(zip(physics.names, margin.tolist(), strict=True)),
-                "deadline_s": ahead,
+                "reserve_wh": dict(zip(physics.names, now[:count].tolist(), strict=True)),
+                "deadline_s": float(now[-1]),
             }
             # each limit is to hold often enough, and all of them together
             each = [-columns[f"margin_{name}_wh"] for name in physics.names]
             limits = max(1, sum(float(np.nanquantile(lacking, asked)) > 0.0 for lacking in each))
             share = 1.0 - (1.0 - asked) / (limits + 1 + attempt)
-            short = np.array([np.nanquantile(lacking, share) for lacking in each])
-            late = max(0.0, float(np.nanquantile(columns["duration_s"], share)) - site.deadline_s)
-        now = np.append(margin, ahead)
+            lacks = [float(np.nanquantile(lacking, share)) for lacking in each]
+            to_dock = [lack * any(leg.kind == "charge" for leg in answer.legs) for lack in lacks]
+            late = float(np.nanquantile(columns["duration_s"], share)) - site.deadline_s
+            short = np.array([*lacks, *to_dock, late])
         if good:
             enough = now
             if best is None or answer.objective < best[0].objective:
                 best = answer, run
         else:
             low = now
-        if answer.stopped or (good and (asked is None or low is None)):
-            return best or (answer, run)
+        if best is not None and (answer.stopped or asked is None or low is None):
+            return best
+        if answer.stopped:
+            break
         if enough is not None and low is not None:  # the cheapest plan lies between too little and enough
             now = 0.5 * (low + enough)
         elif beyond is not None and low is not None:
             now = 0.5 * (low + beyond)
-        elif not (short > 0.0).any() and not late:
+        elif not (short > 0.0).any():
             break
         else:
-            now = now + np.append(np.maximum(short, 0.0), late) * (1.0 + SAME)
-        margin, ahead = now[:-1], float(now[-1])
+            now = now + np.maximum(short, 0.0) * (1.0 + SAME)
+        margins = now
     if best is not None:
         return best
     if first is None:
         return Answer(site, False, notes=found.notes, extra=found.extra), None
+    if answer.stopped:
+        note = "the search was stopped before it found a plan that holds when it is simulated; there may be one"
+        return Answer(site, False, notes=[note], stopped=True), None
     if surest is None or asked is None:
         why = run.reason or "too late, or outside a window"
         note = f"the plan found does not hold when it is simulated ({why}), and within margins for that there is none"
@@ -224,13 +232,14 @@ def _surer(site: Site, columns: dict[str, NDArray[Any]], asked: float, low: floa
 
 
 def _short(answer: Answer, run: RunResult) -> Array:
-    """What each battery lacks in the run, shape (batteries,), Wh."""
-    return np.array(
-        [
-            max(b.deficit_wh, 0.0) if b.empty_at_s is not None else b.reserve_required_wh - b.charge_left_wh
-            for b in run.batteries.values()
-        ]
-    )
+    """What each battery lacks at the end of the run, and what each lacks on the way, Wh, shape (2 · batteries,)."""
+    site, batteries = answer.site, run.batteries.items()
+    end = [0.0 if b.empty_at_s is not None else b.reserve_required_wh - b.charge_left_wh for _, b in batteries]
+    way = [max(b.deficit_wh, 0.0) if b.empty_at_s is not None else 0.0 for _, b in batteries]
+    if site.task.within.reserve_throughout:
+        lowest = [float(np.min(run.charge_wh[name], initial=b.charge_left_wh)) for name, b in batteries]
+        way = np.maximum(way, site.physics.reserve_wh - np.array(lowest)).tolist()
+    return np.maximum([*end, *way], 0.0)
 
 
 def _missed(answer: Answer) -> bool:

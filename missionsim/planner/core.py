@@ -24,6 +24,9 @@ from missionsim.physics import Array
 
 EPSILON = 1e-10
 """Resources that differ by less (relative to 1 or their size) are taken as equal."""
+DOMINATED = 4
+NARROW = 3
+"""Width of the beam once it is to stop but has no plan yet."""
 
 
 class Leaving(NamedTuple):
@@ -63,8 +66,8 @@ class Network(Protocol):
         """What may be refilled at a node."""
         ...
 
-    def opens(self, node: int) -> Callable[[Array], Array] | None:
-        """Waiting at a node: points of a chain before → after; None where there is none."""
+    def opens(self, node: int) -> Callable[..., Array] | None:
+        """Waiting at a node: points of a chain (or, with ``apart=True``, points apart) before → after; or None."""
         ...
 
 
@@ -235,7 +238,7 @@ def search(
         Objective of a way that is known already; ways whose bound is not below it are not followed.
         With `every_goal`, the bound from which on ways are left out.
     most_labels : int, optional
-        Stop after so many labels.
+        Stop after so many labels that none dominates, or `DOMINATED` times as many in all.
     watch : callable, optional
         ``(outcome so far, labels waiting) -> stop?``, called now and then.
     every_goal : bool
@@ -246,6 +249,7 @@ def search(
     fronts: dict[int, _Front] = {}
     heap: list[tuple[float, float, int, Label]] = []
     serial = itertools.count()
+    taken = 0
 
     def below() -> float:
         return best + EPSILON if every_goal else outcome.objective
@@ -268,8 +272,13 @@ def search(
                 continue
             # whatever dominates a label has no larger bound, so that it was taken before
             compared = bounds.sheared(label.points)
-            front = fronts.setdefault(label.node, _Front(compared.shape[1]))
-            if not front.add(compared):
+            if label.node not in fronts:
+                fronts[label.node] = _Front(compared.shape[1])
+            taken += 1
+            if most_labels is not None and taken > DOMINATED * most_labels:
+                outcome.labels = most_labels + 1
+                return outcome
+            if not fronts[label.node].add(compared):
                 continue
             outcome.labels += 1
             if most_labels is not None and outcome.labels > most_labels:
@@ -335,7 +344,9 @@ def quick(
             outcome.labels += len(layer)
             if watch is not None and watch(outcome, len(layer)):
                 outcome.interrupted = True
-                break
+                if math.isfinite(outcome.objective):
+                    break
+                width = NARROW
     except KeyboardInterrupt:
         outcome.interrupted = True
     return outcome
@@ -369,19 +380,25 @@ def expand(network: Network, label: Label, bounds: Bounds, room: Array, below: f
     highest = None if leaving.peak is None else bounds.most + EPSILON * (1.0 + np.abs(bounds.most)) - leaving.peak
     if highest is not None:
         fits &= (points.min(axis=0) <= highest).all(axis=1)
+    if single := len(points) == 1:
+        for head in np.unique(heads[fits]).tolist():
+            wait = network.opens(head)
+            if wait is not None:
+                rows = np.flatnonzero(fits & (heads == head))
+                after[rows] = wait(after[rows], apart=True)
+                fits[rows] = (after[rows] <= room[head]).all(axis=1)
     picked = np.flatnonzero(fits)
     if not picked.size:
         return
     values = bounds.of(heads[picked], after[picked])
     for i, value in zip(picked.tolist(), values.tolist(), strict=True):
         if value < below:
-            head = int(heads[i])
-            kept = points if highest is None else within(points, highest[i])
-            if not len(kept):
-                continue
-            new = Label(head, kept + use[i], label, leaving.moves[i])
-            new.ready = len(points) == 1 and network.opens(head) is None
-            yield value, new
+            if single:
+                yield value, Label(int(heads[i]), after[i : i + 1], label, leaving.moves[i])
+            elif len(kept := points if highest is None else within(points, highest[i])):
+                new = Label(int(heads[i]), kept + use[i], label, leaving.moves[i])
+                new.ready = False
+                yield value, new
 
 
 def chain_of(label: Label) -> list[Label]:

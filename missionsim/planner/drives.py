@@ -53,10 +53,10 @@ class _OnRoad:
     def refill(self, node: int) -> None:
         return None
 
-    def opens(self, node: int) -> Callable[[Array], Array] | None:
+    def opens(self, node: int) -> Callable[..., Array] | None:
         return self._top if len(self._of) else None
 
-    def _top(self, points: Array) -> Array:
+    def _top(self, points: Array, *, apart: bool = False) -> Array:
         made = points.copy()
         made[:, self._most] = np.maximum(made[:, self._most], made[:, self._of] + made[:, self._drop])
         made[:, self._drop] = 0.0

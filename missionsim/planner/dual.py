@@ -162,10 +162,7 @@ def _most(tour: Tour, chargers: list[Charger]) -> float:
 
 def _lasts(tour: Tour, label: Label) -> bool:
     """Whether no battery runs low on the way."""
-    physics = tour.site.physics
-    most = physics.capacity_wh
-    if tour.site.task.within.reserve_throughout:
-        most = most - np.maximum(physics.reserve_wh, 0.0)
+    most = tour.site.usable_wh
     missing = slice(2, 2 + len(most))
     return all(
         bool((step.parent.points[0][missing] + step.move[1].peak <= most * (1 + 1e-12)).all())
@@ -181,9 +178,7 @@ def prices_ahead(tour: Tour, prices: Array) -> list[Array]:
     Each battery must last until that dock. Sought one battery after the other (coordinate ascent).
     """
     site = tour.site
-    most = site.physics.capacity_wh
-    if site.task.within.reserve_throughout:
-        most = most - np.maximum(site.physics.reserve_wh, 0.0)
+    most = site.usable_wh
     room = most - tour.first[2 : 2 + len(most)]
     best, bound = np.zeros(len(prices)), -math.inf
     for steps in (unit(tour) * np.array([0.1, 0.5, 2.5]), np.array([0.5, 1.6])):

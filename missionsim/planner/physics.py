@@ -51,7 +51,7 @@ class Physics:
     """The power model of a task's robot, for arrays of phases.
 
     `names`: batteries, in the order of all arrays; `limits`: accelerations of the body; `capacity_wh`, `initial_wh`,
-    `reserve_wh`: shape (batteries,).
+    `reserve_wh`, `held_wh` (what is never to be used, not on the way to a dock either): shape (batteries,).
     """
 
     def __init__(self, task: TaskSpec) -> None:
@@ -73,6 +73,7 @@ class Physics:
                 for name, battery in batteries.items()
             ]
         )
+        self.held_wh = np.zeros(len(self.names))
         self._infos = {info.name: info for info in self.setup.components}
         self._always = {info.name: info.units for info in self.setup.components if info.always_on}
         self._settings: dict[Settings, int] = {}

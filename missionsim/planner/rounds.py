@@ -82,7 +82,7 @@ class Rounds(Tour):
         nothing, use = self.none, np.zeros((len(heads), len(self.first)))
         return Leaving(np.array(heads, dtype=np.intp), use, [(self.at(head)[1], nothing, use[0], 0) for head in heads])
 
-    def opens(self, node: int) -> Callable[[Array], Array] | None:
+    def opens(self, node: int) -> Callable[..., Array] | None:
         """Waiting until a round is due."""
         number, inner = divmod(node, self._each)
         return self.until(number * self.every_s) if self.every_s > 0.0 and number and inner == self._out else None

@@ -36,6 +36,7 @@ class Fronts:
     ) -> None:
         self.site, self.weights, self.gap, self.slack = site, weights, gap, slack
         self._found: dict[tuple[float, int], dict[int, list[Drive]]] = {}
+        self._cheap: dict[float, dict[int, dict[int, list[Drive]]]] = {}
         self._patience = dict.fromkeys(site.order.loads[0].tolist(), PATIENCE)
 
     @property
@@ -51,8 +52,7 @@ class Fronts:
         out, into = site.nodes[payload_kg]
         key = (payload_kg, int(out[stop]))
         if key not in self._found and self.gap is None:
-            for (source, target), drives in road.supported(self._varied(road), np.unique(out), np.unique(into)).items():
-                self._found.setdefault((payload_kg, source), {})[target] = drives
+            self._found[key] = self._few(payload_kg)[key[1]]
         elif key not in self._found and self.gap is not None:
             most = np.full(1 + len(site.physics.names), math.inf)
             most[0] = site.deadline_s
@@ -75,14 +75,25 @@ class Fronts:
                 patience=max(patience, 1),
             )
             self._patience[payload_kg] = patience - taken
+            if taken > patience:
+                for target, drives in self._few(payload_kg)[key[1]].items():
+                    self._found[key].setdefault(target, []).extend(drives)
         return self._found[key].get(int(into[head]), [])
 
-    def _varied(self, road: Drives) -> list[Array]:
-        """Weights, each resource's raised in steps by what all of the mean arc costs."""
-        assert self.weights is not None
-        mean = np.maximum(road.road.use.mean(axis=0), 1e-9)
-        unit = np.diag(max(float(self.weights @ mean), 1e-9) / mean)
-        return [self.weights, *(self.weights + share * row for row in unit for share in VARIED)]
+    def _few(self, payload_kg: float) -> dict[int, dict[int, list[Drive]]]:
+        """The drives that are cheapest with each resource's price raised in steps by what all of the mean arc costs."""
+        if payload_kg not in self._cheap:
+            road, (out, into) = self.site.road(payload_kg), self.site.nodes[payload_kg]
+            mean = np.maximum(np.abs(road.road.use).mean(axis=0), 1e-9)
+            some = self.weights is not None and self.weights.any()
+            weights = self.weights if self.weights is not None and some else 1.0 / mean
+            unit = np.diag(max(float(weights @ mean), 1e-9) / mean)
+            varied = [weights, *(weights + share * row for row in unit for share in VARIED)]
+            found: dict[int, dict[int, list[Drive]]] = {int(source): {} for source in out}
+            for (source, target), drives in road.supported(varied, np.unique(out), np.unique(into)).items():
+                found[source][target] = drives
+            self._cheap[payload_kg] = found
+        return self._cheap[payload_kg]
 
 
 VARIED = (0.3, 1.5)
@@ -128,11 +139,14 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
     """The plan of least objective of a network of stops, whose drives are still to be chosen."""
     tour = network(site, Fronts(site))
     prices = best_prices(tour)
-    if prices.impossible or (site.windowed and not in_time(site)):
+    ends = in_time(site)
+    if prices.impossible or not len(ends):
         return Answer(site, False)
     best, objective = prices.plan, prices.objective
     sums = _sums(tour)
     bound = _up(sums, prices.bound)
+    if tour.by_value and tour.values is not None:
+        bound = max(bound, float(site.order.left(tour.values)[ends].min()))
     scale = max(abs(bound), 1e-6)
     if best is not None and objective - bound <= PROVED * scale:
         return answer_of(tour, best, objective, objective)
@@ -144,7 +158,8 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
         bound = max(bound, free.bound)
     stopped, base, more = False, prices.bound, [prices.best, *prices.others]
     weights, slack = tour.priced(prices.best)[0], slack_of(tour, prices.best)
-    first = []
+    # where only value counts, all drives are as cheap: soon a plan by few of them, then all
+    first = [] if weights.any() else [Fronts(site, weights, None)]
     if any(charger is not None for charger in tour.chargers):
         alone = best_prices(tour, charging=False)
         if alone.plan is not None and alone.objective < objective:
@@ -157,7 +172,7 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
     if not len(within(start.points, bounds.room[0])):
         return Answer(site, False)
     bound = sure = max(bound, _up(sums, float(bounds.of(0, start.points).min())))
-    gap = min(objective - base, FIRST_GAP * scale)
+    gap = min(objective - base, FIRST_GAP * scale) if weights.any() else math.inf
     while True:
         gap = max(gap, 1e-9 * scale)
         drives = first.pop() if first else Fronts(site, weights, gap, slack)
@@ -185,6 +200,8 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
             if outcome.interrupted or (best is not None and not drives.complete):
                 break
         needed = _below(sums, objective) - base
+        if objective <= bound:
+            break
         if stopped or (exact and (tired or needed <= gap or math.isinf(gap) or (best and not drives.complete))):
             break
         gap = min(STEP * (gap if exact or math.isinf(needed) else FIRST_GAP * scale), needed)

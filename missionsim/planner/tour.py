@@ -187,6 +187,13 @@ class Site:
         """Weighted seconds and Wh."""
         return np.asarray(use @ self.weights)
 
+    @property
+    def usable_wh(self) -> Array:
+        """What may be missing in each battery at any time, shape (batteries,)."""
+        physics = self.physics
+        kept = np.maximum(physics.reserve_wh, 0.0) if self.task.within.reserve_throughout else 0.0
+        return np.asarray(physics.capacity_wh - physics.held_wh - kept)
+
     @cached_property
     def windowed(self) -> bool:
         """Whether some visit must begin within a window."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
-from missionsim.inputs.loading import load_task
+from missionsim.engine.simulate import simulate
+from missionsim.inputs.loading import load_mission, load_task
 from missionsim.planner.answer import Answer
 from missionsim.planner.chance import plan_task
 from missionsim.planner.solve import solve_site
@@ -151,3 +153,38 @@ def _twice(top: float, rate: float, length: float, power: dict[str, float], stoo
         total += 2.0 * (power["c2"] * peak**2 * ramp / 3.0 + power["c4"] * ramp)
         total += power["c3"] * metres + (power["c2"] * peak**2 + power["c4"]) * level
     return total
+
+
+@pytest.mark.parametrize("margin", [-0.01, 0.01])
+def test_what_a_slope_gives_back_is_not_there_before_it(margin: float, tmp_path: Path) -> None:
+    """Up and down again: enough at the end of a fast climb is not enough on top; each pair of speeds by SimPy."""
+    site = _line(None, None, None, length=40.0)
+    for edge, slope in zip(site["edges"], (0.3, -0.3), strict=True):
+        edge["slope"] = slope
+    robot = {**ROBOT, "body": {**ROBOT["body"], "mass": 60.0, "regeneration": 0.9}, "effects": ROBOT["effects"][:1]}
+    speeds = [0.5, 1.4]
+    names = {"kind": "mission", "name": "m", "robot": "robot.yaml", "environment": "site.yaml", "start": "p0"}
+    lowest, seconds = {}, {}
+    for pair in itertools.product(speeds, repeat=2):
+        drives = [{"along": [f"p{i + 1}"], "speed": v, "scheme": "quick"} for i, v in enumerate(pair)]
+        _files(tmp_path, site, {"start": "p0", "visits": [{"place": "p2"}]}, robot)
+        (tmp_path / "m.yaml").write_text(yaml.safe_dump({**names, "segments": [{"drive": one} for one in drives]}))
+        run = simulate(load_mission(tmp_path / "m.yaml"))
+        lowest[pair], seconds[pair] = 10.0 - float(run.charge_wh["drive"].min()), run.duration_s
+    fast = lowest[1.4, 1.4]
+    assert fast > max(lowest[0.5, 0.5], lowest[0.5, 1.4]) + 0.01
+    task = {
+        "start": "p0",
+        "end": "p2",
+        "visits": [{"place": "p2"}],
+        "initial_charge": {"drive": (fast + margin) / 10.0},
+        "choose": {"speeds": speeds, "schemes": ["quick"]},
+        "within": {"reserve": 0.0},
+        "least": "time",
+    }
+    answer, found = plan_task(load_task(_files(tmp_path, site, task, robot)))
+    assert found is not None
+    assert found.feasible
+    can = [seconds[pair] for pair, needed in lowest.items() if needed <= fast + margin]
+    assert answer.duration_s == pytest.approx(min(can), rel=1e-9)
+    assert answer.claim == "proved best"

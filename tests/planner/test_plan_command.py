@@ -208,6 +208,20 @@ def test_value_counts_in_a_given_order_and_what_is_left_out_is_as_little_as_can_
         assert tight["gap"] == 0.0
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        "edges={well_path: {closed: true}, well_shed: {closed: true}}",
+        "visits.1.window={from: 2 h}",
+        "visits.1.take_up=99 kg",
+    ],
+)
+def test_what_may_be_left_out_need_not_be_possible(root: Path, tmp_path: Path, change: str) -> None:
+    visits = "visits=[{place: pump, inspect: 20 s}, {place: well, inspect: 9 s, value: 1}]"
+    assert plan(root, tmp_path, visits)["order"] == ["well", "pump"]
+    assert plan(root, tmp_path, visits, change)["order"] == ["pump"]
+
+
 def test_charging_counts_by_what_is_to_be_least(root: Path, tmp_path: Path) -> None:
     small = (
         TWO,
