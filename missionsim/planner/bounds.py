@@ -285,7 +285,7 @@ def slack_of(tour: Tour, prices: Array) -> Array:
 
 
 def in_time(site: Site) -> NDArray[np.intp]:
-    """States to end in for which some order keeps all windows and the deadline, as fast as can be, whatever it draws."""
+    """States to end in for which some order keeps all windows and the deadline, driven as fast as can be."""
     order, which, visits = site.order, site.order.loads[1], site.task.visits
     seconds = np.eye(len(site.weights))[0]
     apart, stands = _by_load(site, seconds), _stands(site, seconds, None)

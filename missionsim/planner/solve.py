@@ -13,7 +13,7 @@ from missionsim.physics import Array
 from missionsim.planner.answer import Answer, answer_of
 from missionsim.planner.bounds import Tour, bounds_of, in_time, slack_of
 from missionsim.planner.core import Label, Outcome, quick, search, within
-from missionsim.planner.drives import Drive, Drives
+from missionsim.planner.drives import Drive
 from missionsim.planner.dual import best_prices, prices_ahead, unit
 from missionsim.planner.large import solve_large
 from missionsim.planner.orders import MOST_FREE
