@@ -74,9 +74,16 @@ class Answer:
         return (self.objective - self.bound) / abs(self.objective) if self.objective else 0.0
 
     @property
+    def value(self) -> float:
+        """Value of the visits that are made."""
+        return math.fsum(self.site.task.visits[leg.visit].value or 0.0 for leg in self.legs if leg.visit is not None)
+
+    @property
     def claim(self) -> str:
         """What is proved of the plan, in words, with what the proof leaves out."""
-        text = "proved best" if self.gap <= SAME else f"at most {100 * self.gap:.2g} % from the best"
+        unknown = "no bound is known on how much better another may be"
+        text = f"at most {100 * self.gap:.2g} % from the best" if math.isfinite(self.gap) else unknown
+        text = "proved best" if self.gap <= SAME else text
         left_out = list(self.extra.get("assumed", ()))
         if self.stopped:
             left_out.append("the search was stopped")
@@ -105,6 +112,7 @@ class Answer:
             "feasible": self.feasible,
             "order": self.order(),
             "objective": self.objective,
+            "value": self.value,
             "bound": self.bound,
             "gap": self.gap,
             "claim": self.claim if self.feasible else None,

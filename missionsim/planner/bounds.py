@@ -300,7 +300,7 @@ def in_time(site: Site) -> NDArray[np.intp]:
         np.minimum.at(early, (afters, 1 + nexts), begin + stands[which[afters], nexts])
     last = np.flatnonzero(order.ends)
     arrives = (early[last] + apart[which[last], :, site.goal]).min(axis=1)
-    return last[np.isfinite(arrives) & (arrives <= site.deadline_s * (1.0 + 1e-9))]
+    return np.asarray(last[np.isfinite(arrives) & (arrives <= site.deadline_s * (1.0 + 1e-9))])
 
 
 def _by_load(site: Site, weights: Array, straight: bool = False) -> Array:
@@ -365,7 +365,9 @@ def bounds_of(
                 node = state * tour.size + 1 + i
                 stand = float(site.standing(1 + i, max(0.0, site.order.payload_kg(state)))[0, 0])
                 least[node, 1] = max(least[node, 1], most[1] - visit.window.until.value - stand)
-    rows, rests, offsets = [], [], []
+    rows: list[Array] = []
+    rests: list[Array] = []
+    offsets: list[float] = []
     zero = np.zeros(len(most) - 1)
     first = [] if uncharged is None else [zero, *uncharged]
     later = [(multiplier, None if uncharged is None else zero) for multiplier in [zero, *multipliers]]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.inputs.check_task import earlier_of
 from missionsim.physics import Array
@@ -16,6 +17,9 @@ from missionsim.planner.orders import Order
 from missionsim.planner.tour import Site
 
 STARTS = 4
+MOST_LOADS = 40
+"""Loads up to which the least that a drive takes under any of them is known."""
+MORE_VALUE = "more value may be possible"
 CUTS = 25
 """Rounds of cuts after which the bound is what it is."""
 LATE = 1e3
@@ -27,70 +31,133 @@ def solve_large(site: Site, solve: Callable[[Site], Answer]) -> Answer:
 
     `solve`: site with a given order → its best plan.
     """
-    apart = matrix(site, site.order.load_kg, site.weights)
-    found = orders(site, apart)
-    answer = Answer(site, False)
+    found = orders(site, matrix(site, site.order.load_kg, site.weights))
+    best = Answer(site, False)
+    valued = any(visit.value is not None for visit in site.task.visits)
     for order in found:
         answer = solve(replace(site, order=Order(site.task, order)))
-        if answer.feasible:
+        if answer.feasible and (not best.feasible or (-answer.value, answer.objective) < (-best.value, best.objective)):
+            best = answer
+        if answer.stopped or (best.feasible and not valued):
             break
-    else:
+    if not best.feasible:
         count = len(found)
         return Answer(site, False, notes=[f"no plan in the {count} orders that were tried of {len(order)} visits"])
-    answer.bound = min(answer.objective, _bound(site, apart))
-    answer.extra["assumed"] = [*answer.extra.get("assumed", ()), "the order was found by a heuristic"]
-    return answer
+    bound, most = _bound(site, best.value)
+    best.bound = min(best.objective, bound)
+    assumed = [text for text in best.extra.get("assumed", ()) if text != MORE_VALUE]
+    best.extra["assumed"] = [*assumed, "the order was found by a heuristic"]
+    if valued:
+        best.extra["value_at_most"] = max(best.value, most)
+        if most > best.value * (1.0 + 1e-9) + 1e-9:
+            best.extra["assumed"].append(MORE_VALUE)
+    return best
 
 
-def _bound(site: Site, apart: Array) -> float:
-    """Below which no order's objective is; -infinity where visits may be left out or change the load.
+def _bound(site: Site, made: float) -> tuple[float, float]:
+    """Below which the objective of no plan is that makes as much value, and the most value that there is.
 
-    Each stop is left and entered once, and no set of stops is left by less than one drive in all: the linear program of
-    Dantzig, Fulkerson and Johnson (1954), with the sets that a minimal cut finds violated.
+    A linear program: each stop that is made is left and entered once, each drive takes its least under any load, what
+    is limited and cannot be charged suffices, and no set of stops is left by less than its stop that is made most
+    (Dantzig, Fulkerson and Johnson 1954; Fischetti, Salazar and Toth 1998 where stops may be left out), with the sets
+    that a minimal cut finds violated.
     """
+    visits = site.task.visits
+    values = np.array([visit.value or 0.0 for visit in visits])
+    loads = _loads(site)
+    if loads is None:
+        return -math.inf, float(values.sum())
+    count = len(visits)
+
+    def least(weights: Array) -> tuple[Array, Array]:
+        """Of drives between stops and of what is done at visits."""
+        apart = np.min([matrix(site, load, weights)[: count + 2, : count + 2] for load in loads], axis=0)
+        stands = [min((site.standing(1 + i, load) @ weights).min() for load in loads) for i in range(count)]
+        return apart, np.array(stands)
+
+    cost = least(site.weights)
+    ends = [(i, j) for i in range(count + 1) for j in range(1, count + 2) if i != j and np.isfinite(cost[0][i, j])]
+    arcs = np.array(ends).T
+    # what is limited: time, and the charge of batteries that no dock serves; each, and all together
+    physics = site.physics
+    limits = np.array([site.deadline_s, *(physics.initial_wh - physics.reserve_wh)])
+    for stop in site.stops:
+        if stop.charger is not None:
+            limits[1:][stop.charger.gain_w > 0.0] = math.inf
+    kept = np.flatnonzero(np.isfinite(limits) & (limits > 0.0))
+    scaled = [np.eye(len(limits))[r] / limits[r] for r in kept]
+    rows = [np.append(*_on(least(row), arcs)) for row in (*scaled, sum(scaled, np.zeros(len(limits))))]
+    sides = [1.0] * len(kept) + [float(len(kept))]
+    needed = [0.0 if visit.value is not None else 1.0 for visit in visits]
+    value = np.append(np.zeros(arcs.shape[1]), -values)
+    most, rows, sides = _cut(arcs, value, rows, sides, needed) if values.any() else (0.0, rows, sides)
+    objective = np.append(*_on(cost, arcs))
+    bound = _cut(arcs, objective, [*rows, value], [*sides, -made * (1.0 - 1e-12)], needed)[0]
+    return bound, -most if math.isfinite(most) else float(values.sum())
+
+
+def _on(least: tuple[Array, Array], arcs: NDArray[np.intp]) -> tuple[Array, Array]:
+    return least[0][arcs[0], arcs[1]], least[1]
+
+
+def _loads(site: Site) -> list[float] | None:
+    """All loads that some visits together may lead to; None where these are too many."""
+    found = {round(site.order.load_kg, 9)}
+    most = math.inf if site.task.most_kg is None else site.task.most_kg
+    for visit in site.task.visits:
+        change = (visit.take_up.value if visit.take_up else 0.0) - (visit.set_down.value if visit.set_down else 0.0)
+        found |= {round(load + change, 9) for load in found}
+        if len(found) > MOST_LOADS**2:
+            return None
+    loads = sorted(load for load in found if 0.0 <= load <= most * (1.0 + 1e-12))
+    return loads if len(loads) <= MOST_LOADS else None
+
+
+def _cut(
+    arcs: NDArray[np.intp], cost: Array, rows: list[Array], sides: list[float], needed: list[float]
+) -> tuple[float, list[Array], list[float]]:
+    """The least cost of drives (one variable for each of the arcs) and visits, and the rows with the cuts found."""
     import networkx as nx
     from scipy.optimize import linprog
     from scipy.sparse import coo_array
 
-    visits = site.task.visits
-    if any(v.value is not None or v.take_up is not None or v.set_down is not None for v in visits):
-        return -math.inf
-    count = len(visits)
-    ends = [(i, j) for i in range(count + 1) for j in range(1, count + 2) if i != j and (i, j) != (0, count + 1)]
-    arcs = np.array([(i, j) for i, j in ends if math.isfinite(apart[i, j])])
-    tails, heads = arcs.T
-    number = np.arange(len(arcs))
-    degrees = coo_array(
-        (np.ones(2 * len(arcs)), (np.append(tails, count + heads), np.append(number, number))),
-        shape=(2 * count + 2, len(arcs)),
-    ).tocsr()
-    standing = sum(float((site.standing(1 + i, site.order.load_kg) @ site.weights).min()) for i in range(count))
-    cuts: list[Array] = []
-    bound = -math.inf
+    (tails, heads), drives, count = arcs, arcs.shape[1], len(needed)
+    number, visit = np.arange(drives), np.arange(count)
+    # 0 … count are left, count + 1 … 2 · count + 1 entered: the start and the end once, a visit as much as it is made
+    places = np.concatenate([tails, count + heads, 1 + visit, count + 1 + visit])
+    columns = np.concatenate([number, number, drives + visit, drives + visit])
+    entries = np.concatenate([np.ones(2 * drives), -np.ones(2 * count)])
+    degrees = coo_array((entries, (places, columns)), shape=(2 * count + 2, drives + count)).tocsr()
+    once = np.isin(np.arange(2 * count + 2), [0, 2 * count + 1]).astype(float)
+    rows, sides, bound = list(rows), list(sides), -math.inf
     for _ in range(CUTS):
         found = linprog(
-            apart[tails, heads],
+            cost,
             A_eq=degrees,
-            b_eq=np.ones(2 * count + 2),
-            A_ub=np.array(cuts) if cuts else None,
-            b_ub=-np.ones(len(cuts)) if cuts else None,
+            b_eq=once,
+            A_ub=np.array(rows),
+            b_ub=np.array(sides) * (1.0 + np.sign(sides) * 1e-9),
+            bounds=[*((0.0, 1.0) for _ in number), *((low, 1.0) for low in needed)],
             method="highs",
         )
         if not found.success:
             break
-        bound = float(found.fun) + standing
+        bound = float(found.fun)
         graph = nx.DiGraph()
-        graph.add_weighted_edges_from(zip(tails.tolist(), heads.tolist(), found.x.tolist(), strict=True), "capacity")
-        new: set[frozenset[int]] = set()
-        for stop in range(1, count + 1):
-            value, (side, _) = nx.minimum_cut(graph, stop, count + 1)
-            if value < 1.0 - 1e-6:
-                new.add(frozenset(side))
+        for i in np.flatnonzero(found.x[:drives] > 1e-9).tolist():
+            graph.add_edge(int(tails[i]), int(heads[i]), capacity=float(found.x[i]))
+        new: dict[frozenset[int], int] = {}
+        for stop in np.flatnonzero(found.x[drives:] > 1e-6).tolist():
+            value, (side, _) = nx.minimum_cut(graph, 1 + stop, count + 1)
+            if value < found.x[drives + stop] - 1e-6:
+                new.setdefault(frozenset(side), stop)
         if not new:
             break
-        inside = [np.isin(arcs, list(side)) for side in new]
-        cuts += [-(one[:, 0] & ~one[:, 1]).astype(float) for one in inside]
-    return bound
+        for side, stop in new.items():
+            inside = np.isin(arcs, list(side))
+            rows.append(np.append(-(inside[0] & ~inside[1]).astype(float), (visit == stop).astype(float)))
+            sides.append(0.0)
+    return bound, rows, sides
 
 
 def orders(site: Site, apart: Array) -> list[tuple[int, ...]]:

@@ -15,7 +15,7 @@ from missionsim.planner.bounds import Tour, bounds_of, in_time, slack_of
 from missionsim.planner.core import Label, Outcome, quick, search, within
 from missionsim.planner.drives import Drive
 from missionsim.planner.dual import best_prices, prices_ahead, unit
-from missionsim.planner.large import solve_large
+from missionsim.planner.large import MORE_VALUE, solve_large
 from missionsim.planner.orders import MOST_FREE
 from missionsim.planner.tour import Site
 
@@ -131,7 +131,7 @@ def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True) -
         use = np.array([most.duration_s, *most.energy_wh.values()])
         best = replace(most, site=site, objective=float(site.objective(use)), bound=0.0)
     if most.objective - most.bound > 1e-9 * float(values.sum()):
-        best.extra["assumed"] = [*best.extra.get("assumed", ()), "more value may be possible"]
+        best.extra["assumed"] = [*best.extra.get("assumed", ()), MORE_VALUE]
     return best
 
 

@@ -209,7 +209,9 @@ class Site:
     @cached_property
     def shear(self) -> Array:
         """Wh that waiting for a second takes, where something may have to wait. Shape (1 + batteries,)."""
-        return self.waiting * np.append(0.0, np.full(len(self.physics.names), float(self.waits_until > 0.0)))
+        return np.asarray(
+            self.waiting * np.append(0.0, np.full(len(self.physics.names), float(self.waits_until > 0.0)))
+        )
 
     @cached_property
     def waiting(self) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,10 @@ import pytest
 import yaml
 
 from missionsim.cli.app import run_command
+from missionsim.inputs.loading import load_task
+from missionsim.planner.large import solve_large
+from missionsim.planner.solve import solve_site
+from missionsim.planner.tour import make_site
 
 
 def test_twenty_visits_within_a_said_gap(root: Path, tmp_path: Path) -> None:
@@ -58,3 +63,39 @@ def test_a_search_that_is_stopped_claims_nothing(root: Path, capsys: pytest.Capt
     code = run_command(words)
     told = capsys.readouterr().out
     assert code == 0 or "there may be one" in told
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_bounds_of_many_visits_hold_with_values_and_loads(root: Path, seed: int) -> None:
+    """Few visits, solved as if they were many: no bound is above what going through all orders finds."""
+    rng = np.random.default_rng(seed)
+    places = rng.permutation(["gate", "pump", "tank", "ridge", "mast", "yard", "well", "ramp"])
+    visits: list[dict] = [{"place": str(place), "wait": "20 s"} for place in places[:6]]
+    visits[0]["take_up"], visits[1]["set_down"], visits[1]["after"] = "3 kg", "2 kg", visits[0]["place"]
+    for visit in visits[2:]:
+        visit["value"] = float(rng.integers(1, 4))
+    changes = [("visits", visits), ("within.deadline", f"{rng.integers(6, 12)} min"), ("choose.speeds", [0.6, 1.0])]
+    site = make_site(load_task(root / "missions/planning/inspection.yaml", changes))
+    exact = solve_site(site)
+    found = solve_large(site, solve_site)
+    assert exact.feasible
+    assert found.feasible
+    assert found.value <= exact.value <= found.extra["value_at_most"] + 1e-9
+    assert math.isfinite(found.bound)
+    if found.value == exact.value:
+        assert found.bound <= exact.objective * (1 + 1e-9) <= found.objective * (1 + 2e-9)
+
+
+def test_sixteen_visits_of_value_and_a_load_are_bounded(root: Path, tmp_path: Path) -> None:
+    places = ["gate", "pump", "tank", "ridge", "mast", "yard", "well", "ramp"]
+    visits: list[dict] = [
+        {"place": p, "name": f"{p}{k}", "wait": "5 s", "value": 1 + k} for p in places for k in (0, 1)
+    ]
+    visits[0] = {"place": "gate", "take_up": "3 kg"}
+    visits[3] = {"place": "pump", "set_down": "3 kg", "after": "gate"}
+    words = ["plan", str(root / "missions/planning/inspection.yaml"), "--set", f"visits={json.dumps(visits)}"]
+    words += ["--set", "within.deadline=5 min", "--set", "choose.speeds=[1.2]", "--quiet"]
+    assert run_command([*words, "--json", str(tmp_path / "plan.json")]) == 0
+    plan = json.loads((tmp_path / "plan.json").read_text())
+    assert 0.0 < plan["bound"] <= plan["objective"]
+    assert 0.0 < plan["value"] <= plan["value_at_most"] < 21.0
