@@ -52,6 +52,7 @@ def test_a_form_that_the_library_does_not_have_is_not_named(shared: Path) -> Non
     assert [law.certain for law in found.proposed_laws] == [("yaw_rate_rad_s",)]  # the law itself, in place of a drive
 
 
+@pytest.mark.study  # of CSV logs from the little world: test_commands.py, tests/hidden_effects
 def test_nothing_hidden_nothing_named(shared: Path) -> None:
     found = diagnosis(shared, "nothing-1")
     assert found.verdict == "nothing_missing"
