@@ -17,6 +17,7 @@ from missionsim.inputs.tree import read_document
 if TYPE_CHECKING:
     from missionsim.engine.outcome import RunResult
     from missionsim.inputs.mission import MissionSpec
+    from missionsim.inputs.robot import RobotSpec
 
 DATA = Path(__file__).parent / "data"
 
@@ -152,9 +153,7 @@ def load_figures(paper: str) -> dict[str, Figure]:
 
 def numbers_of_robot(paper: str) -> dict[str, Ours]:
     """The figures that stand in the paper's robot file, by key."""
-    from missionsim.inputs import load_robot
-
-    robot = load_robot(ABOUT[paper].robot)
+    robot = shipped_robot(ABOUT[paper].robot)
 
     def at(part: Any, steps: list[str]) -> float:
         for step in steps:
@@ -206,6 +205,14 @@ def judge_all(paper: str, ours: Mapping[str, Ours]) -> list[Item]:
 
 
 Overrides = tuple[tuple[str, str], ...]
+
+
+@functools.cache
+def shipped_robot(name: str) -> RobotSpec:
+    """A shipped robot."""
+    from missionsim.inputs import load_robot
+
+    return load_robot(name)
 
 
 @functools.lru_cache(maxsize=256)

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.inputs import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import Array, mecanum
-from missionsim.published.figures import Figure, Ours, load_figures, mission, run
+from missionsim.published.figures import Figure, Ours, load_figures, mission, run, shipped_robot
 
 PAPER = "hou2019"
 START = "mecanum4/start_straight"
@@ -101,7 +100,7 @@ def direction_power(angles_rad: Array, friction_ratio: float | None = None) -> A
 
     `friction_ratio`: roller over wheel friction; that of the robot file if not given.
     """
-    robot = load_robot("mecanum4")
+    robot = shipped_robot("mecanum4")
     model = build_power_model(robot)
     values: dict[str, Any] = {}
     if friction_ratio is not None:
@@ -148,7 +147,7 @@ def _directions(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
 
 
 def _ratio() -> float:
-    parameters = build_power_model(load_robot("mecanum4")).parameters
+    parameters = build_power_model(shipped_robot("mecanum4")).parameters
     return parameters["robot/roller_friction"].value / parameters["robot/wheel_friction"].value
 
 

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from missionsim.effects.model import PowerModel
-from missionsim.inputs import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import motion
 from missionsim.published import patrol
-from missionsim.published.figures import Figure, Ours, load_figures, load_table, mission, run
+from missionsim.published.figures import Figure, Ours, load_figures, load_table, mission, run, shipped_robot
 
 PAPER = "jaiem2021"
 SCHEMES = {
@@ -37,7 +36,7 @@ Row = dict[str, str]
 def ours() -> dict[str, Ours]:
     """What we compute for each figure, by key."""
     figures = load_figures(PAPER)
-    robot = load_robot("pioneer3dx")
+    robot = shipped_robot("pioneer3dx")
     model = build_power_model(robot)
     rows = [table4_row(model, row) for row in load_table("jaiem2021_table4_rows")]
     return dict(
@@ -117,7 +116,7 @@ def _equations(model: PowerModel) -> Iterator[tuple[str, Ours]]:
     yield "sec312.at_rest", Ours(float(rest))
     values = {name: p.value for name, p in model.parameters.items()}
     best = float(motion.optimal_speed(values["robot/c2"], values["robot/c4"]))
-    top = float(load_robot("pioneer3dx").body.max_speed)
+    top = float(shipped_robot("pioneer3dx").body.max_speed)
     yield "eq10.vopt", Ours(best)
     yield "zone2", Ours(top - best)
     still = {"speed_m_s": 0.0, "accel_m_s2": 0.0, "scheme": ""}

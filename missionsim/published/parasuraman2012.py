@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.inputs import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.physics import Array, khepera
-from missionsim.published.figures import Figure, Ours, Overrides, load_figures, mission, run
+from missionsim.published.figures import Figure, Ours, Overrides, load_figures, mission, run, shipped_robot
 
 PAPER = "parasuraman2012"
 TASK_A = {"wifi": "khepera3/task_a_wifi", "bluetooth": "khepera3/task_a_bluetooth"}
@@ -24,20 +23,20 @@ SENSING = "korebot: 1, infrared: 11, ultrasonic: 5"
 def ours() -> dict[str, Ours]:
     """What we compute for each figure, by key."""
     figures = load_figures(PAPER)
-    robot = load_robot("khepera3")
+    robot = shipped_robot("khepera3")
     return dict(chain(_inputs(robot, figures), _tasks(figures), _savings(figures), _margin(figures)))
 
 
 def motion_power(speed_m_s: float, payload_kg: float = 0.0) -> float:
     """Motion power (W) of the robot at a steady speed."""
-    robot = load_robot("khepera3")
+    robot = shipped_robot("khepera3")
     powers = build_power_model(robot).evaluate({"speed_m_s": speed_m_s, "payload_kg": payload_kg}, battery="robot")
     return float(sum(watts for key, watts in powers["robot"].items() if key.component == "motors"))
 
 
 def static_power(radio: str | None) -> float:
     """Static power (W) of the robot with all sensors on, with a radio or without."""
-    robot = load_robot("khepera3")
+    robot = shipped_robot("khepera3")
     on = {
         "on_korebot": 1.0,
         "on_infrared": float(robot.components["infrared"].units),
@@ -65,7 +64,7 @@ def identified_components(noise_w: float = 0.0, seed: int = 0) -> dict[str, floa
     The record has the paper's 20 Hz; with `noise_w` it is measured with white noise of that standard deviation.
     """
     result = run(IDENTIFY)
-    robot = load_robot("khepera3")
+    robot = shipped_robot("khepera3")
     rate = load_figures(PAPER)["sampling.rate"].value
     line = result.timeline
     edges = np.append(line.start_s, line.start_s[-1] + line.duration_s[-1])

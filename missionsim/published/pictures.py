@@ -11,7 +11,7 @@ import numpy as np
 from missionsim.files import atomic_write
 from missionsim.physics import Array
 from missionsim.published import hou2019, parasuraman2012, patrol, rover2025
-from missionsim.published.figures import ABOUT, load_figures, run
+from missionsim.published.figures import ABOUT, load_figures, run, shipped_robot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,10 +57,9 @@ def _pair(figure: Figure) -> tuple[Axes, Axes]:
 
 
 def _velocity(figure: Figure) -> None:
-    from missionsim.inputs import load_robot
     from missionsim.inputs.power import build_power_model
 
-    robot = load_robot("pioneer3dx")
+    robot = shipped_robot("pioneer3dx")
     model = build_power_model(robot)
     speed = np.linspace(0.05, 1.2, 116)
     power = np.asarray(model.total({"speed_m_s": speed, "accel_m_s2": 0.0, "scheme": ""}, "robot"))
@@ -80,10 +79,9 @@ def _velocity(figure: Figure) -> None:
 
 
 def _sonar(figure: Figure) -> None:
-    from missionsim.inputs import load_robot
     from missionsim.physics import electrical
 
-    law = load_robot("pioneer3dx").components["sonar"].loads[0].law
+    law = shipped_robot("pioneer3dx").components["sonar"].loads[0].law
     assert law is not None
     rate = np.linspace(0.0, 40.0, 81)
     power = electrical.sonar_power(rate, float(law.parameters["p2"]), float(law.parameters["p1"]))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.published import hou2019, jaiem2021, parasuraman2012, patrol, rover2025
-from missionsim.published.figures import load_figures
+from missionsim.published.figures import load_figures, shipped_robot
 
 Rows = list[dict[str, Any]]
 SEED, DRAWS = 20210426, 2000
@@ -16,11 +16,10 @@ SEED, DRAWS = 20210426, 2000
 
 def optimal_velocities() -> Rows:
     """Speed of least robot energy per metre for each set of sensors (Jaiem 2021, Eq. 11)."""
-    from missionsim.inputs import load_robot
     from missionsim.inputs.power import build_power_model
     from missionsim.physics import motion
 
-    robot = load_robot("pioneer3dx")
+    robot = shipped_robot("pioneer3dx")
     model = build_power_model(robot)
     c2, c4 = (model.parameters[f"robot/{name}"].value for name in ("c2", "c4"))
     still: dict[str, Any] = {"speed_m_s": 0.0, "accel_m_s2": 0.0, "scheme": ""}
