@@ -13,7 +13,7 @@ from missionsim.uncertainty.batch import Prepared, Task, prepare
 from missionsim.uncertainty.importance import CHANCE, sobol_importance
 from missionsim.uncertainty.paired import paired_difference
 
-REPETITIONS, RUNS = 400, 500
+REPETITIONS, RUNS = 250, 500
 LEAST, MOST = 0.92, 0.98
 MISSION = """kind: mission
 name: calibration

@@ -33,7 +33,7 @@ def peak_mb(folder: Path, segments: int, runs: int, engine: str) -> float:
 
 
 def test_memory_of_a_batch_as_arrays_over_segments(tmp_path: Path) -> None:
-    short, long = (peak_mb(tmp_path, segments, 1200, "arrays") for segments in (30, 300))
+    short, long = (peak_mb(tmp_path, segments, 1200, "arrays") for segments in (30, 200))
     assert long < short + 100.0
 
 
