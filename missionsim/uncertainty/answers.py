@@ -87,10 +87,16 @@ def quantile_ranks(count: int, q: float, level: float = LEVEL) -> tuple[int, int
 
     Gives −1 and `count` where the sample is too small to bound the quantile on that side.
     """
-    from scipy.stats import binom
+    # the functions themselves: the distributions around them (scipy.stats) take a second to import
+    from scipy.special import bdtr, bdtrik
+
+    def rank(p: float) -> int:
+        """Least number of successes of a binomial distribution that is not exceeded with probability p."""
+        least = math.ceil(bdtrik(p, count, q))
+        return least - 1 if least and bdtr(least - 1, count, q) >= p else least
 
     tail = 0.5 * (1.0 - level)
-    return int(binom.ppf(tail, count, q)) - 1, int(binom.ppf(1.0 - tail, count, q))
+    return rank(tail) - 1, rank(1.0 - tail)
 
 
 def describe(column: Array) -> Json:
@@ -102,11 +108,11 @@ def describe(column: Array) -> Json:
     count = len(ordered)
     if not count:
         return {"mean": None, "sd": None, **dict.fromkeys(QUANTILES)}
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
     mean = float(ordered.mean())
     sd = float(ordered.std(ddof=1)) if ordered[0] < ordered[-1] else 0.0
-    half = float(t.ppf(0.5 + 0.5 * LEVEL, count - 1)) * sd / math.sqrt(count) if count > 1 else math.inf
+    half = float(stdtrit(count - 1, 0.5 + 0.5 * LEVEL)) * sd / math.sqrt(count) if count > 1 else math.inf
     ranks = {name: quantile_ranks(count, q) for name, q in QUANTILES.items()}
     return {
         "mean": mean,

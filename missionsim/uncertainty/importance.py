@@ -134,13 +134,13 @@ def _ratio(parts: Array, variances: Array) -> Array:
 
     `parts`: shape (designs, values, batteries); `variances`: shape (designs, batteries).
     """
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
     whole = np.where(variances.sum(axis=0) > 0.0, variances.sum(axis=0), np.inf)
     ratio = parts.sum(axis=0) / whole
     without = (parts.sum(axis=0) - parts) / (whole - variances)[:, None, :]
     spread = np.sqrt((DESIGNS - 1) * np.mean((without - without.mean(axis=0)) ** 2, axis=0))
-    half = float(t.ppf(0.5 + 0.5 * LEVEL, DESIGNS - 1)) * spread
+    half = float(stdtrit(DESIGNS - 1, 0.5 + 0.5 * LEVEL)) * spread
     return np.array([ratio, ratio - half, ratio + half])
 
 

@@ -49,9 +49,9 @@ def paired_difference(quantity: str, baseline: Array, other: Array) -> PairedDif
     change = change[np.isfinite(change)]
     if len(change) < 2:
         return None
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
-    half = float(t.ppf(0.5 + 0.5 * LEVEL, len(change) - 1)) * float(change.std(ddof=1)) / math.sqrt(len(change))
+    half = float(stdtrit(len(change) - 1, 0.5 + 0.5 * LEVEL)) * float(change.std(ddof=1)) / math.sqrt(len(change))
     mean = float(change.mean())
     return PairedDifference(quantity, mean, mean - half, mean + half)
 
