@@ -20,6 +20,8 @@ from missionsim.identify.model import Model
 from missionsim.identify.predictive import LeastSquares, Left, sober_clock
 from missionsim.identify.settings import (
     FAMILY_LEVEL,
+    HALVED,
+    HALVED_LEVEL,
     INDEPENDENT_S,
     LARGEST_PASS_THROUGH,
     LEAST_FALL,
@@ -271,7 +273,8 @@ class _Search:
         passed = {
             "runs": float(fall.sum()) > (PASS_THROUGH_FALL if logged else LEAST_FALL) * before.total,
             "several runs": float(fall.sum() - fall.max()) > 0.0,
-            "robust": p_value < max(FAMILY_LEVEL, self.settings.alpha) / effects,
+            "robust": p_value < max(FAMILY_LEVEL, self.settings.alpha) / effects
+            or (p_value < HALVED_LEVEL and after.total < HALVED * before.total),
             "energy": float(worse.mean()) < UNCLEAR * spread,
             "practical": float(np.abs(shares).sum()) > self.settings.min_share,
             "beyond recalibration": self._beyond_recalibration(number, own[0], float(shares[0])),

@@ -317,6 +317,9 @@ LARGEST_PASS_THROUGH = 2.0
 """Watts logged beside come with at most this factor: no converter loses more than half."""
 FAMILY_LEVEL = 0.01
 """Family-wise level of the Wald test with errors clustered by run: with 6 to 12 runs a tenth of it has no power."""
+HALVED, HALVED_LEVEL = 0.5, 0.05
+"""An effect that leaves less than this part of the squared error on left-out runs is there at this level: its size may
+differ from run to run, so that the Wald test over few of them has no power."""
 UNCLEAR = 2.0
 """Standard errors of a paired difference between two effects below which runs do not tell them apart."""
 RIVAL_PART = 0.5

@@ -21,6 +21,8 @@ LEAST_RISE = 6.0
 """Nats beyond the penalty for all tries."""
 LEAST_BETTER = 0.98
 """A law lowers the error of left-out runs at least to this part: what is left of the form of another law does not."""
+FEW_BETTER = 0.95
+"""The same where the base is far from right and the runs are too few to be the sample."""
 BLOCK_S = 20.0
 ACTS = 0.02
 """Part of a law's squared power from which on it acts in a run."""
@@ -48,18 +50,20 @@ def gates(fitted: Fitted, block_s: float = BLOCK_S) -> Gates:
     model = fitted.model
     share, sd = _robust(model, fitted.column, block_s)
     # where the base is far from right, whole runs differ: floors, loads and roads are not drawn anew every 20 s
-    rough = model.squares is not None and len(model.design.runs) > SEVERAL_RUNS
+    few = len(model.design.runs) <= SEVERAL_RUNS
+    rough = model.squares is not None and not few
     if rough:
         sd = max(sd, _robust(model, fitted.column, math.inf)[1])
     z = abs(share) / max(sd, 1e-300)
     errors = fitted.errors
     several = len(model.design.runs) > 1
+    better = FEW_BETTER if few and model.squares is not None else LEAST_BETTER
     passed = {
         "size": abs(share) >= LEAST_SHARE,
         "likelihood": fitted.rise > fitted.penalty + LEAST_RISE,
         "blocks": 0.5 * z * z > fitted.penalty,
         "left-out runs": not several
-        or (errors.with_law < LEAST_BETTER * errors.without and 2 * errors.better >= errors.acting),
+        or (errors.with_law < better * errors.without and 2 * errors.better >= errors.acting),
         # two runs know little of a product of three: what it says of other runs is a guess
         "several runs": errors.acting >= (SEVERAL_RUNS if rough else len(fitted.form)),
     }
@@ -105,7 +109,7 @@ def left_out(model: Model) -> LeftOut:
     design, gram = model.design, model.gram
     count = len(design.runs)
     q = len(design.layout.parameters)
-    square, energy, size = np.zeros((2, count)), np.zeros((2, count)), np.zeros(count)
+    square, energy, size = np.zeros((2, count)), np.full((2, count), math.nan), np.zeros(count)
     for j, rows in enumerate(design.runs):
         kept = np.arange(count) != j if count > 1 else np.ones(1, dtype=bool)
         part = Gram(gram.per_run[kept], gram.prior_precision)
@@ -116,9 +120,11 @@ def left_out(model: Model) -> LeftOut:
             power = value[:q] @ design.gradient[:q, rows] + value[q:] @ design.phi[list(chosen)][:, rows]
             error = design.base[rows] + power - design.y[rows]
             square[i, j] = np.average(error**2, weights=seconds)
-            energy[i, j] = 100.0 * abs(float(np.sum(error * seconds)) / measured)
+            if measured:  # a run, or a piece of one, in which a drive's meter stood at nought has no energy error
+                energy[i, j] = 100.0 * abs(float(np.sum(error * seconds)) / measured)
         size[j] = float(np.sum(design.phi[-1, rows] ** 2))
     acting = size > ACTS * max(float(size.sum()), 1e-300)
-    rms, mean = np.sqrt(square.mean(axis=1)), energy.mean(axis=1)
+    told = np.isfinite(energy[0])
+    rms, mean = np.sqrt(square.mean(axis=1)), energy[:, told].mean(axis=1) if told.any() else np.zeros(2)
     better = int(np.sum((square[1] < square[0])[acting]))
     return LeftOut(float(rms[0]), float(rms[1]), float(mean[0]), float(mean[1]), better, int(acting.sum()))

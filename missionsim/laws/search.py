@@ -40,8 +40,8 @@ HELPS = 0.995
 HARDLY_WORSE = 1.03
 """At a glance a law lowers the error of left-out runs to this part at least (with a noise of its own it must do far
 better, see `missionsim.laws.gates`), and misses the best by no more than this."""
-CLOCKS, CLOCK_ERROR = ("moving_time_s", "time_s"), 1.02
-"""A clock in a law must predict left-out runs so much better than the same law without it."""
+CLOCKS, NEEDED_ERROR = ("moving_time_s", "time_s"), 1.02
+"""A law without one of its quantities must predict left-out runs so much worse, or that quantity goes."""
 CLOSE_ERROR = 1.005
 """Of two forms whose left-out errors come this close, likelihood decides."""
 
@@ -232,18 +232,39 @@ class Search:
             if other.errors.with_law < CLOSE_ERROR * top.errors.with_law:
                 top = other
                 near = self._near(top, listed)
-        plain = tuple(i for i in top.form if self.grammar.factors[i].variable not in CLOCKS)
-        if plain and plain != top.form:
-            # a slow wander looks like a clock within the pieces of a run
-            other = self.fit(plain, top.model.noise)
-            if other.errors.with_law < CLOCK_ERROR * top.errors.with_law:
-                top, listed = other, [self._without_clocks(forms) for forms in listed]
-                near = self._near(top, listed)
+        needless = self._needless(top)
+        if needless:
+            listed = [self._without(forms, needless) for forms in listed]
+            top = self.fit(
+                tuple(i for i in top.form if self.grammar.factors[i].variable not in needless), top.model.noise
+            )
+            near = self._near(top, listed)
         return Searched(top, tuple(near), self.tried) if near else None
 
-    def _without_clocks(self, forms: NDArray[np.intp]) -> NDArray[np.intp]:
-        clocks = np.array([factor.variable in CLOCKS for factor in self.grammar.factors])
-        return forms[~clocks[forms].any(axis=1)]
+    def _needless(self, top: Fitted) -> set[str]:
+        """Quantities without which a law predicts left-out runs hardly worse, the most needless first.
+
+        A slow wander looks like a clock within the pieces of a run. Where the base is far from right any quantity is
+        asked, since one that hardly varies multiplies a law for nothing.
+        """
+        asked = CLOCKS if self.ground.model.squares is None else [self.grammar.factors[i].variable for i in top.form]
+        limit, needless = NEEDED_ERROR * top.errors.with_law, set[str]()
+        while True:
+            rest = [i for i in top.form if self.grammar.factors[i].variable not in needless]
+            tried = {
+                name: self.fit(form, top.model.noise).errors.with_law
+                for name in dict.fromkeys(self.grammar.factors[i].variable for i in rest)
+                if name in asked and (form := tuple(i for i in rest if self.grammar.factors[i].variable != name))
+            }
+            least = min(tried, key=lambda name: tried[name], default=None)
+            if least is None or tried[least] >= limit:
+                return needless
+            needless.add(least)
+
+    def _without(self, forms: NDArray[np.intp], variables: set[str]) -> NDArray[np.intp]:
+        """Forms that read none of some quantities."""
+        has = np.array([factor.variable in variables for factor in self.grammar.factors])
+        return forms[~has[forms].any(axis=1)]
 
     def _promising(self, forms: Iterable[tuple[int, ...]]) -> list[tuple[int, ...]]:
         """Forms that are worth a noise of their own: those that predict left-out runs, at noise that is at hand, better

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from missionsim.identify.gram import Gram
 from missionsim.laws import gates, proposal
 from missionsim.laws.grammar import Factor, Grammar
-from missionsim.laws.search import Scored
+from missionsim.laws.search import Scored, Search
 
 
 @pytest.mark.parametrize(("best_is_near", "first"), [(True, (1,)), (False, (0,))])
@@ -38,3 +40,35 @@ def test_a_product_of_three_needs_three_runs_in_which_it_acts(
     passed = gates.gates(law).passed
     assert passed.pop("several runs") is held
     assert all(passed.values())
+
+
+def test_a_run_whose_meter_stood_at_nought_has_no_energy_error() -> None:
+    x = np.r_[1.0, 0.0, 1.0, 0.0, np.zeros(4)]
+    y = np.r_[5.0, 1.0, 5.0, 1.0, np.zeros(4)]
+    runs = [slice(0, 4), slice(4, 8)]
+    sums = [np.array([[y[r] @ y[r], y[r] @ x[r]], [y[r] @ x[r], x[r] @ x[r] + 1e-9]]) for r in runs]
+    layout = SimpleNamespace(parameters=())
+    design = SimpleNamespace(runs=runs, layout=layout, duration_s=np.ones(8), y=y, base=np.zeros(8), phi=x[None])
+    design.gradient = np.zeros((0, 8))
+    model = SimpleNamespace(design=design, gram=Gram(np.array(sums), np.zeros(0)), chosen=(0,))
+    errors = gates.left_out(model)
+    assert errors.energy_without == pytest.approx(100.0)  # of the run that has energy
+    assert errors.energy_with == pytest.approx(100.0)  # the other says nothing of the size
+
+
+@pytest.mark.parametrize(
+    ("far", "clock", "kept"), [(True, "c", {"a"}), (False, "c", {"a", "b", "c"}), (False, "time_s", {"a", "b"})]
+)
+def test_a_law_keeps_what_its_prediction_needs(far: bool, clock: str, kept: set[str]) -> None:
+    names = ("a", "b", clock)  # b and the last are worth 1 % each, a half
+    factors = tuple(Factor(name, name, name) for name in names)
+
+    def fit(form: tuple[int, ...], *_: object) -> SimpleNamespace:
+        error = (1.0 if 0 in form else 2.0) * 1.01 ** (2 - sum(i > 0 for i in form))
+        return SimpleNamespace(form=form, model=SimpleNamespace(noise=None), errors=SimpleNamespace(with_law=error))
+
+    ground = SimpleNamespace(model=SimpleNamespace(squares=() if far else None))
+    search = SimpleNamespace(ground=ground, grammar=Grammar(factors, ()), fit=fit)
+    needless = Search._needless(search, fit((0, 1, 2)))
+    # without both the error is 2.01 % larger: one of them stays
+    assert set(names) - needless == (kept | {clock} if far else kept)
