@@ -8,9 +8,9 @@ it depends on the limits along the path only, not on how the path is cut into pi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from missionsim.physics import Array
 
@@ -27,7 +27,12 @@ class Phases:
 
 
 def junction_speeds(
-    distance_m: Any, limit_m_s: Any, accel_m_s2: Any, decel_m_s2: Any, begin_m_s: Any = 0.0, end_m_s: Any = 0.0
+    distance_m: ArrayLike,
+    limit_m_s: ArrayLike,
+    accel_m_s2: ArrayLike,
+    decel_m_s2: ArrayLike,
+    begin_m_s: ArrayLike = 0.0,
+    end_m_s: ArrayLike = 0.0,
 ) -> Array:
     """Highest speeds at the borders of the pieces of a run.
 
@@ -53,7 +58,12 @@ def junction_speeds(
 
 
 def ramp_phases(
-    distance_m: Any, limit_m_s: Any, accel_m_s2: Any, decel_m_s2: Any, begin_m_s: Any = 0.0, end_m_s: Any = 0.0
+    distance_m: ArrayLike,
+    limit_m_s: ArrayLike,
+    accel_m_s2: ArrayLike,
+    decel_m_s2: ArrayLike,
+    begin_m_s: ArrayLike = 0.0,
+    end_m_s: ArrayLike = 0.0,
 ) -> Phases:
     """Trapezoids and triangles of a run, from rest to rest or between given speeds.
 
@@ -85,14 +95,11 @@ def ramp_phases(
     )
 
 
-def phases(distance_m: Any, limit_m_s: Any, accel_m_s2: Any = None, decel_m_s2: Any = None) -> Phases:
-    """Phases of a run from rest to rest, as `ramp_phases`.
+def phases(distance_m: ArrayLike, limit_m_s: ArrayLike) -> Phases:
+    """Phases of a run without a limit of the acceleration, the papers' assumption; shaped as those of `ramp_phases`.
 
-    Without a limit of the acceleration, the papers' assumption: each piece at its speed from its first metre to its
-    last, so that only its cruising phase lasts.
+    Each piece at its speed from its first metre to its last, so that only its cruising phase lasts.
     """
-    if accel_m_s2 is not None:
-        return ramp_phases(distance_m, limit_m_s, accel_m_s2, accel_m_s2 if decel_m_s2 is None else decel_m_s2)
     distance, limit = np.broadcast_arrays(np.asarray(distance_m, float), np.asarray(limit_m_s, float))
     zero = np.zeros_like(limit)
     return Phases(

@@ -58,6 +58,15 @@ def test_constant_power_from_a_flat_curve_by_hand() -> None:
     assert battery.audit_relative_error < 1e-9
 
 
+def test_charging_a_cell_with_resistance_by_hand() -> None:
+    machine = simple(batteries__main={"capacity": "2 Ah", "nominal_voltage": "12 V", "model": FLAT})
+    segments = [{"dock": {"recharge": {"duration": 360}}}]
+    result = run(segments, machine, PLACES, start="dock", initial_charge={"main": 0.5})
+    # 40 W from the charger less 10 W standing, at terminals above the open-circuit voltage
+    current = (math.sqrt(144.0 + 4 * 0.1 * 30.0) - 12.0) / 0.2
+    assert result.batteries["main"].charge_left_fraction == pytest.approx(0.5 + current * 0.1 / 2.0, rel=1e-10)
+
+
 def test_peukert_and_ageing_by_hand() -> None:
     model = {**FLAT, "peukert": 1.2, "rated_time": "20 h", "ageing": 0.8}
     machine = simple(batteries__main={"capacity": "10 Ah", "nominal_voltage": "12 V", "model": model})

@@ -141,6 +141,16 @@ def test_a_battery_that_is_not_charged_ends_the_mission_at_the_dock() -> None:
     assert home.batteries["main"].charged_wh == pytest.approx(40.0 * 270.0 * WH)
 
 
+def test_below_its_reserve_a_battery_that_is_charged_calls_nobody_home() -> None:
+    machine = simple(batteries__main={"capacity": "20 Wh", "reserve": 0.4})
+    segments = [{"dock": {"recharge": {"duration": "3 min"}}}, {"wait": {"duration": "1 min"}}]
+    result = run(segments, machine, PLACES, start="dock", initial_charge={"main": 0.3}, policy=HOME)
+    # 1.5 Wh on top of 6 Wh do not reach the reserve of 8 Wh: that counts once the charger is left
+    assert result.interrupted is not None
+    assert (result.interrupted.kind, result.interrupted.time_s) == ("reserve", pytest.approx(180.0))
+    assert result.batteries["main"].charged_wh == pytest.approx(2.0)
+
+
 def test_an_audit_that_fails_ends_the_run_and_names_the_term(monkeypatch: pytest.MonkeyPatch) -> None:
     mission = load({"segments": [{"wait": {"duration": 60}}, {"drive": {"distance": 10, "speed": 1.0}}]})
     assert max(b.audit_relative_error for b in simulate(mission).batteries.values()) <= 1e-9

@@ -81,7 +81,7 @@ MUTANTS = [
         ("cruising = np.where(free > limit", "cruising = np.where(free < limit"),
         ("-decel + zero]", "decel + zero]"),
         ("np.stack([zero, distance / limit, zero]", "np.stack([zero, distance * limit, zero]"),
-        ("accel_m_s2 if decel_m_s2 is None else decel_m_s2)", "accel_m_s2)"),
+        ("np.square(after)) / (2 * decel)", "np.square(after)) / (2 * accel)"),
     ),
     *_of(
         "meter",
@@ -96,11 +96,14 @@ MUTANTS = [
         "engine/batteries.py",
         ("net = loads.energy_j - loads.charged_j", "net = loads.energy_j + loads.charged_j"),
         ("full = self.charger_w * self.duration_s", "full = self.charger_w"),
-        ("if at_start <= 0.0 < state - level", "if at_start < 0.0 < state - level"),
+        ("if at_start <= 0.0 < state - level", "if at_start > 0.0 < state - level"),
         ("return -current / self.charge_c", "return -2.0 * current / self.charge_c"),
         ("** (self.peukert - 1.0)\n        return", "** self.peukert\n        return"),
         ("extra = float(loads.charger_w[interval]) if", "extra = 0.0 if"),
-        ("return float(time) if 0.0 <= time <= horizon_s else None", "return float(time) if 0.0 <= time else None"),
+        (
+            "return float(time) if 0.0 <= time <= horizon_s else None",
+            "return float(time) if time <= horizon_s else None",
+        ),
     ),
     *_of(
         "rules",

@@ -16,7 +16,7 @@ import yaml
 from missionsim.inputs.loading import load_task
 from missionsim.inputs.task import SchemeChoice, TaskSpec
 from missionsim.plan.build import legs_of
-from missionsim.plan.kinematics import phases
+from missionsim.plan.kinematics import phases, ramp_phases
 from missionsim.planner.physics import Physics
 from missionsim.planner.pieces import drive
 from missionsim.planner.tour import Charger, make_site
@@ -174,7 +174,7 @@ class Exhaustive:
         if limits.accel_m_s2 is None:
             made = phases(distance, limit)
         else:
-            made = phases(
+            made = ramp_phases(
                 distance, limit, np.full(len(combos), limits.accel_m_s2), np.full(len(combos), limits.decel_m_s2)
             )
         shape = made.duration_s.shape
