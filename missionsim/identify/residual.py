@@ -217,7 +217,6 @@ def _words(name: str, times: str, knots: Array, curve: Array) -> str:
 
 def periodic(model: Model, chosen_rows: Array) -> Structure | None:
     """A line in the mean periodogram of the whitened residual that stands out of its neighbourhood."""
-    from scipy.ndimage import median_filter
     from scipy.special import gammaincc
 
     design = model.design
@@ -234,7 +233,8 @@ def periodic(model: Model, chosen_rows: Array) -> Structure | None:
     # a window of three bins: a line of a load that is not quite steady spreads over them
     smooth = np.convolve(power, [0.25, 0.5, 0.25], mode="same")
     width = min(61, 2 * (len(smooth) // 4) + 1)
-    floor = median_filter(smooth, width, mode="nearest")
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(smooth, width // 2, mode="edge"), width)
+    floor = np.median(around, axis=1)
     ratio = smooth / np.maximum(floor, 1e-300)
     usable = np.arange(1, length // 2 + 1)
     # two and a half periods at least, and slower than eight rows: faster is the robot's own motion
