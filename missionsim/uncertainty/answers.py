@@ -92,7 +92,7 @@ def quantile_ranks(count: int, q: float, level: float = LEVEL) -> tuple[int, int
 
     def rank(p: float) -> int:
         """Least number of successes of a binomial distribution that is not exceeded with probability p."""
-        least = math.ceil(bdtrik(p, count, q))
+        least = math.ceil(float(bdtrik(p, count, q)))
         return least - 1 if least and bdtr(least - 1, count, q) >= p else least
 
     tail = 0.5 * (1.0 - level)
