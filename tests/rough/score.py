@@ -20,13 +20,16 @@ from missionsim.diagnose.improve import improve
 from missionsim.diagnose.split import Split, choose_split
 from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.identify.settings import Settings
+from missionsim.importer.mapping import import_source
+from missionsim.inputs.loading import load_map
 from missionsim.labels import Labels
 from missionsim.logs import read_logs
 from missionsim.runs.error import Errors, RunError
 from missionsim.runs.run import Run
 from tests.rough.world import WORLDS, write
 
-SHARED = Path(__file__).parents[3] / "shared" / "data"
+ROOT = Path(__file__).parents[2]
+SHARED = ROOT.parent / "shared" / "data"
 LEVEL = 0.01
 MOST_TERMS = 8
 Array = np.ndarray
@@ -82,6 +85,12 @@ def cases(seeds: range, only: list[str]) -> Iterator[Case]:
         if (SHARED / name).is_dir() and wanted(name):
             split = choose_split(read_logs([SHARED / name / "train"]), [SHARED / name / "heldout"])
             yield Case(name, split, mass, drive, (*speed, *truth))
+    if (SHARED / "warthog_drive").is_dir():
+        runs = import_source(SHARED / "warthog_drive", load_map(ROOT / "docs" / "maps" / "warthog.yaml"))
+        truth = (*speed, "yaw saturating", "speeding up", "braking")
+        for i, run in enumerate(runs):
+            if wanted(name := f"warthog, {run.run} left out"):
+                yield Case(name, Split((*runs[:i], *runs[i + 1 :]), (run,), "one drive"), "590 kg", "skid_steer", truth)
     car = ("speeding up", "braking", "climbing", "descending", "v^3")
     truths = {
         "recuperation": car,

@@ -11,7 +11,10 @@ from missionsim.diagnose.improve import Improved, improve
 from missionsim.diagnose.split import Split, choose_split
 from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.identify.settings import Settings
-from missionsim.logs import read_logs
+from missionsim.importer.mapping import import_source
+from missionsim.inputs.loading import load_map, robot_from_text
+from missionsim.logs import LogTable, read_logs
+from tests.rough.score import Case, predicted
 
 BASE = "c2*v**2 + c3*v + c4"
 
@@ -67,3 +70,42 @@ def test_the_huskys_floors_are_named(shared: Path) -> None:
     before, after = found.steps[0], found.steps[-2]
     assert after.power_rmse_w < 0.9 * before.power_rmse_w
     assert after.energy_error_pct < before.energy_error_pct
+
+
+@pytest.fixture(scope="module")
+def warthog(shared: Path, root: Path) -> list[LogTable]:
+    return import_source(shared / "data" / "warthog_drive", load_map(root / "docs" / "maps" / "warthog.yaml"))
+
+
+def test_two_halves_of_the_warthogs_drives_agree(warthog: list[LogTable]) -> None:
+    found = []
+    for train, heldout in ((warthog[0:6:2], warthog[1:6:2]), (warthog[1:6:2], warthog[0:6:2])):
+        made = improved(Split(tuple(train), tuple(heldout), "the other half"), "590 kg", "skid_steer")
+        recalibrated, after = made.steps[1], made.steps[-2]
+        assert after.power_rmse_w < 0.5 * recalibrated.power_rmse_w
+        assert after.energy_error_pct < 0.5 * recalibrated.energy_error_pct
+        effects = {
+            effect.effect: effect.parameters["k"] for effect in robot_from_text(made.text).effects if effect.effect
+        }
+        assert set(effects) == {"turning_scrub", "acceleration"}
+        found.append(effects)
+    for name, one in found[0].items():
+        other = found[1][name]
+        assert abs(one.value - other.value) < 1.96 * np.hypot(one.sd, other.sd)
+
+
+@pytest.mark.study
+def test_each_of_the_warthogs_drives_is_predicted_from_the_others(warthog: list[LogTable]) -> None:
+    """As well as by least squares with turning that saturates and inertia both ways, which are true of it."""
+    ours, recalibrated, peer = [], [], []
+    for i, run in enumerate(warthog):
+        split = Split((*warthog[:i], *warthog[i + 1 :]), (run,), "one drive")
+        steps = improved(split, "590 kg", "skid_steer").steps
+        ours.append((steps[-2].power_rmse_w, steps[-2].energy_error_pct))
+        recalibrated.append((steps[1].power_rmse_w, steps[1].energy_error_pct))
+        truth = ["moving", "still", "v", "v^2", "yaw saturating", "speeding up", "braking"]
+        peer.append(predicted(Case(run.run, split, "590 kg", "skid_steer", tuple(truth)), truth))
+    power, energy = (np.array([ours, recalibrated, peer])[:, :, k] for k in (0, 1))
+    rms = np.sqrt(np.mean(power**2, axis=1))
+    assert rms[0] < 1.05 * rms[2] < 0.6 * rms[1]
+    assert energy[0].mean() < min(energy[1].mean(), energy[2].mean())
