@@ -49,23 +49,23 @@ def gates(fitted: Fitted, block_s: float = BLOCK_S) -> Gates:
     """Size, likelihood with all tries counted, blocks of time, and runs left out."""
     model = fitted.model
     share, sd = _robust(model, fitted.column, block_s)
-    # where the base is far from right, whole runs differ: floors, loads and roads are not drawn anew every 20 s
-    few = len(model.design.runs) <= SEVERAL_RUNS
-    rough = model.squares is not None and not few
-    if rough:
-        sd = max(sd, _robust(model, fitted.column, math.inf)[1])
+    least, runs = LEAST_BETTER, 0
+    if model.squares is not None:
+        # where the base is far from right, whole runs differ: floors, loads and roads are not drawn anew every 20 s
+        if len(model.design.runs) > SEVERAL_RUNS:
+            sd, runs = max(sd, _robust(model, fitted.column, math.inf)[1]), SEVERAL_RUNS
+        else:  # two runs know little of a product of three: what it says of other runs is a guess
+            least, runs = FEW_BETTER, len(fitted.form)
     z = abs(share) / max(sd, 1e-300)
     errors = fitted.errors
     several = len(model.design.runs) > 1
-    better = FEW_BETTER if few and model.squares is not None else LEAST_BETTER
     passed = {
         "size": abs(share) >= LEAST_SHARE,
         "likelihood": fitted.rise > fitted.penalty + LEAST_RISE,
         "blocks": 0.5 * z * z > fitted.penalty,
         "left-out runs": not several
-        or (errors.with_law < better * errors.without and 2 * errors.better >= errors.acting),
-        # two runs know little of a product of three: what it says of other runs is a guess
-        "several runs": errors.acting >= (SEVERAL_RUNS if rough else len(fitted.form)),
+        or (errors.with_law < least * errors.without and 2 * errors.better >= errors.acting),
+        "several runs": errors.acting >= runs,
     }
     return Gates(sd, z, errors, passed)
 

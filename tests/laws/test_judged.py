@@ -29,13 +29,17 @@ def test_a_best_form_whose_sign_is_wrong_among_the_others_does_not_stand_first(
     assert kept[0].form == chosen.form == seen == first
 
 
-@pytest.mark.parametrize(("factors", "acting", "held"), [(3, 2, False), (3, 3, True), (2, 2, True), (1, 1, True)])
-def test_a_product_of_three_needs_three_runs_in_which_it_acts(
-    monkeypatch: pytest.MonkeyPatch, factors: int, acting: int, held: bool
+@pytest.mark.parametrize(
+    ("far", "factors", "acting", "held"),
+    [(True, 3, 2, False), (True, 3, 3, True), (True, 2, 2, True), (True, 1, 1, True), (False, 3, 2, True)],
+)
+def test_far_from_right_a_product_of_three_needs_three_runs_in_which_it_acts(
+    monkeypatch: pytest.MonkeyPatch, far: bool, factors: int, acting: int, held: bool
 ) -> None:
     monkeypatch.setattr(gates, "_robust", lambda *_: (0.1, 0.005))
     errors = SimpleNamespace(without=2.0, with_law=1.0, better=acting, acting=acting)
-    model = SimpleNamespace(squares=None, design=SimpleNamespace(runs=[slice(0, 1)] * acting))
+    squares = () if far else None
+    model = SimpleNamespace(squares=squares, design=SimpleNamespace(runs=[slice(0, 1)] * acting))
     law = SimpleNamespace(model=model, column=0, errors=errors, rise=80.0, penalty=5.0, form=tuple(range(factors)))
     passed = gates.gates(law).passed
     assert passed.pop("several runs") is held
