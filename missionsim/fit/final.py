@@ -132,6 +132,7 @@ def _fit(
     still = {*fixed, *shapes}
     start = {n: p.value for n, p in model.parameters_of(battery).items()}
     low, high = _bounds(model, battery)
+    nought: dict[str, Value] = {}
     for round_ in range(ROUNDS):
         if not linear:
             whole = _System.of(ready, clock, settings)
@@ -153,6 +154,11 @@ def _fit(
         # rounding must not take what an effect gives back at its bound beyond it
         values |= {n: min(max(values[n], low[n]), high[n]) for n in {*added, "regeneration"} & set(names)}
         model = model.with_values({f"{battery}/{n}": v for n, v in values.items()})
+        sds = np.sqrt(np.maximum(np.diag(cov), 0.0))
+        told = {n: Value(values[n], abs(start[n]) * float(s)) for n, s in zip(names, sds, strict=True)}
+        # what comes to nothing has no column in the next round
+        nought |= {n: Value(0.0, told[n].sd) for n in added & set(names) if abs(values[n]) < STILL * abs(start[n])}
+        model = model.with_values({f"{battery}/{n}": 0.0 for n in nought})
         if np.all(np.abs(shift - done) < STILL) or round_ == ROUNDS - 1:
             break
         powers = ready.powers(model)
@@ -161,9 +167,7 @@ def _fit(
             system, done = system.moved(powers), shift
         else:
             ready = prepare(model, runs, battery)
-    sds = np.sqrt(np.maximum(np.diag(cov), 0.0))
-    told = {n: Value(values[n], abs(start[n]) * float(s)) for n, s in zip(names, sds, strict=True)}
-    return FinalFit(model, told, alike), system
+    return FinalFit(model, told | nought, alike), system
 
 
 def _is_linear(ready: Prepared, powers: Sequence[Array], values: Mapping[str, float]) -> bool:

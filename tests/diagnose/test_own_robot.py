@@ -15,9 +15,13 @@ from missionsim.diagnose.diagnosis import diagnose_battery, examine
 from missionsim.diagnose.improve import improve
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.subject import Subject
+from missionsim.effects.library import get_effect
+from missionsim.effects.model import ModelParameter, Term, TermKey
+from missionsim.fit.final import final_fit
 from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.fit.provenance import data_tag
 from missionsim.fit.refit import refit_robot
+from missionsim.identify.align import Clock
 from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import robot_from_text
@@ -192,3 +196,20 @@ def test_scrub_that_differs_by_floor_is_added_after_scrub() -> None:
     assert done.added == ("turning_scrub", "surface_turning_scrub")
     more = {e.effect: e.parameters for e in robot_from_text(done.text).effects}["surface_turning_scrub"]
     assert more["k_carpet"].value == pytest.approx(8.0, rel=0.2)
+
+
+def test_what_comes_to_nothing_in_the_last_fit_is_written_as_nothing() -> None:
+    """A load that grows less than in proportion: a loss with its square may not be negative, nor what it began with."""
+    logs = []
+    for seed in range(4):
+        log = drive(seed, seconds=300.0, scrub_w_s_rad=10.0)
+        power = log.power_w[BATTERY] - 0.012 * log.power_w[BATTERY] ** 2
+        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
+    model = Subject.of(robot_from_text(calibrate_new(NewRobot("own", BASE), logs).text)).model
+    terms = []
+    for name, start, unit in (("turning_scrub", 6.0, "W s/rad"), ("conversion_loss", 0.02, "1/W")):
+        own = get_effect(name)
+        terms.append(Term(TermKey(BATTERY, own.component, name), own, {"k": ModelParameter(start, unit)}, base=False))
+    fit = final_fit(replace(model, terms=(*model.terms, *terms)), logs, BATTERY, {}, Clock(0.0, 0.0, ()), Settings())
+    assert fit.values["conversion_loss.k"].value == 0.0
+    assert fit.model.parameters_of(BATTERY)["conversion_loss.k"].value == 0.0
