@@ -141,7 +141,9 @@ def _drive(site: Site, rounds: int, every_s: float, prices: Prices, watch: Watch
     bounds = bounds_of(tour, [prices.best, *prices.others])
     start = Label(0, tour.first[None, :])
     best, objective, lower, stopped = None, math.inf, bound, False
-    for width, ask in ((3, None), (max(4, min(300, LABELS // rounds)), told)):  # soon a plan, then a good one
+    # soon a plan, then a good one; of many visits each label has many to follow it
+    wide = LABELS // rounds // max(1, len(site.task.visits) ** 2 // 9)
+    for width, ask in ((3, None), (max(4, min(300, wide)), told)):
         if not stopped:
             outcome = quick(tour, [start], tour.is_goal, bounds, best=objective, watch=ask, width=width)
             best, objective, stopped = outcome.label or best, outcome.objective, outcome.interrupted

@@ -15,6 +15,8 @@ from missionsim.planner.solve import Watch, solve_site
 from missionsim.planner.tour import Site, make_site
 
 AMPLE_WH = 1e5
+ENOUGH = 1.0 + 1e-8
+"""What would do is told by so much more, lest rounding takes it away again."""
 
 
 def explain(site: Site) -> dict[str, Any]:
@@ -41,9 +43,9 @@ def explain(site: Site) -> dict[str, Any]:
             changes.append(
                 {
                     "change": "within.deadline",
-                    "to": free.duration_s,
+                    "to": ENOUGH * free.duration_s,
                     "unit": "s",
-                    "text": f"a deadline of {free.duration_s:.1f} s ({lacking:.1f} s later)",
+                    "text": f"a deadline of {_up(free.duration_s, 1):.1f} s ({_up(lacking, 1):.1f} s later)",
                     "relative": lacking / site.deadline_s,
                 }
             )
@@ -68,9 +70,9 @@ def explain(site: Site) -> dict[str, Any]:
             changes.append(
                 {
                     "change": f"initial_charge.{name}",
-                    "to": level / 100.0,
+                    "to": min(1.0, ENOUGH * level / 100.0),
                     "unit": "",
-                    "text": f"'{name}' at {level:.1f} % at the start in place of {before:.1f} %",
+                    "text": f"'{name}' at {min(100.0, _up(level, 1)):.1f} % at the start in place of {before:.1f} %",
                     "relative": lacking / capacity,
                 }
             )
@@ -81,9 +83,9 @@ def explain(site: Site) -> dict[str, Any]:
         changes.append(
             {
                 "change": f"robot.batteries.{name}.capacity",
-                "to": larger,
+                "to": ENOUGH * larger,
                 "unit": "Wh",
-                "text": f"a battery '{name}' of {larger:.4g} Wh in place of {capacity:.4g} Wh",
+                "text": f"a battery '{name}' of {_up(larger, 2):.2f} Wh in place of {capacity:.4g} Wh",
                 "relative": larger / capacity - 1.0,
             }
         )
@@ -163,6 +165,11 @@ def _name(leg: Any) -> str:
     return f"edge '{leg.piece.name}'" if leg.piece is not None else leg.kind
 
 
+def _up(value: float, digits: int) -> float:
+    """Rounded up: what is told must do."""
+    return math.ceil(ENOUGH * value * 10.0**digits) / 10.0**digits
+
+
 def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
     """A visit less; the docks that the task does not use."""
     task = site.task
@@ -188,11 +195,12 @@ def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
         if answer.feasible:
             number = next((k for k, leg in enumerate(answer.legs) if leg.visit == i), len(answer.legs))
             begins, until = sum(leg.duration_s for leg in answer.legs[:number]), visit.window.until.value
+            later = f"{_up(begins, 1):.1f} s ({_up(begins - until, 1):.1f} s later)"
             yield {
                 "change": f"visits.{i}.window.until",
-                "to": begins,
+                "to": ENOUGH * begins,
                 "unit": "s",
-                "text": f"a window of '{visit.label}' until {begins:.1f} s ({begins - until:.1f} s later)",
+                "text": f"a window of '{visit.label}' until {later}",
                 "relative": (begins - until) / max(until, 1.0),
             }
     chargers = [name for name, place in task.environment.places.items() if place.charger is not None]
