@@ -45,14 +45,12 @@ class Refill(Protocol):
     @property
     def obliged(self) -> bool:
         """Whether a way through the node has to do it: else it has no reason to stop there."""
-        ...
 
     def options(self, x: Array) -> list[Array]:
         """Ways to refill from a vector: each a chain of vectors, shape (points, resources).
 
         Between the points of a chain everything between them may be had; a chain of one point is a level.
         """
-        ...
 
 
 class Network(Protocol):
@@ -60,15 +58,12 @@ class Network(Protocol):
 
     def leaving(self, node: int) -> Leaving:
         """Arcs out of a node."""
-        ...
 
     def refill(self, node: int) -> Refill | None:
         """What may be refilled at a node."""
-        ...
 
     def opens(self, node: int) -> Callable[..., Array] | None:
         """Waiting at a node: points of a chain (or, with ``apart=True``, points apart) before → after; or None."""
-        ...
 
 
 class Label:
@@ -225,24 +220,11 @@ def search(
     watch: Callable[[Outcome, int], bool] | None = None,
     every_goal: bool = False,
 ) -> Outcome:
-    """The best way to a goal, or with `every_goal` all ways to goals that none dominates.
+    """The best way to a goal, or with `every_goal` all ways to goals that none dominates, as `runners_up`.
 
-    Parameters
-    ----------
-    network : Network
-    starts : sequence of Label
-    goal : callable
-        Whether a node is one.
-    bounds : Bounds
-    best : float
-        Objective of a way that is known already; ways whose bound is not below it are not followed.
-        With `every_goal`, the bound from which on ways are left out.
-    most_labels : int, optional
-        Stop after so many labels that none dominates, or `DOMINATED` times as many in all.
-    watch : callable, optional
-        ``(outcome so far, labels waiting) -> stop?``, called now and then.
-    every_goal : bool
-        Go on after the first goal and collect all that are not dominated in `runners_up`.
+    `goal`: whether a node is one. `best`: objective of a way that is known already; ways whose bound is not below it
+    (with `every_goal`, from it on) are not followed. `most_labels`: stop after so many that none dominates, or
+    `DOMINATED` times as many in all. `watch`: ``(outcome so far, labels waiting) -> stop?``, called now and then.
     """
     outcome = Outcome(objective=best)
     room = bounds.room
