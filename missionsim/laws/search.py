@@ -232,34 +232,36 @@ class Search:
             if other.errors.with_law < CLOSE_ERROR * top.errors.with_law:
                 top = other
                 near = self._near(top, listed)
-        needless = self._needless(top)
-        if needless:
-            listed = [self._without(forms, needless) for forms in listed]
-            top = self.fit(
-                tuple(i for i in top.form if self.grammar.factors[i].variable not in needless), top.model.noise
-            )
+        plain = self._plainest(top)
+        if plain is not top:
+            needless = self._variables(top.form) - self._variables(plain.form)
+            top, listed = plain, [self._without(forms, needless) for forms in listed]
             near = self._near(top, listed)
         return Searched(top, tuple(near), self.tried) if near else None
 
-    def _needless(self, top: Fitted) -> set[str]:
-        """Quantities without which a law predicts left-out runs hardly worse, the most needless first.
+    def _variables(self, form: Sequence[int]) -> set[str]:
+        return {self.grammar.factors[i].variable for i in form}
+
+    def _plainest(self, top: Fitted) -> Fitted:
+        """A law without the quantities that left-out runs hardly need, the most needless gone first.
 
         A slow wander looks like a clock within the pieces of a run. Where the base is far from right any quantity is
         asked, since one that hardly varies multiplies a law for nothing.
         """
-        asked = CLOCKS if self.ground.model.squares is None else [self.grammar.factors[i].variable for i in top.form]
-        limit, needless = NEEDED_ERROR * top.errors.with_law, set[str]()
+        asked = self._variables(top.form)
+        if self.ground.model.squares is None:
+            asked &= {*CLOCKS}
+        limit, best = NEEDED_ERROR * top.errors.with_law, top
         while True:
-            rest = [i for i in top.form if self.grammar.factors[i].variable not in needless]
-            tried = {
-                name: self.fit(form, top.model.noise).errors.with_law
-                for name in dict.fromkeys(self.grammar.factors[i].variable for i in rest)
-                if name in asked and (form := tuple(i for i in rest if self.grammar.factors[i].variable != name))
+            forms = {
+                tuple(i for i in best.form if self.grammar.factors[i].variable != name)
+                for name in asked & self._variables(best.form)
             }
-            least = min(tried, key=lambda name: tried[name], default=None)
-            if least is None or tried[least] >= limit:
-                return needless
-            needless.add(least)
+            fits = [self.fit(form, top.model.noise) for form in sorted(forms) if form]
+            plainer = min(fits, key=lambda fit: fit.errors.with_law, default=None)
+            if plainer is None or plainer.errors.with_law >= limit:
+                return best
+            best = plainer
 
     def _without(self, forms: NDArray[np.intp], variables: set[str]) -> NDArray[np.intp]:
         """Forms that read none of some quantities."""
