@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -20,11 +21,12 @@ WHERE_IN_JSON = 200
 """Values listed in the JSON, those that explain most first."""
 
 
-class _Totals:
+class _Totals(ABC):
     """Numbers that follow from the error of a run or of all runs."""
 
+    @abstractmethod
     def _whole(self) -> RunError:
-        raise NotImplementedError
+        """That error."""
 
     @property
     def seconds(self) -> float:

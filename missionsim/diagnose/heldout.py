@@ -107,10 +107,12 @@ class Models:
     def needed_beside(self, law: Finding, effects: Sequence[Finding]) -> tuple[Finding, ...]:
         """The effects without which left-out runs are predicted clearly worse, a law being there as well."""
         kept = list(effects)
+        error = self._of_other_half([*kept, law])
         for effect in effects:
             rest = [one for one in kept if one is not effect]
-            if self._of_other_half([*rest, law]) <= self._of_other_half([*kept, law]) * (1.0 + CLEARLY):
-                kept = rest
+            without = self._of_other_half([*rest, law])
+            if without <= error * (1.0 + CLEARLY):
+                kept, error = rest, without
         return tuple(kept)
 
     def _of_other_half(self, effects: Sequence[Finding]) -> float:

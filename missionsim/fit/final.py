@@ -153,12 +153,12 @@ def _fit(
         values = {n: start[n] * (1.0 + float(s)) for n, s in zip(names, shift, strict=True)}
         # rounding must not take what an effect gives back at its bound beyond it
         values |= {n: min(max(values[n], low[n]), high[n]) for n in {*added, "regeneration"} & set(names)}
+        values |= {n: 0.0 for n in added & set(names) if abs(values[n]) < STILL * abs(start[n])}
         model = model.with_values({f"{battery}/{n}": v for n, v in values.items()})
         sds = np.sqrt(np.maximum(np.diag(cov), 0.0))
         told = {n: Value(values[n], abs(start[n]) * float(s)) for n, s in zip(names, sds, strict=True)}
         # what comes to nothing has no column in the next round
-        nought |= {n: Value(0.0, told[n].sd) for n in added & set(names) if abs(values[n]) < STILL * abs(start[n])}
-        model = model.with_values({f"{battery}/{n}": 0.0 for n in nought})
+        nought |= {n: value for n, value in told.items() if value.value == 0.0}
         if np.all(np.abs(shift - done) < STILL) or round_ == ROUNDS - 1:
             break
         powers = ready.powers(model)
@@ -167,7 +167,7 @@ def _fit(
             system, done = system.moved(powers), shift
         else:
             ready = prepare(model, runs, battery)
-    return FinalFit(model, told | nought, alike), system
+    return FinalFit(model, nought | told, alike), system
 
 
 def _is_linear(ready: Prepared, powers: Sequence[Array], values: Mapping[str, float]) -> bool:
