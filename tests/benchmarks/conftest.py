@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import gc
 import math
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
@@ -39,3 +43,44 @@ def in_turns(request: pytest.FixtureRequest) -> InTurns:
         return mine, other
 
     return measured
+
+
+MISSIONSIM = "from missionsim.cli.app import run_command; code = run_command(sys.argv[1:])"
+"""Script of `cost`: a command."""
+TOLD = """
+import os, time
+print(sum(os.times()[:4]), open("/proc/self/status").read().split("VmHWM:")[1].split()[0])
+sys.exit(code)
+"""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of a process, with its start: seconds of the processor and by the clock, and the most memory that it took."""
+
+    cpu_s: float
+    clock_s: float
+    memory_gb: float
+    said: tuple[str, ...] = ()
+    """Words that it printed."""
+
+    def __str__(self) -> str:
+        return f"{self.cpu_s:.1f} s of the processor, {self.clock_s:.1f} s by the clock, {self.memory_gb:.2f} GB"
+
+
+def cost(script: str, *arguments: object, codes: tuple[int, ...] = (0,)) -> Cost:
+    """What a Python script takes in a process of its own, whose exit code (`code`) must be one of `codes`.
+
+    The process itself says its memory: what the system tells of a child that has ended includes that of its parent.
+    """
+    begun = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-c", f"import sys; code = 0; {script}{TOLD}", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parents[2],
+    )
+    clock = time.perf_counter() - begun
+    assert done.returncode in codes, done.stderr
+    *said, seconds, kilobytes = done.stdout.split()
+    return Cost(float(seconds), clock, float(kilobytes) / 1024**2, tuple(said))

@@ -24,8 +24,8 @@ def sensors(block: int) -> list[int]:
     return [j for j in range(COMPONENTS) if (block + j) % 3]
 
 
-def write(folder: Path, scale: float = 1.0) -> Path:
-    """Robot and mission as files; `scale` stretches the distances and inspections, not the number of events."""
+def write(folder: Path, scale: float = 1.0, times: int = 1) -> Path:
+    """Robot and mission as files; `scale` stretches distances and inspections, `times` repeats all 40 segments."""
     loads = "".join(
         f"\n  c{i}: {{loads: [{{battery: {'main' if i % 2 else 'aux'}, power: {component_power(i)} W}}]}}"
         for i in range(COMPONENTS)
@@ -34,7 +34,7 @@ def write(folder: Path, scale: float = 1.0) -> Path:
         "kind: robot\nname: bench\n"
         "body: {mass: 20 kg, drive: differential, max_speed: 1 m/s, max_acceleration: 0.5 m/s^2,\n"
         "       max_yaw_rate: 1 rad/s, max_yaw_acceleration: 2 rad/s^2}\n"
-        "batteries: {main: {capacity: 100 kWh}, aux: {capacity: 100 kWh}}\n"
+        "batteries: {main: {capacity: 1 MWh}, aux: {capacity: 1 MWh}}\n"
         "motion: {battery: main, model: polynomial, parameters: {c2: 6, c3: 9, c4: 3.6, standing: 2.6}}\n"
         f"components:{loads}\n"
     )
@@ -47,6 +47,9 @@ def write(folder: Path, scale: float = 1.0) -> Path:
             f"  - drive: {{distance: {LENGTHS[1] * scale} m, speed: {SPEEDS[1]} m/s, sensors: {on}}}",
             f"  - inspect: {{duration: {INSPECTION_S * scale} s, sensors: {on}}}",
         ]
+    if times > 1:
+        head = ["  - repeat:", f"      times: {times}", "      segments:"]
+        segments = [*head, *(line.replace("  - ", "        - ", 1) for line in segments)]
     path = folder / "mission.yaml"
     path.write_text("kind: mission\nname: bench\nrobot: robot.yaml\nsegments:\n" + "\n".join(segments) + "\n")
     return path
@@ -111,7 +114,7 @@ def polling_script(scale: float = 1.0) -> Polled:
     return robot
 
 
-def by_hand(scale: float = 1.0) -> list[float]:
+def by_hand(scale: float = 1.0, times: int = 1) -> list[float]:
     """The same patrol as an expert writes it in SimPy for this one mission: events only, energies in closed form.
 
     No trace, no batteries, no messages, no second mission: the least that gives each component's energy in J, motors
@@ -138,8 +141,8 @@ def by_hand(scale: float = 1.0) -> list[float]:
                 energy[COMPONENTS] += 6.0 * squares + 9.0 * way + 3.6 * t
 
     def driver():  # type: ignore[no-untyped-def]
-        for block in range(10):
-            switch(sensors(block))
+        for block in range(10 * times):
+            switch(sensors(block % 10))
             yield from drive(LENGTHS[0] * scale, SPEEDS[0], 0.5, False)
             yield from drive(1.5707963267948966, 1.0, 2.0, True)
             yield from drive(LENGTHS[1] * scale, SPEEDS[1], 0.5, False)

@@ -8,6 +8,7 @@ several times faster; what each names is printed beside its time. One thread eac
 from __future__ import annotations
 
 import json
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 import pytest
 
 from missionsim.diagnose import diagnose_files
-from tests.benchmarks.test_montecarlo_ratios import peak_gb
+from tests.benchmarks.conftest import MISSIONSIM, cost
 from tests.hidden_effects import features, peers
 from tests.hidden_effects.world import Case, make, write
 
@@ -25,6 +26,7 @@ pytestmark = pytest.mark.benchmark_ratio
 GRADE = Case("speed", ("grade",), 0.05, rate_hz=10.0, runs=12, heldout=2)
 MOST = {"PySINDy's ensemble": 16.0, "LASSO": 33.0, "stepwise, HAC": 11.0}
 """Ratios that may not be exceeded: half as much again as those that were measured (10.2, 21.8, 6.8)."""
+MOST_OF_READING = {"csv": 40.0, "parquet": 60.0}
 ALPHA = 0.002
 
 
@@ -124,9 +126,11 @@ def test_time_grows_no_faster_than_rows(folder: Path) -> None:
     assert two < 2.6 * one
 
 
-def write_hours(folder: Path, runs: int) -> None:
-    """Runs of an hour at 10 Hz as Parquet, whose turning costs more than the robot's file knows."""
-    import pandas as pd
+def write_hours(folder: Path, runs: int, form: str) -> None:
+    """Runs of an hour at 10 Hz as CSV or Parquet, whose turning costs more than the robot's file knows."""
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet
     from scipy.signal import lfilter
 
     folder.mkdir()
@@ -142,22 +146,35 @@ def write_hours(folder: Path, runs: int) -> None:
         power = np.where(moving, 6.25 * speed**2 + 9.79 * speed + 3.66, 2.67) + 2.34 + 2.82 * kinect
         power += 3.0 * np.abs(yaw) + lfilter([0.02], [1.0, -0.98], rng.normal(0.0, 1.0, count))
         columns = {"power_robot_w": power, "speed_m_s": speed, "yaw_rate_rad_s": yaw, "on_kinect": kinect}
-        frame = {"time_s": (np.arange(count) + 0.5) * 0.1, **columns, "on_laser": 1.0, "on_sonar": 0.0}
-        pd.DataFrame(frame).to_parquet(folder / f"run_{number:03d}.parquet")
+        same = {"on_laser": np.ones(count), "on_sonar": np.zeros(count)}
+        frame = {"time_s": (np.arange(count) + 0.5) * 0.1, **columns, **same}
+        table = pa.table({name: np.round(values, 6) for name, values in frame.items()})
+        path = folder / f"run_{number:03d}.{form}"
+        pa.csv.write_csv(table, path) if form == "csv" else pa.parquet.write_table(table, path)
+
+
+READ = {
+    "csv": "import pathlib, pyarrow.csv as f; [f.read_csv(p) for p in pathlib.Path(sys.argv[1]).iterdir()]",
+    "parquet": "import pathlib, pyarrow.parquet as f; [f.read_table(p) for p in pathlib.Path(sys.argv[1]).iterdir()]",
+}
+"""Scripts that only read the logs of a folder, one after the other."""
 
 
 @pytest.mark.study
-def test_memory_does_not_grow_with_long_logs(tmp_path: Path) -> None:
+def test_long_logs_beside_reading_them(tmp_path: Path) -> None:
     """3.6 and 10.8 million rows: beyond 500,000 they are averaged as they are read, and stretches are learnt from."""
-    most = []
-    for runs in (100, 300):
-        write_hours(tmp_path / str(runs), runs)
-        out = tmp_path / f"{runs}.json"
-        words = ["diagnose", "--robot", "pioneer3dx", str(tmp_path / str(runs)), "--quiet", "--json", str(out)]
-        begin = time.perf_counter()
-        most.append(peak_gb(words, codes=(0, 1)))  # 1: not every row as it was logged
-        print(f"{runs} hours at 10 Hz: {most[-1]:.2f} GB, {time.perf_counter() - begin:.0f} s")
+    memory = {}
+    for runs, form in ((100, "csv"), (100, "parquet"), (300, "parquet")):
+        folder, out = tmp_path / f"{runs}_{form}", tmp_path / "found.json"
+        write_hours(folder, runs, form)
+        # 1: not every row as it was logged
+        words = ("diagnose", "--robot", "pioneer3dx", folder, "--quiet", "--json", out)
+        ours, read = cost(MISSIONSIM, *words, codes=(0, 1)), cost(READ[form], folder)
+        memory[runs, form] = ours.memory_gb
+        print(f"{runs} hours at 10 Hz, {form}: {ours}; {ours.cpu_s / read.cpu_s:.1f} times pyarrow's read ({read})")
         effects = json.loads(out.read_text(encoding="utf-8"))["batteries"]["robot"]["effects"]
         assert [effect["effect"] for effect in effects] == ["turning_scrub"]
-    assert most[0] < 1.0
-    assert most[1] < most[0] + 0.5
+        assert ours.cpu_s < MOST_OF_READING[form] * read.cpu_s
+        shutil.rmtree(folder)
+    assert max(memory.values()) < 1.0
+    assert memory[300, "parquet"] < memory[100, "parquet"] + 0.5

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import tracemalloc
 from pathlib import Path
 
@@ -15,7 +13,7 @@ from missionsim.cli.app import run_command
 from missionsim.importer.mapping import import_source
 from missionsim.inputs.loading import load_map
 from missionsim.logs.write import write_log
-from tests.benchmarks.conftest import InTurns
+from tests.benchmarks.conftest import MISSIONSIM, InTurns, cost
 from tests.logs.bag_writers import write_bag
 
 MOST_CSV, MOST_BAG = 3.0, 2.0
@@ -88,34 +86,14 @@ def test_a_gigabyte(tmp_path: Path, kind: str) -> None:
     bag = write_bag(tmp_path / ("run.bag" if kind == "ros1" else "run"), kind, 1200.0, often=5, picture_bytes=80_000)
     made, log = tmp_path / "map.yaml", tmp_path / "log.parquet"
     iterating = "from tests.benchmarks.test_import_ratios import *; iterate(Path(sys.argv[1]))"
-    command = "import sys; from missionsim.cli.app import run_command; run_command(['import', *sys.argv[1:]])"
     costs = {
-        name: _cost(*words)
-        for name, words in {
-            "listing": [command, str(bag)],
-            "suggestion": [command, str(bag), "--suggest", "--out", str(made)],
-            "import": [command, str(bag), "--map", str(made), "--out", str(log)],
-            "bare iteration": [iterating, str(bag)],
-        }.items()
+        "listing": cost(MISSIONSIM, "import", bag),
+        "suggestion": cost(MISSIONSIM, "import", bag, "--suggest", "--out", made),
+        "import": cost(MISSIONSIM, "import", bag, "--map", made, "--out", log),
+        "bare iteration": cost(iterating, bag),
     }
-    for name, (seconds, megabytes) in costs.items():
-        print(f"{kind}: {name} {seconds:.1f} s of the processor, {megabytes:.0f} MB")
+    for name, spent in costs.items():
+        print(f"{kind}: {name} {spent}")
     assert log.exists()
-    assert max(megabytes for _, megabytes in costs.values()) < 400
-    assert costs["import"][0] <= MOST_BAG * costs["bare iteration"][0]
-
-
-def _cost(script: str, *arguments: str) -> tuple[float, float]:
-    """Processor's time [s] and most memory [MB] of a script, with the start of its process."""
-    script += (
-        "; import time; print(time.process_time(), open('/proc/self/status').read().split('VmHWM:')[1].split()[0])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script, *arguments],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=Path(__file__).parents[2],
-    )
-    seconds, kilobytes = done.stdout.split()[-2:]
-    return float(seconds), float(kilobytes) / 1024
+    assert max(spent.memory_gb for spent in costs.values()) < 0.4
+    assert costs["import"].cpu_s <= MOST_BAG * costs["bare iteration"].cpu_s

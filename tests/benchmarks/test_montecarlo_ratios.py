@@ -17,7 +17,7 @@ import pytest
 from missionsim.uncertainty.batch import BLOCK_RUNS, Prepared, Task, prepare
 from missionsim.uncertainty.single import simulate_block
 from tests.benchmarks import forty
-from tests.benchmarks.conftest import InTurns
+from tests.benchmarks.conftest import MISSIONSIM, InTurns, cost
 
 pytestmark = pytest.mark.benchmark_ratio
 
@@ -160,24 +160,12 @@ def test_cost_is_linear_in_runs(patrol: Prepared) -> None:
     assert statistics.median(ratios) < 1.25
 
 
-MEASURED = "import resource, sys; from missionsim.cli.app import run_command; code = run_command(sys.argv[1:]); " + (
-    "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2); sys.exit(code)"
-)
-
-
-def peak_gb(arguments: list[str], codes: tuple[int, ...] = (0,)) -> float:
-    """Peak memory of a command in a process of its own [GB]; it must exit with one of `codes`."""
-    made = subprocess.run([sys.executable, "-c", MEASURED, *arguments], capture_output=True, text=True)
-    assert made.returncode in codes, made.stderr
-    return float(made.stdout.splitlines()[-1])
-
-
 @pytest.mark.study
 def test_a_million_runs_in_less_than_a_gigabyte(root: Path, tmp_path: Path) -> None:
     mission = str(root / "missions/pioneer3dx/valve_patrol_as_driven.yaml")
-    peak = peak_gb(["montecarlo", mission, "--runs", "1000000", "--quiet", "--out", str(tmp_path / "million")])
-    print(f"\npeak memory {peak:.2f} GB")
-    assert peak < 1.0
+    spent = cost(MISSIONSIM, "montecarlo", mission, "--runs", 1_000_000, "--quiet", "--out", tmp_path / "million")
+    print(f"\na million runs: {spent}")
+    assert spent.memory_gb < 1.0
 
 
 @pytest.mark.study
@@ -186,10 +174,10 @@ def test_memory_does_not_grow_with_segments(times: int, runs: int, tmp_path: Pat
     """520, 2000 and 8000 segments, with batteries that last."""
     path = str(forty.write(tmp_path, times))
     large = [part for name in ("robot", "laptop") for part in ("--set", f"robot.batteries.{name}.capacity=1 MWh")]
-    out = str(tmp_path / "batch")
-    peak = peak_gb(["montecarlo", path, *large, "--runs", str(runs), "--sobol", "0", "--quiet", "--out", out])
-    print(f"\n{40 * times} segments, {runs} runs: peak memory {peak:.2f} GB")
-    assert peak < 1.0
+    words = [path, *large, "--runs", runs, "--sobol", 0, "--quiet", "--out", tmp_path / "batch"]
+    spent = cost(MISSIONSIM, "montecarlo", *words)
+    print(f"\n{40 * times} segments, {runs} runs: {spent}")
+    assert spent.memory_gb < 1.0
 
 
 @pytest.mark.study
