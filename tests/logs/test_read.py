@@ -13,6 +13,7 @@ import pytest
 
 from missionsim.labels import Labels
 from missionsim.logs import LogTable, check_log, describe, read_log, read_logs, row_durations
+from missionsim.logs.formats.dialect import Dialect, count_rows
 from tests.logs.conftest import motion, write_csv
 
 GOOD = "time_s,power_robot_w,speed_m_s,surface\n0.5,10,0.1,tile\n1.5,12,0.2,carpet\n2.5,11,0.3,tile\n"
@@ -194,6 +195,20 @@ def test_position_counts_blank_lines_and_quotes(tmp_path: Path, faults_of) -> No
     path.write_text('time_s,surface,power_robot_w\n0.5,"tile, old",10\n\n\n1.5,"tile, old",x1\n')
     fault = faults_of(read_log, path).faults[0]
     assert (fault.line, fault.column, fault.path, fault.got) == (5, 17, "power_robot_w", "x1")
+
+
+def test_rows_are_counted_as_they_are_read(tmp_path: Path) -> None:
+    """Rows of quoted tables are counted by bytes, which must agree with what lines of text would say."""
+    rng = np.random.default_rng(0)
+    path = tmp_path / "a.csv"
+    for ends in (["\n"], ["\r\n"], ["\n", "\r\n", "\r"]):
+        for cells in (["a,b", "1"], ["1", "", " ", "\t"]):
+            for _ in range(50):
+                lines = "".join(rng.choice(cells) + rng.choice(ends) for _ in range(rng.integers(1, 10)))
+                path.write_bytes(('"h"\n' + lines + rng.choice(["", "z"])).encode())
+                with path.open(encoding="utf-8") as handle:
+                    rows = sum(bool(line.strip()) for line in handle) - 1
+                assert count_rows(path, Dialect(("h",), ",", ".", "utf-8", 1)) == rows
 
 
 def test_binary_and_bags(tmp_path: Path, faults_of) -> None:

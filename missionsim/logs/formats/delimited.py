@@ -85,7 +85,6 @@ def iter_csv(
 
     options = options or Options(typed=True, wants=lambda name: columns is None or name in columns or measures(name))
     file = _in_its_encoding(path, options, _opened)
-    file.block_bytes = _BLOCK_BYTES // 4  # Arrow reads some thirty blocks ahead
     words, done = frozenset[str](), 0
 
     def table() -> RawTable:
@@ -148,6 +147,7 @@ def _in_its_encoding(path: Path, options: Options, use: Callable[[_File], Result
 
 
 def _opened(file: _File) -> _File:
+    file.block_bytes = _BLOCK_BYTES // 4  # Arrow reads some thirty blocks ahead
     next(file.batches(None), None)
     return file
 

@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from missionsim.errors import Fault, InputError
 from missionsim.glossary import column_of
 from missionsim.logs.raw import Remark
@@ -307,19 +309,22 @@ def line_finder(path: Path, dialect: Dialect) -> Callable[[int], int]:
     return line_of
 
 
-_BLANK = re.compile(rb"[\r\n][ \t]*\n|\r[ \t]*\r")
+_END, _SPACE = ord("\n"), ord(" ")
+_BLANK = re.compile(rb"[\r\n][ \t]*[\r\n]")
 
 
 def _may_have_blank_lines(path: Path, dialect: Dialect) -> bool:
     """Whether bytes of a file look so; most files have none, and lines need not be counted one by one."""
     if dialect.encoding.startswith("utf-16"):
         return True
-    tail = b""
+    tail = b"\n"
     with open(path, "rb") as handle:
         while block := handle.read(1 << 22):
             lines = (tail + block).replace(b"\r\n", b"\n")
-            # nearly every file has none of these, which costs a tenth of the search for a blank line
-            if any(end in lines for end in (b"\n\n", b"\r", b" \n", b"\t\n")) and _BLANK.search(lines):
+            marks = np.frombuffer(lines, dtype=np.uint8)
+            # nearly every file has no space before an end of line: a twentieth of the search for a blank one
+            odd = b"\r" in lines or np.any((marks[1:] == _END) & (marks[:-1] <= _SPACE))
+            if odd and _BLANK.search(lines):
                 return True
             tail = block[-64:]
     return False
@@ -327,8 +332,18 @@ def _may_have_blank_lines(path: Path, dialect: Dialect) -> bool:
 
 def count_rows(path: Path, dialect: Dialect) -> int:
     """Lines after the header that are not empty."""
-    with open(path, encoding=dialect.encoding, errors="replace") as handle:
-        return sum(1 for number, line in enumerate(handle, 1) if number > dialect.header_line and line.strip())
+    if _may_have_blank_lines(path, dialect):
+        with open(path, encoding=dialect.encoding, errors="replace") as handle:
+            return sum(1 for number, line in enumerate(handle, 1) if number > dialect.header_line and line.strip())
+    lines, last = -dialect.header_line, b""
+    with open(path, "rb") as handle:
+        while block := handle.read(1 << 22):
+            lines += int(np.count_nonzero(np.frombuffer(block, dtype=np.uint8) == _END))
+            if b"\r" in block:
+                lines += block.count(b"\r") - block.count(b"\r\n")
+            lines -= last == b"\r" and block[:1] == b"\n"
+            last = block[-1:]
+    return lines + (last not in b"\r\n")
 
 
 def has_cut_end(path: Path, dialect: Dialect) -> bool:
