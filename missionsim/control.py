@@ -78,7 +78,7 @@ class PowerPredictor:
             for load in component.loads:
                 if load.law is not None and getattr(load.law, "model", None) == "multicore_cpu":
                     given = {key: float(value) for key, value in load.law.parameters.items()}
-                    defaults = {p.name: p.default for p in law_models.CPU_PARAMETERS}
+                    defaults = {p.name: p.default for p in law_models.law_models()["multicore_cpu"].parameters}
                     own = {key.removeprefix(f"{self.battery}/{name}."): v for key, v in self.values.items()}
                     return {**defaults, **given, **{k: v for k, v in own.items() if k in defaults}}
         return None

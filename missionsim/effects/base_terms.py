@@ -7,92 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.effects.base import Effect, ParameterSpec
+from missionsim.effects.base import Effect, Parameters, ParameterSpec
 from missionsim.effects.covariates import Covariates, Value, is_moving, label_equals, number
 from missionsim.errors import InputError
 from missionsim.expressions import Expression
-from missionsim.physics import motion
-
-Parameters = Mapping[str, Any]
-_EQ5 = "Jaiem 2021, Eqs. 5 and 8"
-
-
-def drive_term(
-    id: str,
-    equation: str,
-    parameters: tuple[ParameterSpec, ...],
-    power: Callable[[Covariates, Parameters], Value],
-    *,
-    source: str = _EQ5,
-    needs: tuple[str, ...] = ("speed_m_s",),
-    recovers: bool = False,
-    covariate: str = "",
-) -> Effect:
-    """A base term of the drive, which acts while the robot moves; the model limits what one that `recovers` gives."""
-    return Effect(
-        id,
-        equation,
-        source,
-        equation,
-        parameters,
-        needs,
-        lambda cov, p: _while_moving(power(cov, p), is_moving(cov)),
-        drive=True,
-        recovers=recovers,
-        sign=1 if parameters[0].low == 0.0 else 0,
-        covariate=covariate or needs[-1],
-    )
-
-
-def _while_moving(watts: Any, moving: Any) -> Any:
-    """Power while the robot moves; of many draws (one axis more than `moving`) without a pass where all is moving."""
-    if np.ndim(watts) > np.ndim(moving):
-        return watts if np.all(moving) else watts * np.asarray(moving, dtype=float)
-    return watts * moving
-
-
-def lifting_power(cov: Covariates, p: Parameters) -> Value:
-    """Power of lifting the robot, driven in any direction, ``grade`` times [W]; negative downhill."""
-    speed: Value = np.hypot(cov["speed_m_s"], number(cov, "lateral_speed_m_s"))
-    return motion.grade_power(speed, number(cov, "slope_rad"), cov["mass_kg"], p["grade"])
-
-
-LIFTING = drive_term(
-    "lifting",
-    "m·g·sin θ·v",
-    (ParameterSpec("grade", "1", "share of the weight that counts", default=1.0),),
-    lifting_power,
-    source="Newton's second law on a slope",
-    recovers=True,
-    covariate="slope_rad",
-)
-"""Grade of the motion models that know the robot's mass."""
-
-
-def boards_term(
-    id: str, moving: ParameterSpec, standing: ParameterSpec, meaning: str, source: str = "robot file"
-) -> Effect:
-    """Controller boards: one power while the robot moves, another at rest; the same where no other is given."""
-
-    def power(cov: Covariates, p: Parameters) -> Any:
-        moves = is_moving(cov)
-        if standing.name not in p:
-            return p[moving.name] * np.ones_like(moves, dtype=float)
-        if np.ndim(p[moving.name]) > np.ndim(moves) and np.all(moves):
-            return p[moving.name]  # one column of draws serves all intervals
-        return np.where(moves, p[moving.name], p[standing.name])
-
-    return Effect(
-        id,
-        f"{moving.name} while moving, {standing.name} at rest",
-        source,
-        meaning,
-        (moving, standing),
-        (),
-        power,
-        component="controller",
-        covariate="speed_m_s",
-    )
 
 
 def load_term(
@@ -112,17 +30,8 @@ def load_term(
         units = number(cov, column) if column else _ones(cov)
         return unit_power(cov, p) * units
 
-    return Effect(
-        id,
-        equation,
-        source,
-        f"{component}, {meaning}",
-        parameters,
-        needs,
-        power,
-        component=component,
-        covariate=needs[0] if needs else column or "time_s",
-    )
+    text, about = (equation, source, f"{component}, {meaning}"), needs[0] if needs else column or "time_s"
+    return Effect(id, *text, parameters, needs, power, component=component, covariate=about)
 
 
 def component_term(component: str, *, starting: bool = False, always_on: bool = False) -> Effect:
@@ -140,17 +49,12 @@ def component_term(component: str, *, starting: bool = False, always_on: bool = 
 
 def law_term(component: str, formula: Expression, specs: tuple[ParameterSpec, ...], always_on: bool) -> Effect:
     """Power per unit on by a formula of covariates and parameters (sonar: Jaiem 2021, Eq. 12)."""
-    return load_term(
-        "law",
-        component,
-        formula.source,
-        "robot file",
-        formula.source,
-        specs,
-        lambda cov, p: formula.evaluate({**aliased(cov), **p}),
-        "" if always_on else f"on_{component}",
-        _needs(formula, {spec.name for spec in specs}),
-    )
+    column, needs = "" if always_on else f"on_{component}", _needs(formula, {spec.name for spec in specs})
+
+    def unit_power(cov: Covariates, p: Parameters) -> Any:
+        return formula.evaluate({**aliased(cov), **p})
+
+    return load_term("law", component, formula.source, "robot file", formula.source, specs, unit_power, column, needs)
 
 
 def switchboard_term(name: str, levels: int, components: tuple[str, ...]) -> Effect:
@@ -165,20 +69,11 @@ def switchboard_term(name: str, levels: int, components: tuple[str, ...]) -> Eff
         table = [p[spec.name] for spec in specs]
         result: Any = table[0] * np.ones_like(closed, dtype=float)
         for i, watts in enumerate(table[1:], start=1):
-            reached = closed >= i
-            result = np.where(reached, watts, result)
+            result = np.where(closed >= i, watts, result)
         return result
 
-    return Effect(
-        "switchboard",
-        "P(relays closed)",
-        "Jaiem 2021, Table 3",
-        f"switchboard {name}",
-        specs,
-        (),
-        power,
-        component=name,
-    )
+    text = ("P(relays closed)", "Jaiem 2021, Table 3", f"switchboard {name}")
+    return Effect("switchboard", *text, specs, (), power, component=name)
 
 
 def processor_term(
@@ -218,16 +113,8 @@ def processor_term(
             )
         return result
 
-    return Effect(
-        "processor",
-        "P(scheme, navigation, sensors)",
-        "Jaiem 2021, Table 4",
-        "processor",
-        specs,
-        ("scheme",),
-        power,
-        component="processor",
-    )
+    text = ("P(scheme, navigation, sensors)", "Jaiem 2021, Table 4", "processor")
+    return Effect("processor", *text, specs, ("scheme",), power, component="processor")
 
 
 _MOTION = ("speed_m_s", "lateral_speed_m_s", "accel_m_s2", "yaw_rate_rad_s")
@@ -262,29 +149,12 @@ def motion_expression_terms(
     def specs(names: tuple[str, ...]) -> tuple[ParameterSpec, ...]:
         return tuple(ParameterSpec(name, "", "base parameter", low=-float("inf")) for name in names)
 
+    told, about = (formula.source, "robot file"), needs[0] if needs else "speed_m_s"
+    moving = (*told, "base power of moving", specs(used), needs, drive)
+    resting = (*told, "power when nothing moves", specs(rest), needs, electronics)
     return (
-        Effect(
-            "motion",
-            formula.source,
-            "robot file",
-            "base power of moving",
-            specs(used),
-            needs,
-            drive,
-            drive=True,
-            covariate=needs[0] if needs else "speed_m_s",
-        ),
-        Effect(
-            "electronics",
-            formula.source,
-            "robot file",
-            "power when nothing moves",
-            specs(rest),
-            needs,
-            electronics,
-            component="controller",
-            covariate="time_s",
-        ),
+        Effect("motion", *moving, drive=True, covariate=about),
+        Effect("electronics", *resting, component="controller", covariate="time_s"),
     )
 
 
@@ -296,28 +166,13 @@ def expression_term(id: str, formula: Expression, specs: tuple[ParameterSpec, ..
     def power(cov: Covariates, p: Parameters) -> Any:
         return formula.evaluate({**aliased(cov), **p}) * _ones(cov)
 
-    return Effect(
-        id,
-        formula.source,
-        "robot file",
-        formula.source,
-        specs,
-        needs,
-        power,
-        drive=drive,
-        sign=1 if specs and specs[0].low >= 0.0 else 0,
-        memory=tuple(name for name in needs if name == "moving_time_s" or name.startswith("on_time_")),
-    )
+    text, sign = (formula.source, "robot file", formula.source), 1 if specs and specs[0].low >= 0.0 else 0
+    memory = tuple(name for name in needs if name == "moving_time_s" or name.startswith("on_time_"))
+    return Effect(id, *text, specs, needs, power, drive=drive, sign=sign, memory=memory)
 
 
-ALIASES: dict[str, str] = {
-    "v": "speed_m_s",
-    "a": "accel_m_s2",
-    "w": "yaw_rate_rad_s",
-    "u": "lateral_speed_m_s",
-    "theta": "slope_rad",
-    "m": "mass_kg",
-}
+ALIASES = {"v": "speed_m_s", "a": "accel_m_s2", "w": "yaw_rate_rad_s", "u": "lateral_speed_m_s"}
+ALIASES |= {"theta": "slope_rad", "m": "mass_kg"}
 """Short names that formulas may use."""
 
 

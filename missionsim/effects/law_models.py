@@ -1,4 +1,4 @@
-"""Laws of components by the name that a robot file gives under ``law: model:``, those of other packages too.
+"""Laws of components by the name that a robot file gives under ``law: model:`` (``law_models.yaml``, other packages).
 
 ``multicore_cpu`` is an on-board computer at a clock, loaded by what it must process (rover paper, Eq. 6). Covariates:
 ``cpu_freq_hz`` (the highest clock where absent), and either ``cpu_load`` (measured or given) or ``speed_m_s`` and
@@ -8,14 +8,15 @@ the rate at which batches come.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from missionsim.effects.base import Parameters, ParameterSpec, plugins
 from missionsim.effects.covariates import Covariates, Value, number
+from missionsim.effects.library import declarations, specs_of
 from missionsim.physics import electrical, khepera
 
 
@@ -27,25 +28,7 @@ class LawModel:
     equation: str
     parameters: tuple[ParameterSpec, ...]
     needs: tuple[str, ...]
-    power: Callable[[Covariates, Mapping[str, Any]], Any]
-
-
-CPU_PARAMETERS: tuple[ParameterSpec, ...] = (
-    ParameterSpec("board_idle", "W", "board without its cores"),
-    ParameterSpec("core_work", "W", "one core fully used at the highest clock"),
-    ParameterSpec("core_idle", "W", "one idle core at the highest clock", default=0.0),
-    ParameterSpec("core_idle_floor", "W", "leakage of an idle core", default=0.0),
-    ParameterSpec("cores", "1", "cores on", default=1.0),
-    ParameterSpec("cores_busy", "1", "cores that run the applications", default=1.0),
-    ParameterSpec("low_freq", "Hz", "lowest clock"),
-    ParameterSpec("high_freq", "Hz", "highest clock"),
-    ParameterSpec("low_voltage", "V", "core voltage at the lowest clock"),
-    ParameterSpec("high_voltage", "V", "core voltage at the highest clock"),
-    ParameterSpec("batch_rate", "Hz", "batches that come per second", default=0.0),
-    ParameterSpec("fixed_time", "s", "time per batch that no clock shortens", default=0.0),
-    ParameterSpec("cycles", "1", "cycles per batch at rest", default=0.0),
-    ParameterSpec("cycles_per_speed", "s/m", "more cycles per batch and m/s", default=0.0),
-)
+    power: Callable[[Covariates, Parameters], Value]
 
 
 def clock(cov: Covariates, p: Parameters) -> Value:
@@ -94,33 +77,22 @@ def _given(cov: Covariates, name: str, default: Value) -> Value:
     return default if value is None else np.where(np.isnan(value), default, value)
 
 
-def _sampled(cov: Covariates, p: Mapping[str, Any]) -> Any:
+def _sampled(cov: Covariates, p: Parameters) -> Value:
     rate = number(cov, "sensor_rate_hz", p["rate"])
     return khepera.sensor_power(rate, per_rate_w_s=p["per_rate"], constant_w=p["constant"])
 
 
-_OWN = (
-    LawModel(
-        "multicore_cpu",
-        "P_board + Σ (P_idle(f) + P_work(f)·U), rover paper, Eq. 6",
-        CPU_PARAMETERS,
-        ("speed_m_s",),
-        cpu_power,
-    ),
-    LawModel(
-        "sampled_sensor",
-        "s1·f + s2, Parasuraman 2012, Eq. 5",
-        (
-            ParameterSpec("per_rate", "W s", "s1, energy of one sample"),
-            ParameterSpec("constant", "W", "s2", default=0.0),
-            ParameterSpec("rate", "Hz", "samples per second"),
-        ),
-        (),
-        _sampled,
-    ),
-)
+_POWERS: dict[str, Callable[[Covariates, Parameters], Value]] = {"multicore_cpu": cpu_power, "sampled_sensor": _sampled}
+
+
+@functools.cache
+def _own() -> dict[str, LawModel]:
+    return {
+        id: LawModel(id, told["equation"], specs_of(told["parameters"]), tuple(told.get("needs", ())), _POWERS[id])
+        for id, told in declarations("law_models.yaml").items()
+    }
 
 
 def law_models() -> dict[str, LawModel]:
     """Every law by its id."""
-    return {law.id: law for law in _OWN} | plugins(LawModel)
+    return _own() | plugins(LawModel)

@@ -13,42 +13,25 @@ import numpy as np
 import yaml
 
 from missionsim.effects.base import Effect, Parameters, ParameterSpec, plugins
-from missionsim.effects.covariates import Covariates, label_equals, number
+from missionsim.effects.covariates import Covariates, is_moving, label_equals, number
 from missionsim.errors import InputError, did_you_mean
 from missionsim.glossary import column_of
-from missionsim.physics import electrical, motion
+from missionsim.physics import electrical, mecanum, motion
+
+Power = Callable[[Covariates, Parameters], Any]
 
 LOGGED = "logged"
 """Component under which watts that are logged beside are booked."""
-_SHAPES = {
-    "tau": ParameterSpec(
-        "tau", "s", "time constant", low=1.0, high=7200.0, default=120.0, grid=(20.0, 60.0, 180.0, 540.0)
-    ),
-    "T0": ParameterSpec(
-        "T0", "degC", "temperature at which nothing is added", low=-20.0, high=60.0, default=25.0, grid=(25.0,)
-    ),
-    "regeneration": ParameterSpec(
-        "regeneration",
-        "1",
-        "share of it that braking or a descent gives back; without it that of the robot's body",
-        high=1.0,
-        default=0.0,
-        grid=(0.0, 0.7),
-        optional=True,
-    ),
-    "relief": ParameterSpec(
-        "relief",
-        "1",
-        "1 where what it gives back first takes over what the drive needs, with all such terms together; 0: by itself",
-        high=1.0,
-        default=0.0,
-        optional=True,
-    ),
-    "rolling": ParameterSpec(
-        "rolling", "1", "C_r of the rolling force", high=0.5, default=0.02, grid=(0.0, 0.02, 0.06)
-    ),
-}
-"""Parameters that set the form of effects, by name."""
+
+
+def declarations(name: str) -> dict[str, Any]:
+    """What a file of declarations in this folder holds."""
+    text = Path(__file__).with_name(name).read_text("utf-8")
+    found: dict[str, Any] = yaml.load(text, Loader=yaml.CSafeLoader)
+    return found
+
+
+_FILE: dict[str, dict[str, dict[str, Any]]] = declarations("library.yaml")
 
 
 def _given_back(power_w: Any, regeneration: Any, p: Parameters) -> Any:
@@ -62,55 +45,89 @@ def _grade(cov: Covariates, p: Parameters) -> Any:
 
 
 def _acceleration(cov: Covariates, p: Parameters) -> Any:
-    kinetic = motion.acceleration_power(cov["speed_m_s"], cov["accel_m_s2"], number(cov, "mass_kg", 1.0), p["k"], 1.0)
+    kinetic = motion.inertial_power(cov["speed_m_s"], cov["accel_m_s2"], number(cov, "mass_kg", 1.0), p["k"])
     if "regeneration" in p:
         return _given_back(kinetic, p["regeneration"], p)
     return kinetic if np.any(np.asarray(number(cov, "regeneration")) > 0.0) else np.maximum(kinetic, 0.0)
 
 
-def _copper(cov: Covariates, p: Parameters) -> Any:
-    slope, mass = number(cov, "slope_rad"), number(cov, "mass_kg", 1.0)
-    return motion.traction_copper_loss(cov["speed_m_s"], cov["accel_m_s2"], slope, mass, p["k"], p["rolling"])
-
-
-_WRITTEN: dict[str, Callable[[Covariates, Parameters], Any]] = {
-    "grade": _grade,
-    "acceleration": _acceleration,
-    "copper_loss": _copper,
-    "standby_load": lambda c, p: p["k"] * np.ones_like(number(c, "speed_m_s", 0.0), dtype=float),
-}
+_WRITTEN: dict[str, Power] = {"grade": _grade, "acceleration": _acceleration}
 """Powers that are more than one function of physics."""
-_FUNCTIONS = {**vars(motion), **vars(electrical), "product": operator.mul}
+_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    **{name: one for module in (motion, mecanum, electrical) for name, one in vars(module).items() if callable(one)},
+    "product": operator.mul,
+    "just": lambda value: value,
+    "constant": lambda value, like: value * np.ones_like(like, dtype=float),
+    "nothing": lambda like: 0.0 * like,
+}
+_ABSENT = {"mass_kg": 1.0}
+"""What a covariate counts as where nothing tells it; 0 any other."""
+_PLAIN = ("component", "covariate", "drive", "of_load", "execution", "recovers", "one_sided", "back", "sign")
 
 
-_PLAIN = ("component", "covariate", "of_load", "recovers", "one_sided", "back")
-
-
-def _called(call: str, needs: Sequence[str]) -> Callable[[Covariates, Parameters], Any]:
+def _called(call: str, needs: Sequence[str]) -> Power:
     """A power that is written as ``function(argument, …)`` of parameters and covariates."""
     name, inner = call.rstrip(")").split("(")
-    function, arguments = _FUNCTIONS[name], inner.split(", ")
+    function, arguments = _FUNCTIONS[name], [(a, a in needs, _ABSENT.get(a, 0.0)) for a in inner.split(", ")]
 
     def power(cov: Covariates, p: Parameters) -> Any:
-        return function(*(p[a] if a in p else cov[a] if a in needs else number(cov, a) for a in arguments))
+        return function(*[p[a] if a in p else cov[a] if needed else number(cov, a, k) for a, needed, k in arguments])
 
     return power
 
 
-def _declared(id: str, told: Mapping[str, Any]) -> Effect:
-    """The effect of an entry of the file."""
-    needs, (name, meaning) = tuple(told.get("needs", ())), told.get("coefficient", ("k", "coefficient"))
-    more: dict[str, Any] = {key: told[key] for key in _PLAIN if key in told} | {"drive": "component" not in told}
+def _boards(moving: str, standing: str) -> Power:
+    """Controller boards: one power while the robot moves, another at rest; the same where no other is given."""
+
+    def power(cov: Covariates, p: Parameters) -> Any:
+        moves = is_moving(cov)
+        if standing not in p:
+            return p[moving] * np.ones_like(moves, dtype=float)
+        if np.ndim(p[moving]) > np.ndim(moves) and np.all(moves):
+            return p[moving]  # one column of draws serves all intervals
+        return np.where(moves, p[moving], p[standing])
+
+    return power
+
+
+def _while_moving(power: Power, over: str) -> Power:
+    """A power while the robot moves, over an efficiency; of many draws without a pass where all is moving."""
+
+    def moving_power(cov: Covariates, p: Parameters) -> Any:
+        watts, moving = power(cov, p) / p[over] if over else power(cov, p), is_moving(cov)
+        if np.ndim(watts) > np.ndim(moving):
+            return watts if np.all(moving) else watts * np.asarray(moving, dtype=float)
+        return watts * moving
+
+    return moving_power
+
+
+def specs_of(told: Mapping[str, Mapping[str, Any]]) -> tuple[ParameterSpec, ...]:
+    """Parameters as a file declares them."""
+    return tuple(ParameterSpec(name, **{**spec, "grid": tuple(spec.get("grid", ()))}) for name, spec in told.items())
+
+
+def declared(id: str, told: Mapping[str, Any]) -> Effect:
+    """The effect of an entry of a file."""
+    needs = tuple(told.get("needs", ()))
+    more: dict[str, Any] = {"drive": "component" not in told} | {key: told[key] for key in _PLAIN if key in told}
     if "impulse" in told:
         more["impulse"] = _called(told["impulse"], needs)
     if "relief" in told:
         relief = _called(told["relief"], ())
         more["relief"] = lambda p: relief({}, p)
-    first = ParameterSpec(name, told["unit"], meaning, high=told.get("high", float("inf")))
-    shape = tuple(_SHAPES[one] for one in told.get("shape", ()))
-    power = _called(told["power"], needs) if "power" in told else _WRITTEN[id]
-    text = (told["equation"], told["source"], told["meaning"])
-    return Effect(id, *text, (first, *shape), needs, power, memory=tuple(told.get("memory", ())), **more)
+    if "parameters" in told:
+        specs = specs_of(told["parameters"])
+    else:
+        name, meaning = told.get("coefficient", ("k", "coefficient"))
+        first = ParameterSpec(name, told["unit"], meaning, high=told.get("high", float("inf")))
+        specs = (first, *specs_of({one: _FILE["shapes"][one] for one in told.get("shape", ())}))
+    call = told.get("power")
+    power = _boards(*told["parameters"]) if call == "boards" else _called(call, needs) if call else _WRITTEN[id]
+    if told.get("while_moving"):
+        power = _while_moving(power, told.get("over", ""))
+    text = (told["equation"], told["source"], told.get("meaning", told["equation"]))
+    return Effect(id, *text, specs, needs, power, memory=tuple(told.get("memory", ())), **more)
 
 
 def _named(value: Any, name: str) -> Any:
@@ -122,23 +139,8 @@ def _named(value: Any, name: str) -> Any:
     return value.replace("{name}", name) if isinstance(value, str) else value
 
 
-_FILE: dict[str, dict[str, dict[str, Any]]] = yaml.load(
-    Path(__file__).with_name("library.yaml").read_text("utf-8"), Loader=yaml.CSafeLoader
-)
-_EFFECTS = tuple(_declared(id, told) for id, told in _FILE["effects"].items())
-_EXECUTION = tuple(
-    Effect(
-        id,
-        told["equation"],
-        told["source"],
-        told["meaning"],
-        (ParameterSpec("k", told["unit"], told["meaning"]),),
-        ("speed_m_s",),
-        lambda c, p: 0.0 * number(c, "speed_m_s"),
-        execution=True,
-    )
-    for id, told in _FILE["execution"].items()
-)
+_EFFECTS = tuple(declared(id, told) for id, told in _FILE["effects"].items())
+_EXECUTION = tuple(declared(id, told) for id, told in _FILE["execution"].items())
 FLOORS = tuple(_FILE["floors"])
 """Ids of the effects with a coefficient for each floor."""
 
@@ -173,12 +175,12 @@ def floor_effect(id: str, surface: str) -> Effect:
 
 
 def _of_family(family: str, name: str) -> Effect:
-    return _declared(f"{family}:{name}", _named(_FILE["families"][family], name))
+    return declared(f"{family}:{name}", _named(_FILE["families"][family], name))
 
 
 def battery_resistance(battery: str) -> Effect:
     """`battery_resistance`: ``k (P/U)²`` of the load on a battery whose voltage is known."""
-    return _declared("battery_resistance", _named(_FILE["families"]["battery_resistance"], battery))
+    return declared("battery_resistance", _named(_FILE["families"]["battery_resistance"], battery))
 
 
 def logged_power_effect(column: str) -> Effect:

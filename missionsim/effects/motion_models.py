@@ -1,18 +1,19 @@
 """Base models of moving, by the name that a robot file gives under ``motion: model:``.
 
-A model is a tuple of terms. The one called ``id`` is `MODEL` of the file ``motion_<id>.py`` here, or comes from another
-package by the entry point ``missionsim.effects``.
+A model is a tuple of terms. The one called ``id`` is the file ``motion_<id>.yaml`` here, whose terms are written as the
+effects of ``library.yaml`` are, with all their `parameters`; or it comes from another package by the entry point
+``missionsim.effects``.
 """
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
-from missionsim import effects
 from missionsim.effects.base import Effect, ParameterSpec, plugins
+from missionsim.effects.library import declarations, declared
 from missionsim.effects.model import ModelParameter, Term, TermKey
 from missionsim.errors import InputError
 
@@ -59,9 +60,15 @@ def _default(spec: ParameterSpec) -> ModelParameter:
 
 
 def _own() -> tuple[str, ...]:
-    names = [module.name for module in pkgutil.iter_modules(effects.__path__)]
-    found = (name.removeprefix(_PREFIX) for name in names if name.startswith(_PREFIX))
-    return tuple(sorted(name for name in found if name != "models"))
+    found = Path(__file__).parent.glob(f"{_PREFIX}*.yaml")
+    return tuple(sorted(path.stem.removeprefix(_PREFIX) for path in found))
+
+
+@functools.cache
+def _read(id: str) -> MotionModel:
+    told = declarations(f"{_PREFIX}{id}.yaml")
+    terms = tuple(declared(name, term) for name, term in told["terms"].items())
+    return MotionModel(id, told["equation"], told["source"], terms)
 
 
 def motion_model_ids() -> tuple[str, ...]:
@@ -75,9 +82,7 @@ def get_motion_model(id: str) -> MotionModel:
     Raises InputError: for an unknown id, with the closest one.
     """
     if id in _own():
-        model = importlib.import_module(f"{effects.__name__}.{_PREFIX}{id}").MODEL
-        assert isinstance(model, MotionModel)
-        return model
+        return _read(id)
     others = plugins(MotionModel)
     if id in others:
         return others[id]

@@ -13,8 +13,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from missionsim.physics import Array, f64
+from missionsim.physics import Array, Value, f64
+from missionsim.physics.motion import grade_force
 
+STEADY_M_S2 = 1e-9
+"""Acceleration below which the control system sends no speed-up pulses."""
 _SIDEWAYS = (-1.0, 1.0, 1.0, -1.0)
 _TURNING = (-1.0, 1.0, -1.0, 1.0)
 _FORE = (1.0, 1.0, -1.0, -1.0)
@@ -63,18 +66,18 @@ def friction_power(speeds_m_s: tuple[Array, ...], *, friction_n: ArrayLike) -> A
     return f64(friction_n) / 4.0 * total
 
 
-def kinetic_power(
-    speed_m_s: ArrayLike,
-    accel_m_s2: ArrayLike,
-    lateral_speed_m_s: ArrayLike = 0.0,
-    lateral_accel_m_s2: ArrayLike = 0.0,
-    *,
-    mass_kg: ArrayLike,
+def planar_kinetic_power(
+    speed_m_s: Value,
+    accel_m_s2: Value,
+    lateral_speed_m_s: Value,
+    lateral_accel_m_s2: Value,
+    mass_kg: Value,
+    inertia: Value = 1.0,
 ) -> Array:
-    """Rate of the kinetic energy, W: M (a·v) (Hou 2019, derivative of Eq. 4); negative when braking."""
+    """Rate of the kinetic energy, W: λ M (a·v) (Hou 2019, derivative of Eq. 4, λ for what turns)."""
     along = f64(speed_m_s) * f64(accel_m_s2)
     across = f64(lateral_speed_m_s) * f64(lateral_accel_m_s2)
-    return f64(mass_kg) * (along + across)
+    return f64(inertia) * (f64(mass_kg) * (along + across))
 
 
 def wheel_forces(
@@ -116,6 +119,63 @@ def copper_loss(forces_n: tuple[Array, ...], *, resistance_w_n2: ArrayLike) -> A
     """Loss in the windings, W: 4 R_c Σ g_i²; straight ahead this is R_c (F + M a)² with the total force (W/N²)."""
     total: Array = sum((g**2 for g in forces_n), start=np.zeros(()))
     return 4.0 * f64(resistance_w_n2) * total
+
+
+def _loaded(force_n: ArrayLike, mass_kg: ArrayLike, payload_kg: ArrayLike) -> Array:
+    """A friction force of the empty robot under the weight that it carries."""
+    return f64(force_n) * (f64(mass_kg) / (f64(mass_kg) - f64(payload_kg)))
+
+
+def wheels_power(
+    speed_m_s: Value,
+    lateral_speed_m_s: Value,
+    yaw_rate_rad_s: Value,
+    mass_kg: Value,
+    payload_kg: Value,
+    friction_n: Value,
+    half_sum_m: Value,
+) -> Array:
+    """`friction_power` of the wheels; `friction_n` of the empty robot, `mass_kg` with the payload."""
+    speeds = wheel_speeds(speed_m_s, lateral_speed_m_s, yaw_rate_rad_s, half_sum_m=half_sum_m)
+    return friction_power(speeds, friction_n=_loaded(friction_n, mass_kg, payload_kg))
+
+
+def rollers_power(
+    lateral_speed_m_s: Value,
+    yaw_rate_rad_s: Value,
+    mass_kg: Value,
+    payload_kg: Value,
+    friction_n: Value,
+    half_wheelbase_m: Value,
+) -> Array:
+    """`friction_power` of the rollers; see `wheels_power`."""
+    speeds = roller_speeds(lateral_speed_m_s, yaw_rate_rad_s, half_wheelbase_m=half_wheelbase_m)
+    return friction_power(speeds, friction_n=_loaded(friction_n, mass_kg, payload_kg))
+
+
+def windings_power(
+    speed_m_s: Value,
+    lateral_speed_m_s: Value,
+    accel_m_s2: Value,
+    lateral_accel_m_s2: Value,
+    slope_rad: Value,
+    mass_kg: Value,
+    payload_kg: Value,
+    wheel_friction_n: Value,
+    roller_friction_n: Value,
+    resistance_w_n2: Value,
+) -> Array:
+    """`copper_loss` of the `wheel_forces` that a motion takes; frictions of the empty robot."""
+    wheel, roller = (_loaded(force, mass_kg, payload_kg) for force in (wheel_friction_n, roller_friction_n))
+    motion = (speed_m_s, lateral_speed_m_s, accel_m_s2, lateral_accel_m_s2)
+    frictions = {"wheel_friction_n": wheel, "roller_friction_n": roller}
+    forces = wheel_forces(*motion, mass_kg=mass_kg, grade_force_n=grade_force(slope_rad, mass_kg), **frictions)
+    return copper_loss(forces, resistance_w_n2=resistance_w_n2)
+
+
+def pulse_power(accel_m_s2: Value, lateral_accel_m_s2: Value, pulse_w: Value) -> Array:
+    """Control power that pulses take while the speed changes (Hou 2019, section 2.2)."""
+    return f64(pulse_w) * np.where(np.hypot(accel_m_s2, lateral_accel_m_s2) > STEADY_M_S2, 1.0, 0.0)
 
 
 def minimum_jerk(time_s: ArrayLike, *, speed_m_s: float, duration_s: float) -> tuple[Array, Array]:

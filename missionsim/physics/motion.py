@@ -34,9 +34,24 @@ def drag_power(speed_m_s: Value, k: Value) -> Value:
     return k * np.abs(speed_m_s) ** 3
 
 
-def drag_coefficient(density_kg_m3: Value, drag: Value, area_m2: Value) -> Value:
-    """``½ ρ C_d A`` in kg/m (rover paper, Eq. 5)."""
-    return 0.5 * density_kg_m3 * drag * area_m2
+def air_drag_power(speed_m_s: Value, density_kg_m3: Value, drag: Value, area_m2: Value) -> Value:
+    """`drag_power` with ``½ ρ C_d A`` from its parts."""
+    return drag_power(speed_m_s, 0.5 * density_kg_m3 * drag * area_m2)
+
+
+def tyre_rolling_power(speed_m_s: Value, mass_kg: Value, coefficient: Value) -> Value:
+    """Rolling resistance, ``C_r m g |v|`` (rover paper, Eq. 4)."""
+    return rolling_power(speed_m_s, coefficient * (mass_kg * GRAVITY_M_S2))
+
+
+def tyre_viscous_power(speed_m_s: Value, mass_kg: Value, coefficient: Value) -> Value:
+    """Its part that grows with speed, ``C_v m g v²`` (rover paper, Eq. 4; C_v in s/m)."""
+    return viscous_power(speed_m_s, coefficient * (mass_kg * GRAVITY_M_S2))
+
+
+def tyre_scrub_power(yaw_rate_rad_s: Value, mass_kg: Value, lever_m: Value) -> Value:
+    """Tyres that slide sideways in a turn, ``l m g |ω|``, with l their friction times its lever arm (Coulomb)."""
+    return turning_power(yaw_rate_rad_s, lever_m * (mass_kg * GRAVITY_M_S2))
 
 
 def kinetic_power(speed_m_s: Value, accel_m_s2: Value, k: Value) -> Value:
@@ -53,15 +68,19 @@ def two_sided(power_w: Value, regeneration: Value) -> Value:
     return np.maximum(power_w, 0.0) + regeneration * np.minimum(power_w, 0.0)
 
 
+def inertial_power(speed_m_s: Value, accel_m_s2: Value, mass_kg: Value, k: Value) -> Value:
+    """Power into kinetic energy, ``k m a v`` (k without unit: effective over real mass); negative when braking.
+
+    `accel_m_s2` is the rate of the speed itself, so for a robot driving backwards ``a v`` counts, not ``a |v|``.
+    """
+    return k * mass_kg * accel_m_s2 * speed_m_s
+
+
 def acceleration_power(
     speed_m_s: Value, accel_m_s2: Value, mass_kg: Value, k: Value, regeneration: Value = 0.0
 ) -> Value:
-    """Power into and out of kinetic energy, ``k m a v``, times `regeneration` when braking (effect `acceleration`).
-
-    `accel_m_s2` is the rate of the speed itself, so for a robot driving backwards ``a v`` counts, not ``a |v|``. k is
-    without unit.
-    """
-    return two_sided(k * mass_kg * accel_m_s2 * speed_m_s, regeneration)
+    """`inertial_power`, times `regeneration` when braking (library effect `acceleration`)."""
+    return two_sided(inertial_power(speed_m_s, accel_m_s2, mass_kg, k), regeneration)
 
 
 def traction_copper_loss(
@@ -98,6 +117,11 @@ def grade_power(speed_m_s: Value, slope_rad: Value, mass_kg: Value, k: Value) ->
     The slope is the one in the direction of travel, so the speed counts by its magnitude.
     """
     return k * grade_force(slope_rad, mass_kg) * np.abs(speed_m_s)
+
+
+def lifting_power(speed_m_s: Value, lateral_speed_m_s: Value, slope_rad: Value, mass_kg: Value, k: Value) -> Value:
+    """`grade_power` of a robot that may move sideways as well."""
+    return grade_power(np.hypot(speed_m_s, lateral_speed_m_s), slope_rad, mass_kg, k)
 
 
 def payload_power(speed_m_s: Value, payload_kg: Value, k: Value) -> Value:

@@ -14,7 +14,6 @@ import pytest
 
 PACKAGE = """\
 from missionsim.effects.base import Effect, ParameterSpec
-from missionsim.effects.base_terms import drive_term
 from missionsim.effects.law_models import LawModel
 from missionsim.effects.motion_models import MotionModel
 
@@ -37,7 +36,7 @@ def tracks():
         "tracks",
         "rub*v",
         "assumed",
-        (drive_term("rub", "rub*v", (rub,), lambda c, p: p["rub"] * abs(c["speed_m_s"]), source="assumed"),),
+        (Effect("rub", "rub*v", "", "", (rub,), ("speed_m_s",), lambda c, p: p["rub"] * c["speed_m_s"], drive=True),),
     )
 
 
@@ -107,7 +106,7 @@ def test_a_motion_model_of_the_package_is_one_file() -> None:
     from missionsim.effects import motion_models
 
     here = Path(motion_models.__file__).parent
-    files = {path.stem.removeprefix("motion_") for path in here.glob("motion_*.py")} - {"models"}
+    files = {path.stem.removeprefix("motion_") for path in here.glob("motion_*.yaml")}
     assert set(motion_models.motion_model_ids()) == files
     for id in files:
         model = motion_models.get_motion_model(id)

@@ -42,7 +42,7 @@ def test_forces_do_the_work(speed: float, angle: float, along: float, across: fl
     balance = (
         mecanum.friction_power(wheels, friction_n=20.0)
         + mecanum.friction_power(mecanum.roller_speeds(left), friction_n=3.0)
-        + mecanum.kinetic_power(ahead, along, left, across, mass_kg=9.0)
+        + mecanum.planar_kinetic_power(ahead, along, left, across, 9.0)
     )
     assert work == pytest.approx(float(balance), rel=1e-9, abs=1e-9)
 
