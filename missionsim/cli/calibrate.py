@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from missionsim.cli.options import TERMINAL, Output, RobotFile, tell_left_out
 from missionsim.errors import InputError
 from missionsim.files import write_text
-from missionsim.report.terminal import console, simple_table
+from missionsim.report.terminal import console, show_table
 
 if TYPE_CHECKING:
     from missionsim.fit.parameters import ModelFit
@@ -110,7 +110,7 @@ def _print(fits: list[ModelFit], remarks: list[str], out: Path) -> None:
             for p in fit.parameters.values()
             if p.seen
         ]
-        terminal.print(simple_table(f"Battery {fit.battery}", ["parameter", ">value", ">95 % interval", "unit"], rows))
+        show_table(f"Battery {fit.battery}", ["parameter", ">value", ">95 % interval", "unit"], rows)
         clock = "clocks as logged"
         if fit.delay_s or fit.lag_s:
             clock = f"meter {fit.delay_s:+.2f} s behind the motion, lag {fit.lag_s:.2f} s"

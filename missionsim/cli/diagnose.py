@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from missionsim.cli.options import TERMINAL, OutFile, Output, RobotFile, Search, tell_left_out
 from missionsim.errors import InputError
 from missionsim.files import write_text
-from missionsim.report.terminal import console, simple_table
+from missionsim.report.terminal import console, show_table
 
 if TYPE_CHECKING:
     from missionsim.diagnose.improve import Improved
@@ -208,10 +208,8 @@ def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Pat
         ]
         if one.worse:
             terminal.print(one.worse, style="bold red")
-        terminal.print(
-            simple_table(
-                f"Battery {one.battery}: error on {which}", ["model", ">energy error, %", ">power RMSE, W", ""], rows
-            )
+        show_table(
+            f"Battery {one.battery}: error on {which}", ["model", ">energy error, %", ">power RMSE, W", ""], rows
         )
         terminal.print(f"added: {', '.join(one.added) or 'nothing'}; {one.stopped}")
         for note in (energy_note(one) if not one.worse else "", measured_note(one)):

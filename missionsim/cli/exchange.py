@@ -11,7 +11,7 @@ from cyclopts import App
 from missionsim.cli.options import TERMINAL, OutFile, Output
 from missionsim.errors import InputError
 from missionsim.files import atomic_write, write_text
-from missionsim.report.terminal import console, simple_table
+from missionsim.report.terminal import console, show_table
 
 if TYPE_CHECKING:
     from missionsim.exchange.site import Site
@@ -106,16 +106,15 @@ def rmf(config: Path, /, *logs: Path, robot: str, out: Path, battery: str = "", 
     result = {"schema": "missionsim.fleet_export/1", "config": str(config), "robot": spec.name, "changed": changed}
     to.emit({**result, "errors": found.errors, "remarks": found.remarks})
     if to.text:
-        terminal = console()
         rows: list[tuple[Any, ...]] = [
             (".".join(NUMBERS[key].path), f"{before:.6g}", f"{after:.6g}")
             for key, (before, after) in found.changed.items()
         ]
-        terminal.print(simple_table("Numbers", ["key", ">before", ">after"], rows))
+        show_table("Numbers", ["key", ">before", ">after"], rows)
         if found.errors:
             rows = [(e["formula"], f"{e['energy_error_pct']:+.2f} %", f"{e['power_rmse_w']:.3g}") for e in found.errors]
             heads = ["formula", ">energy error", ">power RMSE W"]
-            terminal.print(simple_table("On the logs", heads, rows))
+            show_table("On the logs", heads, rows)
         _tell("", found.remarks, out)
     return 0
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from missionsim.cli.options import TERMINAL, OutPath, Output
 from missionsim.errors import Fault, InputError, visible
 from missionsim.files import write_text
-from missionsim.report.terminal import console, simple_table
+from missionsim.report.terminal import console, show_table
 
 if TYPE_CHECKING:
     from missionsim.logs import LogTable
@@ -187,7 +187,7 @@ def _print(logs: Sequence[LogTable | LongRun], targets: Sequence[Path]) -> None:
         for log in logs[:20]
     ]
     terminal = console()
-    terminal.print(simple_table("Runs", ["run", ">rows", ">time s", "energy Wh"], rows))
+    show_table("Runs", ["run", ">rows", ">time s", "energy Wh"], rows)
     if len(logs) > len(rows):
         terminal.print(f"… and {len(logs) - len(rows)} more runs")
     for line in describe(logs, notes=True):
@@ -226,7 +226,7 @@ def _list(sources: Sequence[Path], to: Output) -> int:
             for field in shown
         ]
         columns = ["column or field", ">values", "range", "perhaps"]
-        terminal.print(simple_table(f"{path}: what a map can read", columns, rows))
+        show_table(f"{path}: what a map can read", columns, rows)
         for why in ("constant", "stamp or covariance", "empty"):
             hidden = [field for field in fields if folded(field) == why]
             names = ", ".join(f"{f.name} = {f.range()}" if why == "constant" else f.name for f in hidden[:12])

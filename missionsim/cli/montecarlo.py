@@ -15,7 +15,7 @@ from cyclopts import Parameter
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFolder, Output
 from missionsim.errors import Fault, InputError
 from missionsim.files import install_hint, to_json, write_text
-from missionsim.report.terminal import console, simple_table
+from missionsim.report.terminal import console, show_table
 
 if TYPE_CHECKING:
     from missionsim.uncertainty.batch import Prepared, Task
@@ -159,7 +159,7 @@ def _only(prepared: Prepared, seed: int, run: int, out: Path | None, to: Output)
         terminal = console()
         units = {value.name: value.unit for value in prepared.sampler.values}
         rows = [(name, f"{value:.6g}", units.get(name, "times")) for name, value in drawn.items()]
-        terminal.print(simple_table(f"Run {run} of seed {seed}: drawn values", ["value", ">drawn", "unit"], rows))
+        show_table(f"Run {run} of seed {seed}: drawn values", ["value", ">drawn", "unit"], rows)
         if limited:
             terminal.print("A drawn speed is above the greatest of the robot or its control scheme and is cut to that.")
         from missionsim.cli.run import show
@@ -274,16 +274,10 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
         low, high = battery["energy_wh"]["intervals"]["q95"]
         lies = " … ".join("?" if bound is None else f"{bound:.5g}" for bound in (low, high))
         rows.append([name, *(f"{cell:.4g}" for cell in cells), need, lies])
-    terminal.print(
-        simple_table(
-            "Energy [Wh]",
-            [
-                "battery",
-                *[f">{h}" for h in ("mean", "sd", "5 %", "50 %", "95 %", "99 % need")],
-                "95 % quantile lies in",
-            ],
-            rows,
-        )
+    show_table(
+        "Energy [Wh]",
+        ["battery", *[f">{h}" for h in ("mean", "sd", "5 %", "50 %", "95 %", "99 % need")], "95 % quantile lies in"],
+        rows,
     )
     if answer["speed_limited_share"]:
         terminal.print(
@@ -310,12 +304,10 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
         for row in answer["importance"][:12]
     ]
     if important:
-        terminal.print(
-            simple_table(
-                "What matters: rank correlation with energy and with the margin above the reserve; indices of energy",
-                ["battery", "value", *(f">{head}" for head in ("energy", "margin", "first order", "total"))],
-                important,
-            )
+        show_table(
+            "What matters: rank correlation with energy and with the margin above the reserve; indices of energy",
+            ["battery", "value", *(f">{head}" for head in ("energy", "margin", "first order", "total"))],
+            important,
         )
     if answer["importance"] and not any("total_interval" in row for row in answer["importance"]):
         if prepared.sampler.groups:

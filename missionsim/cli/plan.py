@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, Output
 from missionsim.errors import InputError
 from missionsim.files import write_text
-from missionsim.report.terminal import console, simple_table, titled
+from missionsim.report.terminal import console, show_table, titled
 
 if TYPE_CHECKING:
     from missionsim.engine.outcome import RunResult
@@ -173,7 +173,7 @@ def show(answer: Answer) -> None:
         rows.append(cells)
     columns = ["leg", "to", "along", "scheme", ">m/s", ">s"]
     columns += [f">{name} Wh" for name in batteries] + [f">{name} left" for name in batteries]
-    terminal.print(simple_table("Legs", columns, rows))
+    show_table("Legs", columns, rows)
     for item in answer.extra.get("alternatives", ()):
         if item["feasible"]:
             terminal.print(f"  {item['kind']}: {100 * item['worse']:.2f} % worse, {clock(item['duration_s'])}")
@@ -183,7 +183,7 @@ def show(answer: Answer) -> None:
     if front:
         heads = [">s", *(f">{name} Wh" for name in batteries)]
         table = [[f"{p['duration_s']:.1f}", *(f"{p['energy_wh'][n]:.3f}" for n in batteries)] for p in front]
-        terminal.print(simple_table("Energy against time", heads, table))
+        show_table("Energy against time", heads, table)
 
 
 def reach(
@@ -265,7 +265,7 @@ def _show(answer: dict[str, Any]) -> None:
         cells += [f"{item['energy_wh'][name]:.3f}" for name in names]
         cells += [f"{item['margin_wh'][name]:.3f}" for name in names]
         rows.append(cells)
-    terminal.print(simple_table("Places", columns, rows))
+    show_table("Places", columns, rows)
     for place, item in answer["places"].items():
         if turn := item["point_of_no_return"]:
             sure = f"{turn['sure_metres']:.1f} m" if turn["sure_edge"] == turn["edge"] else f"on '{turn['sure_edge']}'"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, OutFolder, Output
-from missionsim.report.terminal import console, simple_table, titled
+from missionsim.report.terminal import console, show_table, simple_table, titled
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -98,22 +98,10 @@ def show(result: RunResult) -> None:
         )
         for name, b in result.batteries.items()
     ]
-    terminal.print(
-        simple_table(
-            "Batteries",
-            [
-                "battery",
-                ">Wh used",
-                ">mean W",
-                ">full Wh",
-                ">Wh left",
-                ">left",
-                ">to keep Wh",
-                ">home Wh",
-                ">reserve Wh",
-            ],
-            rows,
-        )
+    show_table(
+        "Batteries",
+        ["battery", ">Wh used", ">mean W", ">full Wh", ">Wh left", ">left", ">to keep Wh", ">home Wh", ">reserve Wh"],
+        rows,
     )
     if result.dock_s:
         charged = ", ".join(f"{name} {b.charged_wh:.3f} Wh" for name, b in result.batteries.items() if b.charged_wh)
@@ -127,29 +115,25 @@ def show(result: RunResult) -> None:
         terminal.print(f"  warning: {fault.message}")
     if result.never_on:
         terminal.print(f"  never on in this mission, so costing nothing: {', '.join(result.never_on)}")
-    terminal.print(
-        simple_table(
-            "Three largest consumers",
-            ["component", "battery", ">Wh", ">share"],
-            [
-                (component, battery, f"{energy:.3f}", f"{100 * share:.1f} %")
-                for battery, component, energy, share in largest_consumers(result)
-            ],
-        )
+    show_table(
+        "Three largest consumers",
+        ["component", "battery", ">Wh", ">share"],
+        [
+            (component, battery, f"{energy:.3f}", f"{100 * share:.1f} %")
+            for battery, component, energy, share in largest_consumers(result)
+        ],
     )
     schemes = {name: result.by_scheme_wh(name) for name in result.batteries}
     names = dict.fromkeys(scheme for energies in schemes.values() for scheme in energies)
     if len(names) > 1:
         told = {"none": "no scheme"}
-        terminal.print(
-            simple_table(
-                "Energy by control scheme [Wh]",
-                ["scheme", *(f">{b}" for b in schemes)],
-                [
-                    (told.get(name, name), *(f"{energies.get(name, 0.0):.3f}" for energies in schemes.values()))
-                    for name in names
-                ],
-            )
+        show_table(
+            "Energy by control scheme [Wh]",
+            ["scheme", *(f">{b}" for b in schemes)],
+            [
+                (told.get(name, name), *(f"{energies.get(name, 0.0):.3f}" for energies in schemes.values()))
+                for name in names
+            ],
         )
     terminal.print(segment_rows(result))
 

@@ -10,7 +10,7 @@ from cyclopts import App
 from missionsim.cli.options import TERMINAL, OutFolder, Output
 from missionsim.errors import InputError
 from missionsim.files import write_text
-from missionsim.report.terminal import console, simple_table, titled
+from missionsim.report.terminal import console, show_table, titled
 
 effects_app = App(
     name="effects", help="The library of effects: equation, parameters, units, source.", help_format="plaintext"
@@ -72,7 +72,7 @@ def list_effects(*, to: Output = TERMINAL) -> int:
     to.emit({"schema": "missionsim.effects/1", "effects": described})
     if to.text:
         rows = [(d["id"], d["equation"], _needed(d) or "–") for d in described]
-        console().print(simple_table("Library of effects", ["effect", "power it adds", "needs in the log"], rows))
+        show_table("Library of effects", ["effect", "power it adds", "needs in the log"], rows)
         console().print(
             "Acceleration, starts and clocks (moving time, time switched on) follow from those columns.\n"
             "missionsim effects show ID tells parameters, units and source of one."
@@ -99,7 +99,7 @@ def show(id: str, *, to: Output = TERMINAL) -> int:
         terminal.print(f"needs   {_needed(described) or 'nothing beside the power'}{from_them}")
         terminal.print(f"source  {described['source']}")
         rows = [(p["name"], p["unit"], f"{p['low']:g} … {p['high']:g}", p["meaning"]) for p in described["parameters"]]
-        terminal.print(simple_table("parameters", ["name", "unit", "range", "meaning"], rows))
+        show_table("parameters", ["name", "unit", "range", "meaning"], rows)
     return 0
 
 
@@ -145,7 +145,7 @@ def robots(*, to: Output = TERMINAL) -> int:
                 (item["name"], item["title"], batteries, ", ".join(switched) or "–", "\n".join(item["schemes"]) or "–")
             )
         columns = ["robot", "what it is", "batteries", "components that switch", "control schemes"]
-        console().print(simple_table("Shipped robots", columns, rows))
+        show_table("Shipped robots", columns, rows)
     return 0
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, Output
 from missionsim.cli.run import clock
 from missionsim.errors import InputError
-from missionsim.report.terminal import console, simple_table, titled
+from missionsim.report.terminal import console, show_table, simple_table, titled
 
 if TYPE_CHECKING:
     from missionsim.results.whatif import Alternative, WhatIf
@@ -134,12 +134,8 @@ def _show_differences(answer: dict[str, Any]) -> None:
     terminal = console()
     succeeds = f"{first['name']}: succeeds in {_percent(first)}"
     terminal.print(f"{answer['runs']} runs each, same draws; {succeeds}")
-    terminal.print(
-        simple_table(
-            "Differences to the baseline",
-            ["alternative", ">succeeds", "quantity", ">mean", "95 % interval", "real?"],
-            rows,
-        )
+    show_table(
+        "Differences to the baseline", ["alternative", ">succeeds", "quantity", ">mean", "95 % interval", "real?"], rows
     )
 
 
@@ -219,7 +215,7 @@ def show(found: WhatIf) -> None:
             terminal.print(f"  {number} {row['name']}: {row['reason']}")
     columns = [">left Wh", ">left", ">margin Wh"]
     heads = [f">{name} {column[1:]}" for name in found.batteries for column in columns]
-    terminal.print(simple_table("Charge left, and what it is above the reserve", ["alternative", *heads], left))
+    show_table("Charge left, and what it is above the reserve", ["alternative", *heads], left)
     terminal.print(_term_rows(rows))
 
 

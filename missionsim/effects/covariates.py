@@ -18,6 +18,8 @@ Truth = bool | NDArray[np.bool_]
 """Yes or no, or an array of them."""
 Covariates = Mapping[str, Any]
 """Glossary name → `Value`, or a str / `Labels` for text columns."""
+Columns = dict[str, Any]
+"""The same, made for one use."""
 SMOOTHING_S = (0.5, 1.0, 1.5, 2.0)
 """Widths over which a speed is smoothed before it is differentiated: the least that its noise allows."""
 _OF_WHEELS = re.compile(r"(^|_)wheels?_(.*_)?(rad_s|m_s)$")
@@ -67,7 +69,7 @@ def is_moving(cov: Covariates) -> Truth:
     return moving
 
 
-def derive(columns: Mapping[str, Any], time_s: Array, dt_s: Array) -> dict[str, Any]:
+def derive(columns: Covariates, time_s: Array, dt_s: Array) -> Columns:
     """Log columns with what follows from them.
 
     Parameters
@@ -83,7 +85,7 @@ def derive(columns: Mapping[str, Any], time_s: Array, dt_s: Array) -> dict[str, 
         `columns` with what they lack of ``accel_m_s2``, ``moving_time_s``, ``starts``, ``starts_per_s`` and
         ``on_time_<component>_s`` for each ``on_<component>``.
     """
-    cov: dict[str, Any] = dict(columns)
+    cov: Columns = dict(columns)
     if "speed_m_s" in cov:
         if "accel_m_s2" not in cov:
             cov["accel_m_s2"] = acceleration(np.asarray(cov["speed_m_s"], dtype=float), time_s)

@@ -163,11 +163,12 @@ def _quadrature(
         scale = np.zeros(index.size)
         spread, bent = np.zeros(index.size), np.zeros(index.size)
         for key, power in terms.items():
-            if key not in varying and (depth or np.ndim(power) < 2 or power.shape[1] == 1):
-                scale += np.abs(power[:, 0] if np.ndim(power) == 2 else np.mean(power))
+            watts = np.asarray(power)
+            if key not in varying and (depth or watts.ndim < 2 or watts.shape[1] == 1):
+                scale += np.abs(watts[:, 0] if watts.ndim == 2 else np.mean(watts))
                 continue
             with np.errstate(over="ignore", invalid="ignore"):
-                whole = np.broadcast_to(power, times.shape)
+                whole = np.broadcast_to(watts, times.shape)
                 mean, apart, beyond = averaged(whole)
                 parts[key] = length * mean
                 scale += np.abs(whole[:, : len(NODES)]) @ (0.5 * WEIGHTS)

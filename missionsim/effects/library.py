@@ -15,6 +15,7 @@ import yaml
 from missionsim.effects.base import Effect, Parameters, ParameterSpec, plugins
 from missionsim.effects.covariates import Covariates, is_moving, label_equals, number
 from missionsim.errors import InputError, did_you_mean
+from missionsim.files import Json
 from missionsim.glossary import column_of
 from missionsim.physics import electrical, mecanum, motion
 
@@ -24,14 +25,14 @@ LOGGED = "logged"
 """Component under which watts that are logged beside are booked."""
 
 
-def declarations(name: str) -> dict[str, Any]:
+def declarations(name: str) -> Json:
     """What a file of declarations in this folder holds."""
     text = Path(__file__).with_name(name).read_text("utf-8")
-    found: dict[str, Any] = yaml.load(text, Loader=yaml.CSafeLoader)
+    found: Json = yaml.load(text, Loader=yaml.CSafeLoader)
     return found
 
 
-_FILE: dict[str, dict[str, dict[str, Any]]] = declarations("library.yaml")
+_FILE: dict[str, dict[str, Json]] = declarations("library.yaml")
 
 
 def _given_back(power_w: Any, regeneration: Any, p: Parameters) -> Any:
@@ -102,12 +103,12 @@ def _while_moving(power: Power, over: str) -> Power:
     return moving_power
 
 
-def specs_of(told: Mapping[str, Mapping[str, Any]]) -> tuple[ParameterSpec, ...]:
+def specs_of(told: Mapping[str, Json]) -> tuple[ParameterSpec, ...]:
     """Parameters as a file declares them."""
     return tuple(ParameterSpec(name, **{**spec, "grid": tuple(spec.get("grid", ()))}) for name, spec in told.items())
 
 
-def declared(id: str, told: Mapping[str, Any]) -> Effect:
+def declared(id: str, told: Json) -> Effect:
     """The effect of an entry of a file."""
     needs = tuple(told.get("needs", ()))
     more: dict[str, Any] = {"drive": "component" not in told} | {key: told[key] for key in _PLAIN if key in told}
@@ -126,7 +127,7 @@ def declared(id: str, told: Mapping[str, Any]) -> Effect:
     power = _boards(*told["parameters"]) if call == "boards" else _called(call, needs) if call else _WRITTEN[id]
     if told.get("while_moving"):
         power = _while_moving(power, told.get("over", ""))
-    text = (told["equation"], told["source"], told.get("meaning", told["equation"]))
+    text = (told["equation"], told["source"], told.get("meaning") or told["equation"])
     return Effect(id, *text, specs, needs, power, memory=tuple(told.get("memory", ())), **more)
 
 

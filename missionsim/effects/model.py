@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from missionsim.effects.base import Effect
-from missionsim.effects.covariates import Covariates, Value, number
+from missionsim.effects.covariates import Columns, Covariates, Value, number
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.physics import Array
 from missionsim.physics.meter import Meter
@@ -177,7 +177,7 @@ class PowerModel:
 
     def evaluate(
         self, cov: Covariates, values: Mapping[str, Value] | None = None, battery: str | None = None
-    ) -> dict[str, dict[TermKey, Any]]:
+    ) -> dict[str, dict[TermKey, Value]]:
         """Power of every term in watts.
 
         Parameters
@@ -203,7 +203,7 @@ class PowerModel:
         wanted = self.batteries if battery is None else (battery,)
         return {name: self._evaluate_battery(name, full, values or {}) for name in wanted}
 
-    def complete(self, cov: Covariates, values: Mapping[str, Value] | None = None) -> dict[str, Any]:
+    def complete(self, cov: Covariates, values: Mapping[str, Value] | None = None) -> Columns:
         """`cov` with the robot's own constants, those of `values` if they are there, and the total mass."""
         full = {**self.constants, **cov}
         if values:

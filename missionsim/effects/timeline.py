@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import Labels, is_text
+from missionsim.effects.covariates import Columns, Labels, Value, is_text
 from missionsim.physics import Array
 
 
@@ -32,18 +32,18 @@ class Timeline:
     def __len__(self) -> int:
         return int(np.shape(self.duration_s)[-1])
 
-    def covariates(self) -> dict[str, Any]:
+    def covariates(self) -> Columns:
         """Covariates at the start of the intervals."""
         return {**self.constants, **self.columns}
 
-    def at(self, index: NDArray[np.intp], offset_s: Array, memory: frozenset[str] | None = None) -> dict[str, Any]:
+    def at(self, index: NDArray[np.intp], offset_s: Array, memory: frozenset[str] | None = None) -> Columns:
         """Covariates of the intervals `index` at times after their start.
 
         `index`: shape (m,). `offset_s` (shape (m, q)): times after the start of each of them. `memory`: the clocks that
         are read (see `changing`); the others stay as at the start. All by default. Gives arrays of shape (m, q), or (m,
         1) of what does not change; texts as `Labels` with codes of shape (m, 1).
         """
-        cov: dict[str, Any] = dict(self.constants)
+        cov: Columns = dict(self.constants)
         for name, value in self.columns.items():
             if isinstance(value, Labels):
                 cov[name] = Labels(value.codes[index][:, None], value.names)
@@ -113,7 +113,7 @@ class Timeline:
 class Lazily(Mapping[str, Any]):
     """Values by name, made when asked for: most columns never are."""
 
-    def __init__(self, names: Collection[str], make: Callable[[str], Any]) -> None:
+    def __init__(self, names: Collection[str], make: Callable[[str], Value | Labels]) -> None:
         self._names, self._make = names, make
 
     def __getitem__(self, name: str) -> Any:

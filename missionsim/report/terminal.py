@@ -50,6 +50,11 @@ def simple_table(title: str, columns: Iterable[str], rows: Iterable[Iterable[obj
     return table
 
 
+def show_table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
+    """Print a `simple_table` on the terminal."""
+    console().print(simple_table(title, columns, rows))
+
+
 def signed(value: float | None, decimals: int | None = None) -> str:
     """A number with its sign, so many decimals or else three significant digits; a dash where there is none."""
     if value is None or not math.isfinite(value):

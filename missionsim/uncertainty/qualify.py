@@ -101,7 +101,8 @@ def _without_fixed_terms(made: ArrayMission) -> ArrayMission:
     for battery, watts in powers.items():
         terms = made.model.of(battery)
         whole = any(term.effect.of_load for term in terms)
-        changing = {term.key for term in terms if np.ndim(watts[term.key]) == 2 and len(watts[term.key]) > 1}
+        shapes = {term.key: np.shape(watts[term.key]) for term in terms}
+        changing = {key for key, shape in shapes.items() if len(shape) == 2 and shape[0] > 1}
         nought = {
             term.key
             for term in terms
