@@ -10,6 +10,7 @@ import pytest
 from missionsim.identify.align import RunColumns, make_bins
 from missionsim.identify.data import RunData
 from missionsim.identify.design import make_source, switch_jumps
+from missionsim.identify.evidence import _clustered
 from missionsim.identify.gram import Constraints, all_sets, make_gram, project, set_gains
 from missionsim.identify.noise import arma_of, packed, start_noise
 from missionsim.identify.residual import hats, knots_of
@@ -196,3 +197,14 @@ def test_some_of_the_runs_are_those_of_the_whole(source):
     first, _ = whole.of_runs(numbers, 20)
     assert [run.stop - run.start for run in first.runs] == [20, 20]
     assert np.array_equal(first.y[:20], whole.y[whole.runs[2]][:20])
+
+
+def test_the_robust_error_is_that_of_the_fits_that_leave_a_cluster_out() -> None:
+    rng = np.random.default_rng(5)
+    x = rng.normal(0.0, np.repeat([1.0, 0.5, 4.0, 1.0, 0.2], 8))  # the third cluster holds most of the information
+    y = 0.7 * x + rng.normal(0.0, 1.0, len(x))
+    cluster = np.repeat(np.arange(5), 8)
+    share = float(x @ y / (x @ x))
+    without = [float(x[cluster != g] @ y[cluster != g] / (x[cluster != g] @ x[cluster != g])) for g in range(5)]
+    sd, _ = _clustered(x, y - share * x, cluster, share, float(x @ x), 0.0)
+    assert sd == pytest.approx(np.sqrt(np.sum((np.array(without) - share) ** 2)))

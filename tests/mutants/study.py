@@ -139,7 +139,7 @@ MUTANTS = [
             "np.where((constraints.sign == 0) | beside, 1.0, 1.0)",
         ),
         ("/ np.sqrt(number)", ""),
-        ("float(np.sum((score / (1 - leverage)) ** 2))", "float(np.sum((0.1 * score) ** 2))"),
+        ("score / (1 - leverage)", "score"),
     ),
     *_of(
         "verdict",
