@@ -153,12 +153,14 @@ def forward(
     clock, chosen = still, search.chosen(given)
     if settings.align:
         clock = sober_clock(source, chosen)
+        # at another clock every column is another one: what was chosen at the first need not stand
         if clock != still:
             search = replace(search, squares=LeastSquares.of(source.design(clock)))
             chosen = search.chosen(given)
     trials: dict[int, Trial] = {}
     rivals: dict[int, tuple[int, ...]] = {}
     inside = {search.effect_of(k) for k in chosen}
+    # those that were refused are fitted as well: what they lack, and how large they could be, is told
     for number, options in search.options():
         own = [k for k in chosen if search.effect_of(k) == number]
         rest = [k for k in chosen if k not in own]
@@ -208,9 +210,11 @@ class _Search:
             ]
             if not tried:
                 break
+            # watts that another meter measured come before anything whose size has to be found
             known = [t for t in tried if self.candidates[t.candidate].effect.startswith(LOGGED)]
             best = min(known or tried, key=lambda t: t.left.total)
             chosen = self._kept((*chosen, *best.columns))
+            # the newcomer itself is needless beside the others: it would come and go for ever
             if not set(best.columns) & set(chosen):
                 break
         return chosen
@@ -243,6 +247,7 @@ class _Search:
     def tried(self, number: int, columns: Sequence[int], beside: Sequence[int]) -> Trial | None:
         """An effect beside others; None where physics forbids the sign that it would take."""
         own, sign = list(columns), self.candidates[number].sign
+        # levels that point the wrong way go one at a time, the worst first: without it the others may turn
         while own:
             value = self.squares.fit([*beside, *own])[-len(own) :]
             wrong = sign * value if sign else np.abs(value)
@@ -263,6 +268,7 @@ class _Search:
         shares, own_covariance = value[-len(own) :], covariance[-len(own) :, -len(own) :]
         folds, k = len(squares.sums), len(own)
         size = max(float(np.trace(own_covariance)), 1e-300)
+        # a level of one run alone leaves its covariance singular, which a little of its size on the diagonal mends
         wald = float(shares @ np.linalg.solve(own_covariance + 1e-9 * size * np.eye(k), shares))
         p_value = float(fdtrc(k, folds - k, wald * (folds - k) / (k * (folds - 1)))) if folds > k else 1.0
         fall = before.square - after.square
@@ -272,6 +278,7 @@ class _Search:
         effects = len({column.candidate for column in layout.columns})
         passed = {
             "runs": float(fall.sum()) > (PASS_THROUGH_FALL if logged else LEAST_FALL) * before.total,
+            # without the run that falls most: what helps one run alone is chance, or that run
             "several runs": float(fall.sum() - fall.max()) > 0.0,
             "robust": p_value < max(FAMILY_LEVEL, self.settings.alpha) / effects
             or (p_value < HALVED_LEVEL and after.total < HALVED * before.total),
@@ -280,6 +287,7 @@ class _Search:
             "beyond recalibration": self._beyond_recalibration(number, own[0], float(shares[0])),
         }
         if logged:
+            # far from a watt for each watt logged it is no loss on the way, but something that goes along with it
             size_one = shares[0] * layout.mean_power_w / layout.columns[own[0]].watts_per_unit
             passed["practical"] &= bool(0.0 < size_one < LARGEST_PASS_THROUGH)
         return Trial(number, tuple(own), after, shares, own_covariance, p_value, passed)
@@ -304,6 +312,7 @@ class _Search:
         gain = self.squares.leave_out(rest).total - trial.left.total
         found: list[int] = []
         for number, options in self.options():
+            # the twin of a base parameter was recalibrated already: it is no other explanation
             if number in inside or self.candidates[number].prior is not None:
                 continue
             for option in options:
