@@ -224,7 +224,7 @@ def _limited(found: Identification, features: Features) -> dict[str, float]:
     for k in model.chosen:
         column = layout.columns[k]
         name = features.candidates[column.candidate].effect
-        size = found.choice.evidence[k].share * layout.mean_power_w / column.watts_per_unit
+        size = found.choice.evidence[k].share * layout.unit(k)
         if features.effects[name].recovers and not features.candidates[column.candidate].shape and size > 0.0:
             sizes[name] = max(size, 1.0)
     return sizes

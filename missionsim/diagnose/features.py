@@ -5,6 +5,7 @@ Everything is evaluated at the raw rate of the log; the identification averages 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
@@ -250,6 +251,8 @@ def _add_columns(effect: Effect, runs: Covariates, columns: list[dict[str, Array
         refit,
         covariate=effect.covariate,
         levels=levels,
+        # of a robot whose mass nobody knows the coefficient is a mass
+        plausible=effect.coefficient.plausible if not effect.recovers or "body_mass_kg" in runs[0] else math.inf,
         shape_bounds={spec.name: (spec.low, spec.high) for spec in effect.shape if shape and spec.name in shape[0]},
     )
 

@@ -30,6 +30,8 @@ class ParameterSpec:
     low: float = 0.0
     high: float = float("inf")
     """Both: bounds that physics sets."""
+    plausible: float = float("inf")
+    """From here on a fitted value stands for something else than the effect."""
     grid: tuple[float, ...] = ()
     """For a shape parameter (τ, T₀): the values that a search tries first. Empty for a coefficient."""
     optional: bool = False

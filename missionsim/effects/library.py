@@ -121,7 +121,8 @@ def declared(id: str, told: Json) -> Effect:
         specs = specs_of(told["parameters"])
     else:
         name, meaning = told.get("coefficient", ("k", "coefficient"))
-        first = ParameterSpec(name, told["unit"], meaning, high=told.get("high", float("inf")))
+        high, plausible = (float(told.get(key, "inf")) for key in ("high", "plausible"))
+        first = ParameterSpec(name, told["unit"], meaning, high=high, plausible=plausible)
         specs = (first, *specs_of({one: _FILE["shapes"][one] for one in told.get("shape", ())}))
     call = told.get("power")
     power = _boards(*told["parameters"]) if call == "boards" else _called(call, needs) if call else _WRITTEN[id]
@@ -192,7 +193,7 @@ def logged_power_effect(column: str) -> Effect:
         f"k·{column}" + (" in W" if factor > 1.0 else ""),
         "assumed: what another meter measured is drawn from this battery, with k the loss on the way",
         f"{column}, which is logged beside, drawn from this battery",
-        (ParameterSpec("k", "1", "battery power for each watt logged, near 1", high=10.0),),
+        (ParameterSpec("k", "1", "battery power for each watt logged, near 1", high=10.0, plausible=2.0),),
         (column,),
         lambda c, p: p["k"] * factor * c[column],
         component=LOGGED,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 
@@ -76,6 +77,7 @@ class Candidate:
     shape_bounds : lowest and highest value of each shape parameter for the refit
     unlogged : loads of which nothing tells when they were on and that may be what this effect explains, with their
         power together [W]
+    plausible : from this coefficient on it stands for something else
     never_on : loads whose switch is logged and never on, with their power [W]: an effect of about that size may be one
         of them, and the column stuck
     """
@@ -93,6 +95,7 @@ class Candidate:
     levels: tuple[str, ...] = ()
     shape_bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     unlogged: tuple[tuple[str, ...], float] = ((), 0.0)
+    plausible: float = math.inf
     never_on: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -123,3 +126,7 @@ class Layout:
     columns: tuple[Column, ...]
     mean_power_w: float
     step_s: float
+
+    def unit(self, column: int) -> float:
+        """Coefficient of a column for a share of 1."""
+        return self.mean_power_w / self.columns[column].watts_per_unit

@@ -190,7 +190,7 @@ class Source:
         for place, k in enumerate(chosen):
             if k in self._varied:
                 means = root._intervals().means(self._varied[k], root._weights(clock))[:, 0]
-                phi[place] = means * (self.layout.mean_power_w / self.layout.columns[k].watts_per_unit)
+                phi[place] = means * self.layout.unit(k)
         return replace(found, layout=self.layout, phi=phi)
 
     def _built(self, clock: Clock, chosen: Sequence[int]) -> Design:
@@ -206,7 +206,7 @@ class Source:
         base, motion, switching, spread = here[:HEAD_ROWS]
         slope = (later - earlier) / (2 * DERIVATIVE_STEP_S)
         bend = (later - 2 * base + earlier) / DERIVATIVE_STEP_S**2
-        scale = np.array([self.layout.mean_power_w / self.layout.columns[k].watts_per_unit for k in chosen])
+        scale = np.array([self.layout.unit(k) for k in chosen])
         frame = self._rows()
         return Design(
             self.layout,

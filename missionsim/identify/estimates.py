@@ -212,7 +212,7 @@ def estimated(
         for k in own:
             e = choice.evidence[k]
             column = model.design.layout.columns[k]
-            unit = model.design.layout.mean_power_w / column.watts_per_unit
+            unit = model.design.layout.unit(k)
             form = abs(sizes[k]) * _form_error(model, k, on_ramps[k], settings)
             share_sd.append(float(np.linalg.norm([e.share_sd, e.shape_sd, form])))
             half = Z95 * float(np.linalg.norm([e.share_sd, sizes[k] * e.unit_shape_sd, form])) * unit

@@ -83,8 +83,7 @@ class Fitted:
     @property
     def unit(self) -> float:
         """Coefficient for a share of 1."""
-        layout = self.model.design.layout
-        return layout.mean_power_w / layout.columns[self.column].watts_per_unit
+        return self.model.design.layout.unit(self.column)
 
     @cached_property
     def errors(self) -> LeftOut:

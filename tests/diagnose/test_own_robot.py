@@ -182,6 +182,20 @@ def test_a_robot_whose_wheels_spin_in_snow_does_not_stand() -> None:
     assert found[1] > found[0] + 0.3
 
 
+def test_what_is_seventy_times_its_inertia_is_not_called_inertia() -> None:
+    logs = []
+    for seed in range(6):
+        log = drive(seed, seconds=300.0)
+        speed = log.columns["speed_m_s"]
+        power = log.power_w[BATTERY] + 630.0 * np.maximum(speed * np.gradient(speed, log.time_s), 0.0)
+        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
+    split = Split(tuple(logs), (), "")
+    for mass, named in (("9 kg", False), ("500 kg", True)):
+        made = calibrate_new(NewRobot("own", BASE, mass=mass), logs)
+        done = improve(made.text, split, BATTERY, Settings(), lambda *_: True)
+        assert ("acceleration" in done.added) is named
+
+
 def test_scrub_that_differs_by_floor_is_added_after_scrub() -> None:
     logs = []
     for seed in range(10):

@@ -119,6 +119,7 @@ def judge(case: str, seed: int, answer: Mapping[str, Any], outcome: Outcome) -> 
         "honest": None,
         "overconfident": None,
         "outside_said": outcome.verdict == "unexplained_structure" if want == "outside" and outcome.verdict else None,
+        "law": outcome.law,
         "energy_error_pct": outcome.energy_error_pct,
         "rmse_w": outcome.rmse_w,
         "seconds": outcome.seconds,

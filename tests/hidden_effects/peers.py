@@ -37,6 +37,8 @@ class Outcome:
     limits: dict[str, float] = field(default_factory=dict)
     """Share of energy from which on an effect would have been seen, as the method itself says."""
     experiments: int = 0
+    law: str = ""
+    """A formula that it proposes beside the names."""
     names_outcome: bool = True
 
 

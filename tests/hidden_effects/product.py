@@ -43,6 +43,9 @@ def outcome(report: dict[str, Any], seconds: float) -> Outcome:
     held = battery.get("heldout") or {}
     energy = (held.get("energy_error_pct") or {}).get("with_effects", float("nan"))
     rmse = (held.get("power_rmse_w") or {}).get("with_effects", float("nan"))
+    law = (battery["proposed_laws"] or [{}])[0]
+    if law.get("heldout_rmse_w") and law.get("heldout_energy_error_pct"):  # what `improve` adds next
+        energy, rmse = (law[key]["after"] for key in ("heldout_energy_error_pct", "heldout_rmse_w"))
     return Outcome(
         NAME,
         tuple(names),
@@ -52,6 +55,7 @@ def outcome(report: dict[str, Any], seconds: float) -> Outcome:
         rmse_w=rmse,
         seconds=seconds,
         shares=shares,
+        law=law["forms"][0]["formula"] if law else "",
         limits={
             c["effect"]: c["smallest_detectable_share"]
             for c in battery["candidates"]
