@@ -15,6 +15,7 @@ from missionsim.diagnose.split import Split
 from missionsim.diagnose.subject import Subject
 from missionsim.diagnose.waterfall import worse_of
 from missionsim.errors import InputError, MissionsimError, did_you_mean
+from missionsim.files import Json
 from missionsim.fit.final import FinalFit
 from missionsim.fit.provenance import CALIBRATION, data_tag, log_hash, ranges_of
 from missionsim.identify.findings import Finding, HeldOut
@@ -54,7 +55,7 @@ class Adopted:
     meter: Meter = field(default_factory=Meter)
     """Delay and lag of the meter that were written."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """As ``missionsim add-effect --json`` has it."""
         return {
             "schema": "missionsim.add_effect/1",

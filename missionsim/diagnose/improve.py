@@ -12,6 +12,7 @@ from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.subject import NO_PRIOR_SD, Subject, prior_before
 from missionsim.diagnose.waterfall import noise_floor, worse_note
+from missionsim.files import Json
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.settings import Settings
 
@@ -52,7 +53,7 @@ class Improved:
     stopped: str
     """Why it ended, in words."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """As ``missionsim improve --json`` has a battery."""
         return {
             "added": list(self.added),

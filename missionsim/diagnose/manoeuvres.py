@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from missionsim.files import Json
 from missionsim.labels import Labels
 from missionsim.physics import Array
 from missionsim.runs.motion import approach
@@ -35,7 +36,7 @@ class Part:
     set: Mapping[str, Any] = field(default_factory=dict)
     """Further columns that are set: ``payload_kg``, ``surface``, ``on_<component>``, ``cpu_load`` …"""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The part as plain data; what is missing stays as it usually is in the logs."""
         data: dict[str, Any] = {"seconds": self.seconds, "speeds_m_s": list(self.speeds_m_s)}
         if self.yaw_rates_rad_s:

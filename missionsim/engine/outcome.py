@@ -13,6 +13,7 @@ from missionsim.effects.model import TermKey
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.driven import DrivenEdge
 from missionsim.errors import Fault
+from missionsim.files import Json
 from missionsim.physics import Array
 from missionsim.plan.legs import SegmentInfo
 
@@ -197,7 +198,7 @@ class RunResult:
         short = Timeline(start, duration, {}, {}, np.arange(count, dtype=np.int64))
         return replace(self, timeline=short, energies=sums, charge_wh=last, home=None, driven=None)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Json:
         """The run as the JSON of the command line (schema ``missionsim.run/1``)."""
         batteries = {}
         for name, battery in self.batteries.items():

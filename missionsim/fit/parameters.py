@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import Any
 
 import numpy as np
 
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.errors import InputError
+from missionsim.files import Json
 from missionsim.fit.final import Value, final_fit
 from missionsim.fit.prepare import Prepared, prepare
 from missionsim.identify.design import make_source
@@ -159,7 +159,7 @@ class ModelFit:
     seconds: float
     remarks: tuple[str, ...]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """As ``missionsim calibrate --json`` has a battery."""
         return {
             "parameters": {

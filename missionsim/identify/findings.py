@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from missionsim.files import Json
 from missionsim.identify.proposed import Proposal
 from missionsim.physics import Array
 
@@ -38,7 +39,7 @@ class Unexplained:
     shape: str
     structures: tuple[Structure, ...] = ()
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The contract's fields."""
         return {"share_of_residual": self.share_of_residual, "depends_on": list(self.depends_on), "shape": self.shape}
 
@@ -55,7 +56,7 @@ class Estimate:
     high: float
     unit: str = "1"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """Value, ends of the interval and unit."""
         return vars(self).copy()
 
@@ -97,7 +98,7 @@ class Finding:
     """For execution effects, the control scheme."""
     remark: str = ""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The contract's fields, and ours beside them."""
         data: dict[str, Any] = {
             "effect": self.effect,
@@ -130,7 +131,7 @@ class Judged:
     doubtful_share: float | None = None
     """Energy share of one that helps but is not named, because of its form or what else remains."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The contract's fields."""
         return {name: value for name, value in vars(self).items() if name not in ("open", "doubtful_share")}
 
@@ -155,7 +156,7 @@ class Recalibrated:
         """The shift in per cent."""
         return 100.0 * self.shift
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The contract's fields, and the new value with its standard deviation."""
         told = ("parameter", "shift_pct", "shift_in_prior_sd", "value", "sd", "unit")
         return {name: getattr(self, name) for name in told}
@@ -177,7 +178,7 @@ class Experiment:
     manoeuvre: tuple[Mapping[str, Any], ...] = ()
     """The same for machines, part after part."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The contract's fields, and ours beside them."""
         nats = {name: f"{name}_nats" for name in ("separation_now", "separation_after")}
         told = {nats.get(name, name): value for name, value in vars(self).items()}
@@ -198,7 +199,7 @@ class HeldOut:
     shifted: bool = False
     """Whether the runs differ in kind from the fitted ones."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """All fields."""
         return {**vars(self), "runs": list(self.runs)}
 
@@ -273,7 +274,7 @@ class BatteryDiagnosis(Findings):
     aligned: bool = True
     """Whether the clocks were looked at; else they are as logged."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The contract's fields, and ours beside them."""
         return {
             "verdict": self.verdict,
@@ -305,7 +306,7 @@ class Diagnosis:
     skipped: Mapping[str, str] = field(default_factory=dict)
     """Batteries that were measured but could not be diagnosed, and why."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The contract's ``missionsim.diagnosis/1``."""
         return {
             "schema": SCHEMA,

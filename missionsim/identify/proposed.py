@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
-from typing import Any
+
+from missionsim.files import Json
 
 FAR_BETTER = 2.0 / 3.0
 """Part of the left-out error that a law may leave where it takes the place of effects in a base that is far off."""
@@ -50,7 +51,7 @@ class Law:
     simulated: bool = True
     """Whether `run` can evaluate it."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """All fields."""
         return {
             "formula": self.formula,
@@ -79,7 +80,7 @@ class Curve:
     usual: float
     """Median of the leading quantity where the law acts."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """All fields."""
         return {name: list(v) if isinstance(v, tuple) else v for name, v in vars(self).items()}
 
@@ -129,7 +130,7 @@ class Proposal:
         """The law that is shown first."""
         return self.laws[0]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """All fields."""
 
         def pair(values: tuple[float, float] | None) -> dict[str, float | None] | None:

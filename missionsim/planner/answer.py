@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from missionsim.files import Json
 from missionsim.inputs.task import SchemeChoice
 from missionsim.physics import Array
 from missionsim.planner.bounds import Tour
@@ -101,7 +102,7 @@ class Answer:
             left_out.append("within its margins for chance")
         return f"{text} ({'; '.join(left_out)})" if left_out else text
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Json:
         """The plan as the JSON of the command line (schema ``missionsim.plan/1``)."""
         task = self.site.task
         legs = [_leg_json(self, leg) for leg in self.legs]
