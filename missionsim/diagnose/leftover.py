@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.effects.covariates import Covariates
 from missionsim.identify.findings import Structure
 from missionsim.identify.identification import Identification
 from missionsim.identify.model import prediction
@@ -62,7 +63,7 @@ class Leftover:
         )
 
 
-def leftover(found: Identification, covariates: Sequence[Mapping[str, Any]]) -> Leftover | None:
+def leftover(found: Identification, covariates: Sequence[Covariates]) -> Leftover | None:
     """What recalibration and the effects found leave over in one kind of motion; None where nothing stands out.
 
     `covariates`: covariates of each fitted run at its raw rate, as in `missionsim.diagnose.features.Features`.

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from missionsim.effects.covariates import Covariates
 from missionsim.files import Json
 from missionsim.labels import Labels
 from missionsim.physics import Array
@@ -100,7 +101,7 @@ class Site:
         return round(min(0.67 * self.max_speed_m_s, max(0.5, 0.5 * self.max_speed_m_s)), 2)
 
 
-def site_of(covariates: Sequence[Mapping[str, Any]], limits: Mapping[str, float]) -> Site:
+def site_of(covariates: Sequence[Covariates], limits: Mapping[str, float]) -> Site:
     """What the logs show of the place, within the robot's ``max_speed``, ``max_yaw_rate`` and ``acceleration``."""
     names = set.intersection(*(set(cov) for cov in covariates))
     usual: dict[str, Any] = {}
@@ -283,7 +284,7 @@ def _components(site: Site) -> list[Manoeuvre]:
     return found
 
 
-def script(manoeuvre: Manoeuvre, site: Site) -> dict[str, Any]:
+def script(manoeuvre: Manoeuvre, site: Site) -> Json:
     """Columns of a manoeuvre as a robot would log them, at `STEP_S`; shapes (n,)."""
     pieces = [_drive(part, site) for part in manoeuvre.parts]
     count = sum(len(piece["speed_m_s"]) for piece in pieces)

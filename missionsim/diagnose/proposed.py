@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from missionsim.diagnose.heldout import Models
 from missionsim.effects.base import ParameterSpec
 from missionsim.effects.base_terms import expression_term
+from missionsim.effects.covariates import Covariates
 from missionsim.errors import InputError
 from missionsim.expressions import compile_expression
 from missionsim.identify.findings import Estimate, Finding, Judged, Unexplained
@@ -37,10 +37,7 @@ STANDS_IN = "stood in for a law that the library does not hold"
 
 
 def proposed_laws(
-    found: Identification,
-    covariates: Sequence[Mapping[str, Any]],
-    models: Models | None = None,
-    heldout: Sequence[Run] = (),
+    found: Identification, covariates: Sequence[Covariates], models: Models | None = None, heldout: Sequence[Run] = ()
 ) -> tuple[Proposal, ...]:
     """The proposal, if any form passes every gate, with its errors on held-out runs.
 

@@ -18,7 +18,7 @@ from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.curves import Curves, adaptive_runge_kutta, root
-from missionsim.physics import Array
+from missionsim.physics import Array, Value
 
 CHARGING, HELD = 1, 2
 """What a charger does to a battery; more than 2 is charging in that piece of its taper, counted from 2."""
@@ -43,7 +43,7 @@ class Loads:
     charger_w: Array
     """Power of the charger while charging. Shape (n,)."""
     model: PowerModel
-    values: Mapping[str, float]
+    values: Mapping[str, Value]
     """Parameters that differ from the model's."""
 
     @property

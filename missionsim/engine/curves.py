@@ -6,14 +6,13 @@ from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from math import isfinite, nan
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline
-from missionsim.physics import Array
+from missionsim.physics import Array, Value
 
 Sample = Callable[[NDArray[np.intp], Array], Array]
 """``(intervals (k,), seconds after their starts (k, q)) -> W (k, q)``."""
@@ -36,7 +35,7 @@ class Curves:
         model: PowerModel,
         line: Timeline,
         battery: str,
-        values: Mapping[str, Any] | None,
+        values: Mapping[str, Value] | None,
         changing: NDArray[np.bool_],
         energy_j: Array,
     ) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from missionsim.engine.batteries import CHARGING, HELD, Battery, Loads
 from missionsim.engine.outcome import J_PER_WH, Alarm
 from missionsim.engine.recorder import Recorder, Row, timeline
 from missionsim.errors import InputError
-from missionsim.physics import Array
+from missionsim.physics import Array, Value
 from missionsim.plan.legs import Leg, SegmentInfo
 
 Energies = Mapping[str, Mapping[TermKey, Array]]
@@ -33,7 +33,7 @@ class Asked(NamedTuple):
     rows: Sequence[Row]
     legs: Sequence[Leg]
     states: Sequence[Sequence[float]]
-    values: Mapping[str, Any]
+    values: Mapping[str, Value]
 
 
 class Evaluated(NamedTuple):
@@ -123,7 +123,7 @@ class Meter:
         recorder: Recorder,
         legs: list[Leg],
         batteries: Mapping[str, Battery],
-        values: Mapping[str, Any] | None = None,
+        values: Mapping[str, Value] | None = None,
         segments: Sequence[SegmentInfo] = (),
     ) -> None:
         self.model = model

@@ -10,6 +10,7 @@ import numpy as np
 from missionsim.effects.model import PowerModel
 from missionsim.engine.meter import Asked, Evaluating
 from missionsim.engine.recorder import Row
+from missionsim.physics import Value
 from missionsim.plan.homing import Homing, last_driven
 from missionsim.plan.legs import Leg
 from missionsim.plan.steps import group
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def home_energies(
-    world: World, homing: Homing, model: PowerModel, values: Mapping[str, Any], only_last: bool = False
+    world: World, homing: Homing, model: PowerModel, values: Mapping[str, Value], only_last: bool = False
 ) -> Evaluating[list[dict[str, float | None]]]:
     """Energy in Wh to come home from the end of each segment, by battery.
 
@@ -65,7 +66,7 @@ def home_energies(
 
 
 def _rows(
-    world: World, homing: Homing, ways: Mapping[Any, list[Leg]], values: Mapping[str, Any]
+    world: World, homing: Homing, ways: Mapping[Any, list[Leg]], values: Mapping[str, Value]
 ) -> tuple[Asked, list[int]]:
     """Rows of all ways home, and the number of the way that each belongs to."""
     legs: list[Leg] = []

@@ -15,6 +15,7 @@ from missionsim.engine.components import ComponentInfo, Switchboard
 from missionsim.engine.meter import Evaluating, Meter
 from missionsim.engine.outcome import Alarm
 from missionsim.engine.recorder import Recorder
+from missionsim.physics import Value
 from missionsim.plan.legs import Gate, Leg, Phase, Plan, Recharge, SegmentInfo, Step
 from missionsim.plan.steps import group
 
@@ -50,7 +51,7 @@ class World:
         alarms: Sequence[Alarm] = (),
         leave: Leave | None = None,
         goes_on: bool = False,
-        values: Mapping[str, Any] | None = None,
+        values: Mapping[str, Value] | None = None,
     ) -> None:
         self.env = env = simpy.Environment()
         self.plan = plan

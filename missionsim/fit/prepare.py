@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from missionsim.effects.covariates import Columns
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.errors import InputError
 from missionsim.identify.data import RunData
@@ -50,7 +50,7 @@ class Prepared:
     """Their power together [W]."""
 
     @property
-    def covariates(self) -> list[dict[str, Any]]:
+    def covariates(self) -> list[Columns]:
         """Covariates of each run, with the base model's loads."""
         return [{**run.covariates, **run.loads(self.battery)} for run in self.runs]
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from missionsim.files import Json
 from missionsim.labels import Labels
 from missionsim.runs.covariates import COVARIATES
 
@@ -71,7 +72,7 @@ def sd_on_other_logs(sd: float, source: str) -> float:
     return math.hypot(sd, OTHER_DAY_SD) if _TAG.search(source) else sd
 
 
-def ranges_of(runs: Sequence[Run]) -> dict[str, Any]:
+def ranges_of(runs: Sequence[Run]) -> Json:
     """Least and greatest value of each covariate over runs, in units of the glossary; the names of floors."""
     found: dict[str, Any] = {}
     for name in COVARIATES:

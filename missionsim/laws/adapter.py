@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.effects.covariates import Covariates
 from missionsim.identify.data import Column
 from missionsim.identify.design import Design
 from missionsim.identify.identification import Identification
@@ -148,7 +149,7 @@ class Ground:
         return replace(self.design, layout=replace(layout, columns=columns), phi=phi)
 
 
-def ground_of(found: Identification, covariates: Sequence[Mapping[str, Any]]) -> Ground:
+def ground_of(found: Identification, covariates: Sequence[Covariates]) -> Ground:
     """The ground of an identification: effects that it names stay in, those that it puts in doubt do not.
 
     `covariates`: of every run that was given to it, at the raw rate.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import is_text
+from missionsim.effects.covariates import Covariates, is_text
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.identify.noise import recursive
 from missionsim.labels import Labels
@@ -97,9 +97,7 @@ def _round(value: float) -> float:
     return float(f"{value:.2g}")
 
 
-def make_grammar(
-    covariates: Sequence[Mapping[str, Any]], components: Sequence[str] = (), *, clocks: bool = True
-) -> Grammar:
+def make_grammar(covariates: Sequence[Covariates], components: Sequence[str] = (), *, clocks: bool = True) -> Grammar:
     """The factors that these runs allow.
 
     `covariates`: covariates of each run at its raw rate, with those that follow from the log (``accel_m_s2``,

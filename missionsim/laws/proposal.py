@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from missionsim.effects.covariates import Covariates
 from missionsim.expressions import compile_expression
 from missionsim.glossary import column_of
 from missionsim.identify.proposed import QUANTITY, Curve, Law, Proposal
@@ -54,7 +55,7 @@ class Proposed:
     ground: Ground
 
 
-def propose(found: Any, covariates: Sequence[Mapping[str, Any]]) -> Proposed | None:
+def propose(found: Any, covariates: Sequence[Covariates]) -> Proposed | None:
     """The law that an identification lacks, or None where nothing passes every gate.
 
     `covariates`: covariates of every run that was given to it, at the raw rate, with those derived from the log.
@@ -225,7 +226,7 @@ def _values(name: str, ground: Ground) -> Any:
     )
 
 
-def evaluate(formula: str, cov: Mapping[str, Any], rows: int) -> Array:
+def evaluate(formula: str, cov: Covariates, rows: int) -> Array:
     """Power of a formula for k = 1, shape (rows,)."""
     expression = compile_expression(formula)
     return np.broadcast_to(np.asarray(expression.evaluate({**cov, "k": 1.0}), dtype=float), (rows,))

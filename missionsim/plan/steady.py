@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from missionsim.effects.covariates import Labels
+from missionsim.effects.covariates import Columns, Labels
 from missionsim.effects.model import PowerModel
 from missionsim.inputs.robot import RobotSpec
 from missionsim.physics import Array
@@ -39,7 +39,7 @@ def closure(infos: Mapping[str, Requiring], sensors: Sequence[tuple[str, int]]) 
     return known
 
 
-def covariates_of(settings: Sequence[Settings]) -> dict[str, Any]:
+def covariates_of(settings: Sequence[Settings]) -> Columns:
     """What settings say under glossary names, shape (settings,); not a number where only others say it."""
     columns: dict[str, Any] = {
         "slope_rad": np.array([s.slope_rad for s in settings]),

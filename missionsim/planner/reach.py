@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.files import write_text
+from missionsim.files import Json, write_text
 from missionsim.inputs.examples import shipped_robots
 from missionsim.inputs.loading import load_robot, load_task
 from missionsim.inputs.task import TaskSpec, VisitSpec
@@ -214,7 +214,7 @@ def drive_wh(physics: Physics, legs: Sequence[PlanLeg]) -> Array:
     return np.asarray(physics.energy_wh(*columns.T).sum(axis=0))
 
 
-def summary(task: TaskSpec, found: Sequence[Reached], probability: float) -> dict[str, Any]:
+def summary(task: TaskSpec, found: Sequence[Reached], probability: float) -> Json:
     """The answer as JSON (schema ``missionsim.reach/1``)."""
     places = {}
     for item in found:

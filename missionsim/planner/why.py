@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from missionsim.files import Json
 from missionsim.inputs.task import SchemeChoice, TaskSpec
 from missionsim.planner.answer import Answer
 from missionsim.planner.solve import Watch, solve_site
@@ -19,7 +20,7 @@ ENOUGH = 1.0 + 1e-8
 """What would do is told by so much more, lest rounding takes it away again."""
 
 
-def explain(site: Site) -> dict[str, Any]:
+def explain(site: Site) -> Json:
     """What is short where there is no plan, each with the single change that would do, smallest first.
 
     Gives ``short``: what lacks (``time`` or a battery), how much, where; ``would_do``: single changes, each of which
@@ -225,7 +226,7 @@ def _without(visit: Any, label: str) -> Any:
     return visit.model_copy(update={"before": before, "after": after})
 
 
-def alternatives(answer: Answer) -> list[dict[str, Any]]:
+def alternatives(answer: Answer) -> list[Json]:
     """The next best plans that differ in kind: one scheme or one speed for all, no charging, least time or energy."""
     site, task = answer.site, answer.site.task
     choose = task.choose

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import SMOOTHING_S, acceleration, derive, is_moving, smoothing_of
+from missionsim.effects.covariates import SMOOTHING_S, Columns, acceleration, derive, is_moving, smoothing_of
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.labels import Labels
 from missionsim.physics import Array
@@ -158,7 +158,7 @@ def _shown(run: Run, battery: str, row_w: Array, meter: Meter, before: Driven | 
     return run.power_w[battery][last], np.asarray((joules / np.maximum(seconds, 1e-12))[reading])
 
 
-def filled(run: Run, batteries: Sequence[str], remarks: list[str] | None = None) -> dict[str, Any]:
+def filled(run: Run, batteries: Sequence[str], remarks: list[str] | None = None) -> Columns:
     """Covariates of a run without gaps: filled from their neighbours, left out where more than `MOST_MISSING` is gone.
 
     Both are said in `remarks`.

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import is_moving
+from missionsim.effects.covariates import Columns, Covariates, is_moving
 from missionsim.effects.timeline import Timeline
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S
 from missionsim.labels import Labels
@@ -60,13 +59,13 @@ class Motion:
             self.energy_j[battery] = self.energy_j.get(battery, 0.0) + joules
 
 
-def speed_of(cov: Mapping[str, Any]) -> Array:
+def speed_of(cov: Covariates) -> Array:
     """Speed over the ground, sideways motion included [m/s]."""
     ahead = np.abs(np.asarray(cov["speed_m_s"], dtype=float))
     return np.asarray(np.hypot(ahead, cov["lateral_speed_m_s"])) if "lateral_speed_m_s" in cov else ahead
 
 
-def middle_of(line: Timeline) -> dict[str, Any]:
+def middle_of(line: Timeline) -> Columns:
     """Covariates of a plan in the middle of each interval; their means where they are linear in time."""
     half = 0.5 * np.asarray(line.duration_s, dtype=float)
     return {name: c + line.rates[name] * half if name in line.rates else c for name, c in line.columns.items()}
@@ -78,7 +77,7 @@ def distances(line: Timeline) -> Array:
     return np.asarray(speed_of({"speed_m_s": np.zeros(len(line)), **middle}) * line.duration_s)
 
 
-def scheme_codes(columns: Mapping[str, Any], count: int, *, ignore: bool) -> tuple[NDArray[np.int64], list[str]]:
+def scheme_codes(columns: Covariates, count: int, *, ignore: bool) -> tuple[NDArray[np.int64], list[str]]:
     """Scheme of each row as a code, and the names; one nameless scheme with `ignore` or where none is logged."""
     scheme = columns.get("scheme")
     if ignore or scheme is None:
@@ -91,12 +90,7 @@ def scheme_codes(columns: Mapping[str, Any], count: int, *, ignore: bool) -> tup
 
 
 def motions(
-    cov: Mapping[str, Any],
-    seconds: Array,
-    power_w: Mapping[str, Array],
-    still: Still = STILL,
-    *,
-    by_scheme: bool = True,
+    cov: Covariates, seconds: Array, power_w: Mapping[str, Array], still: Still = STILL, *, by_scheme: bool = True
 ) -> dict[str, Motion]:
     """Sums of each control scheme over rows, by its name.
 
@@ -169,7 +163,7 @@ def mean_ratio(ratios: Array) -> float | None:
     return float(np.exp(np.mean(np.log(known)))) if len(known) else None
 
 
-def kinds_of_motion(cov: Mapping[str, Any]) -> NDArray[np.int64]:
+def kinds_of_motion(cov: Covariates) -> NDArray[np.int64]:
     """Index into `MOTIONS` of each row, shape (n,)."""
     speed = np.abs(cov["speed_m_s"])
     moving = np.asarray(is_moving(cov))

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.effects.covariates import Columns
 from missionsim.effects.integrate import SAMPLES, averaged
 from missionsim.effects.model import PowerModel
 from missionsim.engine.batteries import ConstantEnergy
@@ -229,9 +230,7 @@ class ArrayMission:
         terms = self.model.terms
         return frozenset(name for term in terms for name in (*term.effect.needs, *term.effect.memory))
 
-    def covariates(
-        self, intervals: Intervals, part: slice, duration: Array, knots: Array
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
+    def covariates(self, intervals: Intervals, part: slice, duration: Array, knots: Array) -> tuple[Columns, Columns]:
         """Covariates at the start of each interval and their change per second.
 
         `part`: the runs; `duration`: shape (runs, intervals); `knots` (shape (intervals + 1, runs)): instants between

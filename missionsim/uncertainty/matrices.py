@@ -7,14 +7,14 @@ an interval meets them as one number, and sums over intervals add whole rows.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import Labels
+from missionsim.effects.covariates import Columns, Covariates, Labels
 from missionsim.effects.integrate import SAMPLES
 from missionsim.physics import Array
 from missionsim.plan.legs import Leg, Phase, Plan
@@ -94,9 +94,7 @@ class Progress:
         return found
 
 
-def at_nodes(
-    cov: Mapping[str, Any], rates: Mapping[str, Any], curved: NDArray[np.intp], times: Array
-) -> dict[str, Any]:
+def at_nodes(cov: Covariates, rates: Covariates, curved: NDArray[np.intp], times: Array) -> Columns:
     """Covariates at the samples of the intervals in which power changes, in their last axis interval by interval."""
     repeated = np.repeat(curved, len(SAMPLES))
     nodes = take(cov, repeated)
@@ -106,7 +104,7 @@ def at_nodes(
     return nodes
 
 
-def take(cov: Mapping[str, Any], index: NDArray[np.intp]) -> dict[str, Any]:
+def take(cov: Covariates, index: NDArray[np.intp]) -> Columns:
     """Covariates of some intervals."""
     return {
         name: value[index] if hasattr(value, "codes") else np.asarray(value)[..., index] for name, value in cov.items()
@@ -179,7 +177,7 @@ class Intervals:
             found[name] = Labels.of([dict(item.extra).get(name, np.nan) for item in settings])[self.leg_of]
         return found
 
-    def covariates(self, part: slice) -> tuple[dict[str, Any], dict[str, Any]]:
+    def covariates(self, part: slice) -> tuple[Columns, Columns]:
         """Covariates at the start of each interval, shape (runs, intervals) or (intervals,), and their rates."""
         cov: dict[str, Any] = dict(self._of_legs)
         rates: dict[str, Any] = {}
@@ -192,7 +190,7 @@ class Intervals:
         return cov, rates
 
 
-def distance_of(cov: Mapping[str, Any], duration: Array) -> Array:
+def distance_of(cov: Covariates, duration: Array) -> Array:
     """Distance driven [m], shape (runs,)."""
     if not np.any(cov["accel_m_s2"]) and not np.any(cov["lateral_speed_m_s"]):
         speed = np.broadcast_to(np.abs(cov["speed_m_s"]), duration.shape)
