@@ -184,7 +184,8 @@ def answer_of(tour: Tour, label: Label, objective: float, bound: float) -> Answe
         for piece, use in zip(drive.pieces, drive.costs, strict=True):
             add("drive", piece.way.end, use, piece=piece, payload_kg=payload)
         waited = float(vectors[k][1] - vectors[k - 1][1] - step.move[2][1])
-        if waited > 1e-9:
+        stands = step.move[0] == 0 and bool(made.legs) and made.legs[-1].kind == "drive"  # between two rounds
+        if waited > 1e-9 or stands:
             add("wait", stop.place, site.waiting * waited, payload_kg=payload)
         if stop.visit is not None:
             load = site.order.payload_kg(state[0])

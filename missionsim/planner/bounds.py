@@ -45,7 +45,7 @@ class Tour:
         self.by_value = by_value
         self.counted = values is not None and not by_value
         self.latest = site.waits_until
-        self._drives = drives
+        self.drives = drives
         self._known: dict[int, Leaving] = {}
         self.chargers = [site.charger(number) for number in range(self.size)]
         physics = site.physics
@@ -112,7 +112,7 @@ class Tour:
 
     def waiting(self) -> Array:
         """What waiting for a second adds to the vector."""
-        return self._vector(self.site.waiting, 0.0)
+        return self.vector(self.site.waiting)
 
     def _make(self, node: int) -> Leaving:
         state, stop = divmod(node, self.size)
@@ -128,7 +128,7 @@ class Tour:
         peaks: list[Array] = []
         moves: list[Any] = []
         for head, after in nexts:
-            for drive in self._drives(payload, stop, head):
+            for drive in self.drives(payload, stop, head):
                 for choice, whole in self.arc_uses(drive, head, after):
                     use.append(whole)
                     peaks.append(drive.peak)
@@ -147,9 +147,10 @@ class Tour:
         made = 0.0 if self.values is None or visit is None else float(self.values[visit])
         stands = self.site.standing(head, self.site.order.payload_kg(after))
         kept = undominated(stands, self.site.shear, np.zeros((len(stands), 0)))
-        return [(i, self._vector(drive.use + stands[i], made)) for i in kept]
+        return [(i, self.vector(drive.use + stands[i], made)) for i in kept]
 
-    def _vector(self, use: Array, made: float) -> Array:
+    def vector(self, use: Array, made: float = 0.0) -> Array:
+        """What seconds and Wh, and value made, add to the vector."""
         objective = -made if self.by_value else float(self.site.objective(use))
         return np.array([objective, *use, *([-made] if self.counted else [])])
 
@@ -247,10 +248,11 @@ def _stands(site: Site, weights: Array, worth: Array | None) -> Array:
     return made
 
 
-def slack_of(tour: Tour, prices: Array) -> Array:
+def slack_of(tour: Tour, prices: Array) -> tuple[Array, Array]:
     """By how much the cheapest tour with prices on top that drives between two stops is above the cheapest of all.
 
-    Without limits, and by docks where it likes. Gives an array of shape (loads, stops, stops): from, to.
+    Without limits, and by docks where it likes. Gives an array of shape (loads, stops, stops): from, to; and the least
+    weighted use up to each state and stop, shape (states, stops).
     """
     site, order, goal = tour.site, tour.site.order, tour.site.goal
     weights, worth = tour.priced(prices)
@@ -281,7 +283,7 @@ def slack_of(tour: Tour, prices: Array) -> Array:
     ends = np.flatnonzero(order.ends)
     leave(ends)
     way(ends, np.full(len(ends), goal), np.zeros(len(ends)))
-    return np.asarray(np.maximum(found - after[0, 0], 0.0))
+    return np.asarray(np.maximum(found - after[0, 0], 0.0)), before
 
 
 def in_time(site: Site) -> NDArray[np.intp]:

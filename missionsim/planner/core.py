@@ -12,7 +12,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
@@ -24,6 +24,7 @@ from missionsim.physics import Array
 
 EPSILON = 1e-10
 """Resources that differ by less (relative to 1 or their size) are taken as equal."""
+NO_WAY = 1e200
 DOMINATED = 4
 NARROW = 3
 """Width of the beam once it is to stop but has no plan yet."""
@@ -119,12 +120,24 @@ class Bounds:
             return np.asarray(points[:, self._without_time])
         return points if self.shear is None else points - np.minimum(points[:, [self.clock]], self.until) * self.shear
 
-    def of(self, nodes: Any, x: Array) -> Array:
-        """Lower bounds of the objective by way of vectors ``x`` at nodes, shape (n,)."""
-        values = x @ self.weights.T + self.rest[nodes] - self.offset
-        if self.apart is None:
-            return np.asarray(values.max(axis=-1))
-        return np.asarray(np.minimum(values[..., : self.apart].max(axis=-1), values[..., self.apart :].max(axis=-1)))
+    def of(self, nodes: Any, chains: Array, room: Array | None = None) -> Array:
+        """Lower bounds of the objective by way of any point of chains at nodes, shape (n,).
+
+        `chains` (shape (points, n, resources)); `room` (shape (n, resources)): only of what of them keeps to it.
+        """
+        values = np.minimum(chains @ self.weights.T + self.rest[nodes] - self.offset, NO_WAY)
+        first, last = values[:1], values[-1:]
+        none = np.zeros(first.shape[:2], dtype=bool)
+        if len(chains) > 1:
+            first, last, steps = values[:-1], values[1:], np.diff(values, axis=0)
+            if room is not None:
+                low, high = _shares(chains, room)
+                none = low > high
+                first, last = first + low[..., None] * steps, first + high[..., None] * steps
+        apart = self.apart or 0
+        groups = [slice(0, apart), slice(apart, None)] if apart else [slice(None)]
+        least = np.min([_least_of_most(first[..., rows], last[..., rows]) for rows in groups], axis=0)
+        return np.asarray(np.where(none | (least >= NO_WAY), math.inf, least).min(axis=0))
 
 
 @dataclass
@@ -175,13 +188,29 @@ class _Front:
 
 
 def _shares(points: Array, limit: Array) -> tuple[Array, Array]:
-    """From and up to which share each piece of a chain keeps to limits; none of it where the first is greater."""
+    """From and up to which share each piece of chains keeps to limits; none of it where the first is greater."""
     first, step = points[:-1], points[1:] - points[:-1]
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (limit - first) / step
     never = (step == 0.0) & (first > limit)
-    high = np.where(step > 0.0, share, np.where(never, -1.0, 1.0)).min(axis=1)
-    return np.where(step < 0.0, share, 0.0).max(axis=1, initial=0.0), np.minimum(high, 1.0)
+    high = np.where(step > 0.0, share, np.where(never, -1.0, 1.0)).min(axis=-1)
+    return np.where(step < 0.0, share, 0.0).max(axis=-1, initial=0.0), np.minimum(high, 1.0)
+
+
+def _least_of_most(first: Array, last: Array) -> Array:
+    """The least, between two points, of the greatest of values that go straight from one to the other, shape (...).
+
+    `first`, `last` (shape (..., values)). It is that of two of the values (Helly), at an end or where they cross.
+    """
+    found = np.minimum(first, last).max(axis=-1)
+    step = last - first
+    if not (step < 0.0).any():
+        return np.asarray(found)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (first[..., :, None] - first[..., None, :]) / (step[..., None, :] - step[..., :, None])
+        there = first[..., :, None] + share * step[..., :, None]
+    cross = (step[..., :, None] < 0.0) & (step[..., None, :] > 0.0) & (share > 0.0) & (share < 1.0)
+    return np.asarray(np.maximum(found, np.where(cross, there, -math.inf).max(axis=(-2, -1))))
 
 
 def _chain_dominates(chain: Array, limits: Array) -> bool:
@@ -275,8 +304,10 @@ def search(
                     outcome.label, outcome.objective = label, cost
                 if not every_goal:
                     continue
-            for value, new in expand(network, label, bounds, room, below()):
-                if value < below():
+            refilled, values, make = expand(network, label, bounds, room)
+            arcs = np.flatnonzero(values < below()).tolist()
+            for value, new in itertools.chain(refilled, ((float(values[i]), make(i)) for i in arcs)):
+                if value < below() and len(new.points):
                     heapq.heappush(heap, (value, float(new.points[0].sum()), next(serial), new))
     except KeyboardInterrupt:
         if every_goal:
@@ -307,12 +338,22 @@ def quick(
     fronts: dict[int, _Front] = {}  # of all steps: a label that none was better than may still go round in circles
     try:
         while layer:
-            fresh = [new for label in layer for new in expand(network, label, bounds, room, outcome.objective)]
-            ranked = [(value, number, new) for number, (value, new) in enumerate(fresh)]
+            made = [expand(network, label, bounds, room) for label in layer]
+            ranked = [
+                (value, -1 - k, new) for k, (value, new) in enumerate(r for refilled, _, _ in made for r in refilled)
+            ]
             heapq.heapify(ranked)
-            layer = []
-            while ranked and len(layer) < width:
-                value, number, label = heapq.heappop(ranked)
+            values = np.concatenate([each for _, each, _ in made])
+            order = np.argsort(values, kind="stable").tolist()
+            ends = np.cumsum([len(each) for _, each, _ in made])
+            taken, layer = 0, []
+            while len(layer) < width and (ranked or taken < len(order)):
+                if ranked and (taken == len(order) or ranked[0][0] <= values[order[taken]]):
+                    value, number, label = heapq.heappop(ranked)
+                else:
+                    value, number, taken = float(values[order[taken]]), order[taken], taken + 1
+                    parent = int(np.searchsorted(ends, number, side="right"))
+                    label = made[parent][2](number - int(ends[parent]))  # counted from the end
                 if value >= outcome.objective:
                     break
                 if not label.ready:
@@ -339,25 +380,30 @@ def _settle(network: Network, label: Label, bounds: Bounds, room: Array) -> floa
     label.ready = True
     wait = None if label.parent is None else network.opens(label.node)
     label.points = within(label.points if wait is None else wait(label.points), room[label.node])
-    return float(bounds.of(label.node, label.points).min(initial=math.inf))
+    return float(bounds.of(label.node, label.points[:, None])[0]) if len(label.points) else math.inf
 
 
-def expand(network: Network, label: Label, bounds: Bounds, room: Array, below: float) -> Iterator[tuple[float, Label]]:
-    """Labels that follow from one, each with its bound; those that may have to wait or to be cut are not ready yet."""
+def expand(
+    network: Network, label: Label, bounds: Bounds, room: Array
+) -> tuple[list[tuple[float, Label]], Array, Callable[[int], Label]]:
+    """What follows from a label: refilled, each with its bound; the bounds by way of arcs, and what makes their labels.
+
+    Labels that may have to wait or to be cut are not ready yet.
+    """
+    refilled: list[tuple[float, Label]] = []
     node, points = label.node, label.points
     refill = network.refill(node)
     if refill is not None and not (isinstance(label.move, tuple) and label.move[0] == "refill"):
         for i, point in enumerate(points):
             for chain in refill.options(point):
                 new = Label(node, chain, label, ("refill", i))
-                yield _settle(network, new, bounds, room), new
+                refilled.append((_settle(network, new, bounds, room), new))
         if refill.obliged:
-            return
+            return refilled, np.empty(0), lambda _: label
     leaving = network.leaving(node)
     heads, use = leaving.heads, leaving.use
-    if not len(heads):
-        return
-    after = points.min(axis=0) + use  # of a chain: what none of its points is below
+    chains = points[:, None] + use
+    after = chains.min(axis=0)  # what none of the points of a chain is below
     fits = (after <= room[heads]).all(axis=1)
     highest = None if leaving.peak is None else bounds.most + EPSILON * (1.0 + np.abs(bounds.most)) - leaving.peak
     if highest is not None:
@@ -370,17 +416,20 @@ def expand(network: Network, label: Label, bounds: Bounds, room: Array, below: f
                 after[rows] = wait(after[rows], apart=True)
                 fits[rows] = (after[rows] <= room[head]).all(axis=1)
     picked = np.flatnonzero(fits)
-    if not picked.size:
-        return
-    values = bounds.of(heads[picked], after[picked])
-    for i, value in zip(picked.tolist(), values.tolist(), strict=True):
-        if value < below:
-            if single:
-                yield value, Label(int(heads[i]), after[i : i + 1], label, leaving.moves[i])
-            elif len(kept := points if highest is None else within(points, highest[i])):
-                new = Label(int(heads[i]), kept + use[i], label, leaving.moves[i])
-                new.ready = False
-                yield value, new
+    if single or any(network.opens(head) is not None for head in np.unique(heads[picked]).tolist()):
+        chains = after[None]  # a chain that may have to wait is bounded by less than all of its points
+    values = bounds.of(heads[picked], chains[:, picked], room[heads[picked]]) if picked.size else np.empty(0)
+
+    def make(number: int) -> Label:
+        i = picked[number]
+        if single:
+            return Label(int(heads[i]), after[i : i + 1], label, leaving.moves[i])
+        kept = points if highest is None else within(points, highest[i])
+        new = Label(int(heads[i]), kept + use[i], label, leaving.moves[i])
+        new.ready = False
+        return new
+
+    return refilled, values, make
 
 
 def chain_of(label: Label) -> list[Label]:

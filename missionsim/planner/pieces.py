@@ -138,8 +138,8 @@ class Road:
     """Seconds, and Wh of each battery. Shape (arcs, 1 + batteries)."""
     peak: Array
     """The most that has been drawn on the way, before braking or a slope gives back. Shape (arcs, batteries)."""
-    driven: list[Piece]
-    """By arc."""
+    driven: Sequence[Any]
+    """By arc the piece, or what else it stands for."""
     index: dict[State, int] = field(default_factory=dict)
 
 

@@ -6,19 +6,22 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from missionsim.inputs.task import TaskSpec
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer, answer_of
-from missionsim.planner.bounds import Tour, bounds_of, matrix
-from missionsim.planner.core import Label, Leaving, Outcome, quick, search
-from missionsim.planner.drives import Drive
+from missionsim.planner.bounds import Tour, bounds_of, matrix, rest_of, slack_of
+from missionsim.planner.core import Label, Leaving, Outcome, chain_of, quick, search
+from missionsim.planner.drives import Drives
 from missionsim.planner.dual import Prices, best_prices, cheapest
 from missionsim.planner.large import orders
 from missionsim.planner.orders import MOST_FREE, Order
-from missionsim.planner.solve import FIRST_GAP, Fronts, Watch, charges_tried, solve_site
+from missionsim.planner.pieces import Road, State
+from missionsim.planner.solve import FIRST_GAP, PATIENCE, Fronts, Watch, charges_tried, solve_site
 from missionsim.planner.tour import Site, make_site
 
 MOST_ROUNDS = 1000
@@ -26,26 +29,137 @@ MOST_NODES = 400_000
 """Of all rounds; beyond it the visits are made in one order."""
 LABELS = 800
 """Labels that the beam keeps at all rounds' ends together, and that a proof of few rounds may take for each."""
-FEW = 4
-"""Rounds up to which a proof among all drives is tried."""
+SOON = 500
+"""Labels after which the search for the arcs of a node ends, for the first search for rounds."""
+FEW_HEADS = 60
+"""Heads of each node in the first search for rounds."""
+MOST_STOPS = 4000
+"""States with a stop that it goes through, those of the least rounds."""
+NEAR = 1e-4
+"""Gap that is not worth more labels."""
+FEW, FAR = 4, 0.05
+"""Rounds, and relative gap, up to which a proof among all drives is tried."""
+
+
+class Ways:
+    """Arcs of one round: each from where the robot has charged (or sets out) to where it charges next, or to the end.
+
+    All visits between are made on it, in the best order.
+
+    Parameters
+    ----------
+    site : Site
+    weights : ndarray, shape (1 + batteries,)
+        Of seconds and Wh.
+    gap : float
+        Of the arcs between two nodes only those whose weighted use is within this of the least one's.
+    few : int, optional
+        So many heads of each node only, by what a round through them takes least; else all whose rounds are within the
+        gap.
+    """
+
+    def __init__(self, site: Site, weights: Array, gap: float, few: int | None = None) -> None:
+        self.weights, self.gap, self.few = weights, gap, few
+        self.drives = Fronts(site, weights, gap)
+        self.tour = tour = Tour(site, self.drives)
+        self.complete = True
+        """Whether no search for arcs had to end before it had all."""
+        self._before = slack_of(tour, weights - tour.site.weights)[1].ravel()
+        self._rest = rest_of(tour.site, weights).ravel()
+        self._known: dict[int, Leaving] = {}
+
+    def leaving(self, node: int) -> Leaving:
+        """The arcs from a node (state and stop, as of the tour) that the robot sets out from or has charged at."""
+        known = self._known.get(node)
+        if known is None:
+            known = self._known[node] = self._make(node)
+        return known
+
+    def _make(self, node: int) -> Leaving:
+        tour, (drives, index) = self.tour, self._road
+        site, source = tour.site, index[~node]
+        ends = {number: inner for inner, number in index.items() if inner >= 0 and self._ends(inner)}
+        found = drives.distances(self.weights, np.array([source]))[0]
+        targets = np.array([number for number in ends if np.isfinite(found[number])], dtype=np.intp)
+        whole = found[targets] + self._rest[[ends[number] for number in targets.tolist()]]
+        more: Array | None = np.maximum(self._before[node] + whole - self._rest[0], 0.0)
+        if self.few is not None:
+            targets, more = targets[np.argsort(whole, kind="stable")[: self.few]], None
+        elif more is not None:
+            targets, more = targets[more <= self.gap], more[more <= self.gap]
+        arcs = []
+        if len(targets):
+            ways, taken = drives.between(
+                source,
+                targets,
+                more,
+                weights=self.weights,
+                gap=self.gap,
+                timeless=site.timeless,
+                waiting=site.shear if site.shear.any() else None,
+                until=tour.latest,
+                patience=PATIENCE if self.few is None else SOON,
+            )
+            self.complete &= taken <= PATIENCE
+            arcs = [(ends[target], way) for target, some in ways.items() for way in some]
+        use = np.array([tour.vector(way.use) for _, way in arcs]).reshape(len(arcs), len(tour.first))
+        peak = np.zeros_like(use)
+        peak[:, 2:] = np.array([way.peak for _, way in arcs]).reshape(len(arcs), -1)
+        moves = [(head % tour.size, way, whole, 0) for (head, way), whole in zip(arcs, use, strict=True)]
+        dips = bool((peak > np.maximum(use, 0.0) + 1e-12)[:, 2:].any())
+        return Leaving(np.array([head for head, _ in arcs], dtype=np.intp), use, moves, peak if dips else None)
+
+    def _ends(self, node: int) -> bool:
+        return node % self.tour.size >= self.tour.site.goal
+
+    @cached_property
+    def _road(self) -> tuple[Drives, dict[int, int]]:
+        """All drives of a round as a road, and the numbers of its nodes; of ``~node`` where it is left."""
+        tour = self.tour
+        whole = np.sort(self._before + self._rest)
+        few = math.inf if self.few is None or len(whole) <= MOST_STOPS else whole[MOST_STOPS]
+        reach = self._rest[0] + self.gap if self.few is None else few
+        index, waiting = {~0: 0}, [~0]
+        ends: list[tuple[int, int]] = []
+        moves: list[tuple[int, Any]] = []
+        while waiting:
+            here = waiting.pop()
+            node = max(here, ~here)
+            arcs = tour.leaving(node)
+            through = self._before[node] + arcs.use[:, 1:] @ self.weights + self._rest[arcs.heads]
+            for i in np.flatnonzero(through <= reach).tolist():
+                head = int(arcs.heads[i])
+                if head not in index:
+                    index[head] = len(index)
+                    if not self._ends(head):
+                        waiting.append(head)
+                    elif head % tour.size > tour.site.goal:
+                        index[~head] = len(index)
+                        waiting.append(~head)
+                ends.append((index[here], index[head]))
+                moves.append((head, arcs.moves[i]))
+        tails, heads = np.array(ends, dtype=np.intp).reshape(-1, 2).T
+        use = np.array([move[2][1:] for _, move in moves]).reshape(len(moves), len(self.weights))
+        drawn = np.array([move[1].peak for _, move in moves]).reshape(len(moves), -1)
+        states = [State(tour.site.stops[max(node, ~node) % tour.size].place) for node in index]
+        return Drives(Road(states, tails, heads, use, np.maximum(drawn, np.maximum(use[:, 1:], 0.0)), moves)), index
 
 
 class Rounds(Tour):
     """The network of one round so many times; each round's nodes and one where it sets out from its start.
 
-    `drives`: as of `Tour`; `every_s`: no round sets out before so long after the one before was due.
+    `ways`: arcs of one round; `every_s`: no round sets out before so long after the one before was due.
     """
 
-    def __init__(
-        self, site: Site, drives: Callable[[float, int, int], list[Drive]], rounds: int, every_s: float
-    ) -> None:
-        super().__init__(site, drives)
-        self.rounds, self.every_s = rounds, every_s
+    def __init__(self, ways: Ways, rounds: int, every_s: float) -> None:
+        super().__init__(ways.tour.site, ways.drives)
+        self.ways, self.rounds, self.every_s = ways, rounds, every_s
         self.latest = (rounds - 1) * every_s
         self._out = self.nodes
         self._each = self.nodes + self.size
         self.nodes = self._each * rounds
-        self._home = [i for i, s in enumerate(site.stops) if s.charger is not None and s.place == site.task.start]
+        stops, start = self.site.stops, self.site.task.start
+        self._home = [i for i, stop in enumerate(stops) if stop.charger is not None and stop.place == start]
         self._all: dict[int, Leaving] = {}
 
     def at(self, node: int) -> tuple[int, int]:
@@ -58,20 +172,25 @@ class Rounds(Tour):
         return node >= self.nodes - self._each and self.at(node)[1] == self.site.goal
 
     def leaving(self, node: int) -> Leaving:
-        """Drives to all stops that may come next; from the end of a round the next one."""
+        """Ways to all docks that may come next, and to the end of the round; from there the next one."""
         known = self._all.get(node)
         if known is None:
             number, inner = divmod(node, self._each)
-            first = number * self._each
-            if inner != self._out and self.at(node)[1] == self.site.goal:
-                known = self._still([first + self._each] if number + 1 < self.rounds else [])
-            elif inner == 0:
-                known = self._still([first + dock for dock in (*self._home, self._out)])
-            elif inner in self._home:
+            first, last = number * self._each, number + 1 == self.rounds
+            begin = first + self._each if inner else first
+            if inner == 0 or (inner != self._out and inner % self.size == self.site.goal):
+                # charged at home as much as it likes or sets out, unless that was the last round
+                known = self._still(
+                    [] if inner and last else [*(begin + dock for dock in self._home), begin + self._out]
+                )
+            elif inner in self._home and self.every_s > 0.0:
                 known = self._still([first + self._out])
             else:
-                one = super().leaving(0 if inner == self._out else inner)
-                there = ~np.isin(one.heads, self._home) if inner == self._out else np.ones(len(one.heads), dtype=bool)
+                one = self.ways.leaving(0 if inner in (self._out, *self._home) else inner)
+                # before the first visit and after the last one it charges between the rounds
+                state, stop = np.divmod(one.heads, self.size)
+                idle = (inner in (self._out, *self._home)) & (state == 0) | (self.site.order.ends[state] & (not last))
+                there = ~(np.isin(stop, self._home) & idle)
                 moves = [move for move, kept in zip(one.moves, there, strict=True) if kept]
                 peak = None if one.peak is None else one.peak[there]
                 known = Leaving(one.heads[there] + first, one.use[there], moves, peak)
@@ -81,6 +200,18 @@ class Rounds(Tour):
     def _still(self, heads: list[int]) -> Leaving:
         nothing, use = self.none, np.zeros((len(heads), len(self.first)))
         return Leaving(np.array(heads, dtype=np.intp), use, [(self.at(head)[1], nothing, use[0], 0) for head in heads])
+
+    def each(self, label: Label) -> Label:
+        """The same way, stop by stop."""
+        made, *steps = chain_of(label)
+        for step in steps:
+            points, first = made.points, step.node - step.node % self._each
+            inner = () if step.move[0] == "refill" else step.move[1].pieces
+            for node, move in inner[:-1]:
+                points = points + move[2]
+                made = Label(first + node, points, made, move)
+            made = Label(step.node, step.points, made, inner[-1][1] if inner else step.move)
+        return made
 
     def opens(self, node: int) -> Callable[..., Array] | None:
         """Waiting until a round is due."""
@@ -128,35 +259,39 @@ def of_one_kind(task: TaskSpec) -> TaskSpec:
     return task.model_copy(update={"visits": kept or task.visits})
 
 
-def _drive(site: Site, rounds: int, every_s: float, prices: Prices, watch: Watch | None) -> Answer | None:
-    """So many rounds of nearly the least objective; None where none were found."""
+def _ways(site: Site, prices: Prices, gap: float, few: int | None = None) -> Ways:
+    return Ways(site, site.weights + prices.best[: len(site.weights)], gap, few)
+
+
+def _drive(
+    site: Site, rounds: int, every_s: float, prices: Prices, ways: Ways, watch: Watch | None, *, soon: bool
+) -> Answer | None:
+    """So many rounds of nearly the least objective; None where none were found. `soon`: by few labels."""
     bound = rounds * prices.bound
-    gap = FIRST_GAP * max(abs(prices.bound), 1e-6)
-    weights = site.weights + prices.best[: len(site.weights)]
 
     def told(outcome: Outcome, waiting: int) -> bool:
         return watch is not None and watch("rounds", outcome.objective, bound)
 
-    tour = Rounds(site, Fronts(site, weights, gap), rounds, every_s)
+    tour = Rounds(ways, rounds, every_s)
     bounds = bounds_of(tour, [prices.best, *prices.others])
     start = Label(0, tour.first[None, :])
     best, objective, lower, stopped = None, math.inf, bound, False
-    # soon a plan, then a good one; of many visits each label has many to follow it
-    wide = LABELS // rounds // max(1, len(site.task.visits) ** 2 // 9)
-    for width, ask in ((3, None), (max(4, min(300, wide)), told)):
-        if not stopped:
-            outcome = quick(tour, [start], tour.is_goal, bounds, best=objective, watch=ask, width=width)
-            best, objective, stopped = outcome.label or best, outcome.objective, outcome.interrupted
-    if best is not None and rounds <= FEW and not stopped:
-        gap = max(gap, objective - bound)
-        drives = Fronts(site, weights, gap)
-        wider = Rounds(site, drives, rounds, every_s)
+    wide = max(4, min(300, LABELS // rounds))
+    for width, ask in ((3, None), (wide // 3, told)) if soon else ((wide, told),):
+        if not stopped and best is None:
+            outcome = quick(tour, [start], tour.is_goal, bounds, watch=ask, width=width)
+            objective, stopped = outcome.objective, outcome.interrupted
+            best = outcome.label and tour.each(outcome.label)
+    near = objective - bound <= FAR * abs(bound)
+    if best is not None and rounds <= FEW and near and not stopped and not soon:
+        gap = max(ways.gap, objective - bound)
+        wider = Rounds(_ways(site, prices, gap), rounds, every_s)
         proof = search(wider, [start], wider.is_goal, bounds, best=objective, watch=told, most_labels=LABELS * rounds)
-        if drives.complete and not charges_tried(tour):
+        if wider.ways.complete and wider.ways.drives.complete and not charges_tried(tour):
             lower = max(bound, min(proof.bound, bound + gap))
         stopped = proof.interrupted
         if proof.label is not None:
-            best, objective = proof.label, proof.objective
+            best, objective = wider.each(proof.label), proof.objective
     if best is None:
         return Answer(site, False, stopped=True) if stopped else None
     answer = answer_of(tour, best, objective, min(lower, objective))
@@ -193,19 +328,38 @@ def plan_rounds(site: Site, watch: Watch | None = None) -> Answer:
         assert steps is not None
         sequence = tuple(head - 1 for head, _ in steps[0] if head != site.goal)
         site, fixed = replace(site, order=Order(site.task, sequence)), True
-    # down from the most there can be in growing steps, then up again between what was found and what was not
+    if at_most:
+        priced = known.get(at_most) or _prices(site, at_most)
+        ways = _ways(site, priced, FIRST_GAP * max(abs(priced.bound), 1e-6), FEW_HEADS)
     best: Answer | None = None
-    below, above, step = 0, at_most + 1, 1
-    while above - below > 1:
-        rounds = max(above - step, 1) if best is None else (below + above) // 2
-        made = _drive(site, rounds, every, known.get(rounds) or _prices(site, rounds), watch)
-        if made is not None and made.stopped:
-            best = made if made.feasible else best or made
-            break
+
+    def look(rounds: int, *, soon: bool) -> bool:
+        """Whether so many rounds were found; the best so far is kept, told to be stopped where the search was."""
+        nonlocal best
+        made = _drive(site, rounds, every, known.get(rounds) or _prices(site, rounds), ways, watch, soon=soon)
         if made is None:
-            above, step = rounds, 2 * step
+            return False
+        same = best is not None and best.extra["rounds"] == rounds and best.objective <= made.objective
+        if best is None or (made.feasible and not same):
+            best = made
+        elif made.stopped or made.bound > best.bound:
+            best.stopped, best.bound = made.stopped, max(best.bound, made.bound)
+        return made.feasible and not made.stopped
+
+    # down from the most there can be in growing steps, then up again between what was found and what was not
+    below, above, step = 0, at_most + 1, 1
+    while above - below > 1 and not (best is not None and best.stopped):
+        rounds = max(above - step, 1) if best is None else (below + above) // 2
+        if look(rounds, soon=True):
+            below = rounds
         else:
-            below, best = rounds, made
+            above, step = rounds, 2 * step
+    # with more labels one round more, as long as that is found; else the same rounds for less
+    for rounds in range(below + 1, at_most + 1):
+        if (best is not None and best.stopped) or not look(rounds, soon=False):
+            break
+    if best is not None and not best.stopped and best.extra["rounds"] == below and best.gap > NEAR:
+        look(below, soon=False)
     if best is None or not best.feasible:
         early = "the search was stopped before it found a plan; there may be one"
         note = early if best is not None else "not even one round can be done within the time and the charge"
@@ -224,7 +378,11 @@ def plan_rounds(site: Site, watch: Watch | None = None) -> Answer:
     charged = "" if site.task.docks else "; no dock may be used (choose: docks)"
     would_do = [{"change": "repeat.rounds", "to": done, "unit": "", "text": f"{done} rounds"}]
     longer = replace(site, deadline_s=math.inf)
-    made = _drive(longer, asked, every, _prices(longer, asked), watch) if math.isfinite(site.deadline_s) else None
+    made = None
+    if math.isfinite(site.deadline_s):
+        priced = _prices(longer, asked)
+        wider = _ways(longer, priced, ways.gap, FEW_HEADS)
+        made = _drive(longer, asked, every, priced, wider, watch, soon=True)
     if made is not None and made.feasible:
         text = f"an end {(made.duration_s - site.deadline_s) / 60.0:.1f} min later"
         would_do.append({"change": "repeat.until", "to": made.duration_s, "unit": "s", "text": text})

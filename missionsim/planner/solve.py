@@ -157,7 +157,7 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
             return replace(free, site=site)
         bound = max(bound, free.bound)
     stopped, base, more = False, prices.bound, [prices.best, *prices.others]
-    weights, slack = tour.priced(prices.best)[0], slack_of(tour, prices.best)
+    weights, slack = tour.priced(prices.best)[0], slack_of(tour, prices.best)[0]
     # where only value counts, all drives are as cheap: soon a plan by few of them, then all
     first = [] if weights.any() else [Fronts(site, weights, None)]
     if any(charger is not None for charger in tour.chargers):
@@ -171,7 +171,7 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
     start = Label(0, tour.first[None, :])
     if not len(within(start.points, bounds.room[0])):
         return Answer(site, False)
-    bound = sure = max(bound, _up(sums, float(bounds.of(0, start.points).min())))
+    bound = sure = max(bound, _up(sums, float(bounds.of(0, start.points[:, None])[0])))
     gap = min(objective - base, FIRST_GAP * scale) if weights.any() else math.inf
     while True:
         gap = max(gap, 1e-9 * scale)

@@ -97,24 +97,53 @@ def test_charges_on_a_round_that_the_battery_cannot_do_whole(root: Path, tmp_pat
     assert max(homes) >= 3000.0 * (1 - 1e-12)
 
 
+FIVE = [{"place": place, "inspect": "30 s"} for place in ("pump", "tank", "mast", "well", "shed")]
+SHIFTS = [
+    ({}, 40),
+    ({"visits": FIVE, "docks": ["hall", "shed"]}, 22),
+    ({"visits": FIVE, "docks": ["hall", "shed"], "repeat": {"rounds": 9, "until": "8 h"}}, 9),
+    ({"visits": FIVE, "docks": ["hall", "shed"], "small": True}, 20),
+]
+
+
 @pytest.mark.study
+@pytest.mark.parametrize(("changes", "rounds"), SHIFTS)
 def test_a_shift_of_eight_hours_is_planned_within_half_a_minute_and_driven_as_planned(
-    root: Path, tmp_path: Path
+    root: Path, tmp_path: Path, changes: dict, rounds: int
 ) -> None:
+    shift = yaml.safe_load((root / "missions/planning/shift.yaml").read_text())
+    choose = shift["choose"] | {"docks": changes.pop("docks", ["hall"])}
+    settings = ("robot.batteries.drive.capacity=12 Wh",) if changes.pop("small", False) else ()
     began = time.process_time()
-    found = plan(task_of(root, tmp_path))
-    assert time.process_time() - began < 30.0
-    assert found["rounds"] == found["rounds_at_most"] == 40
+    found = plan(task_of(root, tmp_path, choose=choose, **changes), *settings)
+    seconds = time.process_time() - began
+    charges = sum(leg["kind"] == "charge" for leg in found["legs"])
+    at_most, gap = found.get("rounds_at_most", rounds), found["gap"]
+    print(f"{found['rounds']} rounds of at most {at_most}, {charges} charges, gap {100 * gap:.2g} %: {seconds:.1f} s")
+    assert seconds < 30.0
+    assert found["rounds"] >= rounds
     assert found["duration_s"] <= 8 * 3600.0
 
 
 def test_a_shift_that_is_stopped_is_a_plan_with_its_gap(root: Path, tmp_path: Path) -> None:
-    choose = {"speeds": ["0.9 m/s"], "schemes": ["mapped"], "docks": ["hall"]}
-    task = task_of(root, tmp_path, choose=choose, repeat={"rounds": "as_often_as_possible", "until": "40 min"})
-    words = ["plan", str(task), "--seconds", "0.000001", "--json", str(tmp_path / "early.json"), "--quiet"]
+    choose = {"speeds": ["0.9 m/s"], "schemes": ["mapped"], "docks": ["shed"], "charge": ["80 %", "100 %"]}
+    visits = [{"place": "tank", "inspect": "30 s"}, {"place": "mast", "inspect": "30 s"}, {"place": "well"}]
+    repeat = {"rounds": "as_often_as_possible", "until": "70 min"}
+    task = task_of(root, tmp_path, choose=choose, visits=visits, repeat=repeat)
+    words = [
+        "plan",
+        str(task),
+        "--set",
+        SMALL,
+        "--seconds",
+        "0.000001",
+        "--json",
+        str(tmp_path / "early.json"),
+        "--quiet",
+    ]
     assert run_command(words) == 0
     early = json.loads((tmp_path / "early.json").read_text())
-    best = plan(task)
+    best = plan(task, SMALL)
     assert "stopped" in early["claim"]
     assert early["rounds"] <= best["rounds"] <= early["rounds_at_most"]
     assert early["bound"] <= early["objective"]
