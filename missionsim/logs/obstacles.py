@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 
@@ -189,27 +190,40 @@ def _causes(grid: Array, step: float, time_s: Array, speed_m_s: Array, yaw_rate_
     return np.array(rows)
 
 
+_AT_ONCE = 64
+
+
 def _low_pass(causes: Array, step: float, tau: float) -> Array:
-    """First-order low-pass of each row, at rest before it."""
-    weights = np.exp(-np.arange(math.ceil(37.0 * tau / step) + 1) * step / tau)  # what follows is below rounding
-    padded = np.pad(causes, ((0, 0), (len(weights) - 1, 0)), mode="edge")
-    size = 1 << (padded.shape[1] - 1).bit_length()
-    product = np.fft.rfft(padded, size) * np.fft.rfft(weights / weights.sum(), size)
-    return np.asarray(np.fft.irfft(product, size)[:, len(weights) - 1 : padded.shape[1]])
+    """First-order low-pass of each row, at rest before it: `_AT_ONCE` samples by a product of matrices, which each
+    begin where those before them ended."""
+    rows, length = causes.shape
+    kept = math.exp(-step / tau)
+    ages = np.subtract.outer(np.arange(_AT_ONCE), np.arange(_AT_ONCE))
+    answer = np.where(ages >= 0, (1.0 - kept) * kept ** np.maximum(ages, 0), 0.0)
+    first = causes[:, :1]
+    padded = np.zeros((rows, -(-length // _AT_ONCE), _AT_ONCE))
+    padded.reshape(rows, -1)[:, :length] = causes - first
+    out = padded @ answer.T
+    ends = list(accumulate(out[:, :-1, -1].T, lambda before, end: end + kept**_AT_ONCE * before))
+    if ends:
+        out[:, 1:] += np.array(ends).T[:, :, None] * kept ** np.arange(1, _AT_ONCE + 1)
+    return first + out.reshape(rows, -1)[:, :length]
 
 
 def _explained(power: Array, causes: Array, most: int) -> Array | None:
     """Multiple correlation of power with causes at each lag from -most to most, shape (2 most + 1,)."""
     power = power - power.mean()
+    causes = causes[np.ptp(causes, axis=1) > 0]
     causes = causes - causes.mean(axis=1, keepdims=True)
-    scale = np.sqrt((causes**2).sum(axis=1))
-    causes = causes[scale > 0] / scale[scale > 0, None]
     total = float(power @ power)
     n = len(power)
     if total <= 0 or not len(causes) or n <= 4 * most:
         return None
-    gram = causes @ causes.T + 1e-3 * np.eye(len(causes))
+    gram = causes @ causes.T
+    scale = np.sqrt(np.diag(gram))
+    gram = gram / np.outer(scale, scale) + 1e-3 * np.eye(len(causes))
     lags = range(-most, most + 1)
     cross = np.stack([causes[:, max(0, -k) : n - max(0, k)] @ power[max(0, k) : n + min(0, k)] for k in lags], axis=1)
+    cross /= scale[:, None]
     squared = np.einsum("kl,kl->l", cross, np.linalg.solve(gram, cross)) / total
     return np.asarray(np.sqrt(np.clip(squared, 0.0, 1.0)))
