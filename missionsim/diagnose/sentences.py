@@ -215,7 +215,7 @@ def errors(battery: BatteryDiagnosis) -> str:
     verb = "was" if after <= min(before, alone) else "WAS ONLY"
     return (
         f"On runs not used the power error {verb} {power(before)} ({power(alone)} recalibrated) and is "
-        f"{power(after)} with it (energy {energy[0]:.2g} → {energy[1]:.2g} %)."
+        f"{power(after)} with it (energy {energy[0]:.2f} → {energy[1]:.2f} %)."
     )
 
 

@@ -169,16 +169,10 @@ def identifiability(figures: Mapping[str, Figure]) -> list[dict[str, float | str
         fit = mecanum_fit(figures, profile=profile, duration_s=duration)
         names = ("rmse_table{}_w", "mape_table{}_pct", "max_table{}_pct")
         scores = zip(names, zip(*fit.errors.values(), strict=True), strict=True)
-        rows.append(
-            {
-                "profile": profile,
-                "duration_s": duration,
-                "wheel_friction_n": fit.friction_n,
-                **{k: getattr(fit, k) for k in ("mass_kg", "copper_w_n2", "electronics_w", "pulse_w")},
-                **{name.format(table): v for name, both in scores for table, v in zip("34", both, strict=True)},
-                "condition": fit.condition,
-            }
-        )
+        row: dict[str, float | str] = {"profile": profile, "duration_s": duration, "wheel_friction_n": fit.friction_n}
+        row |= {key: getattr(fit, key) for key in ("mass_kg", "copper_w_n2", "electronics_w", "pulse_w")}
+        row |= {name.format(table): v for name, both in scores for table, v in zip("34", both, strict=True)}
+        rows.append({**row, "condition": fit.condition})
     return rows
 
 
@@ -254,12 +248,5 @@ def mecanum_fit(
     fit = least_squares(residuals, first, bounds=(0.0, np.inf), x_scale=first, xtol=1e-14, ftol=1e-14, gtol=1e-14)
     friction, mass, copper, electronics, pulse = (float(v) for v in unpack(fit.x))
     motion_w, robot_w = model(fit.x)
-    return MecanumFit(
-        friction_n=friction,
-        mass_kg=mass,
-        copper_w_n2=copper,
-        electronics_w=electronics,
-        pulse_w=pulse,
-        errors={"3": errors(motion_w, motion_measured), "4": errors(robot_w, robot_measured)},
-        condition=float(np.linalg.cond(fit.jac * fit.x)),
-    )
+    missed = {"3": errors(motion_w, motion_measured), "4": errors(robot_w, robot_measured)}
+    return MecanumFit(friction, mass, copper, electronics, pulse, missed, float(np.linalg.cond(fit.jac * fit.x)))

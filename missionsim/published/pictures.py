@@ -115,9 +115,8 @@ def _patrol_speed(figure: Figure) -> None:
         line = run(name).timeline
         speed = np.asarray(line.columns["speed_m_s"])
         edges = np.append(line.start_s, line.start_s[-1] + line.duration_s[-1])
-        axes.stairs(
-            speed, edges, baseline=None, linestyle=style, label=label, color=COLOURS[1] if style == "--" else COLOURS[0]
-        )
+        colour = COLOURS[style == "--"]
+        axes.stairs(speed, edges, baseline=None, linestyle=style, label=label, color=colour)
     _finish(axes, "time (s)", "velocity (m/s)")
 
 
@@ -129,22 +128,13 @@ def _patrol_error(figure: Figure) -> None:
         left.plot(found.time_s, found.measured_wh, color=colour, label=f"{battery}, as driven")
         left.plot(found.time_s, found.predicted_wh, color=colour, linestyle="--", label=f"{battery}, plan")
         for relative, style in (("predicted", "-"), ("measured", ":")):
-            right.plot(
-                found.time_s, found.percent(relative), color=colour, linestyle=style, label=f"{battery}, of {relative}"
-            )
+            label = f"{battery}, of {relative}"
+            right.plot(found.time_s, found.percent(relative), color=colour, linestyle=style, label=label)
         right.axhline(figures[f"sec342.{battery}.final"].value, color=colour, linewidth=0.7, alpha=0.6)
         right.axhline(figures[f"sec342.{battery}.peak"].value, color=colour, linewidth=0.7, alpha=0.6)
     _finish(left, "time as driven (s)", "energy (Wh)")
-    right.text(
-        0.98,
-        0.01,
-        "thin lines: published peak and final value",
-        transform=right.transAxes,
-        ha="right",
-        va="bottom",
-        fontsize=7,
-        color=GREY,
-    )
+    small: dict[str, Any] = {"transform": right.transAxes, "ha": "right", "va": "bottom", "fontsize": 7, "color": GREY}
+    right.text(0.98, 0.01, "thin lines: published peak and final value", **small)
     right.set_ylim(0.0, 38.0)
     _finish(right, "time as driven (s)", "error at equal progress (%)")
 
@@ -172,20 +162,12 @@ def _khepera(figure: Figure) -> None:
     speed = np.linspace(low, high, 23)
     left, right = _pair(figure)
     for colour, payload in zip(COLOURS, (0.0, 0.25, 0.5), strict=False):
-        left.plot(
-            1e3 * speed,
-            [parasuraman2012.motion_power(float(v), payload) for v in speed],
-            color=colour,
-            label=f"payload {payload:g} kg",
-        )
+        watts = [parasuraman2012.motion_power(float(v), payload) for v in speed]
+        left.plot(1e3 * speed, watts, color=colour, label=f"payload {payload:g} kg")
     _finish(left, "speed (mm/s)", "motion power (W)")
     for colour, radio in zip(COLOURS, ("wifi", "bluetooth", None), strict=False):
-        right.plot(
-            1e3 * speed,
-            [3600.0 * parasuraman2012.crossing_energy(float(v), radio) for v in speed],
-            color=colour,
-            label=radio or "no radio",
-        )
+        joules = [3600.0 * parasuraman2012.crossing_energy(float(v), radio) for v in speed]
+        right.plot(1e3 * speed, joules, color=colour, label=radio or "no radio")
     right.set_ylim(bottom=0.0)
     _finish(right, "speed (mm/s)", "energy from A to B, 5.6 m (J)")
 
@@ -212,14 +194,8 @@ def _angles(figure: Figure) -> None:
     for colour, ratio in zip(COLOURS, (0.1, threshold, 2.0 * threshold), strict=False):
         power = hou2019.direction_power(np.radians(angles), ratio)
         best = float(angles[angles <= 90.0][int(np.argmin(power[angles <= 90.0]))])
-        axes.plot(
-            angles,
-            power,
-            ".-",
-            color=colour,
-            linewidth=0.8,
-            label=f"roller over wheel friction {ratio:.3f}: least at {best:.0f}°",
-        )
+        label = f"roller over wheel friction {ratio:.3f}: least at {best:.0f}°"
+        axes.plot(angles, power, ".-", color=colour, linewidth=0.8, label=label)
     axes.set_xticks(range(0, 181, 45))
     _finish(axes, "direction of travel from straight ahead (°)", "power at 1 m/s (W)")
 

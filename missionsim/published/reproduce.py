@@ -6,7 +6,7 @@ import csv
 import importlib
 import io
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -70,11 +70,6 @@ def items_csv(items: Iterable[Item]) -> str:
     return _csv(COLUMNS, rows)
 
 
-def rows_csv(rows: Sequence[Mapping[str, object]]) -> str:
-    """A table of dictionaries as CSV text."""
-    return _csv(list(rows[0]), [[_cell(value) for value in row.values()] for row in rows])
-
-
 def _cell(value: Any) -> str:
     if isinstance(value, float) or value is None:
         return number(value)
@@ -106,12 +101,11 @@ def footnotes(items: Sequence[Item]) -> tuple[list[str], list[str]]:
 
 def files(items: dict[str, list[Item]], tables: dict[str, Tables]) -> dict[str, str]:
     """Every text file of ``results/published``, by name: CSV tables and the Markdown page."""
-
     result: dict[str, str] = {}
     for paper, found in items.items():
         result[f"{paper}.csv"] = items_csv(found)
         for name, rows in tables[paper].items():
-            result[f"{paper}_{name}.csv"] = rows_csv(rows)
+            result[f"{paper}_{name}.csv"] = _csv(list(rows[0]), [[_cell(v) for v in row.values()] for row in rows])
     result["README.md"] = page(items, tables)
     return result
 
@@ -135,7 +129,6 @@ def write(out: Path, items: dict[str, list[Item]], tables: dict[str, Tables], pi
 
 def page(items: dict[str, list[Item]], tables: dict[str, Tables]) -> str:
     """The page for some papers."""
-
     parts = [HEAD]
     for paper, found in items.items():
         about = ABOUT[paper]

@@ -134,7 +134,7 @@ def _optima(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
     yield "comp_share", Ours(part / whole, f"{part:.1f} W of {whole:.1f} W")
 
 
-def optima_table() -> list[dict[str, object]]:
+def optima() -> list[dict[str, object]]:
     """Joint optimum for each complexity under both readings."""
     figures = load_figures(PAPER)
     rows = []
@@ -144,16 +144,8 @@ def optima_table() -> list[dict[str, object]]:
         grid = speeds(16.0) * scale
         for name, complexity in complexity_of_tracks().items():
             best = robot.best(grid, clocks, complexity)
-            rows.append(
-                {
-                    "reading": reading,
-                    "track": name,
-                    "complexity": complexity,
-                    "speed": best.speed_m_s / scale,
-                    "unit": unit,
-                    "clock_ghz": best.freq_hz / 1e9,
-                    "energy_j_m": best.energy_j_m,
-                    "service_limit": service_limit(robot, float(clocks[-1]), complexity, 16.0 * scale) / scale,
-                }
-            )
+            limit = service_limit(robot, float(clocks[-1]), complexity, 16.0 * scale) / scale
+            row = {"reading": reading, "track": name, "complexity": complexity, "speed": best.speed_m_s / scale}
+            row |= {"unit": unit, "clock_ghz": best.freq_hz / 1e9, "energy_j_m": best.energy_j_m}
+            rows.append({**row, "service_limit": limit})
     return rows

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -25,22 +26,12 @@ def optimal_velocities() -> Rows:
     still: dict[str, Any] = {"speed_m_s": 0.0, "accel_m_s2": 0.0, "scheme": ""}
     rest = float(model.total(still, "robot"))
     rows: Rows = []
-    for sonar in (0, 1):
-        for laser in (0, 1, 2):
-            for kinect in (0, 1):
-                on = {"on_sonar": float(sonar), "on_laser": float(laser), "on_kinect": float(kinect)}
-                extra = float(model.total({**still, **on}, "robot")) - rest
-                best = float(motion.optimal_speed(c2, c4, extra))
-                rows.append(
-                    {
-                        "sonar": sonar,
-                        "laser": laser,
-                        "kinect": kinect,
-                        "sensors_w": extra,
-                        "v_opt_m_s": best,
-                        "reachable": "yes" if best <= float(robot.body.max_speed) else "no",
-                    }
-                )
+    for units in itertools.product((0, 1), (0, 1, 2), (0, 1)):
+        on = dict(zip(("sonar", "laser", "kinect"), units, strict=True))
+        extra = float(model.total({**still, **{f"on_{name}": float(n) for name, n in on.items()}}, "robot")) - rest
+        best = float(motion.optimal_speed(c2, c4, extra))
+        reachable = "yes" if best <= float(robot.body.max_speed) else "no"
+        rows.append({**on, "sensors_w": extra, "v_opt_m_s": best, "reachable": reachable})
     return rows
 
 
@@ -72,19 +63,10 @@ def stretch_summary() -> Rows:
     result: Rows = []
     for scheme in [*schemes, "all"]:
         of = [row for row in rows if scheme in (row["scheme"], "all")]
-        result.append(
-            {
-                "scheme": scheme,
-                "mean_stretch": float(np.mean([row["stretch_of_run"] for row in of])),
-                "rms_error_without_pct": _rms([row["error_without_pct"] for row in of]),
-                "rms_error_with_pct": _rms([row["error_with_pct"] for row in of]),
-            }
-        )
+        errors = ("error_without_pct", "error_with_pct")
+        rms = {f"rms_{name}": float(np.sqrt(np.mean(np.square([row[name] for row in of])))) for name in errors}
+        result.append({"scheme": scheme, "mean_stretch": float(np.mean([row["stretch_of_run"] for row in of])), **rms})
     return result
-
-
-def _rms(values: list[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def patrol_errors() -> Rows:
@@ -95,15 +77,8 @@ def patrol_errors() -> Rows:
         curve = patrol.error_curve(battery)
         for relative in ("predicted", "measured"):
             for name, value in curve.statistics(relative).items():
-                rows.append(
-                    {
-                        "battery": battery,
-                        "relative_to": relative,
-                        "statistic": name,
-                        "ours_pct": value,
-                        "published_pct": figures[f"sec342.{battery}.{name}"].value,
-                    }
-                )
+                row = {"battery": battery, "relative_to": relative, "statistic": name, "ours_pct": value}
+                rows.append({**row, "published_pct": figures[f"sec342.{battery}.{name}"].value})
     return rows
 
 
@@ -115,16 +90,8 @@ def patrol_uncertainty() -> Rows:
     for battery, statistics in drawn.items():
         for name, values in statistics.items():
             low, median, high = (float(q) for q in np.quantile(values, (0.05, 0.5, 0.95)))
-            rows.append(
-                {
-                    "battery": battery,
-                    "statistic": name,
-                    "q05_pct": low,
-                    "median_pct": median,
-                    "q95_pct": high,
-                    "published_pct": figures[f"sec342.{battery}.{name}"].value,
-                }
-            )
+            row = {"battery": battery, "statistic": name, "q05_pct": low, "median_pct": median, "q95_pct": high}
+            rows.append({**row, "published_pct": figures[f"sec342.{battery}.{name}"].value})
     return rows
 
 
@@ -181,34 +148,14 @@ def fidelity() -> Rows:
     for level in LEVELS:
         mean, most = model.error_pct(level)
         best = model.optimum(level)
-        rows.append(
-            {
-                "level": level.name,
-                "speed_step_m_s": level.speed_step_m_s,
-                "clock_step_hz": level.clock_step_hz,
-                "evaluations": best.evaluations,
-                "mean_error_pct": mean,
-                "max_error_pct": most,
-                "best_speed_m_s": best.speed_m_s,
-                "best_clock_ghz": best.freq_hz / 1e9,
-                "energy_j_m": best.energy_j_m,
-            }
-        )
+        row = {"level": level.name, "speed_step_m_s": level.speed_step_m_s, "clock_step_hz": level.clock_step_hz}
+        row |= {"evaluations": best.evaluations, "mean_error_pct": mean, "max_error_pct": most}
+        row |= {"best_speed_m_s": best.speed_m_s, "best_clock_ghz": best.freq_hz / 1e9}
+        rows.append({**row, "energy_j_m": best.energy_j_m})
     return rows
 
 
-TABLES: dict[str, Callable[[], Rows]] = {
-    "optimal_velocities": optimal_velocities,
-    "stretch_test": stretch_test,
-    "stretch_summary": stretch_summary,
-    "patrol_errors": patrol_errors,
-    "patrol_uncertainty": patrol_uncertainty,
-    "static_powers": static_powers,
-    "components": components,
-    "model_errors": model_errors,
-    "identifiability": identifiability,
-    "directions": directions,
-    "optima": rover2025.optima_table,
-    "fidelity": fidelity,
-}
+_MADE: list[Callable[[], Rows]] = [optimal_velocities, stretch_test, stretch_summary, patrol_errors, patrol_uncertainty]
+_MADE += [static_powers, components, model_errors, identifiability, directions, rover2025.optima, fidelity]
+TABLES: dict[str, Callable[[], Rows]] = {function.__name__: function for function in _MADE}
 """Name of a table → the function that makes it."""
