@@ -139,7 +139,8 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         taken, text, last = settle([*kept, replace(as_finding(law), effect=name)])
     heldout = [log for log in split.heldout if battery in log.power_w]
     powers = {"before": start.model, "recalibrated": models.fit(()).model}
-    powers |= {f"+ {e.effect}": models.fit(taken[: i + 1]).model for i, e in enumerate(taken[:-1])}
+    # as add-effect writes one of several: its size as it was found beside the others, the base fitted again
+    powers |= {f"+ {e.effect}": models.fit(taken[: i + 1], fixed=True).model for i, e in enumerate(taken[:-1])}
     if taken:
         powers[f"+ {taken[-1].effect}"] = Subject.of(robot_from_text(text)).model
     runs = heldout or models.runs

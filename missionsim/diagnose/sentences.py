@@ -51,7 +51,7 @@ def power(watts: float) -> str:
     """A power in three digits or less, in kW from 1,000 W on."""
     if abs(watts) >= 1000.0:
         return f"{watts / 1000.0:.3g} kW"
-    return f"{watts:.3g} W" if abs(watts) >= 0.095 else f"{1000.0 * watts:.2g} mW"
+    return f"{watts:.3g} W" if abs(watts) >= 0.095 else f"{1000.0 * watts:.3g} mW"
 
 
 def missing(effect: Finding) -> str:

@@ -189,3 +189,19 @@ schemes: {drive: {motion: true}}
     out = tmp_path / "improved.yaml"
     assert run("improve", "--robot", middle, logs, "--yes", "--quiet", "--out", out) in (0, 1)
     assert out.exists()
+
+
+@pytest.mark.study
+def test_a_step_of_improve_is_the_file_that_add_effect_writes(shared: Path, tmp_path: Path) -> None:
+    logs = shared / "practice" / "two-grade-payload"
+    asked = ("--robot", "pioneer3dx", logs / "train", "--holdout", logs / "heldout", "--quiet")
+    assert run("improve", *asked, "--yes", "--out", tmp_path / "all.yaml", "--json", tmp_path / "improve.json") == 0
+    assert run("add-effect", *asked, "--effect", "grade", "--out", tmp_path / "one.yaml") == 0
+    assert (
+        run("compare", "--robot", tmp_path / "one.yaml", logs / "heldout", "--quiet", "--json", tmp_path / "c.json")
+        == 0
+    )
+    steps = json.loads((tmp_path / "improve.json").read_text())["batteries"]["robot"]["steps"]
+    one = {step["name"]: (step["energy_error_pct"], step["power_rmse_w"]) for step in steps}["+ grade"]
+    compared = json.loads((tmp_path / "c.json").read_text())["batteries"]["robot"]
+    assert one == pytest.approx(errors(compared), rel=1e-4)
