@@ -87,17 +87,9 @@ def _draw_covariate(axes: Axes, found: Dependence) -> None:
     if numeric:
         x = np.array([0.5 * ((b.low or 0.0) + (b.high or 0.0)) for b in bins])
     axes.axhline(0.0, color="black", linewidth=0.8)
-    axes.errorbar(
-        x,
-        [b.bias_w for b in bins],
-        [b.spread_w for b in bins],
-        color=MODEL,
-        ecolor="#c3cad3",
-        marker="o",
-        markersize=4,
-        linewidth=1.2 if numeric else 0.0,
-        elinewidth=1.0,
-    )
+    style: dict[str, Any] = {"color": MODEL, "ecolor": "#c3cad3", "marker": "o", "markersize": 4, "elinewidth": 1.0}
+    bias, spread = [b.bias_w for b in bins], [b.spread_w for b in bins]
+    axes.errorbar(x, bias, spread, linewidth=1.2 if numeric else 0.0, **style)
     if not numeric:
         step = max(1, -(-len(bins) // 12))
         axes.set_xticks(x[::step], [literal(b.value) for b in bins][::step], rotation=35, ha="right", fontsize=8)
@@ -113,23 +105,15 @@ def progress_figure(one: BatteryComparison) -> Figure:
     axes.axhline(0.0, color="black", linewidth=0.8)
     if len(one.runs) > 1:
         for i, run in enumerate(one.runs):
-            axes.plot(
-                100.0 * run.progress,
-                run.error_curve_pct,
-                linewidth=0.8,
-                color="#aab2bd",
-                label="single runs" if i == 0 else None,
-            )
+            label = "single runs" if i == 0 else None
+            axes.plot(100.0 * run.progress, run.error_curve_pct, linewidth=0.8, color="#aab2bd", label=label)
     axes.plot(100.0 * one.progress, one.error_curve_pct, color=MODEL, linewidth=2.0, label="all runs")
     axes.set_xlabel("progress, % of the run's time")
     axes.set_ylabel("error of the energy so far, %")
     found = one.error_statistics
-    axes.set_title(
-        f"battery {one.battery}: peak {found.peak_pct:.2f}, final {found.final_pct:.2f}, mean "
-        f"{found.mean_pct:.2f}, standard deviation {found.std_pct:.2f} %",
-        fontsize=10,
-        loc="right",
-    )
+    told = f"peak {found.peak_pct:.2f}, final {found.final_pct:.2f}, mean {found.mean_pct:.2f}"
+    told += f", standard deviation {found.std_pct:.2f} %"
+    axes.set_title(f"battery {one.battery}: {told}", fontsize=10, loc="right")
     axes.legend(frameon=False)
     return figure
 
@@ -168,14 +152,10 @@ def map_figure(one: BatteryComparison) -> Figure:
     figure = _figure(7.0, float(np.clip(7.0 * rows / columns, 3.0, 8.0)))
     axes = figure.subplots()
     edge = 0.5 * one.places[0].width_m
+    extent = (found.x_m[0] - edge, found.x_m[-1] + edge, found.y_m[0] - edge, found.y_m[-1] + edge)
+    colours: dict[str, Any] = {"cmap": LinearSegmentedColormap.from_list("error", DIVERGING), "vmax": found.limit_w}
     image = axes.imshow(
-        found.error_w,
-        origin="lower",
-        cmap=LinearSegmentedColormap.from_list("error", DIVERGING),
-        vmin=-found.limit_w,
-        vmax=found.limit_w,
-        interpolation="nearest",
-        extent=(found.x_m[0] - edge, found.x_m[-1] + edge, found.y_m[0] - edge, found.y_m[-1] + edge),
+        found.error_w, origin="lower", vmin=-found.limit_w, interpolation="nearest", extent=extent, **colours
     )
     axes.set_facecolor("#e5e8ec")
     figure.colorbar(image, ax=axes, label="mean error (model − measured), W")

@@ -9,50 +9,18 @@ import numpy as np
 from missionsim.compare import BatteryComparison, Comparison, Dependence, RunComparison
 from missionsim.compare.behaviour import PARTS
 from missionsim.compare.where import in_words
+from missionsim.report import page as web
+from missionsim.report import traces as draw
 from missionsim.report.compare_figures import DIVERGING, error_map
-from missionsim.report.page import (
-    Block,
-    Bullets,
-    Chart,
-    Choice,
-    Details,
-    Paragraph,
-    Section,
-    Table,
-    Tiles,
-    Verdict,
-    label,
-    page,
-)
+from missionsim.report.page import label
 from missionsim.report.terminal import signed
-from missionsim.report.traces import (
-    MARGIN,
-    MEASURED,
-    MODEL,
-    PALE,
-    RESIDUAL,
-    Trace,
-    Values,
-    axis,
-    band,
-    bars,
-    line,
-    one_of,
-    over_time,
-    shared_indices,
-    tiles,
-)
 
 TOTAL_POINTS = 120_000
 """Points of all power charts together; more would make a page of many megabytes."""
 MOST_RUNS = 40
 TABLE_ROWS = 15
-PART_TITLES = {
-    "path_stretch": "longer or shorter way",
-    "speed_tracking": "slower or faster",
-    "dwell": "standing",
-    "other": "the rest (turns, ramps, switching)",
-}
+PART_TITLES = {"path_stretch": "longer or shorter way", "speed_tracking": "slower or faster", "dwell": "standing"}
+PART_TITLES["other"] = "the rest (turns, ramps, switching)"
 
 
 def compare_page(comparison: Comparison, *, tolerance_pct: float | None = None, footer: str = "") -> str:
@@ -65,45 +33,45 @@ def compare_page(comparison: Comparison, *, tolerance_pct: float | None = None, 
     subtitle = f"{count} {'runs' if count != 1 else 'run'}, {comparison.rows:,} rows"
     if comparison.mission:
         subtitle += f", mission {comparison.mission}"
-    return page(title, compare_sections(comparison, tolerance_pct=tolerance_pct), subtitle=subtitle, footer=footer)
+    return web.page(title, compare_sections(comparison, tolerance_pct=tolerance_pct), subtitle=subtitle, footer=footer)
 
 
-def compare_sections(comparison: Comparison, *, tolerance_pct: float | None = None) -> list[Section]:
+def compare_sections(comparison: Comparison, *, tolerance_pct: float | None = None) -> list[web.Section]:
     """The sections of the page, for pages that show a comparison among other things."""
     batteries = list(comparison.batteries.values())
     sections = [
-        Section("Result", [block for one in batteries for block in _result(one, tolerance_pct)]),
-        Section("Where it fails", _by_battery(batteries, _where)),
-        Section("Power over time", _by_battery(batteries, lambda one: _power(one, len(batteries)))),
-        Section("Error over the progress of the run", _by_battery(batteries, _progress)),
+        web.Section("Result", [block for one in batteries for block in _result(one, tolerance_pct)]),
+        web.Section("Where it fails", _by_battery(batteries, _where)),
+        web.Section("Power over time", _by_battery(batteries, lambda one: _power(one, len(batteries)))),
+        web.Section("Error over the progress of the run", _by_battery(batteries, _progress)),
     ]
     mapped = [one for one in batteries if one.places]
     if mapped:
-        sections.append(Section("Where on the map", _by_battery(mapped, _map)))
+        sections.append(web.Section("Where on the map", _by_battery(mapped, _map)))
     planned = [one for one in batteries if one.mission is not None]
     if planned:
-        sections.append(Section("Behaviour and power model", _by_battery(planned, _behaviour)))
-    sections.append(Section("Runs and components", _by_battery(batteries, _runs)))
-    sections.append(Section("What was assumed", _notes(comparison)))
+        sections.append(web.Section("Behaviour and power model", _by_battery(planned, _behaviour)))
+    sections.append(web.Section("Runs and components", _by_battery(batteries, _runs)))
+    sections.append(web.Section("What was assumed", _notes(comparison)))
     return sections
 
 
 def _by_battery(
-    batteries: Sequence[BatteryComparison], draw: Callable[[BatteryComparison], list[Block]]
-) -> list[Block]:
-    return one_of("Battery", [(one.battery, draw(one)) for one in batteries])
+    batteries: Sequence[BatteryComparison], make: Callable[[BatteryComparison], list[web.Block]]
+) -> list[web.Block]:
+    return draw.one_of("Battery", [(one.battery, make(one)) for one in batteries])
 
 
-def _result(one: BatteryComparison, tolerance_pct: float | None) -> list[Block]:
+def _result(one: BatteryComparison, tolerance_pct: float | None) -> list[web.Block]:
     error = one.energy_error_pct
     said = in_words(one.dependences)
     text = "\n".join([*one.words[: -len(said)], said[0]])
-    verdict = Verdict(text)
+    verdict = web.Verdict(text)
     if tolerance_pct is not None:
         inside = abs(error) <= tolerance_pct
         side = "within" if inside else "outside"
         text = f"The energy error is {side} the tolerance of ± {tolerance_pct:g} %.\n{text}"
-        verdict = Verdict(text, "good" if inside else "bad")
+        verdict = web.Verdict(text, "good" if inside else "bad")
     gap = one.gap_wh
     tiles = [
         ("Energy measured", f"{one.energy_measured_wh:.3f} Wh", f"battery {one.battery}"),
@@ -114,23 +82,23 @@ def _result(one: BatteryComparison, tolerance_pct: float | None) -> list[Block]:
     ]
     if gap["behaviour"] is not None:
         tiles.append(("Behaviour's part", f"{signed(gap['behaviour'], 4)} Wh", "replayed minus simulated"))
-    return [verdict, Tiles(tiles)]
+    return [verdict, web.Tiles(tiles)]
 
 
-def _where(one: BatteryComparison) -> list[Block]:
-    blocks: list[Block] = [Bullets(in_words(one.dependences))]
+def _where(one: BatteryComparison) -> list[web.Block]:
+    blocks: list[web.Block] = [web.Bullets(in_words(one.dependences))]
     shown = [dependence for dependence in one.dependences if dependence.explained > 0.0][:12][::-1]
     if shown:
         parts = [100.0 * d.explained for d in shown]
         hover = "%{y}: %{x:.1f} %<extra></extra>"
         layout = {
-            "xaxis": axis("part of the error's variance, %", rangemode="tozero"),
+            "xaxis": draw.axis("part of the error's variance, %", rangemode="tozero"),
             "hovermode": "closest",
-            "margin": {"l": 180, **MARGIN},
+            "margin": {"l": 180, **draw.MARGIN},
         }
         blocks.append(
-            Chart(
-                [bars([label(d.title) for d in shown], parts, MEASURED, hovertemplate=hover)],
+            web.Chart(
+                [draw.bars([label(d.title) for d in shown], parts, draw.MEASURED, hovertemplate=hover)],
                 layout,
                 "What the power error varies with, each quantity taken alone. Quantities that vary together share the "
                 "same part, so this shows where to look, not the cause.",
@@ -153,35 +121,35 @@ def _where(one: BatteryComparison) -> list[Block]:
     if rows:
         columns = ["quantity", "value", "explains", "bias, W", "time, s", "share of squared error", "energy gap, Wh"]
         caption = "Values that explain most of the error (bias: model minus measured; energy gap: measured minus model)"
-        blocks.append(Table(columns, rows, caption, 3, 2))
+        blocks.append(web.Table(columns, rows, caption, 3, 2))
     charts = [(d.title, [_residual(d)]) for d in sorted(one.dependences, key=lambda d: -d.explained) if d.by != "place"]
     if charts:
-        blocks.append(Choice("Error against", charts))
+        blocks.append(web.Choice("Error against", charts))
     return blocks
 
 
-def _residual(found: Dependence) -> Chart:
+def _residual(found: Dependence) -> web.Chart:
     bins = found.fine
     numeric = bins[0].low is not None
-    x: Values = [label(b.value) if b.low is None or b.high is None else 0.5 * (b.low + b.high) for b in bins]
+    x: draw.Values = [label(b.value) if b.low is None or b.high is None else 0.5 * (b.low + b.high) for b in bins]
     seconds = sum(b.seconds for b in bins)
-    time: Trace = {
+    time: draw.Trace = {
         "type": "bar",
         "x": x,
         "y": [100.0 * b.seconds / seconds for b in bins],
         "yaxis": "y2",
         "name": "share of time",
-        "marker": {"color": PALE},
+        "marker": {"color": draw.PALE},
         "hovertemplate": "%{y:.1f} % of the time<extra></extra>",
     }
-    error = line(
+    error = draw.line(
         x,
         [b.bias_w for b in bins],
         "mean error (model minus measured)",
-        MODEL,
+        draw.MODEL,
         2,
         mode="lines+markers" if numeric else "markers",
-        marker={"size": 7 if numeric else 11, "color": MODEL},
+        marker={"size": 7 if numeric else 11, "color": draw.MODEL},
         text=[
             f"{label(b.value)} {found.unit}: {b.bias_w:+.3g} W ± {b.spread_w:.3g} W, {b.seconds:.0f} s" for b in bins
         ],
@@ -190,108 +158,108 @@ def _residual(found: Dependence) -> Chart:
     )
     title = label(found.title) + (f", {found.unit}" if found.unit else "")
     layout = {
-        "xaxis": axis(title, **({} if numeric else {"type": "category"})),
-        "yaxis": axis("power error, W", overlaying="y2", tickmode="auto", zeroline=True, zerolinewidth=2),
-        "yaxis2": axis("share of time, %", side="right", showgrid=False, tickmode="auto", rangemode="tozero"),
-        "margin": {**MARGIN, "l": 64, "r": 64},
+        "xaxis": draw.axis(title, **({} if numeric else {"type": "category"})),
+        "yaxis": draw.axis("power error, W", overlaying="y2", tickmode="auto", zeroline=True, zerolinewidth=2),
+        "yaxis2": draw.axis("share of time, %", side="right", showgrid=False, tickmode="auto", rangemode="tozero"),
+        "margin": {**draw.MARGIN, "l": 64, "r": 64},
         "hovermode": "closest",
     }
     caption = f"Power error against {found.title}: mean and standard deviation within each range; bars: share of time."
-    return Chart([time, error], layout, caption)
+    return web.Chart([time, error], layout, caption)
 
 
-def _power(one: BatteryComparison, batteries: int) -> list[Block]:
+def _power(one: BatteryComparison, batteries: int) -> list[web.Block]:
     worst = sorted(one.runs, key=lambda run: -run.power_rmse_w)[:MOST_RUNS]
     shown = [run for run in one.runs if run in worst]
     points = max(200, TOTAL_POINTS // (6 * batteries * len(shown)))
     more = len(shown) < len(one.runs)
     note = f"The {MOST_RUNS} runs with the largest power error of {len(one.runs)}." if more else ""
-    return one_of("Run", [(run.run, [_power_chart(run, points)]) for run in shown], note)
+    return draw.one_of("Run", [(run.run, [_power_chart(run, points)]) for run in shown], note)
 
 
-def _power_chart(run: RunComparison, points: int) -> Chart:
+def _power_chart(run: RunComparison, points: int) -> web.Chart:
     series = run.series
     measured, model = series.power_w("measured"), series.power_w("model")
-    kept = shared_indices([measured, model, model - measured], points)
+    kept = draw.shared_indices([measured, model, model - measured], points)
     time_s = series.middle_s[kept]
-    traces: list[Trace] = []
+    traces: list[draw.Trace] = []
     if series.rows > 1:
         low, high = (series.columns[f"measured_{end}_w"][kept] for end in ("low", "high"))
-        traces += band(time_s, low, high, "range of the measured power", 0.15)
+        traces += draw.band(time_s, low, high, "range of the measured power", 0.15)
     for name, values, colour, on in (
-        ("measured", measured, MEASURED, "y"),
-        ("model", model, MODEL, "y"),
-        ("model minus measured", model - measured, RESIDUAL, "y2"),
+        ("measured", measured, draw.MEASURED, "y"),
+        ("model", model, draw.MODEL, "y"),
+        ("model minus measured", model - measured, draw.RESIDUAL, "y2"),
     ):
-        traces.append(line(time_s, values[kept], name, colour, xaxis="x", yaxis=on, hovertemplate="%{y:.4g} W"))
+        traces.append(draw.line(time_s, values[kept], name, colour, xaxis="x", yaxis=on, hovertemplate="%{y:.4g} W"))
     joined = f" Each point is the mean of {series.rows} rows." if series.rows > 1 else ""
     caption = f"Run {run.run}, battery {run.battery}: measured and modelled power, the error under it.{joined}"
-    return over_time(traces, "error, W", caption)
+    return draw.over_time(traces, "error, W", caption)
 
 
-def _progress(one: BatteryComparison) -> list[Block]:
+def _progress(one: BatteryComparison) -> list[web.Block]:
     told = [("all runs", "measured", one.error_statistics), ("all runs", "model", one.error_statistics_predicted)]
     if (plan := one.mission) is not None:
         told.append(("simulated plan", "measured", plan.error_statistics))
         told.append(("simulated plan", "plan", plan.error_statistics_predicted))
     rows = [[of, to, found.peak_pct, found.final_pct, found.mean_pct, found.std_pct] for of, to, found in told]
     hover = "%{y:+.2f} %"
-    traces = [line(100.0 * one.progress, one.error_curve_pct, "all runs", "#1f2933", 2.5, hovertemplate=hover)]
+    traces = [draw.line(100.0 * one.progress, one.error_curve_pct, "all runs", "#1f2933", 2.5, hovertemplate=hover)]
     for run in one.runs[:MOST_RUNS] if len(one.runs) > 1 else ():
-        curve = line(100.0 * run.progress, run.error_curve_pct, label(run.run), width=1, hovertemplate=hover)
+        curve = draw.line(100.0 * run.progress, run.error_curve_pct, label(run.run), width=1, hovertemplate=hover)
         traces.append({**curve, "opacity": 0.7})
     layout = {
-        "xaxis": axis("progress, % of the run's time"),
-        "yaxis": axis("error of the energy so far, %", zeroline=True, zerolinewidth=2),
+        "xaxis": draw.axis("progress, % of the run's time"),
+        "yaxis": draw.axis("error of the energy so far, %", zeroline=True, zerolinewidth=2),
     }
     columns = ["of", "relative to", "peak, %", "final, %", "mean, %", "standard deviation, %"]
     return [
-        Chart(traces, layout, "Error of the energy spent so far, model minus measured, relative to measured.", 400),
-        Table(columns, rows, "Statistics of the magnitude of the error over progress", 3),
+        web.Chart(traces, layout, "Error of the energy spent so far, model minus measured, relative to measured.", 400),
+        web.Table(columns, rows, "Statistics of the magnitude of the error over progress", 3),
     ]
 
 
-def _map(one: BatteryComparison) -> list[Block]:
+def _map(one: BatteryComparison) -> list[web.Block]:
     found = error_map(one.places)
     cells = one.places
-    heat = tiles(
+    heat = draw.tiles(
         np.array([c.x_m for c in cells]),
         np.array([c.y_m for c in cells]),
         np.array([-c.gap_j / c.seconds for c in cells]),
         size=cells[0].width_m,
         limit=found.limit_w,
         colours=DIVERGING,
-        bar=axis("error, W"),
+        bar=draw.axis("error, W"),
         hovertext=[f"{c.value}: {-c.gap_j / c.seconds:.3g} W, {c.seconds:.0f} s" for c in cells],
         hovertemplate="%{hovertext}<extra></extra>",
     )
     layout = {
-        "xaxis": axis("x, m", constrain="domain"),
-        "yaxis": axis("y, m", scaleanchor="x", constrain="domain"),
+        "xaxis": draw.axis("x, m", constrain="domain"),
+        "yaxis": draw.axis("y, m", scaleanchor="x", constrain="domain"),
         "hovermode": "closest",
     }
     caption = (
         "Mean power error by place: orange where the model is too high, blue where it is too low; colours end at the "
         "98th percentile."
     )
-    return [Chart([heat], layout, caption, int(np.clip(900 * len(found.y_m) / len(found.x_m), 320, 760)))]
+    return [web.Chart([heat], layout, caption, int(np.clip(900 * len(found.y_m) / len(found.x_m), 320, 760)))]
 
 
-def _behaviour(one: BatteryComparison) -> list[Block]:
+def _behaviour(one: BatteryComparison) -> list[web.Block]:
     mission = one.mission
     assert mission is not None
     gap = one.gap_wh
     steps = [gap["power_model"] or 0.0, *(mission.part_wh(part) for part in PARTS)]
-    waterfall: Trace = {
+    waterfall: draw.Trace = {
         "type": "bar",
         "x": ["power model", *(PART_TITLES[part] for part in PARTS), "measured minus simulated"],
         "y": [*steps, gap["total"]],
         "base": [*np.cumsum([0.0, *steps[:-1]]), 0.0],
-        "marker": {"color": [*(MODEL if step > 0.0 else MEASURED for step in steps), RESIDUAL]},
+        "marker": {"color": [*(draw.MODEL if step > 0.0 else draw.MEASURED for step in steps), draw.RESIDUAL]},
         "hovertemplate": "%{x}: %{customdata:+.4g} Wh<extra></extra>",
         "customdata": [*steps, gap["total"]],
     }
-    layout = {"yaxis": axis("energy, Wh", zeroline=True), "hovermode": "closest"}
+    layout = {"yaxis": draw.axis("energy, Wh", zeroline=True), "hovermode": "closest"}
     caption = (
         "The gap between measured and simulated energy: what the power model misses and what the robot did otherwise."
     )
@@ -306,11 +274,11 @@ def _behaviour(one: BatteryComparison) -> list[Block]:
         ]
         for s in mission.schemes
     ]
-    table = Table(columns, rows, "Plan and run by control scheme, all runs", 3)
-    return [Bullets(mission.words), Chart([waterfall], layout, caption), table]
+    table = web.Table(columns, rows, "Plan and run by control scheme, all runs", 3)
+    return [web.Bullets(mission.words), web.Chart([waterfall], layout, caption), table]
 
 
-def _runs(one: BatteryComparison) -> list[Block]:
+def _runs(one: BatteryComparison) -> list[web.Block]:
     rows = [
         [
             run.run,
@@ -327,14 +295,16 @@ def _runs(one: BatteryComparison) -> list[Block]:
     parts = [[name, energy, max(0.0, energy / total)] for name, energy in one.by_component_wh.items()]
     terms = [[name, energy] for name, energy in one.by_term_wh.items()]
     return [
-        Table(["run", "time, s", "measured, Wh", "model, Wh", "error, %", "RMSE, W", "bias, W"], rows, "Runs", 4),
-        Table(["component", "energy, Wh", "share"], parts, "Energy of the model by component", 4, 2),
-        Details("Energy of the model by physical term", [Table(["term", "energy, Wh"], terms)]),
+        web.Table(["run", "time, s", "measured, Wh", "model, Wh", "error, %", "RMSE, W", "bias, W"], rows, "Runs", 4),
+        web.Table(["component", "energy, Wh", "share"], parts, "Energy of the model by component", 4, 2),
+        web.Details("Energy of the model by physical term", [web.Table(["term", "energy, Wh"], terms)]),
     ]
 
 
-def _notes(comparison: Comparison) -> list[Block]:
-    notes: Block = Bullets(comparison.notes) if comparison.notes else Paragraph("Nothing had to be assumed.")
+def _notes(comparison: Comparison) -> list[web.Block]:
+    notes: web.Block = (
+        web.Bullets(comparison.notes) if comparison.notes else web.Paragraph("Nothing had to be assumed.")
+    )
     files = [[run, source] for run, source in comparison.logs if source]
-    logs: list[Block] = [Details("Files", [Table(["run", "file"], files)])] if files else []
+    logs: list[web.Block] = [web.Details("Files", [web.Table(["run", "file"], files)])] if files else []
     return [notes, *logs]

@@ -18,22 +18,11 @@ if TYPE_CHECKING:
 
     from missionsim.inputs.environment import EnvironmentSpec
 
-COLOURS = (
-    "#4477aa",
-    "#ee6677",
-    "#228833",
-    "#ccbb44",
-    "#66ccee",
-    "#aa3377",
-    "#ee8866",
-    "#77aadd",
-    "#999933",
-    "#882255",
-    "#44aa99",
-    "#332288",
-)
+COLOURS: tuple[str, ...] = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377")
+COLOURS += ("#ee8866", "#77aadd", "#999933", "#882255", "#44aa99", "#332288")
 """Distinguishable without colour vision (P. Tol's bright, light and muted schemes)."""
 OTHERS = "#bbbbbb"
+BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5), "frameon": False, "fontsize": 8}
 MOST_COMPONENTS = 8
 MOST_LABELS = 26
 MOST_BARS = 40
@@ -78,23 +67,14 @@ def power_figure(result: RunResult) -> Figure:
         base = np.zeros(len(line))
         for component, joules in parts.items():
             top = base + joules / line.duration_s
-            axis.fill_between(
-                edges,
-                np.append(base, base[-1:]),
-                np.append(top, top[-1:]),
-                step="post",
-                color=colours[component],
-                label=component,
-                linewidth=0,
-            )
+            low, high = (np.append(line, line[-1:]) for line in (base, top))
+            axis.fill_between(edges, low, high, step="post", color=colours[component], label=component, linewidth=0)
             base = top
         axis.step(edges, np.append(base, base[-1:]), where="post", color="#222222", linewidth=0.7)
         axis.set_ylabel(f"{name} battery [W]")
         axis.set_ylim(min(0.0, float(base.min(initial=0.0)) * 1.05), max(1e-9, float(base.max(initial=0.0))) * 1.06)
         handles, labels = axis.get_legend_handles_labels()
-        axis.legend(
-            handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8
-        )
+        axis.legend(handles[::-1], labels[::-1], **BESIDE)
     _mark_segments(axes, result, scale)
     axes[-1].set_xlabel(f"time [{unit}]")
     return figure
@@ -112,9 +92,8 @@ def charge_figure(result: RunResult) -> Figure:
         battery = result.batteries[name]
         charge = np.append(battery.initial_wh, result.charge_wh[name])
         axis.plot(time, charge, color=COLOURS[i % len(COLOURS)], linewidth=1.6, label="charge")
-        axis.axhline(
-            battery.reserve_required_wh, color="#777777", linestyle="--", linewidth=1.0, label="reserve to keep"
-        )
+        reserve = battery.reserve_required_wh
+        axis.axhline(reserve, color="#777777", linestyle="--", linewidth=1.0, label="reserve to keep")
         ways = [
             (result.segment_end_s[j] / scale, entry[name])
             for j, entry in enumerate(home)
@@ -125,9 +104,9 @@ def charge_figure(result: RunResult) -> Figure:
         if battery.empty_at_s is not None:
             axis.axvline(battery.empty_at_s / scale, color="#cc3311", linewidth=1.2, label="empty")
         low = min(0.0, float(charge.min()))
-        axis.set_ylim(low * 1.05, max(float(charge.max()), battery.reserve_required_wh) * 1.08)
+        axis.set_ylim(low * 1.05, max(float(charge.max()), reserve) * 1.08)
         axis.set_ylabel(f"{name} battery [Wh]")
-        axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
+        axis.legend(**BESIDE)
     _mark_segments(axes, result, scale)
     axes[-1].set_xlabel(f"time [{unit}]")
     return figure
@@ -228,17 +207,9 @@ def _mark_segments(axes: list[Axes], result: RunResult, scale: float) -> None:
             continue
         middle = 0.5 * (line.start_s[i] + end) / scale
         name = result.segments[int(line.segment[i])].name
-        axes[0].annotate(
-            literal(name if len(name) < 22 else name[:20] + "…"),
-            (middle, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 3),
-            textcoords="offset points",
-            rotation=35,
-            ha="left",
-            va="bottom",
-            fontsize=7,
-        )
+        text = literal(name if len(name) < 22 else name[:20] + "…")
+        above: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "xytext": (0, 3)}
+        axes[0].annotate(text, (middle, 1.0), **above, rotation=35, ha="left", va="bottom", fontsize=7)
 
 
 FAN_RUNS, HISTOGRAM_RUNS = 20_000, 1_000_000
@@ -268,9 +239,8 @@ def write_batch_figures(store: BlockStore, firsts: list[int], batteries: tuple[s
         for q, style in ((0.05, ":"), (0.5, "-"), (0.95, ":")):
             at = float(np.quantile(energy, q))
             axis.axvline(at, color="#222222", linestyle=style, linewidth=1)
-            axis.annotate(
-                f"{100 * q:g} %", (at, 1.0), xycoords=("data", "axes fraction"), fontsize=7, ha="center", va="bottom"
-            )
+            where: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "ha": "center", "va": "bottom"}
+            axis.annotate(f"{100 * q:g} %", (at, 1.0), fontsize=7, **where)
         axis.set(xlabel=f"energy of battery {name} [Wh]", ylabel="runs")
         axis.spines[["top", "right"]].set_visible(False)
     fan = Figure(figsize=(4.6 * len(batteries), 3.4), layout="constrained")
@@ -283,15 +253,8 @@ def write_batch_figures(store: BlockStore, firsts: list[int], batteries: tuple[s
         progress = np.linspace(0.0, 100.0, charge.shape[1])
         for low, high, alpha in _BANDS:
             edges = np.quantile(charge, [low, high], axis=0)
-            axis.fill_between(
-                progress,
-                edges[0],
-                edges[1],
-                color="#4477aa",
-                alpha=alpha,
-                linewidth=0,
-                label=f"{100 * low:g}–{100 * high:g} %",
-            )
+            label = f"{100 * low:g}–{100 * high:g} %"
+            axis.fill_between(progress, edges[0], edges[1], color="#4477aa", alpha=alpha, linewidth=0, label=label)
         axis.plot(progress, np.median(charge, axis=0), color="#222222", linewidth=1, label="median")
         axis.set(xlabel="progress of the mission [% of its time]", ylabel=f"charge of battery {name} [Wh]")
         axis.spines[["top", "right"]].set_visible(False)

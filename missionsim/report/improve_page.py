@@ -47,16 +47,9 @@ def _result(one: Improved) -> list[Block]:
         ("energy error, mean over runs, %", [s.energy_error_pct for s in one.steps], floor.energy_error_pct),
     ):
         colours = [COLOURS[1], *([COLOURS[4]] * (len(values) > 2)), *([COLOURS[2]] * (len(values) - 3)), "#aab2bd"]
-        steps: Trace = {
-            "type": "bar",
-            "x": names,
-            "y": values,
-            "marker": {"color": colours},
-            "showlegend": False,
-            "text": [format_cell(v, 3) for v in values],
-            "textposition": "outside",
-            "hovertemplate": "%{x}: %{y:.3g}<extra></extra>",
-        }
+        steps: Trace = {"type": "bar", "x": names, "y": values, "marker": {"color": colours}, "showlegend": False}
+        steps |= {"text": [format_cell(v, 3) for v in values], "textposition": "outside"}
+        steps["hovertemplate"] = "%{x}: %{y:.3g}<extra></extra>"
         noise = line(names, [level] * len(names), "noise floor", hoverinfo="skip")
         noise["line"] = {"color": RESIDUAL, "dash": "dot"}
         layout = {"yaxis": axis(title, rangemode="tozero"), "hovermode": "closest"}

@@ -50,19 +50,9 @@ def _legs(answer: Answer, names: list[str]) -> Table:
     rows = []
     for leg in answer.legs:
         piece = leg.piece
-        settings = piece.legs[0].settings if piece is not None else None
-        rows.append(
-            [
-                leg.kind,
-                leg.place,
-                piece.name if piece is not None else "",
-                settings.scheme if settings is not None else "",
-                piece.limit_m_s if piece is not None else None,
-                leg.duration_s,
-                *(f"{leg.energy_wh[name]:.3f}" for name in names),
-                *(f"{leg.charge_wh[name]:.3f}" for name in names),
-            ]
-        )
+        way = ("", "", None) if piece is None else (piece.name, piece.legs[0].settings.scheme, piece.limit_m_s)
+        wh = [f"{part[name]:.3f}" for part in (leg.energy_wh, leg.charge_wh) for name in names]
+        rows.append([leg.kind, leg.place, *way, leg.duration_s, *wh])
     columns = ["leg", "to", "along", "scheme", "m/s", "s", *(f"{name}, Wh" for name in names)]
     return Table([*columns, *(f"{name} left, Wh" for name in names)], rows)
 
@@ -77,17 +67,10 @@ def _charge(answer: Answer, names: list[str]) -> Chart:
         values = [float(physics.initial_wh[b]), *(leg.charge_wh[name] for leg in answer.legs)]
         share = [100.0 * value / float(physics.capacity_wh[b]) for value in values]
         style: dict[str, object] = {"color": COLOURS[b % len(COLOURS)]}
-        traces.append({"type": "scatter", "mode": "lines", "x": times, "y": share, "name": name, "line": style})
-        reserve = 100.0 * float(physics.reserve_wh[b] / physics.capacity_wh[b])
-        traces.append(
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "x": [0.0, times[-1]],
-                "y": [reserve, reserve],
-                "name": f"reserve of {name}",
-                "line": style | {"dash": "dot", "width": 1},
-            }
-        )
+        lines = {"type": "scatter", "mode": "lines"}
+        traces.append({**lines, "x": times, "y": share, "name": name, "line": style})
+        reserve = {"y": [100.0 * float(physics.reserve_wh[b] / physics.capacity_wh[b])] * 2, "x": [0.0, times[-1]]}
+        thin = style | {"dash": "dot", "width": 1}
+        traces.append({**lines, **reserve, "name": f"reserve of {name}", "line": thin})
     layout = {"xaxis": {"title": {"text": "min"}}, "yaxis": axis("charge, %", rangemode="tozero")}
     return Chart(traces, layout, "Charge of each battery at the ends of the legs.", 300)
