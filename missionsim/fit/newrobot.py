@@ -213,6 +213,7 @@ def _with_rest(fit: ModelFit, logs: Sequence[Any], battery: str) -> ModelFit:
     if sd >= old.sd:
         return fit
     value = old.value + float(np.mean(blocks))
+    value *= abs(value) > 1e-9 * sd  # a meter that reads nought leaves what rounding leaves
     new = replace(old, value=value, sd=sd, low=value - 1.96 * sd, high=value + 1.96 * sd)
     return replace(fit, parameters={**fit.parameters, "standing": new})
 

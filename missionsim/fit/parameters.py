@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from missionsim.fit.final import Value, final_fit
 from missionsim.fit.prepare import Prepared, prepare
 from missionsim.identify.design import make_source
 from missionsim.identify.estimates import Z95
+from missionsim.identify.forward import is_rough
+from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.settings import Settings
 from missionsim.runs.error import Errors, errors_of
 from missionsim.runs.run import Run
@@ -202,7 +204,11 @@ def fit_parameters(
         known = {name: p for name, p in ready.parameters.items() if p.value != 0.0}
         told = told_apart(ready) if free else frozenset(known)
         prior_sd = free_priors(ready, known) if free else {name: max(p.prior_sd, 1e-6) for name, p in known.items()}
-        clock = make_source(ready.data(), [], prior_sd, settings).clock
+        source = make_source(ready.data(), [], prior_sd, settings)
+        # far from right, a delay stands for what the model lacks: an advance looks like inertia
+        still = replace(source.clock, delay_s=0.0, lag_s=0.0)
+        rough = is_rough(LeastSquares.of(source.design(still)), source.layout.mean_power_w)
+        clock = still if rough else source.clock
         fitted = final_fit(model, logs, battery, prior_sd, clock, settings)
         after = errors_of(fitted.model, logs, battery)
         if not explained(after, ready) > LEAST_EXPLAINED:

@@ -182,6 +182,17 @@ def test_a_robot_whose_wheels_spin_in_snow_does_not_stand() -> None:
     assert found[1] > found[0] + 0.3
 
 
+def test_inertia_that_a_base_lacks_is_no_advance_of_its_meter() -> None:
+    logs = []
+    for seed in range(6):
+        log = drive(seed, seconds=300.0)
+        speed = log.columns["speed_m_s"]
+        power = log.power_w[BATTERY] + 900.0 * speed * np.gradient(speed, log.time_s)  # both ways
+        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
+    fit = calibrate_new(NewRobot("own", BASE), logs).fit
+    assert (fit.delay_s, fit.lag_s) == (0.0, 0.0)
+
+
 def test_what_is_seventy_times_its_inertia_is_not_called_inertia() -> None:
     logs = []
     for seed in range(6):
