@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.physics import Array
+from missionsim.planner.chains import dominates, least_of_most, most_of_least, within
 
 EPSILON = 1e-10
 """Resources that differ by less (relative to 1 or their size) are taken as equal."""
-NO_WAY = 1e200
 DOMINATED = 4
 NARROW = 3
 """Width of the beam once it is to stop but has no plan yet."""
@@ -120,24 +120,18 @@ class Bounds:
             return np.asarray(points[:, self._without_time])
         return points if self.shear is None else points - np.minimum(points[:, [self.clock]], self.until) * self.shear
 
-    def of(self, nodes: Any, chains: Array, room: Array | None = None) -> Array:
+    def of(self, nodes: Any, chains: Array, *, closely: bool = True) -> Array:
         """Lower bounds of the objective by way of any point of chains at nodes, shape (n,).
 
-        `chains` (shape (points, n, resources)); `room` (shape (n, resources)): only of what of them keeps to it.
+        `chains` (shape (points, n, resources)); without `closely` somewhat lower ones, sooner.
         """
-        values = np.minimum(chains @ self.weights.T + self.rest[nodes] - self.offset, NO_WAY)
-        first, last = values[:1], values[-1:]
-        none = np.zeros(first.shape[:2], dtype=bool)
-        if len(chains) > 1:
-            first, last, steps = values[:-1], values[1:], np.diff(values, axis=0)
-            if room is not None:
-                low, high = _shares(chains, room)
-                none = low > high
-                first, last = first + low[..., None] * steps, first + high[..., None] * steps
+        values = chains @ self.weights.T + self.rest[nodes] - self.offset
+        first, last = (values, values) if len(chains) == 1 else (values[:-1], values[1:])
         apart = self.apart or 0
         groups = [slice(0, apart), slice(apart, None)] if apart else [slice(None)]
-        least = np.min([_least_of_most(first[..., rows], last[..., rows]) for rows in groups], axis=0)
-        return np.asarray(np.where(none | (least >= NO_WAY), math.inf, least).min(axis=0))
+        find = least_of_most if closely and len(chains) > 1 else most_of_least
+        least = [find(first[..., rows], last[..., rows]) for rows in groups]
+        return np.asarray(np.min(least, axis=(0, 1)))
 
 
 @dataclass
@@ -174,7 +168,7 @@ class _Front:
             return False
         if self.chains:
             near = np.flatnonzero((self.lows <= limits.min(axis=0)).all(axis=1))
-            if any(_chain_dominates(self.chains[i], limits) for i in near.tolist()):
+            if any(dominates(self.chains[i], limits) for i in near.tolist()):
                 return False
         if len(points) > 1:
             self.chains.append(points)
@@ -185,57 +179,6 @@ class _Front:
         self.values[self.count] = points[0]
         self.count += 1
         return True
-
-
-def _shares(points: Array, limit: Array) -> tuple[Array, Array]:
-    """From and up to which share each piece of chains keeps to limits; none of it where the first is greater."""
-    first, step = points[:-1], points[1:] - points[:-1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = (limit - first) / step
-    never = (step == 0.0) & (first > limit)
-    high = np.where(step > 0.0, share, np.where(never, -1.0, 1.0)).min(axis=-1)
-    return np.where(step < 0.0, share, 0.0).max(axis=-1, initial=0.0), np.minimum(high, 1.0)
-
-
-def _least_of_most(first: Array, last: Array) -> Array:
-    """The least, between two points, of the greatest of values that go straight from one to the other, shape (...).
-
-    `first`, `last` (shape (..., values)). It is that of two of the values (Helly), at an end or where they cross.
-    """
-    found = np.minimum(first, last).max(axis=-1)
-    step = last - first
-    if not (step < 0.0).any():
-        return np.asarray(found)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = (first[..., :, None] - first[..., None, :]) / (step[..., None, :] - step[..., :, None])
-        there = first[..., :, None] + share * step[..., :, None]
-    cross = (step[..., :, None] < 0.0) & (step[..., None, :] > 0.0) & (share > 0.0) & (share < 1.0)
-    return np.asarray(np.maximum(found, np.where(cross, there, -math.inf).max(axis=(-2, -1))))
-
-
-def _chain_dominates(chain: Array, limits: Array) -> bool:
-    """Whether each limit is kept by a point on the chain: what a chain dominates is convex, so these suffice."""
-    for limit in limits:
-        low, high = _shares(chain, limit)
-        if not (low <= high).any():
-            return False
-    return True
-
-
-def within(points: Array, limit: Array) -> Array:
-    """The part of a chain of points that keeps to limits, shape (m, resources); empty where none does."""
-    if len(points) == 1:
-        return points if bool((points[0] <= limit).all()) else points[:0]
-    if bool((points <= limit).all()):
-        return points
-    low, high = _shares(points, limit)
-    kept: list[Array] = []
-    for i in np.flatnonzero(low <= high).tolist():
-        for share in (low[i], high[i]):
-            point = np.minimum(points[i] + share * (points[i + 1] - points[i]), np.maximum(limit, points[i]))
-            if not kept or np.abs(point - kept[-1]).max() > 1e-12:
-                kept.append(point)
-    return np.array(kept).reshape(len(kept), points.shape[1])
 
 
 def search(
@@ -418,7 +361,7 @@ def expand(
     picked = np.flatnonzero(fits)
     if single or any(network.opens(head) is not None for head in np.unique(heads[picked]).tolist()):
         chains = after[None]  # a chain that may have to wait is bounded by less than all of its points
-    values = bounds.of(heads[picked], chains[:, picked], room[heads[picked]]) if picked.size else np.empty(0)
+    values = bounds.of(heads[picked], chains[:, picked], closely=False) if picked.size else np.empty(0)
 
     def make(number: int) -> Label:
         i = picked[number]

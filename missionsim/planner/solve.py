@@ -12,7 +12,8 @@ import numpy as np
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer, answer_of
 from missionsim.planner.bounds import Tour, bounds_of, in_time, slack_of
-from missionsim.planner.core import Label, Outcome, quick, search, within
+from missionsim.planner.chains import within
+from missionsim.planner.core import Label, Outcome, quick, search
 from missionsim.planner.drives import Drive
 from missionsim.planner.dual import best_prices, prices_ahead, unit
 from missionsim.planner.large import MORE_VALUE, solve_large
