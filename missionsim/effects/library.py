@@ -193,7 +193,7 @@ def logged_power_effect(column: str) -> Effect:
         f"k·{column}" + (" in W" if factor > 1.0 else ""),
         "assumed: what another meter measured is drawn from this battery, with k the loss on the way",
         f"{column}, which is logged beside, drawn from this battery",
-        (ParameterSpec("k", "1", "battery power for each watt logged, near 1", high=10.0, plausible=2.0),),
+        (ParameterSpec("k", "1", "battery power for each watt logged, near 1", high=10.0),),
         (column,),
         lambda c, p: p["k"] * factor * c[column],
         component=LOGGED,

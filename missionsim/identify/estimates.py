@@ -208,6 +208,7 @@ def estimated(
             continue
         own = [k for k in model.chosen if constraints.effect[k] == number]
         parameters: dict[str, Estimate] = {}
+        remark = ""
         share_sd: list[float] = []
         for k in own:
             e = choice.evidence[k]
@@ -220,6 +221,10 @@ def estimated(
             name = f"{candidate.coefficient}_{level}" if level else candidate.coefficient
             size = sizes[k] * unit
             parameters[name] = Estimate(size, size - half, size + half, candidate.unit)
+            if size > candidate.plausible:
+                remark = (
+                    f"{size:.2g} times what the robot's mass asks for; either that mass is wrong or something else acts"
+                )
         parameters |= _shape_estimates(shapes.get(candidate.effect, {}))
         evidence = [choice.evidence[k] for k in own]
         share, reach = sum(sizes[k] for k in own), Z95 * float(np.linalg.norm(share_sd))
@@ -252,6 +257,7 @@ def estimated(
                 indistinguishable_from=similar,
                 separation_nats=min(among, default=float("nan")),
                 absorbed=float(absorbed[own].min()),
+                remark=remark,
             )
         )
     return tuple(sorted(out, key=lambda f: -f.gain_nats))

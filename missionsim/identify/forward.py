@@ -23,6 +23,7 @@ from missionsim.identify.settings import (
     HALVED,
     HALVED_LEVEL,
     INDEPENDENT_S,
+    LARGEST_PASS_THROUGH,
     LEAST_FALL,
     NESTED,
     PASS_THROUGH_FALL,
@@ -283,9 +284,11 @@ class _Search:
             or (p_value < HALVED_LEVEL and after.total < HALVED * before.total),
             "energy": float(worse.mean()) < UNCLEAR * spread,
             "practical": float(np.abs(shares).sum()) > self.settings.min_share,
-            "plausible": abs(float(shares[0])) * layout.unit(own[0]) < self.candidates[number].plausible,
             "beyond recalibration": self._beyond_recalibration(number, own[0], float(shares[0])),
         }
+        if logged:
+            # far from a watt for each watt logged it is no loss on the way, but something that goes along with it
+            passed["practical"] &= bool(0.0 < shares[0] * layout.unit(own[0]) < LARGEST_PASS_THROUGH)
         return Trial(number, tuple(own), after, shares, own_covariance, p_value, passed)
 
     def _beyond_recalibration(self, number: int, column: int, share: float) -> bool:

@@ -76,10 +76,6 @@ def _practical(q: Question) -> bool:
     return abs(q.evidence.share) > q.settings.min_share
 
 
-def _plausible(q: Question) -> bool:
-    return abs(q.evidence.share) * q.model.design.layout.unit(q.evidence.column) < _candidate(q).plausible
-
-
 def _several_runs(q: Question) -> bool:
     if len(q.model.design.runs) < 2 or not cause_is_constant(q.model, q.evidence.column, q.candidates):
         return True
@@ -95,7 +91,6 @@ GATES: tuple[Gate, ...] = (
     Gate("likelihood", _likelihood, "the rise of the likelihood could be chance"),
     Gate("robust", _robust, "not significant with errors that allow for correlated noise"),
     Gate("practical", _practical, "significant but negligible"),
-    Gate("plausible", _plausible, "no physics makes its coefficient so large: it stands for something else"),
     Gate("several runs", _several_runs, "rests on one run, which may differ from the others in something else"),
     Gate("beyond recalibration", _beyond_recalibration, "within what recalibration of the base model allows"),
 )

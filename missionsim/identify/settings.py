@@ -313,6 +313,8 @@ LEAST_FALL = 0.03
 """Part of the squared error on left-out runs that an effect must take away; chance and wrong forms take 1 to 2 %."""
 PASS_THROUGH_FALL = 0.002
 """The same for watts that are logged beside: they are drawn, only whether this battery feeds them is asked."""
+LARGEST_PASS_THROUGH = 2.0
+"""Watts logged beside come with at most this factor: no converter loses more than half."""
 FAMILY_LEVEL = 0.01
 """Family-wise level of the Wald test with errors clustered by run: with 6 to 12 runs a tenth of it has no power."""
 HALVED, HALVED_LEVEL = 0.5, 0.05

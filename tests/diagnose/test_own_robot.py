@@ -13,6 +13,7 @@ from missionsim.compare import compare_files
 from missionsim.diagnose.adopt import adopt
 from missionsim.diagnose.diagnosis import diagnose_battery, examine
 from missionsim.diagnose.improve import improve
+from missionsim.diagnose.sentences import sure
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.subject import Subject
 from missionsim.effects.library import get_effect
@@ -193,7 +194,7 @@ def test_inertia_that_a_base_lacks_is_no_advance_of_its_meter() -> None:
     assert (fit.delay_s, fit.lag_s) == (0.0, 0.0)
 
 
-def test_what_is_seventy_times_its_inertia_is_not_called_inertia() -> None:
+def test_what_is_seventy_times_its_inertia_is_doubted() -> None:
     logs = []
     for seed in range(6):
         log = drive(seed, seconds=300.0)
@@ -201,10 +202,13 @@ def test_what_is_seventy_times_its_inertia_is_not_called_inertia() -> None:
         power = log.power_w[BATTERY] + 630.0 * np.maximum(speed * np.gradient(speed, log.time_s), 0.0)
         logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
     split = Split(tuple(logs), (), "")
-    for mass, named in (("9 kg", False), ("500 kg", True)):
+    for mass, doubted in (("9 kg", True), ("500 kg", False)):
         made = calibrate_new(NewRobot("own", BASE, mass=mass), logs)
         done = improve(made.text, split, BATTERY, Settings(), lambda *_: True)
-        assert ("acceleration" in done.added) is named
+        assert done.added == ("acceleration",)
+        told = sure(done.first)
+        assert ("either that mass is wrong or something else acts" in told) is doubted
+        assert told.startswith("Sure") is not doubted
 
 
 def test_scrub_that_differs_by_floor_is_added_after_scrub() -> None:

@@ -71,13 +71,6 @@ def test_the_level_is_that_of_all_effects_together_in_the_tail_that_physics_allo
     assert tails(grade.constraints, grade.settings, True)[0] == pytest.approx(0.001 / 9)
 
 
-def test_a_coefficient_beyond_what_physics_allows_keeps_an_effect_out(grade: Question) -> None:
-    for plausible, out in ((1.5, set()), (0.5, {"plausible"})):  # it is 1 in truth, but for the size that was planted
-        size = coefficient(make_runs(0), "grade", 0.05)
-        library = [replace(c, plausible=plausible * size) for c in grade.candidates]
-        assert {name for name, held in passed(replace(grade, candidates=library)).items() if not held} == out
-
-
 def test_a_shift_within_four_prior_sd_is_recalibration() -> None:
     # camera draws 2.8 W with a prior of 3 %: 2.5 sd more, and 8 sd more
     small, large = (
