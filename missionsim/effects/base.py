@@ -31,7 +31,7 @@ class ParameterSpec:
     high: float = float("inf")
     """Both: bounds that physics sets."""
     plausible: float = float("inf")
-    """From here on a fitted value stands for something else than the effect."""
+    """Beyond this a fitted value may stand for something else, and the finding says so."""
     grid: tuple[float, ...] = ()
     """For a shape parameter (τ, T₀): the values that a search tries first. Empty for a coefficient."""
     optional: bool = False

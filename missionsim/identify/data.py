@@ -77,7 +77,7 @@ class Candidate:
     shape_bounds : lowest and highest value of each shape parameter for the refit
     unlogged : loads of which nothing tells when they were on and that may be what this effect explains, with their
         power together [W]
-    plausible : from this coefficient on it stands for something else
+    plausible : beyond this coefficient the finding says that it may stand for something else
     never_on : loads whose switch is logged and never on, with their power [W]: an effect of about that size may be one
         of them, and the column stuck
     """
