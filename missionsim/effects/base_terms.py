@@ -93,13 +93,18 @@ def processor_term(
     names = tuple(dict.fromkeys(entry[3] for entry in entries))
     specs = tuple(ParameterSpec(name, "W", "processor power") for name in (*names, *((idle,) if idle else ())))
 
+    wanted = [
+        [(column, units) for column in columns if (units := sensors.get(column[3:], 0))] for _, _, sensors, _ in entries
+    ]
+
     def power(cov: Covariates, p: Parameters) -> Any:
         units = {column: np.asarray(number(cov, column), dtype=float) for column in columns}
+        on = sum(map(np.abs, units.values()), start=0.0)
         # grows to the shape of what distinguishes the rows, which is often less than that of the speed
         nearest: Any = np.asarray(np.inf)
         result: Any = p[idle] if idle else 0.0
-        for scheme, navigation, sensors, name in entries:
-            distance = sum((np.abs(units[column] - sensors.get(column[3:], 0)) for column in columns), start=0.0)
+        for (scheme, navigation, _, name), differs in zip(entries, wanted, strict=True):
+            distance = sum((np.abs(units[c] - count) - np.abs(units[c]) for c, count in differs), start=on)
             if navigation:
                 distance = distance + 0.5 * ~np.asarray(label_equals(cov.get("navigation", navigation), navigation))
             distance = np.where(label_equals(cov["scheme"], scheme), distance, np.inf)

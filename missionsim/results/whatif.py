@@ -6,6 +6,7 @@ import itertools
 import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -51,12 +52,12 @@ class WhatIf:
     warnings: tuple[Fault, ...] = ()
     """What the checks of their files found strange but possible, each once."""
 
-    @property
+    @cached_property
     def batteries(self) -> tuple[str, ...]:
         """Batteries of any of the runs, in order."""
         return tuple(dict.fromkeys(name for result in self.runs for name in result.batteries))
 
-    @property
+    @cached_property
     def runs(self) -> list[RunResult]:
         """Results of the alternatives that are possible; the baseline is."""
         return [result for result in self.results if isinstance(result, RunResult)]

@@ -85,7 +85,7 @@ def test_a_thousand_alternatives(root: Path, tmp_path: Path) -> None:
     alone = 50.0 * seconds_of(lambda: [simulate(load_mission(mission, [("defaults.speed", 0.4)])) for _ in range(20)])
     print(f"1,000 alternatives: {ours}; with two processes {two.clock_s:.1f} s by the clock")
     print(f"each loaded alone {alone:.1f} s: {alone / ours.cpu_s:.1f} times as long")
-    assert ours.cpu_s <= alone / 1.8
+    assert ours.cpu_s <= alone / 2.5
     assert ours.memory_gb <= 0.3
 
 
