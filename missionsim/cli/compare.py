@@ -64,9 +64,12 @@ def compare(
         result = compare_files(robot, logs, mission=mission, by=by, on_run=lambda _: bar.advance(task))
     tell_left_out(result.left_out, to)
     if report is not None:
+        from missionsim import __version__
         from missionsim.report.compare_page import compare_page
 
-        write_text(report, compare_page(result, tolerance_pct=tolerance, footer=_footer()))
+        footer = f"Made by missionsim {__version__}. "
+        footer += "Error is model minus measured throughout; a gap is measured minus model."
+        write_text(report, compare_page(result, tolerance_pct=tolerance, footer=footer))
     if out is not None:
         from missionsim.report.compare_figures import write_figures
         from missionsim.report.compare_terminal import write_tables
@@ -92,9 +95,3 @@ def compare(
                 terminal.print(f"written: {path}")
     doubtful = any(thousandfold(one.energy_measured_wh, one.energy_model_wh) for one in result.batteries.values())
     return 0 if inside and not doubtful and not result.left_out else 1
-
-
-def _footer() -> str:
-    from missionsim import __version__
-
-    return f"Made by missionsim {__version__}. Error is model minus measured throughout; a gap is measured minus model."

@@ -36,11 +36,10 @@ def diagnose(
         Write an interactive page to this HTML file.
     """
     from missionsim.diagnose import diagnose_files
+    from missionsim.diagnose.sentences import worse
 
     search.check(logs)
     left_out: list[str] = []
-    from missionsim.diagnose.sentences import worse
-
     remarks: list[str] = []
     result = diagnose_files(
         search.robot,
@@ -56,9 +55,11 @@ def diagnose(
     tell_left_out(left_out, to)
     to.emit(result.to_json() | {"left_out": left_out})
     if report is not None:
+        from missionsim import __version__
         from missionsim.report.diagnosis_page import diagnosis_page
 
-        write_text(report, diagnosis_page(result, footer=_footer(), robot=search.robot, logs=logs))
+        footer = f"missionsim {__version__}, missionsim diagnose"
+        write_text(report, diagnosis_page(result, footer=footer, robot=search.robot, logs=logs))
     if to.text:
         show(result, search.robot, logs)
         for line in remarks:
@@ -97,12 +98,6 @@ def show(result: Diagnosis, robot: str, logs: Sequence[Path]) -> None:
         terminal.print(f"Battery {name} was not diagnosed: {why}")
 
 
-def _footer() -> str:
-    from missionsim import __version__
-
-    return f"missionsim {__version__}, missionsim diagnose"
-
-
 def improve(
     *logs: Path, search: Search, out: RobotFile, yes: bool = False, report: OutFile | None = None, to: Output = TERMINAL
 ) -> int:
@@ -138,7 +133,7 @@ def improve(
     skipped: dict[str, InputError] = {}
     for name in wanted:
         try:
-            result = run_improve(text, split, name, search.settings, _always if yes else _ask)
+            result = run_improve(text, split, name, search.settings, (lambda *_: True) if yes else _ask)
         except InputError as error:
             skipped[name] = error
             continue
@@ -160,10 +155,6 @@ def improve(
 def _batteries(spec: Any, tables: list[Any]) -> list[str]:
     measured = list(dict.fromkeys(name for log in tables for name in log.power_w))
     return [name for name in measured if name in spec.batteries] or measured
-
-
-def _always(finding: Finding, diagnosis: BatteryDiagnosis) -> bool:
-    return True
 
 
 def _ask(finding: Finding, diagnosis: BatteryDiagnosis) -> bool:
@@ -284,11 +275,8 @@ def add_effect(
     if made.worse:
         print(made.worse, file=sys.stderr)
     if made.rivals:
-        print(
-            f"warning: these logs cannot tell {effect} from {', '.join(made.rivals)}; missionsim diagnose says "
-            "what to drive to find out",
-            file=sys.stderr,
-        )
+        told = f"these logs cannot tell {effect} from {', '.join(made.rivals)}"
+        print(f"warning: {told}; missionsim diagnose says what to drive to find out", file=sys.stderr)
     if to.text:
         terminal = console()
         found = ", ".join(

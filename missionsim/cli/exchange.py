@@ -70,11 +70,8 @@ def nav2(
     if to.text:
         costs = [edge["cost"] for edge in found.edges]
         spread = f", cost {min(costs):.4g} to {max(costs):.4g}" if costs else ""
-        _tell(
-            f"{graph}: {len(costs)} edges{spread} (Wh{f' + {time_weight:g} Wh/s' if time_weight else ''})",
-            found.remarks,
-            out,
-        )
+        unit = f"Wh + {time_weight:g} Wh/s" if time_weight else "Wh"
+        _tell(f"{graph}: {len(costs)} edges{spread} ({unit})", found.remarks, out)
     return 0
 
 
@@ -202,7 +199,6 @@ def _mission(data: dict[str, Any], title: str, remarks: Sequence[str], out: Path
 
 
 def _write(out: Path, raw: bytes) -> None:
-
     with atomic_write(out) as temporary:
         temporary.write_bytes(raw)
 

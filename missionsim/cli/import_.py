@@ -53,7 +53,6 @@ def import_(
     int
         0 when everything was read, 1 when a file was left out or is damaged, or a suggestion has no power or no time.
     """
-
     if not sources:
         raise InputError.single("no file was given", allowed="missionsim import FILE…")
     if suggest:
@@ -76,11 +75,8 @@ def import_(
     left_out: list[Fault] = []
     target = out if out.suffix else out / f"{sources[0].stem}.parquet"
     alone = len(sources) == 1 and target.suffix == ".parquet" and not target.is_dir()
-    if (
-        alone
-        and target.resolve() != sources[0].resolve()
-        and (long := import_long(sources[0], spec, target)) is not None
-    ):
+    other = alone and target.resolve() != sources[0].resolve()
+    if other and (long := import_long(sources[0], spec, target)) is not None:
         return _told([long], [target], (), sources, map_, to)
     logs = import_source(sources, spec, None if strict else left_out)
     damaged = [log for log in logs if any(remark.kind == "damaged" for remark in log.remarks)]
@@ -124,7 +120,6 @@ def _told(
 
 def _targets(logs: list[LogTable], out: Path) -> list[Path]:
     """One file a run: `out` itself for a single run, files in it for several or where it is a folder."""
-
     is_file = out.suffix in (".csv", ".parquet") and not out.is_dir()
     if is_file and len(logs) > 1:
         raise InputError.single(
@@ -146,7 +141,6 @@ def _targets(logs: list[LogTable], out: Path) -> list[Path]:
 
 def _spare_sources(logs: list[LogTable], targets: list[Path]) -> None:
     """Refuse to write over what was read: a folder of Parquet files that is read into itself."""
-
     sources = {Path(log.source).resolve() for log in logs if log.source}
     if faults := [
         Fault("", 0, 0, "--out would overwrite a file that is imported", "", str(target), "another folder")
@@ -177,15 +171,10 @@ def _summary(log: LogTable | LongRun, target: Path) -> dict[str, Any]:
 def _print(logs: Sequence[LogTable | LongRun], targets: Sequence[Path]) -> None:
     from missionsim.logs import describe
 
-    rows = [
-        (
-            log.run,
-            log.rows,
-            f"{log.duration_s:.1f}",
-            ", ".join(f"{name} {log.energy_wh(name):.3f}" for name in log.batteries),
-        )
-        for log in logs[:20]
-    ]
+    rows = []
+    for log in logs[:20]:
+        energies = ", ".join(f"{name} {log.energy_wh(name):.3f}" for name in log.batteries)
+        rows.append([log.run, log.rows, f"{log.duration_s:.1f}", energies])
     terminal = console()
     show_table("Runs", ["run", ">rows", ">time s", "energy Wh"], rows)
     if len(logs) > len(rows):

@@ -125,17 +125,14 @@ def montecarlo(
     task = Task(str(mission), changes.pairs, changes.robot, batch.seed, chosen)
     prepared = prepare(task)
     if not prepared.sampler.values and to.text:
-        print(
-            "warning: no number of this mission is uncertain; all runs are the same unless the mission itself is "
-            "left to chance",
-            file=sys.stderr,
+        told = (
+            "no number of this mission is uncertain; all runs are the same unless the mission itself is left to chance"
         )
+        print(f"warning: {told}", file=sys.stderr)
     unread = unread_values(prepared.mission, prepared.model, prepared.sampler)
     if unread and to.text:
-        print(
-            f"warning: the nominal mission does not use {', '.join(unread)}; drawing them changes nothing",
-            file=sys.stderr,
-        )
+        told = f"the nominal mission does not use {', '.join(unread)}; drawing them changes nothing"
+        print(f"warning: {told}", file=sys.stderr)
     if batch.only is not None:
         return _only(prepared, batch.seed, batch.only, batch.out, to)
     if batch.out is not None:
@@ -209,11 +206,8 @@ def _batch(task: Task, prepared: Prepared, batch: Batch, out: Path, to: Output) 
 
 def _tell_damaged(damaged: list[int]) -> None:
     if damaged:
-        print(
-            f"warning: computing again {len(damaged)} damaged block{'s' * (len(damaged) > 1)}, the first with run "
-            f"{damaged[0]}",
-            file=sys.stderr,
-        )
+        told = f"{len(damaged)} damaged block{'s' * (len(damaged) > 1)}, the first with run {damaged[0]}"
+        print(f"warning: computing again {told}", file=sys.stderr)
 
 
 @contextmanager
@@ -274,11 +268,8 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
         low, high = battery["energy_wh"]["intervals"]["q95"]
         lies = " … ".join("?" if bound is None else f"{bound:.5g}" for bound in (low, high))
         rows.append([name, *(f"{cell:.4g}" for cell in cells), need, lies])
-    show_table(
-        "Energy [Wh]",
-        ["battery", *[f">{h}" for h in ("mean", "sd", "5 %", "50 %", "95 %", "99 % need")], "95 % quantile lies in"],
-        rows,
-    )
+    heads = ["battery", ">mean", ">sd", ">5 %", ">50 %", ">95 %", ">99 % need", "95 % quantile lies in"]
+    show_table("Energy [Wh]", heads, rows)
     if answer["speed_limited_share"]:
         terminal.print(
             f"  in {100 * answer['speed_limited_share']:.3g} % of the runs a drawn speed is above the greatest of the "
@@ -292,23 +283,14 @@ def _print(answer: dict[str, Any], prepared: Prepared) -> None:
         )
     for item in failures["reasons"][:5]:
         terminal.print(f"  {100 * item['share']:.1f} %: {item['reason']}")
-    important = [
-        (
-            row["battery"],
-            row["parameter"],
-            _number(row["rank_correlation"], "+.2f"),
-            _number(row["margin_rank_correlation"], "+.2f"),
-            _number(row["first"], ".3f", row.get("first_interval")),
-            _number(row["total"], ".3f", row.get("total_interval")),
-        )
-        for row in answer["importance"][:12]
-    ]
+    important = []
+    for row in answer["importance"][:12]:
+        ranks = [_number(row[key], "+.2f") for key in ("rank_correlation", "margin_rank_correlation")]
+        indices = [_number(row[key], ".3f", row.get(f"{key}_interval")) for key in ("first", "total")]
+        important.append([row["battery"], row["parameter"], *ranks, *indices])
     if important:
-        show_table(
-            "What matters: rank correlation with energy and with the margin above the reserve; indices of energy",
-            ["battery", "value", *(f">{head}" for head in ("energy", "margin", "first order", "total"))],
-            important,
-        )
+        title = "What matters: rank correlation with energy and with the margin above the reserve; indices of energy"
+        show_table(title, ["battery", "value", ">energy", ">margin", ">first order", ">total"], important)
     if answer["importance"] and not any("total_interval" in row for row in answer["importance"]):
         if prepared.sampler.groups:
             text = "correlated values have no total indices"

@@ -61,32 +61,15 @@ def _print(paper: str, items: list[Item]) -> None:
 
     table = Table(title=ABOUT[paper].title, title_justify="left", title_style="bold", pad_edge=False)
     table.box, table.padding = None, (0, 1, 0, 0)
-    for heading, justify, width in (
-        ("item", "left", 27),
-        ("where", "left", 9),
-        ("published", "right", 9),
-        ("ours", "right", 8),
-        ("unit", "left", 6),
-        ("differ.", "right", 8),
-        ("status", "left", 24),
-        ("note", "right", 4),
-    ):
-        table.add_column(heading, justify=justify, max_width=width)  # type: ignore[arg-type]
+    widths = {"item": 27, "where": 9, ">published": 9, ">ours": 8, "unit": 6, ">differ.": 8, "status": 24, ">note": 4}
+    for heading, width in widths.items():
+        table.add_column(heading.strip(">"), justify="right" if heading[0] == ">" else "left", max_width=width)
     colours = {"agrees": "green", "calibrated": "blue", "differs": "red", "paper contradicts itself": "yellow"}
     references, notes = footnotes(items)
     for item, reference in zip(items, references, strict=True):
-        figure = item.figure
-        colour = colours.get(item.status, "dim")
-        table.add_row(
-            figure.item,
-            figure.where,
-            figure.printed,
-            number(item.ours),
-            figure.unit,
-            "" if item.difference is None else f"{item.difference:+.2g}",
-            Text(item.status, colour),
-            reference,
-        )
+        f, status = item.figure, Text(item.status, colours.get(item.status, "dim"))
+        apart = "" if item.difference is None else f"{item.difference:+.2g}"
+        table.add_row(f.item, f.where, f.printed, number(item.ours), f.unit, apart, status, reference)
     terminal = console()
     terminal.print(table)
     for index, note in enumerate(notes, start=1):
@@ -102,7 +85,8 @@ def _print_side(words: str, rows: list[dict[str, Any]]) -> None:
     if len(rows) > (MOST_COLUMNS - 1 if wide else MOST_ROWS):
         return
     columns = list(rows[0])
-    body = [[_cell(row[column]) for column in columns] for row in rows]
+    shown = [[row[column] for column in columns] for row in rows]
+    body = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in line] for line in shown]
     if wide:
         body = [[column, *(line[i] for line in body)] for i, column in enumerate(columns)]
         columns = ["", *(str(i + 1) for i in range(len(rows)))]
@@ -115,7 +99,3 @@ def _print_side(words: str, rows: list[dict[str, Any]]) -> None:
     terminal.print(words, style="bold")
     terminal.print(table)
     terminal.print()
-
-
-def _cell(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -84,25 +84,24 @@ def show(result: RunResult) -> None:
     verdict = "feasible" if result.feasible else f"NOT feasible: {result.reason}"
     terminal.print(titled(result.mission, f" with {result.robot}: {verdict}"))
     terminal.print(f"{clock(result.duration_s)}, {result.distance_m:.1f} m, {_driven(result)}")
-    rows = [
-        (
-            name,
-            f"{b.energy_wh:.3f}",
-            f"{b.mean_power_w:.2f}",
-            f"{b.capacity_wh:.1f}",
-            f"{b.charge_left_wh:.3f}",
-            f"{100 * b.charge_left_fraction:.1f} %",
-            f"{b.reserve_required_wh:.3f}",
-            "unknown" if b.home_wh is None else f"{b.home_wh:.3f}",
-            f"{b.reserve_wh:.3f}",
-        )
-        for name, b in result.batteries.items()
+    rows = []
+    for name, b in result.batteries.items():
+        left = [f"{b.charge_left_wh:.3f}", f"{100 * b.charge_left_fraction:.1f} %", f"{b.reserve_required_wh:.3f}"]
+        home = "unknown" if b.home_wh is None else f"{b.home_wh:.3f}"
+        used = [f"{b.energy_wh:.3f}", f"{b.mean_power_w:.2f}", f"{b.capacity_wh:.1f}"]
+        rows.append([name, *used, *left, home, f"{b.reserve_wh:.3f}"])
+    heads = [
+        "battery",
+        ">Wh used",
+        ">mean W",
+        ">full Wh",
+        ">Wh left",
+        ">left",
+        ">to keep Wh",
+        ">home Wh",
+        ">reserve Wh",
     ]
-    show_table(
-        "Batteries",
-        ["battery", ">Wh used", ">mean W", ">full Wh", ">Wh left", ">left", ">to keep Wh", ">home Wh", ">reserve Wh"],
-        rows,
-    )
+    show_table("Batteries", heads, rows)
     if result.dock_s:
         charged = ", ".join(f"{name} {b.charged_wh:.3f} Wh" for name, b in result.batteries.items() if b.charged_wh)
         terminal.print(f"  charged at docks in {clock(result.dock_s)}: {charged or 'nothing'}")
@@ -115,26 +114,14 @@ def show(result: RunResult) -> None:
         terminal.print(f"  warning: {fault.message}")
     if result.never_on:
         terminal.print(f"  never on in this mission, so costing nothing: {', '.join(result.never_on)}")
-    show_table(
-        "Three largest consumers",
-        ["component", "battery", ">Wh", ">share"],
-        [
-            (component, battery, f"{energy:.3f}", f"{100 * share:.1f} %")
-            for battery, component, energy, share in largest_consumers(result)
-        ],
-    )
+    largest = [(part, of, f"{wh:.3f}", f"{100 * share:.1f} %") for of, part, wh, share in largest_consumers(result)]
+    show_table("Three largest consumers", ["component", "battery", ">Wh", ">share"], largest)
     schemes = {name: result.by_scheme_wh(name) for name in result.batteries}
     names = dict.fromkeys(scheme for energies in schemes.values() for scheme in energies)
     if len(names) > 1:
         told = {"none": "no scheme"}
-        show_table(
-            "Energy by control scheme [Wh]",
-            ["scheme", *(f">{b}" for b in schemes)],
-            [
-                (told.get(name, name), *(f"{energies.get(name, 0.0):.3f}" for energies in schemes.values()))
-                for name in names
-            ],
-        )
+        rows = [[told.get(name, name), *(f"{wh.get(name, 0.0):.3f}" for wh in schemes.values())] for name in names]
+        show_table("Energy by control scheme [Wh]", ["scheme", *(f">{b}" for b in schemes)], rows)
     terminal.print(segment_rows(result))
 
 
@@ -180,13 +167,9 @@ def segment_rows(result: RunResult, most: int = 14) -> Table:
         keep = {row[1] for row in sorted(rows, reverse=True)[:most]}
         shown = [row for row in rows if row[1] in keep]
         title += f", the {most} largest of {len(rows)}"
-    columns = ["segment", "kind", ">times"]
-    columns += [f">{name}" for name in result.batteries]
-    return simple_table(
-        title,
-        columns,
-        [(label, kind, times, *(f"{part:.3f}" for part in parts)) for _, label, kind, times, parts in shown],
-    )
+    columns = ["segment", "kind", ">times", *(f">{name}" for name in result.batteries)]
+    cells = [(label, kind, times, *(f"{part:.3f}" for part in parts)) for _, label, kind, times, parts in shown]
+    return simple_table(title, columns, cells)
 
 
 def trouble(battery: BatteryResult) -> str:

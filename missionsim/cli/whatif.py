@@ -73,10 +73,8 @@ def whatif(
             raise InputError.single("whatif needs a mission", allowed="whatif MISSION.yaml --vary …")
         path = mission
         pairs = [(name, split_values(text)) for name, text in map(split_assignment, vary or ())]
-        alternatives = [
-            Alternative(BASELINE, base, robot),
-            *(Alternative(a.name, a.set, robot) for a in varied(pairs, base)),
-        ]
+        alternatives = [Alternative(BASELINE, base, robot)]
+        alternatives += [Alternative(a.name, a.set, robot) for a in varied(pairs, base)]
     if montecarlo and montecarlo < 2:
         raise InputError.single("--montecarlo needs at least 2 runs", got=montecarlo, allowed="such as 500")
     if not 1 <= workers <= 1024:
@@ -117,19 +115,12 @@ def _draw(path: Path, alternatives: Sequence[Alternative], runs: int, seed: int,
 
 def _show_differences(answer: dict[str, Any]) -> None:
     """Print which differences of the alternatives hold under the uncertainty."""
-    rows = [
-        (
-            row["name"],
-            _percent(row),
-            d["quantity"],
-            f"{d['mean']:+.4g}",
-            f"{d['low']:+.3g} … {d['high']:+.3g}",
-            "yes" if d["real"] else "cannot be told",
-        )
-        for row in answer["alternatives"]
-        for d in row["differences"]
-        if not _mirrored(d, row["differences"])
-    ]
+    rows = []
+    for row in answer["alternatives"]:
+        for d in row["differences"]:
+            if not _mirrored(d, row["differences"]):
+                interval, real = f"{d['low']:+.3g} … {d['high']:+.3g}", "yes" if d["real"] else "cannot be told"
+                rows.append([row["name"], _percent(row), d["quantity"], f"{d['mean']:+.4g}", interval, real])
     first = answer["alternatives"][0]
     terminal = console()
     succeeds = f"{first['name']}: succeeds in {_percent(first)}"

@@ -25,6 +25,7 @@ class ParameterSpec:
     name: str
     unit: str
     meaning: str = ""
+    _: KW_ONLY
     default: float = float("nan")
     """Value where none is given; `nan` where the user or a fit must give it."""
     low: float = 0.0

@@ -207,7 +207,7 @@ def _low_pass(causes: Array, step: float, tau: float) -> Array:
     ends = list(accumulate(out[:, :-1, -1].T, lambda before, end: end + kept**_AT_ONCE * before))
     if ends:
         out[:, 1:] += np.array(ends).T[:, :, None] * kept ** np.arange(1, _AT_ONCE + 1)
-    return first + out.reshape(rows, -1)[:, :length]
+    return np.asarray(first + out.reshape(rows, -1)[:, :length])
 
 
 def _explained(power: Array, causes: Array, most: int) -> Array | None:
