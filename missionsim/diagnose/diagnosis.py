@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -111,7 +111,7 @@ def diagnose_files(
 
 def diagnose(
     subject: Subject,
-    logs: Sequence[Any],
+    logs: Sequence[Run],
     *,
     holdout: str | Sequence[str | Path] | None = None,
     timeline: Timeline | None = None,
@@ -124,7 +124,7 @@ def diagnose(
     Parameters
     ----------
     subject : Subject
-    logs : sequence of LogTable
+    logs : sequence of Run
     holdout, battery
         As for `diagnose_files`.
     timeline : Timeline, optional
@@ -350,7 +350,7 @@ def _within_rows(models: Models, power: PowerModel, series: Sequence[RunSeries])
     return float(np.sqrt(max(rows**2 - square, 0.0)))
 
 
-def _renamed(log: Any, taken: set[str]) -> Any:
+def _renamed(log: Run, taken: set[str]) -> Run:
     return replace(log, run=f"held-out {log.run}") if log.run in taken else log
 
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from missionsim.effects.base import Effect
+from missionsim.effects.covariates import Covariates
 from missionsim.effects.library import FLOORS, all_effects, execution_effects, floors_effect, logged_power_columns
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.fit.prepare import Prepared, never_on, prepare
@@ -22,7 +22,6 @@ from missionsim.physics import Array
 from missionsim.runs.covariates import is_switch, logged_name
 from missionsim.runs.run import Run
 
-Covariates = Sequence[Mapping[str, Any]]
 """Of each run."""
 MOST_SURFACES = 40
 """More names than that are no floors but numbers or places, and a column each would take for ever."""
@@ -54,7 +53,7 @@ class Features:
     remarks: tuple[str, ...]
     """What was assumed or left out, in words."""
     _: KW_ONLY
-    covariates: tuple[Mapping[str, Any], ...]
+    covariates: tuple[Covariates, ...]
     """Covariates of each run at its raw rate, with what follows from them."""
     unlogged: tuple[str, ...] = ()
     """Components of which nothing tells when they were on."""
@@ -65,7 +64,7 @@ class Features:
 
 def make_features(
     model: PowerModel,
-    logs: Sequence[Any],
+    logs: Sequence[Run],
     battery: str,
     own: Sequence[Effect] = (),
     *,
@@ -151,9 +150,7 @@ def steady_speed(run: Run) -> Run:
     return replace(run, columns={**run.columns, "speed_m_s": total / count})
 
 
-def effect_columns(
-    effects: Mapping[str, Effect], candidates: Sequence[Candidate], cov: Mapping[str, Any]
-) -> dict[str, Array]:
+def effect_columns(effects: Mapping[str, Effect], candidates: Sequence[Candidate], cov: Covariates) -> dict[str, Array]:
     """Every candidate column for given covariates, such as those of a manoeuvre; power for coefficient 1 [W]."""
     found: dict[str, Array] = {}
     for candidate in candidates:
@@ -218,7 +215,9 @@ def _testable(
     return effects, untestable
 
 
-def _add_columns(effect: Effect, runs: Covariates, columns: list[dict[str, Array]], charged: float) -> Candidate:
+def _add_columns(
+    effect: Effect, runs: Sequence[Covariates], columns: list[dict[str, Array]], charged: float
+) -> Candidate:
     """Evaluate an effect on every run; a grid of shape values or of surfaces gives one column each."""
     shape: tuple[dict[str, float], ...] = ()
     levels: tuple[str, ...] = ()
@@ -257,7 +256,7 @@ def _add_columns(effect: Effect, runs: Covariates, columns: list[dict[str, Array
     )
 
 
-def _grid(effect: Effect, runs: Covariates, charged: float) -> list[dict[str, float]]:
+def _grid(effect: Effect, runs: Sequence[Covariates], charged: float) -> list[dict[str, float]]:
     """All combinations of the grids of an effect's shape parameters that these runs can tell."""
     from itertools import product
 
@@ -267,7 +266,7 @@ def _grid(effect: Effect, runs: Covariates, charged: float) -> list[dict[str, fl
     return [dict(zip((spec.name for spec in free), values, strict=True)) for values in product(*axes)] if free else []
 
 
-def _tells_back(effect: Effect, runs: Covariates, charged: float) -> bool:
+def _tells_back(effect: Effect, runs: Sequence[Covariates], charged: float) -> bool:
     """Whether the share that an effect gives back is asked of the data: only where the robot file leaves it to them.
 
     A descent first saves what the drive needs; where the battery is never charged there is no more to tell.
@@ -284,13 +283,13 @@ def _default_grid(low: float, high: float, default: float) -> tuple[float, ...]:
     return (default if np.isfinite(default) else 1.0,)
 
 
-def _steady(column: str, names: set[str], runs: Covariates) -> bool:
+def _steady(column: str, names: set[str], runs: Sequence[Covariates]) -> bool:
     """Whether a column hardly changes over all runs."""
     values = np.concatenate([np.asarray(cov[column], dtype=float) for cov in runs]) if column in names else None
     return values is not None and float(np.std(values)) < STEADY * abs(float(np.mean(values)))
 
 
-def _loads(names: set[str], batteries: Sequence[str], runs: Covariates, ready: Prepared) -> tuple[str, ...]:
+def _loads(names: set[str], batteries: Sequence[str], runs: Sequence[Covariates], ready: Prepared) -> tuple[str, ...]:
     """Columns of watts that may be loads of the battery, without those that are its own power under another name."""
     found = []
     measured = ready.measured_w()
@@ -306,9 +305,7 @@ def _loads(names: set[str], batteries: Sequence[str], runs: Covariates, ready: P
     return tuple(found)
 
 
-def _column(
-    effect: Effect, cov: Mapping[str, Any], shape: Mapping[str, float], level: str = "", size: float = 1.0
-) -> Array:
+def _column(effect: Effect, cov: Covariates, shape: Mapping[str, float], level: str = "", size: float = 1.0) -> Array:
     rows = len(cov["time_s"])
     if level:
         values: dict[str, float] = {spec.name: float(spec.name == f"k_{level}") for spec in effect.parameters}

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -33,8 +33,8 @@ FEWEST_RUNS = 4
 class Split:
     """Runs to fit and runs to test on."""
 
-    train: tuple[Any, ...]
-    heldout: tuple[Any, ...]
+    train: tuple[Run, ...]
+    heldout: tuple[Run, ...]
     how: str
     """How the held-out runs were chosen, in words; says why where there are none."""
     shifted: bool = False
@@ -55,7 +55,7 @@ def read_runs(robot: RobotSpec, model: PowerModel, logs: Sequence[str | Path]) -
     return runs, [*left_out, *refused]
 
 
-def choose_split(logs: Sequence[Any], holdout: str | Sequence[str | Path] | None = None) -> Split:
+def choose_split(logs: Sequence[Run], holdout: str | Sequence[str | Path] | None = None) -> Split:
     """Split runs into those that are fitted and those that are held out.
 
     `holdout`: a fraction (``"0.25"``, ``"25 %"``; ``"0"`` or ``"none"`` for none), names of runs (``"run_06,run_07"``),
@@ -97,7 +97,7 @@ def _fraction(text: str) -> float | None:
         return None
 
 
-def _last(logs: tuple[Any, ...], fraction: float) -> Split:
+def _last(logs: tuple[Run, ...], fraction: float) -> Split:
     if fraction == 0.0:
         return Split(logs, (), "none held out, as asked")
     count = max(1, math.floor(fraction * len(logs) + 1e-9))
@@ -107,7 +107,7 @@ def _last(logs: tuple[Any, ...], fraction: float) -> Split:
     return Split(logs[:-count], logs[-count:], f"the last {what} of {len(logs)}")
 
 
-def _files(logs: tuple[Any, ...], parts: list[str]) -> Split:
+def _files(logs: tuple[Run, ...], parts: list[str]) -> Split:
     from missionsim.logs import read_logs
 
     bounded = Bounded()
@@ -119,7 +119,7 @@ def _files(logs: tuple[Any, ...], parts: list[str]) -> Split:
     return Split(train, held, f"{len(held)} run{'s' * (len(held) != 1)} from {', '.join(Path(p).name for p in parts)}")
 
 
-def _named(logs: tuple[Any, ...], text: str) -> Split:
+def _named(logs: tuple[Run, ...], text: str) -> Split:
     names = [name.strip() for name in text.split(",") if name.strip()]
     known = [log.run for log in logs]
     for name in names:
@@ -138,11 +138,11 @@ def _named(logs: tuple[Any, ...], text: str) -> Split:
     return Split(train, held, f"runs {', '.join(names)}")
 
 
-def _condition(logs: tuple[Any, ...], text: str) -> Split:
+def _condition(logs: tuple[Run, ...], text: str) -> Split:
     known = sorted(set.intersection(*(set(log.columns) for log in logs)))
     condition = compile_expression(text, names=known, file="--holdout")
-    held: list[Any] = []
-    train: list[Any] = []
+    held: list[Run] = []
+    train: list[Run] = []
     for log in logs:
         meets = np.broadcast_to(np.asarray(condition.evaluate(log.columns), dtype=float), (len(log),))
         share = float(np.nansum(meets * log.dt_s) / np.sum(log.dt_s))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from missionsim.diagnose.features import Features
     from missionsim.effects.model import ModelParameter
     from missionsim.inputs.robot import RobotSpec
+    from missionsim.runs.run import Run
 
 NO_PRIOR_SD = float("inf")
 """Prior of a parameter that was fitted to these very logs: they may not count twice."""
@@ -73,7 +74,7 @@ class Subject:
         )
 
 
-def priors_of(subject: Subject, features: Features, logs: Sequence[Any]) -> dict[str, float]:
+def priors_of(subject: Subject, features: Features, logs: Sequence[Run]) -> dict[str, float]:
     """Priors of the base parameters; none for those that were fitted to these very logs."""
     priors = {}
     for name, parameter in features.parameters.items():
@@ -83,7 +84,7 @@ def priors_of(subject: Subject, features: Features, logs: Sequence[Any]) -> dict
     return priors
 
 
-def prior_before(subject: Subject, parameter: ModelParameter, logs: Sequence[Any]) -> float:
+def prior_before(subject: Subject, parameter: ModelParameter, logs: Sequence[Run]) -> float:
     """Relative standard deviation known beside these logs; `NO_PRIOR_SD` where it was fitted to these very logs.
 
     What was fitted to other logs is known less well here than there, see `missionsim.fit.provenance.sd_on_other_logs`.

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from missionsim.effects.model import TermKey
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.recorder import Row
 from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.physics import Array
 from missionsim.plan.legs import Leg
 
 
@@ -41,8 +41,8 @@ def edges_driven(
     rows: Sequence[Row],
     legs: Sequence[Leg],
     line: Timeline,
-    energies: Mapping[str, Mapping[Any, NDArray[np.float64]]],
-    charge_wh: Mapping[str, NDArray[np.float64]],
+    energies: Mapping[str, Mapping[TermKey, Array]],
+    charge_wh: Mapping[str, Array],
 ) -> list[DrivenEdge]:
     """The edges of a run in order; standing on them (obstacles) belongs to them.
 

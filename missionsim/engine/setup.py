@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,7 +13,10 @@ from missionsim.errors import Fault, InputError
 from missionsim.inputs.battery import BatterySpec
 from missionsim.inputs.battery import EquivalentCircuit as CircuitSpec
 from missionsim.inputs.values import Parameter
+from missionsim.physics import Array
 from missionsim.plan.legs import Plan
+
+T = TypeVar("T", float, Array)
 
 _BODY = (("body_mass_kg", "body.mass"), ("regeneration", "body.regeneration"))
 """Constants of the power model and where the robot file has them."""
@@ -118,7 +121,7 @@ def check_covariates(plan: Plan, model: PowerModel) -> None:
         raise InputError(faults.values())
 
 
-def split_values(values: Mapping[str, Any], model: PowerModel) -> tuple[dict[str, Any], dict[str, Any]]:
+def split_values(values: Mapping[str, T], model: PowerModel) -> tuple[dict[str, T], dict[str, T]]:
     """Numbers of files by path, and parameters of the power model; a path into the robot file is both."""
     if not values:
         return {}, {}

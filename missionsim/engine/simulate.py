@@ -28,6 +28,7 @@ from missionsim.inputs.mission import MissionSpec, reserve_of
 from missionsim.inputs.power import build_power_model
 from missionsim.inputs.segments import DockSegment, RechargeSpec
 from missionsim.inputs.values import Parameter
+from missionsim.physics import Array
 from missionsim.plan.build import legs_of, make_plan
 from missionsim.plan.homing import Homing
 from missionsim.plan.legs import Leg, Plan, Step
@@ -109,14 +110,14 @@ class RunSetup:
         mission: MissionSpec,
         plan: Plan,
         model: PowerModel,
-        numbers: Mapping[str, float],
+        numbers: Mapping[str, float] | Mapping[str, Array],
         drawn: Mapping[str, float],
     ) -> None:
         self.mission = mission
         self.plan = plan
         self.model = model
         self.drawn = drawn
-        self.numbers = numbers
+        self.numbers = cast("Mapping[str, float]", numbers)  # of many runs, arrays: see missionsim.plan.draws
         self.again: Generator | None = None
         robot = mission.robot
         self.batteries = {

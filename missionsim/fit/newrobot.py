@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from missionsim.fit.provenance import CALIBRATION, data_tag, ranges_of
 from missionsim.glossary import column_of
 from missionsim.runs.drive import drive
 from missionsim.runs.error import errors_of
+from missionsim.runs.run import Run
 
 SHORTEST_STANDING_S = 5.0
 """Time at rest from which the standing power is fitted on its own."""
@@ -64,7 +64,7 @@ class Calibration:
     remarks: tuple[str, ...]
 
 
-def calibrate_new(robot: NewRobot, logs: Sequence[Any]) -> Calibration:
+def calibrate_new(robot: NewRobot, logs: Sequence[Run]) -> Calibration:
     """Fit a base formula to logs and write the robot file of it.
 
     Every component with an ``on_…`` column that changes gets a power; standing still gets a level of its own where the
@@ -139,7 +139,7 @@ def _option(path: str) -> str:
     return "--base"
 
 
-def _formula(robot: NewRobot, logs: Sequence[Any]) -> Expression:
+def _formula(robot: NewRobot, logs: Sequence[Run]) -> Expression:
     formula = compile_expression(robot.base, file="--base")
     columns = {name for log in logs for name in log.columns}
     for name in sorted(formula.names):
@@ -156,12 +156,12 @@ def _formula(robot: NewRobot, logs: Sequence[Any]) -> Expression:
     return formula
 
 
-def _columns(formula: Expression, logs: Sequence[Any]) -> set[str]:
+def _columns(formula: Expression, logs: Sequence[Run]) -> set[str]:
     shared = set.intersection(*(set(log.columns) for log in logs))
     return {n for n in formula.names if n in ALIASES or n in shared or column_of(n) is not None or n in FUNCTIONS}
 
 
-def _components(logs: Sequence[Any], battery: str, remarks: list[str]) -> dict[str, int]:
+def _components(logs: Sequence[Run], battery: str, remarks: list[str]) -> dict[str, int]:
     """Components with a switch in the logs that was used: name and most units."""
     found: dict[str, int] = {}
     names = sorted({name for log in logs for name in log.columns if name.startswith("on_")})
@@ -175,7 +175,7 @@ def _components(logs: Sequence[Any], battery: str, remarks: list[str]) -> dict[s
     return found
 
 
-def _has_standing(logs: Sequence[Any], battery: str, remarks: list[str]) -> bool:
+def _has_standing(logs: Sequence[Run], battery: str, remarks: list[str]) -> bool:
     if not all("speed_m_s" in log.columns for log in logs):
         return False
     rest = sum(float(np.sum(log.dt_s[~np.asarray(is_moving(log.columns))])) for log in logs)
@@ -184,7 +184,7 @@ def _has_standing(logs: Sequence[Any], battery: str, remarks: list[str]) -> bool
     return rest >= SHORTEST_STANDING_S
 
 
-def _with_rest(fit: ModelFit, logs: Sequence[Any], battery: str) -> ModelFit:
+def _with_rest(fit: ModelFit, logs: Sequence[Run], battery: str) -> ModelFit:
     """Power at rest from the rows at rest alone, where they say more of it than all rows together.
 
     Noise of a driving robot can be far larger than everything that it draws at rest. Rows just after a stop are left
@@ -218,7 +218,7 @@ def _with_rest(fit: ModelFit, logs: Sequence[Any], battery: str) -> ModelFit:
     return replace(fit, parameters={**fit.parameters, "standing": new})
 
 
-def _refuse_unseen(fit: ModelFit, names: Sequence[str], logs: Sequence[Any]) -> None:
+def _refuse_unseen(fit: ModelFit, names: Sequence[str], logs: Sequence[Run]) -> None:
     unseen = [name for name in names if name in fit.parameters and not fit.parameters[name].seen]
     if unseen:
         columns = _known_columns(logs)
@@ -231,7 +231,7 @@ def _refuse_unseen(fit: ModelFit, names: Sequence[str], logs: Sequence[Any]) -> 
         )
 
 
-def _known_columns(logs: Sequence[Any]) -> list[str]:
+def _known_columns(logs: Sequence[Run]) -> list[str]:
     """Columns that every log has and a formula may read."""
     shared = set.intersection(*(set(log.columns) for log in logs))
     return sorted(name for name in shared if name != "time_s" and not name.startswith(("power_", "energy_")))
@@ -242,7 +242,7 @@ def _text(
     values: Mapping[str, FittedParameter | None],
     components: Mapping[str, int],
     standing: bool,
-    logs: Sequence[Any],
+    logs: Sequence[Run],
     source: str,
     tag: str,
 ) -> str:
@@ -303,7 +303,7 @@ def _number(value: FittedParameter | None, unit: str = "") -> str:
     )
 
 
-def _max_speed(robot: NewRobot, logs: Sequence[Any]) -> str:
+def _max_speed(robot: NewRobot, logs: Sequence[Run]) -> str:
     if robot.max_speed:
         return json.dumps(robot.max_speed)
     speeds = [np.abs(np.asarray(log.columns["speed_m_s"], dtype=float)) for log in logs if "speed_m_s" in log.columns]
@@ -313,7 +313,7 @@ def _max_speed(robot: NewRobot, logs: Sequence[Any]) -> str:
     return f"{{value: {fastest:.3g} m/s, status: measured, note: fastest in the logs}}"
 
 
-def _capacity(robot: NewRobot, logs: Sequence[Any]) -> str:
+def _capacity(robot: NewRobot, logs: Sequence[Run]) -> str:
     if robot.capacity:
         return json.dumps(robot.capacity)
     most = max(abs(log.energy_wh(robot.battery)) for log in logs if robot.battery in log.power_w)

@@ -6,7 +6,7 @@ import hashlib
 import math
 import re
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,7 +29,7 @@ the computer. The same as for a parameter that comes without a standard deviatio
 _TAG = re.compile(r"\bdata ((?:[0-9a-f]{8}\s?)+)")
 
 
-def log_hash(log: Any) -> str:
+def log_hash(log: Run) -> str:
     """SHA-256 of a log's file, or of its power where it was made in memory; 64 hexadecimal digits."""
     if log.sha256:
         return str(log.sha256)
@@ -39,7 +39,7 @@ def log_hash(log: Any) -> str:
     return digest.hexdigest()
 
 
-def data_tag(logs: Sequence[Any]) -> str:
+def data_tag(logs: Sequence[Run]) -> str:
     """The first digits of the hashes of the logs, one a run; beyond `MOST_HASHES` runs one for all."""
     hashes = sorted(log_hash(log) for log in logs)
     if len(hashes) > MOST_HASHES:
@@ -47,7 +47,7 @@ def data_tag(logs: Sequence[Any]) -> str:
     return " ".join(digest[:LENGTH] for digest in hashes)
 
 
-def fitted_to(source: str, logs: Iterable[Any]) -> bool:
+def fitted_to(source: str, logs: Iterable[Run]) -> bool:
     """Whether a parameter's source says that it was fitted to one of these very logs.
 
     Such a number is no knowledge beside the logs: as a prior it would count the same data twice.
@@ -74,7 +74,7 @@ def sd_on_other_logs(sd: float, source: str) -> float:
 
 def ranges_of(runs: Sequence[Run]) -> Json:
     """Least and greatest value of each covariate over runs, in units of the glossary; the names of floors."""
-    found: dict[str, Any] = {}
+    found: Json = {}
     for name in COVARIATES:
         columns = [run.columns[name] for run in runs if name in run.columns]
         if name == "surface" and columns:

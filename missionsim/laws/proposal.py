@@ -11,6 +11,7 @@ import numpy as np
 from missionsim.effects.covariates import Covariates
 from missionsim.expressions import compile_expression
 from missionsim.glossary import column_of
+from missionsim.identify.identification import Identification
 from missionsim.identify.proposed import QUANTITY, Curve, Law, Proposal
 from missionsim.labels import Labels
 from missionsim.laws.adapter import Ground, ground_of
@@ -55,7 +56,7 @@ class Proposed:
     ground: Ground
 
 
-def propose(found: Any, covariates: Sequence[Covariates]) -> Proposed | None:
+def propose(found: Identification, covariates: Sequence[Covariates]) -> Proposed | None:
     """The law that an identification lacks, or None where nothing passes every gate.
 
     `covariates`: covariates of every run that was given to it, at the raw rate, with those derived from the log.
@@ -84,7 +85,7 @@ def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored],
     return near, beside, fitted, gates(fitted)
 
 
-def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Any) -> Proposed | None:
+def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identification) -> Proposed | None:
     search = Search(ground, grammar, memory)
     done = search.best()
     if done is None:
@@ -202,7 +203,7 @@ def _replaced(fitted: Fitted, ground: Ground) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _twin(fitted: Fitted, ground: Ground, found: Any) -> str:
+def _twin(fitted: Fitted, ground: Ground, found: Identification) -> str:
     """The effect of the library whose column is the law's own."""
     x = fitted.watts - np.mean(fitted.watts)
     for phi, column in zip(ground.design.phi, ground.design.layout.columns, strict=True):

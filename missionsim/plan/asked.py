@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from typing import Any
 
 import numpy as np
 
 from missionsim.errors import Fault, InputError
-from missionsim.inputs.mission import AnchorSpec, MissionSpec
+from missionsim.inputs.mission import ActivitySpec, AnchorSpec, MissionSpec
+from missionsim.inputs.robot import BehaviourSpec
+from missionsim.inputs.segments import DockSegment, RepeatSegment, SegmentSpec
 from missionsim.inputs.values import Parameter
 from missionsim.plan.chance import told_at
 from missionsim.plan.draws import Odd, least
@@ -51,7 +52,7 @@ class Asked:
         self._ambient_surface = (environment.ambient.surface or "") if environment is not None else ""
         self._default_extras = {key: getattr(mission.defaults, key, None) for key, _ in _EXTRAS}
         self._tops: dict[tuple[str, bool, float], tuple[float, float, float]] = {}
-        self._behaviours_of: dict[str, tuple[tuple[Any, str], ...]] = {}
+        self._behaviours_of: dict[str, tuple[tuple[BehaviourSpec | None, str], ...]] = {}
 
     def number(self, parameter: Parameter, prefix: str = "") -> float:
         """Value of a parameter, drawn or nominal."""
@@ -62,11 +63,11 @@ class Asked:
     def _robot(self, parameter: Parameter | None) -> float | None:
         return None if parameter is None else self.number(parameter, "robot.")
 
-    def fault(self, segment: Any, message: str, allowed: str = "") -> InputError:
+    def fault(self, segment: SegmentSpec | RepeatSegment, message: str, allowed: str = "") -> InputError:
         """A fault at the line of a segment."""
-        return InputError(Fault(str(self.mission.path), int(getattr(segment, "line", 0)), 0, message, allowed=allowed))
+        return InputError(Fault(str(self.mission.path), segment.line, 0, message, allowed=allowed))
 
-    def settings(self, segment: Any) -> Settings:
+    def settings(self, segment: SegmentSpec) -> Settings:
         """Settings of a segment; the same object however often it is repeated."""
         mission = self.mission
         known = self._base.get(id(segment))
@@ -84,7 +85,7 @@ class Asked:
         for source in (mission.defaults.conditions, segment.conditions):
             if source:
                 extra |= {name: self._condition(value) for name, value in source.items()}
-        slope = segment.slope if segment.kind in ("drive", "arc", "move") else None
+        slope: Parameter | None = getattr(segment, "slope", None)
         made = Settings(
             *mission.equipment(segment),
             0.0 if payload is None else self.number(payload),
@@ -95,7 +96,7 @@ class Asked:
         self._base[id(segment)] = made
         return made
 
-    def _condition(self, value: Any, prefix: str = "") -> float | str:
+    def _condition(self, value: object, prefix: str = "") -> float | str:
         return self.number(value, prefix) if isinstance(value, Parameter) else str(value)
 
     def _ambient(self) -> dict[str, float | str]:
@@ -107,7 +108,7 @@ class Asked:
         known: dict[str, float | str] = {name: self.number(p, "environment.") for name, p in pairs if p is not None}
         return known | {name: self._condition(value, "environment.") for name, value in ambient.conditions.items()}
 
-    def _behaviours(self, scheme: str) -> tuple[tuple[Any, str], ...]:
+    def _behaviours(self, scheme: str) -> tuple[tuple[BehaviourSpec | None, str], ...]:
         """Who says how the robot behaves under a scheme, the most specific first."""
         known = self._behaviours_of.get(scheme)
         if known is None:
@@ -121,12 +122,12 @@ class Asked:
             )
         return known
 
-    def behaviour(self, segment: Any, key: str) -> float | None:
+    def behaviour(self, segment: SegmentSpec, key: str) -> float | None:
         """The number that the behaviour of a segment says of something."""
         given = self.given(segment, key)
         return None if given is None else self.number(*given)
 
-    def given(self, segment: Any, key: str) -> tuple[Parameter, str] | None:
+    def given(self, segment: SegmentSpec, key: str) -> tuple[Parameter, str] | None:
         """The parameter of the behaviour of a segment, and the prefix of its path."""
         for source, prefix in ((segment.behaviour, ""), *self._behaviours(self.scheme)):
             given = None if source is None else getattr(source, key)
@@ -134,7 +135,7 @@ class Asked:
                 return given, prefix
         return None
 
-    def pace(self, segment: Any, way_m_s: float = math.inf) -> Pace:
+    def pace(self, segment: SegmentSpec, way_m_s: float = math.inf) -> Pace:
         """Speed asked of a segment and what limits it."""
         tracking = self.given(segment, "speed_tracking")
         raised = 1.0 if tracking is None else max(1.0, tracking[0].value)
@@ -160,7 +161,7 @@ class Asked:
             self._tops[key] = (top * raised, most * raised, least(robot, most))
         return self._tops[key]
 
-    def above_0(self, number: float, segment: Any, message: str) -> None:
+    def above_0(self, number: float, segment: SegmentSpec, message: str) -> None:
         """A fault of the segment where a number is not above 0; of many runs, those in which it is not are odd."""
         if isinstance(number, np.ndarray):
             if not number.min() > 0.0:
@@ -168,16 +169,16 @@ class Asked:
         elif not number > 0.0:
             raise self.fault(segment, message)
 
-    def stretch(self, segment: Any) -> float:
+    def stretch(self, segment: SegmentSpec) -> float:
         """How many times as long as planned the way of a segment is."""
         given = self.behaviour(segment, "path_stretch")
         return 1.0 if given is None else given
 
-    def instant(self, segment: Any) -> bool:
+    def instant(self, segment: SegmentSpec) -> bool:
         """Whether its speed is reached at once."""
         return self.mission.setting(segment, "profile") == "constant_speed" or self.limits.accel_m_s2 is None
 
-    def yaw_rate(self, segment: Any) -> float:
+    def yaw_rate(self, segment: SegmentSpec) -> float:
         """Limit of the yaw rate on a segment."""
         given = self.mission.setting(segment, "yaw_rate")
         return self.limits.yaw_rate_rad_s if given is None else self.number(given)
@@ -186,7 +187,7 @@ class Asked:
         """What is wrong with a number is told where it stands."""
         return told_at(str((self.robot if prefix else self.mission).path), parameter)
 
-    def recharge(self, segment: Any, place: str) -> Recharge:
+    def recharge(self, segment: DockSegment, place: str) -> Recharge:
         """Charging as a dock segment asks for it at a place."""
         environment = self.environment
         charger = None
@@ -214,7 +215,7 @@ class Asked:
             math.inf if segment.if_below is None else self.number(segment.if_below),
         )
 
-    def activity(self, key: int, spec: Any) -> Activity:
+    def activity(self, key: int, spec: ActivitySpec) -> Activity:
         """What a component does beside the driving."""
         begin = self._trigger(spec.from_)
         end = self._trigger(spec.until)

@@ -5,12 +5,24 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
+from missionsim.inputs.segments import (
+    ArcSegment,
+    DockSegment,
+    DriveSegment,
+    InspectSegment,
+    MoveSegment,
+    RepeatSegment,
+    SegmentSpec,
+    TurnSegment,
+    WaitSegment,
+)
+from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.asked import Asked
 from missionsim.plan.chance import failures, stopped_by_obstacles
@@ -19,9 +31,6 @@ from missionsim.plan.legs import Gate, Kind, Leg, OnEdge, Pace, Plan, SegmentInf
 from missionsim.plan.routes import Way, along, routes_of
 from missionsim.plan.steady import steady_power_w
 from missionsim.plan.steps import group, slow_components
-
-if TYPE_CHECKING:
-    pass
 
 MOST_SEGMENTS = 1_000_000
 Route = tuple[str, str, tuple[int, ...]]
@@ -73,7 +82,7 @@ def plan_runs(mission: MissionSpec, numbers: Mapping[str, Array]) -> Plan:
 
 
 def legs_of(
-    mission: MissionSpec, segments: Iterable[tuple[str, Any]], numbers: Mapping[str, float] | None = None
+    mission: MissionSpec, segments: Iterable[tuple[str, SegmentSpec]], numbers: Mapping[str, float] | None = None
 ) -> Iterator[list[Leg]]:
     """The legs of single segments of a mission, each begun at a place of its own.
 
@@ -111,7 +120,9 @@ class _Builder(Asked):
         self.segments: list[SegmentInfo] = []
         self._names: dict[str, int] = {}
         self._routes: list[Route] = []
-        self._made: dict[tuple[int, str, float | None], tuple[Any, list[Leg], str, float | None, list[Route]]] = {}
+        self._made: dict[
+            tuple[int, str, float | None], tuple[SegmentSpec, list[Leg], str, float | None, list[Route]]
+        ] = {}
         self._on_way: dict[tuple[int, int, str], Settings] = {}
         self._costs: dict[int, dict[tuple[int, str], float]] = {}
 
@@ -143,11 +154,11 @@ class _Builder(Asked):
             odd=self.odd.runs,
         )
 
-    def _segment(self, segment: Any) -> None:
-        if segment.kind == "repeat":
+    def _segment(self, segment: SegmentSpec | RepeatSegment) -> None:
+        if isinstance(segment, RepeatSegment):
             if segment.until is not None:
-                return self._until(segment)
-            for inner in itertools.chain.from_iterable(itertools.repeat(segment.segments, segment.times)):
+                return self._until(segment, segment.until)
+            for inner in itertools.chain.from_iterable(itertools.repeat(segment.segments, segment.least)):
                 self._segment(inner)
             return None
         if len(self.segments) >= MOST_SEGMENTS:
@@ -165,7 +176,7 @@ class _Builder(Asked):
                 self._made[where] = segment, legs, self.place, self.heading, self._routes[routes:]
         self.legs[before:] = [leg._replace(segment=index) for leg in legs]
 
-    def _legs(self, segment: Any, before: int) -> list[Leg]:
+    def _legs(self, segment: SegmentSpec, before: int) -> list[Leg]:
         """The legs of a segment, those from the builder's number `before` on."""
         base = self.settings(segment)
         self.scheme = base.scheme
@@ -181,17 +192,17 @@ class _Builder(Asked):
         self.legs[-1] = self.legs[-1]._replace(last=True, place=self.legs[-1].place or self.place)
         return self.legs[before:]
 
-    def _until(self, segment: Any) -> None:
+    def _until(self, segment: RepeatSegment, time: Parameter) -> None:
         """Rounds as many as could end by a time if there were nothing but what is planned of them."""
         block, self._blocks = self._blocks, self._blocks + 1
-        until = self.number(segment.until)
+        until = self.number(time)
         asked = None if self.rounds is None else self.rounds.get(block, 0)
         planned, done = 0.0, 0
         while asked is None or done < asked:
             before, segments = len(self.legs), len(self.segments)
             names, routes = dict(self._names), len(self._routes)
             for inner in segment.segments:
-                if inner.kind == "repeat" and inner.until is not None:
+                if isinstance(inner, RepeatSegment) and inner.until is not None:
                     raise self.fault(segment, "a block until a time inside another one", "times: 5 for the inner one")
                 self._segment(inner)
             took = sum(p.duration_s for step in group(self.legs[before:], self.limits) for p in step.phases)
@@ -213,7 +224,7 @@ class _Builder(Asked):
             self.legs[before] = self.legs[before]._replace(gate=gate._replace(first=True))
             done += 1
 
-    def _by_chance(self, segment: Any, before: int) -> float:
+    def _by_chance(self, segment: SegmentSpec, before: int) -> float:
         """Put stops at obstacles into the segment's legs; time [s] of relocalisations that fail at its end."""
         if self.rng is None:
             return 0.0
@@ -233,16 +244,16 @@ class _Builder(Asked):
     def _count(self, what: str, times: int) -> None:
         self.chance[what] = self.chance.get(what, 0) + times
 
-    def _name(self, segment: Any) -> None:
+    def _name(self, segment: SegmentSpec) -> None:
         label = segment.kind if segment.name is None else segment.name
-        if segment.name is None and label == "drive" and segment.distance is None:
-            label = f"drive {segment.to or segment.along[-1]}"
+        if segment.name is None and isinstance(segment, DriveSegment) and segment.distance is None:
+            label = f"drive {segment.to or (segment.along or ('',))[-1]}"
         count = self._names.get(label, 0) + 1
         self._names[label] = count
         name = label if count == 1 else f"{label} #{count}"
         self.segments.append(SegmentInfo(name, segment.kind, segment.line, label))
 
-    def _drive(self, segment: Any, base: Settings) -> None:
+    def _drive(self, segment: DriveSegment, base: Settings) -> None:
         if segment.distance is not None:
             heading = None if segment.heading is None else self.number(segment.heading)
             self._face(segment, base, heading)
@@ -269,7 +280,7 @@ class _Builder(Asked):
                 self._way(segment, base, way)
             self.place = stop
 
-    def _cost(self, segment: Any, base: Settings, least_of: str) -> Callable[[Way], float]:
+    def _cost(self, segment: SegmentSpec, base: Settings, least_of: str) -> Callable[[Way], float]:
         """Seconds, or Wh of all batteries, of each way at steady speed, by the files' values whatever is drawn."""
         key = id(segment)
         if key not in self._costs:
@@ -298,7 +309,7 @@ class _Builder(Asked):
         table = self._costs[key]
         return lambda way: table[way.edge, way.begin]
 
-    def _way(self, segment: Any, base: Settings, way: Way) -> None:
+    def _way(self, segment: SegmentSpec, base: Settings, way: Way) -> None:
         self._face(segment, base, way.heading_rad)
         pace = self.pace(segment, way.max_speed_m_s)
         key = id(base), way.edge, way.begin
@@ -308,7 +319,7 @@ class _Builder(Asked):
             self._ahead("roll", segment, here, way.length_m * (high - low), pace, edge=edge)
         self.legs[-1] = self.legs[-1]._replace(place=way.end)
 
-    def _ahead(self, kind: Kind, segment: Any, base: Settings, metres: float, pace: Pace, **more: Any) -> None:
+    def _ahead(self, kind: Kind, segment: SegmentSpec, base: Settings, metres: float, pace: Pace, **more: Any) -> None:
         """A leg that is driven, as much longer as the behaviour says."""
         metres = metres * self.stretch(segment)
         self.legs.append(Leg(kind, base, metres, pace.speed, instant=self.instant(segment), pace=pace, **more))
@@ -329,7 +340,7 @@ class _Builder(Asked):
             for low, high, metres in self.routes.away_from(way, points)
         ] or [(0.0, 1.0, settings)]
 
-    def _face(self, segment: Any, base: Settings, heading: float | None) -> None:
+    def _face(self, segment: SegmentSpec, base: Settings, heading: float | None) -> None:
         """Turn on the spot towards a heading, where the mission asks for it and headings are known."""
         if heading is None:
             return
@@ -339,19 +350,19 @@ class _Builder(Asked):
                 self._turn_by(segment, base, turn)
         self.heading = heading
 
-    def _turn_by(self, segment: Any, base: Settings, angle: float) -> None:
+    def _turn_by(self, segment: SegmentSpec, base: Settings, angle: float) -> None:
         rate = self.yaw_rate(segment)
         self.above_0(rate, segment, "a turn needs a yaw rate above 0")
         instant = self.mission.setting(segment, "profile") == "constant_speed"
         settings = base._replace(slope_rad=0.0)
         self.legs.append(Leg("turn", settings, angle_rad=angle, yaw_rate_rad_s=rate, instant=instant))
 
-    def _turn(self, segment: Any, base: Settings) -> None:
+    def _turn(self, segment: TurnSegment, base: Settings) -> None:
         angle = self.number(segment.angle)
         self._turn_by(segment, base, angle)
         self.heading = None if self.heading is None else self.heading + angle
 
-    def _arc(self, segment: Any, base: Settings) -> None:
+    def _arc(self, segment: ArcSegment, base: Settings) -> None:
         radius, angle = self.number(segment.radius), self.number(segment.angle)
         self.above_0(radius, segment, "an arc needs a radius above 0")
         pace = self.pace(segment, self.yaw_rate(segment) * radius)
@@ -359,12 +370,12 @@ class _Builder(Asked):
         self.place = ""
         self.heading = None if self.heading is None else self.heading + angle
 
-    def _move(self, segment: Any, base: Settings) -> None:
+    def _move(self, segment: MoveSegment, base: Settings) -> None:
         direction = self.number(segment.direction)
         self._ahead("slide", segment, base, self.number(segment.distance), self.pace(segment), direction_rad=direction)
         self.place = ""
 
-    def _inspect(self, segment: Any, base: Settings) -> None:
+    def _inspect(self, segment: InspectSegment, base: Settings) -> None:
         times = 1
         if segment.repeat_probability is not None and self.rng is not None:
             with self.told_at(segment.repeat_probability):
@@ -372,11 +383,11 @@ class _Builder(Asked):
             self._count("inspections_repeated", times - 1)
         self._stand(base, times * self.number(segment.duration))
 
-    def _wait(self, segment: Any, base: Settings) -> None:
+    def _wait(self, segment: WaitSegment, base: Settings) -> None:
         self._stand(base, self.number(segment.duration))
 
     def _stand(self, base: Settings, duration_s: float) -> None:
         self.legs.append(Leg("stand", base, duration_s=duration_s, place=self.place))
 
-    def _dock(self, segment: Any, base: Settings) -> None:
+    def _dock(self, segment: DockSegment, base: Settings) -> None:
         self.legs.append(Leg("dock", base, place=self.place, recharge=self.recharge(segment, self.place)))

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 from itertools import repeat
-from typing import Any
+from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+T = TypeVar("T")
 
 
 def least(first: float, second: float) -> float:
@@ -34,13 +36,13 @@ def sign(number: float) -> float:
     return math.copysign(1.0, number) if isinstance(number, float) else np.copysign(1.0, number)
 
 
-def spread(value: Any, count: int) -> list[Any] | None:
+def spread(value: T, count: int) -> list[T] | None:
     """What a part of a plan of `count` runs is in each of them; None where it is the same in all."""
     if isinstance(value, np.ndarray):
         return value.tolist() if value.shape == (count,) else None
     if isinstance(value, dict):
         inside = spread(tuple(value.values()), count)
-        return None if inside is None else [dict(zip(value, values, strict=True)) for values in inside]
+        return None if inside is None else cast("list[T]", [dict(zip(value, values, strict=True)) for values in inside])
     if not isinstance(value, tuple) or isinstance(value, str):
         return None
     columns = [spread(item, count) for item in value]

@@ -214,7 +214,7 @@ def along(base: Settings, way: Way, surface: str | None = None) -> Settings:
     return base._replace(slope_rad=way.slope_rad, surface=surface or way.surface or base.surface, extra=extra)
 
 
-def routes_of(mission: MissionSpec, numbers: Mapping[str, Any]) -> Routes | None:
+def routes_of(mission: MissionSpec, numbers: Mapping[str, float]) -> Routes | None:
     """The routes through a mission's environment; found once where none of its numbers is drawn."""
     environment = mission.environment
     if environment is None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from missionsim.inputs.robot import RobotSpec
 from missionsim.physics import Array
 from missionsim.plan.draws import Odd, sign
 from missionsim.plan.kinematics import ramp_phases
@@ -145,7 +146,7 @@ def _phase(leg: Leg, index: int, duration_s: float, speed: float, rate: float) -
     return Phase(duration_s, index, speed, rate, yaw_rad_s=speed * bend, yaw_rad_s2=rate * bend, moving=True)
 
 
-def slow_components(robot: Any) -> frozenset[str]:
+def slow_components(robot: RobotSpec) -> frozenset[str]:
     """Components that are not on at once: they, or something they require, take time to start."""
     table = robot.components
 

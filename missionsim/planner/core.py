@@ -120,7 +120,7 @@ class Bounds:
             return np.asarray(points[:, self._without_time])
         return points if self.shear is None else points - np.minimum(points[:, [self.clock]], self.until) * self.shear
 
-    def of(self, nodes: Any, chains: Array, *, closely: bool = True) -> Array:
+    def of(self, nodes: int | NDArray[np.intp], chains: Array, *, closely: bool = True) -> Array:
         """Lower bounds of the objective by way of any point of chains at nodes, shape (n,).
 
         `chains` (shape (points, n, resources)); without `closely` somewhat lower ones, sooner.

@@ -14,7 +14,7 @@ import numpy as np
 
 from missionsim.files import Json, write_text
 from missionsim.inputs.examples import shipped_robots
-from missionsim.inputs.loading import load_robot, load_task
+from missionsim.inputs.loading import Override, load_robot, load_task
 from missionsim.inputs.task import TaskSpec, VisitSpec
 from missionsim.physics import Array
 from missionsim.plan.legs import Leg as PlanLeg
@@ -51,7 +51,7 @@ class Reached:
 
 
 def reach_task(
-    environment: Path, robot: str, begin: str, overrides: Sequence[tuple[str, Any]] = (), end: str | None = None
+    environment: Path, robot: str, begin: str, overrides: Sequence[Override] = (), end: str | None = None
 ) -> TaskSpec:
     """The task of going out from a place and coming back to it (or to another).
 

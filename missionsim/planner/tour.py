@@ -227,7 +227,9 @@ def _leaving(physics: Physics, stop: Stop, number: int) -> State:
     return State(stop.place, 0.0, FREE if stood else ROLLED)
 
 
-def visit_segment(visit: VisitSpec, payload_kg: float, choice: SchemeChoice | None = None) -> Any:
+def visit_segment(
+    visit: VisitSpec, payload_kg: float, choice: SchemeChoice | None = None
+) -> InspectSegment | WaitSegment:
     """The segment of a mission in which a visit is made."""
     chosen = visit if choice is None else choice
     common: dict[str, Any] = {

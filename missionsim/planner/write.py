@@ -105,6 +105,6 @@ def _text(value: str) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def flow(value: Any) -> str:
+def flow(value: object) -> str:
     """Plain data as one line of YAML; JSON is a part of YAML 1.2, and its numbers keep all digits."""
     return json.dumps(value, ensure_ascii=False)

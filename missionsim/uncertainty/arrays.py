@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import Columns
+from missionsim.effects.covariates import Columns, Truth
 from missionsim.effects.integrate import SAMPLES, averaged
 from missionsim.effects.model import PowerModel
 from missionsim.engine.batteries import ConstantEnergy
@@ -71,21 +71,20 @@ class ArrayMission:
     parts: tuple[Part, ...]
     """What the nominal run consists of: its legs, and waits for components that start up."""
 
-    def block(self, seed: int, first: int, count: int) -> dict[str, NDArray[Any]]:
+    def block(self, seed: int, first: int, count: int) -> dict[str, NDArray[np.generic]]:
         """Columns of the runs ``first … first + count − 1``."""
         draws = self.sampler.draw(seed, first, count)
-        columns, again = self.evaluate(draws, count)
-        columns = {"run": np.arange(first, first + count, dtype=np.int64), **columns}
-        for name, values in draws.items():
-            columns[f"drawn:{name}"] = values
+        found, again = self.evaluate(draws, count)
+        columns = {"run": np.arange(first, first + count, dtype=np.int64), **found}
+        columns |= {f"drawn:{name}": values for name, values in draws.items()}
         chosen = np.flatnonzero(again)
         if chosen.size:
             drawn = {name: values[chosen] for name, values in draws.items()}
             runs = simulate_block(
                 self.mission, self.model, self.sampler, seed, first, chosen.size, draws=drawn, runs=first + chosen
             )
-            for name, values in columns.items():
-                values[chosen] = runs[name]
+            for name, column in columns.items():
+                column[chosen] = runs[name]
         return columns
 
     @property
@@ -93,7 +92,7 @@ class ArrayMission:
         """Intervals of the nominal run."""
         return sum(len(step.phases) for step in self.plan.steps)
 
-    def evaluate(self, draws: Draws, count: int) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
+    def evaluate(self, draws: Draws, count: int) -> tuple[dict[str, NDArray[np.generic]], NDArray[np.bool_]]:
         """Columns at given draws, and the runs that need SimPy.
 
         `draws`: value name → ndarray of shape (count,).
@@ -212,7 +211,7 @@ class ArrayMission:
             ):
                 np.multiply(joules, 1.0 / J_PER_WH, out=columns[f"{quantity}_{name}_wh"])
 
-    def split(self, setup: RunSetup) -> tuple[Intervals, Any]:
+    def split(self, setup: RunSetup) -> tuple[Intervals, Truth]:
         """Intervals of many runs, and which runs have another order of events."""
         whole = all(part.phase is None and not part.waits for part in self.parts)
         if whole and all(leg.recharge is None for leg in self.plan.legs):

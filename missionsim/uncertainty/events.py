@@ -6,15 +6,17 @@ their order has an interval of negative length, and is given back to SimPy.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from missionsim.effects.covariates import Truth
 from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.meter import alone
 from missionsim.engine.recorder import REST
 from missionsim.engine.simulate import RunSetup
-from missionsim.physics import Array
+from missionsim.physics import Array, Value
 from missionsim.plan.legs import Phase, Plan
 from missionsim.uncertainty.matrices import PROGRESS_POINTS, Intervals, Progress
 
@@ -79,8 +81,8 @@ def _whole(plan: Plan, found: list[Part]) -> list[Part]:
 
 
 def phases_of(
-    plan: Plan, nominal: Plan, parts: tuple[Part, ...], startup_s: list[Any]
-) -> tuple[list[Phase], list[int], Any]:
+    plan: Plan, nominal: Plan, parts: tuple[Part, ...], startup_s: Sequence[Value]
+) -> tuple[list[Phase], list[int], Truth]:
     """The phases of many runs and what each is part of.
 
     `plan`: of many runs; `nominal`: from which `parts` are; `startup_s` (shape (runs,)): of each component. Gives
@@ -89,10 +91,10 @@ def phases_of(
     by_leg, usual = _by_leg(plan), _by_leg(nominal)
     made: list[Phase] = []
     which: list[int] = []
-    odd: Any = False
-    now: Any = 0.0
-    switched: dict[int, Any] = {}
-    begun: tuple[tuple[int, int], Any] = (-1, -1), 0.0
+    odd: Truth = False
+    now: Value = 0.0
+    switched: dict[int, Value] = {}
+    begun: tuple[tuple[int, int], Value] = (-1, -1), 0.0
     before = (0.0,) * len(startup_s)
     for number, part in enumerate(parts):
         for c, units in enumerate(part.starting):
@@ -102,7 +104,7 @@ def phases_of(
         ready = [switched[c] + startup_s[c] for c in part.ready]
         odd = odd | np.any([np.abs(one - ready[0]) > TIE_S for one in ready[1:]], axis=0) if ready[1:] else odd
         if part.waits:
-            made.append(Phase(np.maximum(ready[0] - now, 0.0), part.leg))
+            made.append(Phase(cast("float", np.maximum(ready[0] - now, 0.0)), part.leg))
             odd, now = odd | (ready[0] - now < -TIE_S), ready[0]
         elif part.phase is None:
             for phase in by_leg[part.leg]:
@@ -116,7 +118,7 @@ def phases_of(
             if begun[0] != (part.leg, part.phase):
                 begun = (part.leg, part.phase), now
             end = ready[0] if ready else begun[1] + _lasting(plan, phase)
-            lasts, odd = np.maximum(end - now, 0.0), odd | (end - now < -TIE_S)
+            lasts, odd = cast("float", np.maximum(end - now, 0.0)), odd | (end - now < -TIE_S)
             made.append(_later(phase, now - begun[1])._replace(duration_s=lasts))
             now = end
         which += [number] * (len(made) - len(which))
