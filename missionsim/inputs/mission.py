@@ -1,7 +1,7 @@
 """The mission file, and the study file: alternatives of a mission as differences to a baseline."""
 
 from collections.abc import Callable
-from typing import Annotated, Any, Literal, TypeVar, cast
+from typing import Annotated, Any, Literal, TypeVar, cast, overload
 
 from pydantic import BeforeValidator, Discriminator, Field, JsonValue, PrivateAttr, Tag, model_validator
 
@@ -146,7 +146,13 @@ class MissionSpec(FileModel):
         """What the command line set: (path, text)."""
         return self._overrides
 
-    def setting(self, segment: object, key: str) -> Any:
+    @overload
+    def setting(self, segment: object, key: Literal["speed", "yaw_rate", "payload"]) -> Parameter | None: ...
+
+    @overload
+    def setting(self, segment: object, key: Literal["surface", "profile"]) -> str | None: ...
+
+    def setting(self, segment: object, key: str) -> object:
         """A setting of a segment, else of `defaults`, else None (``speed``, ``scheme``, ``payload``…)."""
         own = getattr(segment, key, None)
         return own if own is not None else getattr(self.defaults, key, None)

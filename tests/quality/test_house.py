@@ -12,12 +12,12 @@ import pytest
 from tests.mutants.study import MUTANTS
 
 PACKAGE = Path(__file__).resolve().parents[2] / "missionsim"
-RULED = ("cli", "compare", "diagnose", "effects", "exchange", "fit", "identify", "importer", "inputs", "laws", "logs")
-RULED += ("published", "report", "results", "runs", "uncertainty")
-"""Rooms that keep the rules; what lies beside the rooms is one more, called ``""``."""
+ROOMS = ["", *sorted(path.parent.name for path in PACKAGE.glob("*/__init__.py"))]
+"""What lies beside the rooms is one more, called ``""``."""
+MANY_BY_POSITION = ("", "engine", "plan", "planner")
+"""Rooms with constructors, named tuples most of them, that take more."""
 MOST_LINES, MOST_POSITIONAL = 400, 8
-ANY = {"cli": 0, "compare": 0, "effects": 0, "exchange": 1, "importer": 0, "inputs": 1, "logs": 0, "published": 0}
-ANY |= {"report": 0, "results": 0, "uncertainty": 9, "": 1}
+ANY = {"": 1, "exchange": 1, "planner": 4}
 """Public signatures with `Any` that are left; a number may only fall."""
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -66,7 +66,7 @@ def test_no_module_is_long() -> None:
     assert {name: size for name, size in sizes.items() if size > MOST_LINES} == {}
 
 
-@pytest.mark.parametrize("room", RULED)
+@pytest.mark.parametrize("room", sorted({*ROOMS} - {*MANY_BY_POSITION}))
 def test_no_constructor_takes_many_arguments_by_position(room: str) -> None:
     classes = [
         (path, item) for path in modules(room) for item in ast.walk(tree(path)) if isinstance(item, ast.ClassDef)
@@ -75,7 +75,7 @@ def test_no_constructor_takes_many_arguments_by_position(room: str) -> None:
     assert {name: count for name, count in found.items() if count > MOST_POSITIONAL} == {}
 
 
-@pytest.mark.parametrize("room", ANY)
+@pytest.mark.parametrize("room", ROOMS)
 def test_public_signatures_say_what_they_take(room: str) -> None:
     found = []
     for path in modules(room):
@@ -85,7 +85,7 @@ def test_public_signatures_say_what_they_take(room: str) -> None:
             hints = [function.returns, *(one.annotation for one in listed if one is not None)]
             if any("Any" in names(hint) for hint in hints):
                 found.append(f"{path.relative_to(PACKAGE)}:{function.lineno} {name}")
-    assert len(found) <= ANY[room], "\n".join(found)
+    assert len(found) <= ANY.get(room, 0), "\n".join(found)
 
 
 def test_every_mutant_still_has_its_line() -> None:
