@@ -24,8 +24,9 @@ from tests.hidden_effects.world import Case, make, write
 pytestmark = pytest.mark.benchmark_ratio
 
 GRADE = Case("speed", ("grade",), 0.05, rate_hz=10.0, runs=12, heldout=2)
-MOST = {"PySINDy's ensemble": 16.0, "LASSO": 33.0, "stepwise, HAC": 11.0}
-"""Ratios that may not be exceeded: half as much again as those that were measured (10.2, 21.8, 6.8)."""
+MOST = {"PySINDy's ensemble": 18.0, "LASSO": 42.0, "stepwise, HAC": 12.0}
+"""Ratios that may not be exceeded: a quarter more than on an idle machine (13.5, 33.6, 9.2), whose caches hold all of
+what the peers need; beside other work 9.5, 19.4 and 6.7 on the same day."""
 MOST_OF_READING = {"csv": 40.0, "parquet": 60.0}
 ALPHA = 0.002
 

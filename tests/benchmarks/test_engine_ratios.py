@@ -13,9 +13,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import simpy
 
+from missionsim.control import PowerPredictor
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
 from missionsim.inputs.loading import load_mission
@@ -209,3 +211,17 @@ def test_cost_of_an_event_within_ten_bare_timeouts(
     ours, theirs = (seconds / steps for seconds in in_turns(lambda: simulate(mission), bare, 10.0))
     print(f"ours {ours * 1e6:.1f} µs an event, bare timeout {theirs * 1e6:.2f} µs, ratio {ours / theirs:.1f}")
     assert ours / theirs < 10.0
+
+
+def test_a_table_of_speeds_costs_little_more_than_a_point() -> None:
+    """Watts of a control loop: the fixed cost of an evaluation outweighs the first thousand points."""
+    rover = PowerPredictor("rover_tx2")
+
+    def seconds(points: int) -> float:
+        speeds, clocks = np.linspace(0.5, 5.0, points), np.full(points, 1.2672e9)
+        return min(seconds_of(lambda: [rover.power(speeds, clocks, 0.6) for _ in range(5)]) for _ in range(15)) / 5
+
+    few, many, most = (seconds(points) for points in (12, 2_052, 20_412))
+    print(f"12 points {few * 1e3:.2f} ms; 2,052 take {many / few:.2f} times as long, 20,412 {most / few:.1f} times")
+    assert many < 4.0 * few
+    assert most < 30.0 * few

@@ -102,9 +102,10 @@ def test_import_of_csv(megabytes: int, tmp_path: Path) -> None:
     pa.csv.write_csv(pa.table({name: np.round(values, 4) for name, values in columns.items()}), source)
     assert source.stat().st_size == pytest.approx(megabytes * 1e6, rel=0.1)
     cost(MISSIONSIM, "import", source, "--suggest", "--out", made, "--quiet")
-    ours = cost(MISSIONSIM, "import", source, "--map", made, "--out", tmp_path / "ours.parquet", "--quiet")
+    words = ("import", source, "--map", made, "--out", tmp_path / "ours.parquet", "--quiet")
     peer = "import pandas; pandas.read_csv(sys.argv[1]).to_parquet(sys.argv[2])"
-    theirs = cost(peer, source, tmp_path / "theirs.parquet")
+    turns = [(cost(MISSIONSIM, *words), cost(peer, source, tmp_path / "theirs.parquet")) for _ in range(3)]
+    ours, theirs = (min(turn, key=lambda one: one.cpu_s) for turn in zip(*turns, strict=True))
     print(f"CSV of {source.stat().st_size / 1e6:.0f} MB: {ours}; pandas {theirs}")
     print(f"{ours.cpu_s / theirs.cpu_s:.2f} times the time, {ours.memory_gb / theirs.memory_gb:.2f} times the memory")
     assert ours.cpu_s <= 3.0 * theirs.cpu_s
