@@ -250,6 +250,7 @@ def _add_columns(
         refit,
         covariate=effect.covariate,
         levels=levels,
+        by_clock=bool(effect.memory) or effect.impulse is not None,
         # of a robot whose mass nobody knows the coefficient is a mass
         plausible=effect.coefficient.plausible if not effect.recovers or "body_mass_kg" in runs[0] else math.inf,
         shape_bounds={spec.name: (spec.low, spec.high) for spec in effect.shape if shape and spec.name in shape[0]},

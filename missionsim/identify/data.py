@@ -77,6 +77,7 @@ class Candidate:
     shape_bounds : lowest and highest value of each shape parameter for the refit
     unlogged : loads of which nothing tells when they were on and that may be what this effect explains, with their
         power together [W]
+    by_clock : whether it goes by time since something began, or by starts: by nothing that a sensor measures
     plausible : beyond this coefficient the finding says that it may stand for something else
     never_on : loads whose switch is logged and never on, with their power [W]: an effect of about that size may be one
         of them, and the column stuck
@@ -95,6 +96,7 @@ class Candidate:
     levels: tuple[str, ...] = ()
     shape_bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     unlogged: tuple[tuple[str, ...], float] = ((), 0.0)
+    by_clock: bool = False
     plausible: float = math.inf
     never_on: Mapping[str, float] = field(default_factory=dict)
 

@@ -195,11 +195,13 @@ def predicts_left_out(model: Model, columns: Sequence[int]) -> tuple[bool, float
     rest = [c for c in model.chosen if c not in columns]
     with_it, without = squares.leave_out(model.chosen), squares.leave_out(rest)
     better = with_it.total < without.total
-    count = len(squares.sums)
+    measured = squares.measured()
+    told = measured != 0.0  # a drive whose meter stood at nought has no energy error
+    count = int(told.sum())
     if count < SEVERAL_RUNS:
         return better, 1.0
     after, before = squares.energy_left_out(model.chosen, with_it), squares.energy_left_out(rest, without)
-    rise = (np.abs(after) - np.abs(before)) / squares.measured()
+    rise = (np.abs(after) - np.abs(before))[told] / measured[told]
     error = float(np.std(rise, ddof=1)) / np.sqrt(count)
     return better, float(stdtr(count - 1, -float(np.mean(rise)) / max(error, 1e-300)))
 

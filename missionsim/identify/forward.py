@@ -30,6 +30,7 @@ from missionsim.identify.settings import (
     POWER_Z,
     RIVAL_PART,
     ROUGH,
+    SEVERAL_RUNS,
     UNCLEAR,
     Settings,
 )
@@ -274,15 +275,16 @@ class _Search:
         fall = before.square - after.square
         worse = np.abs(squares.energy_left_out(chosen, after)) - np.abs(squares.energy_left_out(beside, before))
         spread = float(np.std(worse, ddof=1)) / np.sqrt(folds) if folds > 1 else np.inf
+        halved, runs = after.total < HALVED * before.total, int(squares.run.max()) + 1
         logged = self.candidates[number].effect.startswith(LOGGED)
         effects = len({column.candidate for column in layout.columns})
         passed = {
             "runs": float(fall.sum()) > (PASS_THROUGH_FALL if logged else LEAST_FALL) * before.total,
             # without the run that falls most: what helps one run alone is chance, or that run
             "several runs": float(fall.sum() - fall.max()) > 0.0,
-            "robust": p_value < max(FAMILY_LEVEL, self.settings.alpha) / effects
-            or (p_value < HALVED_LEVEL and after.total < HALVED * before.total),
+            "robust": p_value < max(FAMILY_LEVEL, self.settings.alpha) / effects or (halved and p_value < HALVED_LEVEL),
             "energy": float(worse.mean()) < UNCLEAR * spread,
+            "clock": not self.candidates[number].by_clock or runs > SEVERAL_RUNS or (runs > 1 and halved),
             "practical": float(np.abs(shares).sum()) > self.settings.min_share,
             "beyond recalibration": self._beyond_recalibration(number, own[0], float(shares[0])),
         }

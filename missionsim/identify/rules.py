@@ -76,6 +76,10 @@ def _practical(q: Question) -> bool:
     return abs(q.evidence.share) > q.settings.min_share
 
 
+def _clock(q: Question) -> bool:
+    return len(q.model.design.runs) > 1 or not _candidate(q).by_clock
+
+
 def _several_runs(q: Question) -> bool:
     if len(q.model.design.runs) < 2 or not cause_is_constant(q.model, q.evidence.column, q.candidates):
         return True
@@ -91,6 +95,7 @@ GATES: tuple[Gate, ...] = (
     Gate("likelihood", _likelihood, "the rise of the likelihood could be chance"),
     Gate("robust", _robust, "not significant with errors that allow for correlated noise"),
     Gate("practical", _practical, "significant but negligible"),
+    Gate("clock", _clock, "in so few runs whatever wanders looks like warming up or like starts"),
     Gate("several runs", _several_runs, "rests on one run, which may differ from the others in something else"),
     Gate("beyond recalibration", _beyond_recalibration, "within what recalibration of the base model allows"),
 )

@@ -194,6 +194,25 @@ def test_inertia_that_a_base_lacks_is_no_advance_of_its_meter() -> None:
     assert (fit.delay_s, fit.lag_s) == (0.0, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("runs", "newtons", "named"), [(1, 20.0, False), (1, 60.0, False), (3, 60.0, True), (6, 20.0, True)]
+)
+def test_warming_up_is_named_where_several_runs_show_it_or_a_few_clearly(
+    runs: int, newtons: float, named: bool
+) -> None:
+    logs = []
+    for seed in range(runs):
+        log = drive(seed, seconds=400.0, scrub_w_s_rad=16.0)
+        moved = np.cumsum(log.columns["speed_m_s"] > 0.0) * log.dt_s
+        power = log.power_w[BATTERY] + newtons * log.columns["speed_m_s"] * np.exp(-moved / 80.0)
+        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
+    made = calibrate_new(NewRobot("own", BASE), logs)
+    done = improve(made.text, Split(tuple(logs), (), ""), BATTERY, Settings(), lambda *_: True)
+    assert ("cold_friction" in done.added) is named
+    refused = {c.effect: c.reason for c in done.first.candidates if not c.accepted}
+    assert ("warming up" in refused.get("cold_friction", "")) is not named
+
+
 def test_what_is_seventy_times_its_inertia_is_doubted() -> None:
     logs = []
     for seed in range(6):
