@@ -145,6 +145,8 @@ class Outcome:
     """Both: of that way, and below which no way is; equal where it is proved optimal."""
     labels: int = 0
     """How many were taken."""
+    arcs: int = 0
+    """How many arcs were looked at."""
     runners_up: list[Label] = field(default_factory=list)
     interrupted: bool = False
 
@@ -248,6 +250,7 @@ def search(
                 if not every_goal:
                     continue
             refilled, values, make = expand(network, label, bounds, room)
+            outcome.arcs += len(values)
             arcs = np.flatnonzero(values < below()).tolist()
             for value, new in itertools.chain(refilled, ((float(values[i]), make(i)) for i in arcs)):
                 if value < below() and len(new.points):

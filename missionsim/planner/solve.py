@@ -17,7 +17,7 @@ from missionsim.planner.core import Label, Outcome, quick, search
 from missionsim.planner.drives import Drive
 from missionsim.planner.dual import best_prices, prices_ahead, unit
 from missionsim.planner.large import MORE_VALUE, solve_large
-from missionsim.planner.orders import MOST_FREE
+from missionsim.planner.orders import MOST_FREE, Order
 from missionsim.planner.tour import Site
 
 Watch = Callable[[str, float, float], bool]
@@ -122,6 +122,11 @@ def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True) -
     if not valued or not any(visit.value is not None for visit in site.task.visits):
         return _solve(site, Tour, watch)
     values = np.array([visit.value or 0.0 for visit in site.task.visits])
+    needed = tuple(v.model_copy(update={"value": None}) if v.value else v for v in site.task.visits)
+    whole = site.task.model_copy(update={"visits": needed})
+    every = _solve(replace(site, task=whole, order=Order(whole, site.order.sequence)), Tour, watch, soon=True)
+    if every.feasible or every.stopped:
+        return replace(every, site=site)
     first = replace(site, weights=np.zeros_like(site.weights))
     most = _solve(first, partial(Tour, values=values, by_value=True), watch)
     if not most.feasible:
@@ -136,8 +141,11 @@ def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True) -
     return best
 
 
-def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Answer:
-    """The plan of least objective of a network of stops, whose drives are still to be chosen."""
+def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None, *, soon: bool = False) -> Answer:
+    """The plan of least objective of a network of stops, whose drives are still to be chosen.
+
+    `soon`: none unless one is found among few drives.
+    """
     tour = network(site, Fronts(site))
     prices = best_prices(tour)
     ends = in_time(site)
@@ -153,7 +161,7 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
         return answer_of(tour, best, objective, objective)
     if not (site.timeless or site.weights[0] or prices.best[0] or site.windowed):
         # where the best plan of all takes no longer than it may, nothing is to be chosen for its time
-        free = _solve(replace(site, deadline_s=math.inf, timeless=True), network, watch)
+        free = _solve(replace(site, deadline_s=math.inf, timeless=True), network, watch, soon=soon)
         if free.duration_s <= site.deadline_s * (1.0 + PROVED) if free.feasible else not free.stopped:
             return replace(free, site=site)
         bound = max(bound, free.bound)
@@ -183,7 +191,7 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
 
         def told(outcome: Outcome, waiting: int, low: float = bound, high: float = base + gap) -> bool:
             nonlocal tired
-            tired = math.isfinite(outcome.objective) and outcome.labels > MOST_LABELS
+            tired = (soon or math.isfinite(outcome.objective)) and outcome.labels > MOST_LABELS
             return tired or (
                 watch is not None and watch("search", outcome.objective, min(max(outcome.bound, low), high))
             )
@@ -203,7 +211,11 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None) -> Ans
         needed = _below(sums, objective) - base
         if objective <= bound:
             break
-        if stopped or (exact and (tired or needed <= gap or math.isinf(gap) or (best and not drives.complete))):
+        if (
+            stopped
+            or (soon and best is None)
+            or (exact and (tired or needed <= gap or math.isinf(gap) or (best and not drives.complete)))
+        ):
             break
         gap = min(STEP * (gap if exact or math.isinf(needed) else FIRST_GAP * scale), needed)
         if gap > MOST_GAP * FIRST_GAP * scale:

@@ -56,47 +56,43 @@ class Charger:
     """Of each battery, up to which fraction of its capacity what comes in less what the robot draws [W]. Tuple of
     (tuple of (level, gain))."""
 
-    def after(self, x: Array, seconds: float, level: float = 1.0) -> Array:
-        """The vector after charging for some time, batteries held at a level once there."""
-        made = x.copy()
-        made[0] += self.rate * seconds
-        made[1] += seconds
-        count = len(self.gain_w)
-        missing = x[2 : 2 + count]
-        floor = (1.0 - level) * self.capacity_wh
-        charged = np.array([self._charged(b, float(missing[b]), seconds) for b in range(count)])
-        charged = np.maximum(charged, np.minimum(floor, missing))
-        made[2 : 2 + count] = np.where(self.served, charged, missing + self.draw_w * seconds / 3600.0)
+    @cached_property
+    def _curves(self) -> list[tuple[Array, Array] | None]:
+        """Of each battery that is charged, Wh missing and the seconds from empty to there; both rise and fall so."""
+        made: list[tuple[Array, Array] | None] = []
+        for charged, capacity, taper in zip(
+            self.served & (self.gain_w > 0.0), self.capacity_wh, self.tapers, strict=True
+        ):
+            missing = capacity * (1.0 - np.array([0.0, *(upper for upper, _ in taper)]))
+            gains = np.array([gain for _, gain in taper])
+            times = np.cumsum([0.0, *(-np.diff(missing) * 3600.0 / gains)]) if charged else missing
+            made.append((missing, times) if charged else None)
         return made
 
-    def _charged(self, battery: int, missing: float, seconds: float) -> float:
-        """What a battery lacks after charging for some time [Wh]."""
-        capacity, left = float(self.capacity_wh[battery]), seconds
-        for upper, gain in self.tapers[battery]:
-            there = (1.0 - upper) * capacity
-            if missing <= there:
-                continue
-            needed = (missing - there) * 3600.0 / gain if gain > 0.0 else math.inf
-            if needed >= left:
-                return missing - gain * left / 3600.0
-            missing, left = there, left - needed
-        return missing
+    def after(self, x: Array, seconds: Array, level: float = 1.0) -> Array:
+        """The vectors after charging for some times, shape (times, resources); held at a level once there."""
+        made = np.repeat(x[None, :], len(seconds), axis=0)
+        made[:, 0] += self.rate * seconds
+        made[:, 1] += seconds
+        for b, curve in enumerate(self._curves):
+            missing = x[2 + b]
+            if curve is None:
+                made[:, 2 + b] -= self.gain_w[b] * seconds / 3600.0
+            else:
+                there = np.interp(missing, curve[0][::-1], curve[1][::-1]) + seconds
+                floor = min((1.0 - level) * self.capacity_wh[b], missing)
+                made[:, 2 + b] = np.maximum(np.interp(there, curve[1], curve[0]), floor)
+        return made
 
-    def seconds_to(self, x: Array, level: float | Array) -> Array:
+    def seconds_to(self, x: Array, level: float) -> Array:
         """Time until each battery served is at a level, shape (batteries,); infinite where it never is."""
-        count = len(self.gain_w)
-        made = np.zeros(count)
-        for b, asked in enumerate(np.broadcast_to(level, count).tolist()):
-            missing, capacity = float(x[2 + b]), float(self.capacity_wh[b])
-            if not self.served[b]:
-                continue
-            for upper, gain in self.tapers[b]:
-                there = (1.0 - min(upper, asked)) * capacity
-                if missing > there:
-                    made[b] += (missing - there) * 3600.0 / gain if gain > 0.0 else math.inf
-                    missing = there
-                if upper >= asked:
-                    break
+        made = np.zeros(len(self.gain_w))
+        for b, curve in enumerate(self._curves):
+            missing, goal = x[2 + b], (1.0 - level) * self.capacity_wh[b]
+            if curve is None:
+                made[b] = math.inf if self.served[b] and missing > goal else 0.0
+            elif missing > goal:
+                made[b] = np.subtract(*np.interp([goal, missing], curve[0][::-1], curve[1][::-1]))
         return made
 
     def level_of(self, x: Array, seconds: float) -> float | None:
@@ -117,12 +113,15 @@ class Charger:
             for level in self.levels:
                 seconds = float(self.seconds_to(x, level).max())
                 if 0.0 < seconds < math.inf:
-                    made.append(self.after(x, seconds, level)[None, :])
+                    made.append(self.after(x, np.array([seconds]), level))
             return made
-        levels = sorted({upper for taper in self.tapers for upper, _ in taper})
-        times = np.concatenate([self.seconds_to(x, level) for level in levels])
-        knots = sorted({float(t) for t in times if 0.0 < t < math.inf})
-        return [np.array([x, *(self.after(x, t) for t in knots)])] if knots else []
+        curves = [
+            (x[2 + b], curve[0][::-1], curve[1][::-1]) for b, curve in enumerate(self._curves) if curve is not None
+        ]
+        times = [bends - np.interp(missing, known, bends) for missing, known, bends in curves]
+        knots = np.unique(np.concatenate([np.empty(0), *times]))
+        knots = knots[knots > 0.0]
+        return [np.concatenate([x[None, :], self.after(x, knots)])] if knots.size else []
 
 
 @dataclass
