@@ -20,10 +20,10 @@ class Order:
     """The states of a task's visits.
 
     A state is the set of visits done, as bits; in a given order that leaves nothing out (or of more than `MOST_FREE`
-    visits) it is how many of them lie behind. `sequence`: an order to keep to.
+    visits) it is how many of them lie behind. `sequence`: an order to keep to; `most_kg`: in place of the task's.
     """
 
-    def __init__(self, task: TaskSpec, sequence: tuple[int, ...] | None = None) -> None:
+    def __init__(self, task: TaskSpec, sequence: tuple[int, ...] | None = None, most_kg: float | None = None) -> None:
         self.visits = task.visits
         count = len(self.visits)
         given = task.defaults.payload
@@ -44,7 +44,7 @@ class Order:
         self._earlier = [sum(1 << other for other in needs) for needs in earlier]
         self._later = [sum(1 << i for i in range(count) if other in earlier[i]) for other in range(count)]
         self._needed = sum(1 << i for i in range(count) if not self._optional[i])
-        self._most_kg = task.most_kg
+        self._most_kg = task.most_kg if most_kg is None else most_kg
 
     @cached_property
     def count(self) -> int:

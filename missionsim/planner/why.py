@@ -11,7 +11,9 @@ import numpy as np
 
 from missionsim.files import Json
 from missionsim.inputs.task import SchemeChoice, TaskSpec
+from missionsim.inputs.values import Parameter
 from missionsim.planner.answer import Answer
+from missionsim.planner.orders import MOST_FREE, Order
 from missionsim.planner.solve import Watch, solve_site
 from missionsim.planner.tour import Site, make_site
 
@@ -29,7 +31,7 @@ def explain(site: Site) -> Json:
     if not site.order.possible:
         limit = "above nothing" if site.task.most_kg is None else f"between 0 and {site.task.most_kg:g} kg"
         line = f"payload: no order of the visits that the task allows keeps the load {limit}"
-        return {"short": [{"what": "payload"}], "would_do": [], "text": [line]}
+        return _told([{"what": "payload"}], [*_lighter(site), *_one_less(site)], [line])
     short: list[dict[str, Any]] = []
     changes: list[dict[str, Any]] = []
     if math.isfinite(site.deadline_s):
@@ -90,8 +92,7 @@ def explain(site: Site) -> Json:
                 "relative": larger / capacity - 1.0,
             }
         )
-    changes += list(_other_changes(site))
-    changes.sort(key=lambda change: change["relative"])
+    changes += [*_one_less(site), *_other_changes(site)]
     lines = []
     for item in short:
         amount = f"{item['short_s']:.1f} s" if "short_s" in item else f"{item['short_wh']:.3f} Wh"
@@ -100,6 +101,11 @@ def explain(site: Site) -> Json:
         lines.append(f"{what}: {amount} short, {where}")
     if not short:
         lines += _together(site)
+    return _told(short, changes, lines)
+
+
+def _told(short: list[dict[str, Any]], changes: list[dict[str, Any]], lines: list[str]) -> dict[str, Any]:
+    changes.sort(key=lambda change: change["relative"])
     if changes:
         lines.append("smallest single change that would do: " + changes[0]["text"])
         lines += [f"or: {change['text']}" for change in changes[1:4]]
@@ -171,22 +177,56 @@ def _up(value: float, digits: int) -> float:
     return math.ceil(ENOUGH * value * 10.0**digits) / 10.0**digits
 
 
-def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
-    """A visit less; the docks that the task does not use."""
+def _lighter(site: Site) -> Iterator[dict[str, Any]]:
+    """The least that the robot would have to be able to carry, and what it would have to carry from the start."""
+    task, order, most = site.task, site.order, site.task.most_kg
+    if order.sequence is None and len(task.visits) > MOST_FREE:
+        return
+    loads = order.loads[0]
+    for load in [] if most is None else loads[loads > most].tolist():
+        if solve_site(make_site(task, Order(task, order.sequence, most_kg=load))).feasible:
+            own, body = task.within.max_payload, task.robot.body.max_payload
+            key = (
+                "robot.body.max_payload" if own is None or (body and body.value <= own.value) else "within.max_payload"
+            )
+            text = f"a greatest load of {load:g} kg in place of {most:g} kg ({key})"
+            yield {
+                "change": key,
+                "to": load,
+                "unit": "kg",
+                "text": text,
+                "relative": load / max(most or 0.0, 1e-9) - 1.0,
+            }
+            break
+    more = sorted({-load for load in loads.tolist() if load < 0.0})
+    for extra in more:
+        given = Parameter(order.load_kg + extra, unit="kg")
+        other = task.model_copy(update={"defaults": task.defaults.model_copy(update={"payload": given})})
+        if solve_site(make_site(other)).feasible:
+            text = (
+                f"{given.value:g} kg on board at the start in place of {order.load_kg:g} kg (defaults: {{payload: …}})"
+            )
+            relative = extra / max(float(np.abs(loads).max()), 1e-9)
+            yield {"change": "defaults.payload", "to": given.value, "unit": "kg", "text": text, "relative": relative}
+            break
+
+
+def _one_less(site: Site) -> Iterator[dict[str, Any]]:
+    """A visit less."""
     task = site.task
     count = len(task.visits)
     for i, visit in enumerate(task.visits):
-        if count == 1 or visit.take_up is not None or visit.set_down is not None or count > 8:
+        if not 1 < count <= 8:
             continue
         rest = tuple(_without(other, visit.label) for k, other in enumerate(task.visits) if k != i)
         if solve_site(make_site(task.model_copy(update={"visits": rest}))).feasible:
-            yield {
-                "change": f"visits.{i}",
-                "to": None,
-                "unit": "",
-                "text": f"without the visit '{visit.label}'",
-                "relative": 1.0 / count,
-            }
+            text = f"without the visit '{visit.label}'"
+            yield {"change": f"visits.{i}", "to": None, "unit": "", "text": text, "relative": 1.0 / count}
+
+
+def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
+    """A window that ends later; the docks that the task does not use."""
+    task = site.task
     for i, visit in enumerate(task.visits):
         if visit.window is None or visit.window.until is None:
             continue

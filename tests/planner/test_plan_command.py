@@ -283,6 +283,33 @@ def test_what_would_do_where_a_window_or_a_shift_is_too_short(
     assert plan(root, tmp_path, change, f"{until}={enough} s", "repeat.rounds=1" if "repeat" in change else "order=any")
 
 
+LOADS = [
+    ("{place: pump, take_up: 8 kg}", "{place: tank, take_up: 6 kg}", "robot.body.max_payload", 14.0),
+    ("{place: pump, set_down: 2 kg}", "{place: tank, take_up: 6 kg, after: pump}", "defaults.payload", 2.0),
+]
+
+
+@pytest.mark.parametrize(("first", "second", "would_do", "to"), LOADS)
+def test_what_would_do_where_the_load_is_too_much_or_too_little(
+    root: Path, tmp_path: Path, first: str, second: str, would_do: str, to: float
+) -> None:
+    visits = f"visits=[{first}, {second}]"
+    changes = plan(root, tmp_path, visits, code=1)["why"]["would_do"]
+    assert {"visits.0", would_do} <= {change["change"] for change in changes}
+    found = next(change for change in changes if change["change"] == would_do)
+    assert found["to"] == pytest.approx(to)
+    assert plan(root, tmp_path, visits, f"{would_do}={to} kg")["feasible"]
+
+
+def test_of_two_windows_that_cannot_both_be_kept_one_ends_later(root: Path, tmp_path: Path) -> None:
+    visits = "visits=[{place: tank, window: {until: %s s}}, {place: well, window: {until: %s s}}]"
+    times = [150.0, 150.0]
+    changes = plan(root, tmp_path, visits % tuple(times), "within.deadline=1 h", code=1)["why"]["would_do"]
+    number, found = next((i, c) for i in (0, 1) for c in changes if c["change"] == f"visits.{i}.window.until")
+    times[number] = found["to"] * (1 + 1e-9)
+    assert plan(root, tmp_path, visits % tuple(times), "within.deadline=1 h")["feasible"]
+
+
 def test_python_plans_rounds_as_the_command_does(root: Path, tmp_path: Path) -> None:
     choices = {"repeat.until": "30 min", "choose.speeds": [0.7]}
     shift = plan(root, tmp_path, "repeat.until=30 min", "choose.speeds=[0.7]", task="shift")
