@@ -158,7 +158,7 @@ def _motion(check: Checker, robot: RobotSpec, batteries: list[str]) -> None:
         return
     from missionsim.effects.motion_models import get_motion_model, motion_model_ids
 
-    # the built-in ones first: listing all would load every model's module
+    # the commonest first: listing all asks every installed package for models of its own
     if motion.model != "polynomial":
         names = (*motion_model_ids(), "expression", "none")
         if not check.known(("motion", "model"), motion.model, names, "motion model"):

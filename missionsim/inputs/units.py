@@ -6,6 +6,7 @@ any other unit goes to pint, which is loaded then.
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from collections.abc import Iterable
@@ -274,14 +275,12 @@ def _pint_unit(unit: str, allowed: str, known: Iterable[str]) -> Any:
         raise UnitError("unknown unit", repr(unit)[:60], allowed)
     import pint
 
-    registry = _registry()
     try:
-        quantity = registry.Quantity(1.0, flat)
+        return _registry().Quantity(1.0, flat)
     except pint.OffsetUnitCalculusError:
         raise UnitError("unit with an offset", repr(unit), allowed) from None
     except Exception:  # pint raises whatever its tokenizer meets (TypeError, AttributeError, TokenError…)
         raise UnitError("unknown unit", repr(unit)[:60], allowed, _close_unit(unit, list(known))) from None
-    return quantity
 
 
 def _close_unit(unit: str, known: list[str]) -> str:
@@ -301,12 +300,8 @@ def _by_pint(unit: str, dimension: str) -> tuple[float, float]:
     return float(one.magnitude - zero.magnitude), float(zero.magnitude)
 
 
-_cache: list[Any] = []
-
-
+@functools.cache
 def _registry() -> Any:
-    if not _cache:
-        import pint
+    import pint
 
-        _cache.append(pint.UnitRegistry())
-    return _cache[0]
+    return pint.UnitRegistry()
