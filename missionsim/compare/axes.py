@@ -120,7 +120,7 @@ class NumberAxis:
         multiple = next(m for m in _round_multiples() if highest // m - lowest // m + 1 <= wanted)
         index = (np.arange(self._size) + self._first) // multiple
         start = int(index[0])
-        totals = [_sums_by(index - start, self._array(key)) for key in (seconds, gap, square)]
+        totals = [sums_by(index - start, self._array(key)) for key in (seconds, gap, square)]
         groups = _join_thin_ends(totals[0], thin)
         width = multiple * 10.0**self._exponent
         result = []
@@ -147,7 +147,7 @@ class NumberAxis:
         self._exponent += 1
         first = self._first // 10
         index = (np.arange(self._size) + self._first) // 10 - first
-        self._sums = {key: _sums_by(index, sums) for key, sums in self._sums.items()}
+        self._sums = {key: sums_by(index, sums) for key, sums in self._sums.items()}
         self._size = int(index[-1]) + 1 if self._size else 0
         self._first = first
 
@@ -238,11 +238,12 @@ def _sums_of(cells: NDArray[np.int64], weights: Mapping[str, Array]) -> dict[str
         # one value in the whole block, as for most columns of a long log: no need to count
         return {} if low < 0 else {key: np.append(np.zeros(low), values.sum()) for key, values in weights.items()}
     if low < 0:
-        return {key: _sums_by(cells + 1, values)[1:] for key, values in weights.items()}
-    return {key: _sums_by(cells, values) for key, values in weights.items()}
+        return {key: sums_by(cells + 1, values)[1:] for key, values in weights.items()}
+    return {key: sums_by(cells, values) for key, values in weights.items()}
 
 
-def _sums_by(index: NDArray[np.int64], weights: Array) -> Array:
+def sums_by(index: NDArray[np.int64], weights: Array) -> Array:
+    """Sum of the weights by index, from 0 up to the highest one."""
     return np.asarray(np.bincount(index, weights), dtype=np.float64)
 
 

@@ -143,6 +143,7 @@ def ratio(a: float, b: float) -> float:
 
 
 PARTS = ("path_stretch", "speed_tracking", "dwell", "other")
+_OF_SCHEME = ("scheme", "path_stretch", "speed_tracking", "dwell_s", "planned_m", "driven_m", "planned_s", "driven_s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,17 +211,7 @@ class MissionGap:
             "runs": self.runs,
             "behaviour_wh": {part: self.part_wh(part) for part in PARTS},
             "by_scheme": [
-                {
-                    "scheme": one.scheme,
-                    "path_stretch": one.path_stretch,
-                    "speed_tracking": one.speed_tracking,
-                    "dwell_s": one.dwell_s,
-                    "planned_m": one.planned_m,
-                    "driven_m": one.driven_m,
-                    "planned_s": one.planned_s,
-                    "driven_s": one.driven_s,
-                    "wh": dict(one.wh[self.battery]),
-                }
+                {**{name: getattr(one, name) for name in _OF_SCHEME}, "wh": dict(one.wh[self.battery])}
                 for one in self.schemes
             ],
             "error_statistics": self.error_statistics.to_json(),
