@@ -154,7 +154,7 @@ def segment_rows(result: RunResult, most: int = 14) -> Table:
     rows = []
     for label, members in index.items():
         parts = [float(energies[name][members].sum()) for name in result.batteries]
-        driven = sum(result.was_driven(i) for i in members)
+        driven = sum(result.was_done(i) for i in members)
         if driven:
             ways = {tuple(passed.get(i, ())[1:-1]) for i in members}
             if len(ways) == 1 and (between := ways.pop()):

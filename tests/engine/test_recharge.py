@@ -82,6 +82,11 @@ def test_a_dock_is_used_only_below_its_level() -> None:
     many = run([{"repeat": {"times": 6, "segments": segments}}], SMALL, SITE, start="home")
     assert many.batteries["main"].charged_wh > 0.0
     assert many.batteries["main"].charge_left_wh == pytest.approx(6.0, rel=0.4)
+    docks = [i for i, segment in enumerate(many.segments) if segment.kind == "dock"]
+    done = [many.was_done(i) for i in docks]
+    assert [many.segment_end_s[i] > many.segment_end_s[i - 1] for i in docks] == done
+    assert not few.was_done(len(few.segments) - 1)
+    assert any(done)
 
 
 def test_rounds_until_a_time_are_those_that_end_by_then() -> None:
