@@ -6,6 +6,7 @@ import array
 import contextlib
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import cache
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -284,9 +285,8 @@ DAMAGED = "what could be read was read"
 def _leaves(message: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Paths and values of the numeric and text fields inside a message."""
     names = getattr(message, "name", None) if not prefix else None
-    for name in getattr(message, "__dataclass_fields__", ()):
-        if name.startswith("__") or name.isupper():  # constants of the message type stand among its fields
-            continue
+    kind: Any = type(message)
+    for name in _names(kind):
         value = getattr(message, name)
         if name in ("position", "velocity", "effort") and isinstance(names, list) and len(names) == len(value):
             for joint, item in zip(names, value, strict=True):
@@ -295,10 +295,24 @@ def _leaves(message: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
             yield from _leaf(value, f"{prefix}{name}")
 
 
+@cache
+def _names(kind: type) -> list[str]:
+    """Fields of a message type, among which its constants stand."""
+    return [name for name in getattr(kind, "__dataclass_fields__", ()) if not (name.startswith("__") or name.isupper())]
+
+
+@cache
+def _elements(path: str, count: int) -> list[str]:
+    return [f"{path}[{index}]" for index in range(count)]
+
+
 def _leaf(value: Any, path: str) -> Iterator[tuple[str, Any]]:
     if isinstance(value, (str, bool, int, float, np.number, np.bool_)):
         yield path, value
-    elif isinstance(value, (list, np.ndarray)):
+    elif isinstance(value, np.ndarray):
+        numbers = value[:_MOST_ELEMENTS].tolist()
+        yield from zip(_elements(path, len(numbers)), numbers, strict=True)
+    elif isinstance(value, list):
         for index, item in enumerate(value[:_MOST_ELEMENTS]):
             yield from _leaf(item, f"{path}[{index}]")
     elif hasattr(value, "__dataclass_fields__"):
