@@ -32,6 +32,8 @@ def least_of_most(first: Array, last: Array) -> Array:
     found = most_of_least(first, last)
     with np.errstate(divide="ignore", invalid="ignore"):
         step = last - first
+        if not (step < 0.0).any():
+            return found
         share = (first[..., :, None] - first[..., None, :]) / (step[..., None, :] - step[..., :, None])
         there = first[..., :, None] + share * step[..., :, None]
     cross = (step[..., :, None] < 0.0) & (step[..., None, :] > 0.0) & (share > 0.0) & (share < 1.0)

@@ -126,12 +126,14 @@ class Bounds:
         `chains` (shape (points, n, resources)); without `closely` somewhat lower ones, sooner.
         """
         values = chains @ self.weights.T + self.rest[nodes] - self.offset
-        first, last = (values, values) if len(chains) == 1 else (values[:-1], values[1:])
         apart = self.apart or 0
         groups = [slice(0, apart), slice(apart, None)] if apart else [slice(None)]
-        find = least_of_most if closely and len(chains) > 1 else most_of_least
-        least = [find(first[..., rows], last[..., rows]) for rows in groups]
-        return np.asarray(np.min(least, axis=(0, 1)))
+        if len(chains) == 1:
+            least = [values[..., rows].max(axis=-1) for rows in groups]
+        else:
+            find = least_of_most if closely else most_of_least
+            least = [find(values[:-1, ..., rows], values[1:, ..., rows]) for rows in groups]
+        return np.asarray(np.min(least, axis=(0, 1)) if len(least) > 1 or len(chains) > 2 else least[0][0])
 
 
 @dataclass
@@ -349,7 +351,7 @@ def expand(
     leaving = network.leaving(node)
     heads, use = leaving.heads, leaving.use
     chains = points[:, None] + use
-    after = chains.min(axis=0)  # what none of the points of a chain is below
+    after = chains[0] if len(points) == 1 else chains.min(axis=0)  # what no point of a chain is below
     fits = (after <= room[heads]).all(axis=1)
     highest = None if leaving.peak is None else bounds.most + EPSILON * (1.0 + np.abs(bounds.most)) - leaving.peak
     if highest is not None:
