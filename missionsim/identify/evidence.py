@@ -189,21 +189,10 @@ def predicts_left_out(model: Model, columns: Sequence[int]) -> tuple[bool, float
     float
         One-sided p-value, over runs, of "their energy error is not larger".
     """
-    from scipy.special import stdtr
-
     squares = LeastSquares.of(model.design)
     rest = [c for c in model.chosen if c not in columns]
     with_it, without = squares.leave_out(model.chosen), squares.leave_out(rest)
-    better = with_it.total < without.total
-    measured = squares.measured()
-    told = measured != 0.0  # a drive whose meter stood at nought has no energy error
-    count = int(told.sum())
-    if count < SEVERAL_RUNS:
-        return better, 1.0
-    after, before = squares.energy_left_out(model.chosen, with_it), squares.energy_left_out(rest, without)
-    rise = (np.abs(after) - np.abs(before))[told] / measured[told]
-    error = float(np.std(rise, ddof=1)) / np.sqrt(count)
-    return better, float(stdtr(count - 1, -float(np.mean(rise)) / max(error, 1e-300)))
+    return with_it.total < without.total, squares.energy_no_worse(rest, without, model.chosen, with_it)
 
 
 def between_runs(model: Model, column: int) -> bool:

@@ -32,6 +32,7 @@ from missionsim.identify.settings import (
     ROUGH,
     SEVERAL_RUNS,
     UNCLEAR,
+    WORSE_ENERGY_LEVEL,
     Settings,
 )
 from missionsim.physics import Array
@@ -273,8 +274,6 @@ class _Search:
         wald = float(shares @ np.linalg.solve(own_covariance + 1e-9 * size * np.eye(k), shares))
         p_value = float(fdtrc(k, folds - k, wald * (folds - k) / (k * (folds - 1)))) if folds > k else 1.0
         fall = before.square - after.square
-        worse = np.abs(squares.energy_left_out(chosen, after)) - np.abs(squares.energy_left_out(beside, before))
-        spread = float(np.std(worse, ddof=1)) / np.sqrt(folds) if folds > 1 else np.inf
         halved, runs = after.total < HALVED * before.total, int(squares.run.max()) + 1
         logged = self.candidates[number].effect.startswith(LOGGED)
         effects = len({column.candidate for column in layout.columns})
@@ -283,7 +282,7 @@ class _Search:
             # without the run that falls most: what helps one run alone is chance, or that run
             "several runs": float(fall.sum() - fall.max()) > 0.0,
             "robust": p_value < max(FAMILY_LEVEL, self.settings.alpha) / effects or (halved and p_value < HALVED_LEVEL),
-            "energy": float(worse.mean()) < UNCLEAR * spread,
+            "energy": squares.energy_no_worse(beside, before, chosen, after) > WORSE_ENERGY_LEVEL,
             "clock": not self.candidates[number].by_clock or runs > SEVERAL_RUNS or (runs > 1 and halved),
             "practical": float(np.abs(shares).sum()) > self.settings.min_share,
             "beyond recalibration": self._beyond_recalibration(number, own[0], float(shares[0])),

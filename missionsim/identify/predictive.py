@@ -24,6 +24,7 @@ from missionsim.identify.settings import (
     DELAY_LEVEL,
     FEWEST_FOLDS,
     INDEPENDENT_S,
+    SEVERAL_RUNS,
     SHORTEST_FOLD_S,
 )
 from missionsim.physics import Array
@@ -142,6 +143,17 @@ class LeastSquares:
         size = np.maximum(np.sum(ahead * step, axis=1), 1e-300)
         return self.errors(index, left.coefficients + step * (missing / size)[:, None]).energy
 
+    def energy_no_worse(self, few: Sequence[int], before: Left, more: Sequence[int], after: Left) -> float:
+        """One-sided p-value, over folds, of "more columns predict the energy of left-out folds as well as few"."""
+        from scipy.special import stdtr
+
+        count = len(self.sums)
+        if count < SEVERAL_RUNS:
+            return 1.0
+        rise = np.abs(self.energy_left_out(more, after)) - np.abs(self.energy_left_out(few, before))
+        error = float(np.std(rise, ddof=1)) / np.sqrt(count)
+        return float(stdtr(count - 1, -float(np.mean(rise)) / max(error, 1e-300)))
+
     def only(self, folds: NDArray[np.bool_]) -> LeastSquares:
         """Some of the folds."""
         return LeastSquares(self.sums[folds], self.seconds[folds], self.prior_sd, self.run[folds])
@@ -154,10 +166,6 @@ class LeastSquares:
         square = self.sums[:, 0, 0] - 2.0 * np.sum(b * cross, axis=1) + np.einsum("ji,jik,jk->j", b, inner, b)
         energy = np.sum(b * self.sums[:, index, -2], axis=1) - self.sums[:, 0, -2]
         return Left(np.maximum(square, 0.0), np.asarray(energy), np.array(b))
-
-    def measured(self) -> Array:
-        """Measured energy of each fold [J]."""
-        return np.asarray(self.sums[:, -1, -2])
 
     def jackknife(self, chosen: Sequence[int], left: Left | None = None) -> tuple[Array, Array]:
         """Coefficients and their covariance from leaving folds out (CRV3), shapes (m,) and (m, m)."""
