@@ -101,6 +101,8 @@ VARIED = (0.3, 1.5)
 """By so much of what the mean arc costs the price of each resource is raised for the first drives."""
 MOST_LABELS = 4_500
 """After which a search that has a plan gives up its proof."""
+WIDE = 0.03
+"""Gap with which half of them are enough: more would not close it."""
 PATIENCE = 6_000
 """Labels after which the search for more drives on one road ends."""
 MOST_GAP = 300.0
@@ -189,9 +191,13 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None, *, soo
         tour = network(site, drives)
         tired = False
 
-        def told(outcome: Outcome, waiting: int, low: float = bound, high: float = base + gap) -> bool:
+        def told(
+            outcome: Outcome, waiting: int, low: float = bound, high: float = base + gap, proves: bool = exact
+        ) -> bool:
             nonlocal tired
-            tired = (soon or math.isfinite(outcome.objective)) and outcome.labels > MOST_LABELS
+            wide = outcome.objective - max(outcome.bound, low) > WIDE * abs(outcome.objective)
+            most = MOST_LABELS // 2 if wide and proves else MOST_LABELS
+            tired = (soon or math.isfinite(outcome.objective)) and outcome.labels > most
             return tired or (
                 watch is not None and watch("search", outcome.objective, min(max(outcome.bound, low), high))
             )
