@@ -111,10 +111,11 @@ def _beyond(model: PowerModel, line: Timeline, segments: Sequence[SegmentInfo]) 
         worst = int(np.argmax(over))
         measured = f"{low * one.factor:.3g} to {high * one.factor:.3g} {one.unit}".strip()
         there = f"{values[worst] * one.factor:.3g} {one.unit}".strip()
+        worst_in = int(line.segment[worst])
         found.append(
             Place().warning(
-                f"{one.title} {there} in {_named(line.segment[over > room], segments)}: the logs that this robot "
-                f"was fitted to have {measured}",
+                f"{one.title} {there} in {_named(line.segment[over > room], segments, worst_in)}: the logs that this "
+                f"robot was fitted to have {measured}",
                 got=there,
                 allowed=measured,
             )
@@ -135,8 +136,10 @@ def _giving_back(model: PowerModel, line: Timeline) -> NDArray[np.bool_]:
     return np.asarray((columns["accel_m_s2"] < 0.0) | (columns["slope_rad"] < 0.0))
 
 
-def _named(numbers: NDArray[np.int64], segments: Sequence[SegmentInfo]) -> str:
-    names = list(dict.fromkeys(segments[int(i)].label or segments[int(i)].name for i in np.unique(numbers)))
+def _named(numbers: NDArray[np.int64], segments: Sequence[SegmentInfo], first: int | None = None) -> str:
+    """Segments by name, `first` before the others."""
+    ordered = sorted(np.unique(numbers).tolist(), key=lambda i: i != first)
+    names = list(dict.fromkeys(segments[i].label or segments[i].name for i in ordered))
     more = f" and {len(names) - 1} more" if len(names) > 1 else ""
     return f"segment '{names[0]}'{more}"
 

@@ -3,9 +3,10 @@
 from dataclasses import replace
 from typing import Annotated, Literal
 
-from pydantic import Field, JsonValue, model_validator
+from pydantic import AfterValidator, Field, JsonValue, model_validator
 
-from missionsim.errors import Fault
+from missionsim.errors import Fault, did_you_mean
+from missionsim.glossary import COLUMNS, column_of
 from missionsim.inputs.base import (
     Expression,
     FileModel,
@@ -16,6 +17,7 @@ from missionsim.inputs.base import (
     Sensors,
     Text,
     either,
+    told,
     wrong,
 )
 from missionsim.inputs.battery import BatterySpec
@@ -225,6 +227,34 @@ class MotionSpec(Model):
         return self
 
 
+def _ranges(origin: dict[str, JsonValue]) -> dict[str, JsonValue]:
+    """What `origin` says of the logs: least and greatest values, names of floors."""
+    ranges = origin.get("range", {})
+    if not isinstance(ranges, dict):
+        raise wrong("must be a mapping", ranges, "{speed_m_s: [0, 1.2], surface: [tiles]}", "range")
+    faults: list[dict[str, object]] = []
+    for name, limits in ranges.items():
+        listed = limits if isinstance(limits, list) else []
+        numbers = [float(x) for x in listed if type(x) in (int, float) and isinstance(x, int | float)]
+        fault: dict[str, object] = {"got": str(limits), "hint": "", "at": ("range", name)}
+        if name == "surface":
+            if not listed or not all(isinstance(text, str) for text in listed):
+                faults.append(fault | {"message": "must be the names of floors", "allowed": "[tiles, carpet]"})
+        elif column_of(name) is None:
+            known = [column.name for column in COLUMNS]
+            told_as = {"message": "no quantity of the glossary", "got": name, "allowed": "columns of logs, surface"}
+            faults.append(fault | told_as | {"hint": did_you_mean(name, known)})
+        elif len(numbers) != 2 or len(listed) != 2 or numbers[0] > numbers[1]:
+            allowed = "two numbers in the unit of the name, such as [0, 1.2]"
+            faults.append(fault | {"message": "must be the least and the greatest value", "allowed": allowed})
+    if faults:
+        raise told(faults)
+    return origin
+
+
+Origin = Annotated[dict[str, JsonValue], AfterValidator(_ranges)]
+
+
 class EffectSpec(Model):
     """An added effect: one of the library (`effect`), or the user's own (`name` and `power`).
 
@@ -239,7 +269,7 @@ class EffectSpec(Model):
     parameters: dict[Name, EffectNumber] = Field(default_factory=dict)
     options: dict[Identifier, JsonValue] = Field(default_factory=dict)
     candidate: bool = False
-    origin: dict[str, JsonValue] = Field(default_factory=dict)
+    origin: Origin = Field(default_factory=dict)
 
     _one = either(
         "effect",
@@ -271,7 +301,7 @@ class RobotSpec(FileModel):
     switchboards: dict[Identifier, SwitchboardSpec] = Field(default_factory=dict)
     processor: ProcessorSpec | None = None
     schemes: dict[Identifier, SchemeSpec] = Field(default_factory=dict)
-    origin: dict[str, JsonValue] = Field(default_factory=dict)
+    origin: Origin = Field(default_factory=dict)
     effects: tuple[EffectSpec, ...] = ()
     idle_scheme: Identifier | None = None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import missionsim
 from missionsim.cli.app import run_command
@@ -22,6 +23,19 @@ robot: graded.yaml
 environment: yard.yaml
 start: a
 segments: [{drive: {to: b, speed: 0.4 m/s}}]
+"""
+ROBOT = """kind: robot
+name: graded
+body: {{mass: 20 kg, drive: differential, max_speed: 1 m/s}}
+origin: {{range: {range}}}
+batteries:
+  robot: {{capacity: 100 Wh}}
+motion:
+  battery: robot
+  model: polynomial
+  parameters: {{c2: 6, c3: 10, c4: 4, standing: 3}}
+schemes:
+  drive: {{motion: true}}
 """
 
 
@@ -42,6 +56,36 @@ def test_a_slope_beyond_the_logs_is_told(tmp_path: Path) -> None:
     (message,) = told["9 deg"]
     assert message.startswith("slope 9 °")
     assert f"{np.degrees(low):.3g} to {np.degrees(high):.3g} °" in message
+
+
+def test_the_segment_that_is_named_is_the_one_of_the_value(tmp_path: Path) -> None:
+    (tmp_path / "graded.yaml").write_text(ROBOT.format(range="{slope_rad: [-0.03, 0.03]}"), encoding="utf-8")
+    steep = "edges: [{name: steep, from: b, to: c, length: 20 m, slope: 9 deg}, "
+    site = SITE.format(slope="5 deg").replace("b: {}}", "b: {}, c: {}}").replace("edges: [", steep)
+    (tmp_path / "yard.yaml").write_text(site, encoding="utf-8")
+    (tmp_path / "up.yaml").write_text(MISSION.replace("}]", "}, {drive: {to: c}}]"), encoding="utf-8")
+    result = missionsim.simulate(missionsim.load_mission(tmp_path / "up.yaml"))
+    (message,) = [fault.message for fault in result.warnings]
+    assert message.startswith("slope 9 ° in segment 'drive c' and 1 more")
+
+
+@pytest.mark.parametrize(
+    ("written", "told"),
+    [
+        ("[1, 2]", "4:17: error: must be a mapping"),
+        ("{slope_rad: steep}", "4:29: error: must be the least and the greatest value"),
+        ("{slope_rad: [0.2, -0.2]}", "4:29: error: must be the least and the greatest value"),
+        ("{slope_rad: [0 deg, 2 deg], surface: tiles}", "4:54: error: must be the names of floors"),
+        ("{slop_rad: [0, 1]}", "did you mean: slope_rad"),
+    ],
+)
+def test_a_range_that_says_nothing_is_refused(
+    tmp_path: Path, written: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "graded.yaml"
+    path.write_text(ROBOT.format(range=written), encoding="utf-8")
+    assert run_command(["validate", str(path)]) == 2
+    assert told in capsys.readouterr().err
 
 
 def test_calibrate_writes_the_ranges_and_other_floors_are_told(tmp_path: Path) -> None:
