@@ -382,7 +382,7 @@ def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:
 
 def _series(seen: Examined, powers: Mapping[str, PowerModel]) -> tuple[RunSeries, ...]:
     source = seen.found.choice.model.source
-    clock = replace(seen.models.clock, run_delay_s=tuple(0.0 for _ in source.runs))
+    clock = seen.models.clock.in_all(len(source.runs))
     design = source.design(clock)
     rows = [seen.models.averaged(powers[kind], source, clock) for kind in (KINDS[0], KINDS[-1])]
     return tuple(

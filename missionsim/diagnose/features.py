@@ -22,7 +22,6 @@ from missionsim.physics import Array
 from missionsim.runs.covariates import is_switch, logged_name
 from missionsim.runs.run import Run
 
-"""Of each run."""
 MOST_SURFACES = 40
 """More names than that are no floors but numbers or places, and a column each would take for ever."""
 _TWIN_FAMILIES = ("rolling_friction", "viscous_friction", "standby_load", "component_power")

@@ -235,7 +235,7 @@ class _System:
     def of(cls, ready: Prepared, clock: Clock, settings: Settings) -> _System:
         data = ready.data()
         source = make_source(data, [], {}, replace(settings, align=False))
-        clock = replace(clock, run_delay_s=tuple(0.0 for _ in source.runs))
+        clock = clock.in_all(len(source.runs))
         design = source.design(clock)
         names = list(design.layout.parameters)
         raw_x, raw_y = np.zeros(len(names)), 0.0

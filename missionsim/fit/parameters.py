@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
@@ -12,10 +12,10 @@ from missionsim.errors import InputError
 from missionsim.files import Json
 from missionsim.fit.final import Value, final_fit
 from missionsim.fit.prepare import Prepared, prepare
+from missionsim.identify.align import Clock
 from missionsim.identify.design import make_source
 from missionsim.identify.estimates import Z95
-from missionsim.identify.forward import is_rough
-from missionsim.identify.predictive import LeastSquares
+from missionsim.identify.forward import far_from_right
 from missionsim.identify.settings import Settings
 from missionsim.runs.error import Errors, errors_of
 from missionsim.runs.run import Run
@@ -206,9 +206,7 @@ def fit_parameters(
         prior_sd = free_priors(ready, known) if free else {name: max(p.prior_sd, 1e-6) for name, p in known.items()}
         source = make_source(ready.data(), [], prior_sd, settings)
         # far from right, a delay stands for what the model lacks: an advance looks like inertia
-        still = replace(source.clock, delay_s=0.0, lag_s=0.0)
-        rough = is_rough(LeastSquares.of(source.design(still)), source.layout.mean_power_w)
-        clock = still if rough else source.clock
+        clock = source.clock if far_from_right(source) is None else Clock.as_logged(len(source.runs))
         fitted = final_fit(model, logs, battery, prior_sd, clock, settings)
         after = errors_of(fitted.model, logs, battery)
         if not explained(after, ready) > LEAST_EXPLAINED:

@@ -168,6 +168,15 @@ class Clock:
     run_delay_s: tuple[float, ...]
     at_edge: bool = False
 
+    @classmethod
+    def as_logged(cls, runs: int) -> Clock:
+        """No delay and no lag."""
+        return cls(0.0, 0.0, (0.0,) * runs)
+
+    def in_all(self, runs: int) -> Clock:
+        """The common delay and lag, with no delay of a run's own."""
+        return replace(self, run_delay_s=(0.0,) * runs)
+
     def of_runs(self, numbers: Sequence[int]) -> Clock:
         """The clock of some of the runs."""
         return replace(self, run_delay_s=tuple(self.run_delay_s[j] for j in numbers))

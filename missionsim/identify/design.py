@@ -339,12 +339,10 @@ def make_source(
     for c in columns:
         c.values[1] *= layout.mean_power_w / level if level > 0 else 0.0
         c.values[3] *= layout.mean_power_w / square if square > 0 else 0.0
-    clock = like.clock if like else Clock(0.0, 0.0, ())
-    clock = replace(clock, run_delay_s=tuple(0.0 for _ in runs))
+    clock = like.clock.in_all(len(runs)) if like else Clock.as_logged(len(runs))
     source = Source(tuple(runs), columns, _common_covariates(runs), layout, clock, kept=kept)
     if like is None and settings.align:
-        found = find_clock(columns, layout.step_s)
-        source.clock = replace(found, run_delay_s=tuple(0.0 for _ in runs))
+        source.clock = find_clock(columns, layout.step_s).in_all(len(runs))
         source.aligned = True
     return source
 

@@ -123,13 +123,15 @@ class Choice:
     """The selection by prediction, where the base was far from right."""
 
 
-def is_rough(squares: LeastSquares, mean_power_w: float) -> bool:
-    """Whether the recalibrated base predicts most left-out runs so badly that its form is far from right.
+def far_from_right(source: Source) -> LeastSquares | None:
+    """Least squares at clocks as logged where even the recalibrated base predicts most left-out runs so badly that its
+    form is far from right; None elsewhere.
 
     A ramp or two that it does not know are no reason: one missing effect of few runs is what the finer search is for.
     """
+    squares = LeastSquares.of(source.design(Clock.as_logged(len(source.runs))))
     error = np.sqrt(squares.leave_out(()).square / squares.seconds)
-    return bool(np.median(error) > ROUGH * abs(mean_power_w))
+    return squares if np.median(error) > ROUGH * abs(source.layout.mean_power_w) else None
 
 
 def forward(
@@ -147,10 +149,10 @@ def forward(
     ValueError
         If a given effect is unknown or has no column that acts in these runs.
     """
-    still = Clock(0.0, 0.0, tuple(0.0 for _ in source.runs))
-    squares = LeastSquares.of(source.design(still))
-    if not is_rough(squares, source.layout.mean_power_w):
+    squares = far_from_right(source)
+    if squares is None:
         return None
+    still = Clock.as_logged(len(source.runs))
     search = _Search(squares, source.layout, candidates, settings)
     clock, chosen = still, search.chosen(given)
     if settings.align:

@@ -210,7 +210,7 @@ def sober_clock(source: Source, chosen: Sequence[int]) -> Clock:
     Delay and lag together only where they predict better than the best of each alone: opposite ones are a filter
     that smooths the motion, not a meter.
     """
-    still = Clock(0.0, 0.0, tuple(0.0 for _ in source.runs))
+    still = Clock.as_logged(len(source.runs))
     reach = max(1.0, source.layout.step_s)
     known: dict[tuple[float, float], Left] = {}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from missionsim.effects import base_terms
 from missionsim.effects.base import Effect, ParameterSpec
@@ -57,16 +57,14 @@ def _known(robot: RobotSpec) -> tuple[dict[str, tuple[float, float]], frozenset[
     found: dict[str, tuple[float, float]] = {}
     floors: set[str] = set()
     for origin in [robot.origin, *(spec.origin for spec in robot.effects if not spec.candidate)]:
-        ranges = origin.get("range")
-        for name, limits in ranges.items() if isinstance(ranges, dict) else ():
-            if not isinstance(limits, list):
-                continue
-            numbers = [float(x) for x in limits if isinstance(x, int | float)]
+        ranges = cast("dict[str, list[Any]]", origin.get("range", {}))  # checked as the file was read
+        for name, limits in ranges.items():
             if name == "surface":
-                floors |= {str(text) for text in limits}
-            elif len(numbers) == 2 == len(limits):
-                before = found.get(name, (numbers[0], numbers[1]))
-                found[name] = (min(numbers[0], before[0]), max(numbers[1], before[1]))
+                floors |= set(limits)
+            else:
+                low, high = map(float, limits)
+                before = found.get(name, (low, high))
+                found[name] = (min(low, before[0]), max(high, before[1]))
     return found, frozenset(floors)
 
 

@@ -235,7 +235,7 @@ def _ranges(origin: dict[str, JsonValue]) -> dict[str, JsonValue]:
     faults: list[dict[str, object]] = []
     for name, limits in ranges.items():
         listed = limits if isinstance(limits, list) else []
-        numbers = [float(x) for x in listed if type(x) in (int, float) and isinstance(x, int | float)]
+        numbers = [float(x) for x in listed if isinstance(x, int | float) and not isinstance(x, bool)]
         fault: dict[str, object] = {"got": str(limits), "hint": "", "at": ("range", name)}
         if name == "surface":
             if not listed or not all(isinstance(text, str) for text in listed):
