@@ -43,17 +43,25 @@ def through(meter: Meter, power_w: Array) -> Array:
     return np.interp(t - meter.delay_s, t, smooth(power_w, meter.lag_s))
 
 
-def reading(meter: Meter, power_w: Array, noise_level: int, rng: np.random.Generator) -> Array:
+FAST, SLOW, WHITE = 0.026, 0.012, 0.01
+"""Standard deviations of the noise: AR(1) of some seconds, AR(1) of `SLOW_S`, white, as parts of the power's level."""
+SLOW_S = 40.0
+
+
+def level_of(seen_w: Array) -> Array:
+    """What the noise is a part of [W]: louder when power is high."""
+    return np.asarray(0.5 * np.mean(seen_w) + 0.5 * seen_w)
+
+
+def reading(meter: Meter, power_w: Array, noise_level: int, fast_s: float, rng: np.random.Generator) -> Array:
     """What the meter shows [W]: lag, clock, gain, offset, 3 % noise (AR(1); from level 2 also slow, heavy-tailed)."""
     n, seen = len(power_w), through(meter, power_w)
     tails = None if noise_level == 1 else 5.0
-    noise = 0.026 * wander(n, float(rng.uniform(1.0, 4.0)), rng, tails)
+    noise = FAST * wander(n, fast_s, rng, tails)
     if noise_level > 1:
-        noise = noise + 0.012 * wander(n, 40.0, rng)
-    level = 0.5 * np.mean(seen) + 0.5 * seen  # louder when power is high
-    return np.asarray(
-        meter.gain * seen + meter.offset_w + level * noise + 0.01 * np.mean(seen) * rng.standard_normal(n)
-    )
+        noise = noise + SLOW * wander(n, SLOW_S, rng)
+    white = WHITE * np.mean(seen) * rng.standard_normal(n)
+    return np.asarray(meter.gain * seen + meter.offset_w + level_of(seen) * noise + white)
 
 
 def row_times(

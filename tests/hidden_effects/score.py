@@ -21,7 +21,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from . import features, peers, product, truth
+from . import features, known, peers, product, truth
 from .judge import judge
 from .study import ALL_CASES
 from .table import markdown
@@ -45,7 +45,8 @@ def score_task(task: Task) -> list[Row]:
     """Rows of one task, one per method; an exception of the product is a row too, never silence."""
     with tempfile.TemporaryDirectory() as scratch:
         if task.folder is None:
-            world: World | None = make(ALL_CASES[task.case], task.seed)
+            case = ALL_CASES[task.case]
+            world: World | None = make(case, task.seed, candidates=known.answers(case))
             folder = write(world, Path(scratch))
             answer: dict[str, Any] = dict(world.answer)
         else:
@@ -63,6 +64,8 @@ def score_task(task: Task) -> list[Row]:
         rows = []
         if task.with_product:
             rows.append(_product_row(task, folder, robot, answer, world))
+        if world is not None and known.answers(world.case):
+            rows.append(judge(task.case, task.seed, answer, known.named(world)))
         if task.with_peers and not planned:  # the peers know no missions
             design = peers.stack(train, robot)
             outcomes = [method(design, heldout, seed=task.seed) for method in peers.NAMING]

@@ -94,6 +94,15 @@ def markdown(rows: Sequence[Row], heading: str) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
+def _of_oracle(rows: Sequence[Row], group: str, key: str) -> str:
+    """How often missionsim is right for each time that the oracle is, as 'p % (k/n)'; '–' without an oracle."""
+    ours, best = (
+        sum(bool(row[key]) for row in rows if row["group"] == group and row["method"] == method)
+        for method in ("missionsim", "oracle")
+    )
+    return f"{100.0 * ours / best:.0f} % ({ours}/{best})" if best else "–"
+
+
 def _goals(rows: Sequence[Row]) -> list[str]:
     """The goals of the study beside what missionsim reached."""
     ours = [row for row in rows if row["method"] == "missionsim"]
@@ -116,6 +125,14 @@ def _goals(rows: Sequence[Row]) -> list[str]:
             "2 %: right name first, without silence about what the report says it cannot see",
             "–",
             _rate(seen(of("one effect, 2 %")), "first_right"),
+        ),
+        *(
+            (f"{text}, of what the oracle names", "≥ 95 %", _of_oracle(rows, group, key))
+            for text, group, key in (
+                ("1 %: right name first", "one effect, 1 %", "first_right"),
+                ("2 %: right name first", "one effect, 2 %", "first_right"),
+                ("pairs: both named", "two effects", "all_named"),
+            )
         ),
         ("5 % of the energy: right name first", "100 %", _rate(of("one effect, 5 %"), "first_right")),
         ("5 %: truth named or in the set of what cannot be told apart", "100 %", _rate(of("one effect, 5 %"), "found")),

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import linalg
 
-from . import features, peers, truth
+from . import features, known, peers, truth
 from .judge import judge
 from .meter import Rows
 from .motion import ROBOTS, STEP_S
@@ -53,6 +54,21 @@ def test_same_seed_same_bits_and_other_seed_other_world():
         for column, values in log.items():
             np.testing.assert_array_equal(values, again.train[run][column])
     assert not np.array_equal(first.train["run_00"]["power_robot_w"][:50], other.train["run_00"]["power_robot_w"][:50])
+
+
+@pytest.mark.parametrize("name", ["nothing-pioneer3dx-level2", "turning_scrub-2pct", "two-grade-payload"])
+def test_oracle_names_what_was_planted_and_nothing_else(name):
+    world = make(ALL_CASES[name], 7, candidates=True)
+    assert set(known.named(world).names) == set(world.case.hidden)
+
+
+def test_covariance_of_the_oracle_is_that_of_the_noise():
+    world = make(ALL_CASES["nothing-pioneer3dx-level2"], 7, candidates=True)
+    white = []
+    for run in world.truth.values():
+        factor = known.factor_of(run, 2, ROBOTS["pioneer3dx"].meter_offset_w)
+        white.append(linalg.solve_triangular(factor, run["measured"] - run["power"], lower=True))
+    assert np.std(np.concatenate(white)) == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_case_is_made_in_well_under_a_second():

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from .meter import Meter, Rows, draw_meter, log_rows, reading, row_times, through
 from .motion import ROBOTS, STEP_S, Array, Motion, Robot, RunDesign, design_runs
 from .planned import EXECUTION, SCHEME, Leg, behaviour_of, follow, mission_yaml, plan_mission
-from .plant import OUTSIDE, TWINS, Draw, base_columns, base_power, draw_world, planted, voltage
+from .plant import INSIDE, OUTSIDE, TWINS, Draw, base_columns, base_power, draw_world, planted, voltage
 from .track import drive, manoeuvre
 
 Log = dict[str, NDArray[np.generic]]
@@ -98,10 +98,14 @@ class _Run:
     effects: list[Callable[[float], Array]]
     segments: list[str] | None
     seed: np.random.SeedSequence
+    candidates: dict[str, Array] = field(default_factory=dict)
 
 
-def make(case: Case, seed: int) -> World:
-    """Make a case; the same case and seed give the same bits on any machine with the same NumPy."""
+def make(case: Case, seed: int, *, candidates: bool = False) -> World:
+    """Make a case; the same case and seed give the same bits on any machine with the same NumPy.
+
+    With `candidates`, the truth holds the true column of each effect of the library as well ('candidate:<id>').
+    """
     robot = ROBOTS[case.robot]
     root = np.random.SeedSequence([seed, zlib.crc32(case.name.encode())])
     world_seed, design_seed, *run_seeds = root.spawn(2 + case.runs + case.heldout)
@@ -121,6 +125,8 @@ def make(case: Case, seed: int) -> World:
     training = runs[: case.runs]
     strengths = _strengths(case, [r.effects for r in training], [r.base_w for r in training])
     secrets = replace(secrets, strengths=tuple(strengths))
+    if candidates:
+        _add_candidates(case, runs, robot, secrets.draw)
     recorded = [_record(case, run, secrets, robot) for run in runs]
     names = [f"run_{i:02d}" for i in range(case.runs)] + [f"held_{i:02d}" for i in range(case.heldout)]
     logs = {name: log for name, (log, _) in zip(names, recorded, strict=True)}
@@ -175,6 +181,22 @@ def _strengths(case: Case, effects: list[list[Callable[[float], Array]]], base: 
     return strengths
 
 
+def _add_candidates(case: Case, runs: Sequence[_Run], robot: Robot, draw: Draw) -> None:
+    """The power of every effect of the library that acts in these runs, each as strong as the planted ones."""
+    parts = sorted(robot.components)
+    names = [f"{e}:{part}" for e in INSIDE if e.startswith("component_") for part in parts]
+    for name in [e for e in INSIDE if not e.startswith("component_")] + names:
+        alone = replace(case, hidden=(name,), share=case.share or 0.02)
+        drawn = [planted(name, r.motion, robot, draw, r.base_w, r.volt, np.random.default_rng(0)) for r in runs]
+        training = [[f] for f in drawn[: case.runs]]
+        try:
+            (k,) = _strengths(alone, training, [r.base_w for r in runs[: case.runs]])
+        except ValueError:  # it never acts
+            continue
+        for run, power in zip(runs, drawn, strict=True):
+            run.candidates[name] = power(k)
+
+
 def _record(case: Case, run: _Run, secrets: Secrets, robot: Robot) -> tuple[Log, dict[str, Array]]:
     rng = np.random.default_rng(run.seed.spawn(1)[0])
     parts = [f(k) for f, k in zip(run.effects, secrets.strengths, strict=True)]
@@ -182,7 +204,8 @@ def _record(case: Case, run: _Run, secrets: Secrets, robot: Robot) -> tuple[Log,
     duration = len(run.base_w) * STEP_S
     times, keep = row_times(duration, case.rate_hz, case.noise_level, rng)
     rows = Rows(times, duration)
-    shown = reading(run.meter, total, case.noise_level, rng)
+    fast_s = float(rng.uniform(1.0, 4.0))
+    shown = reading(run.meter, total, case.noise_level, fast_s, rng)
     log = log_rows(run.motion, robot, shown, run.volt, rows, case.noise_level, case.columns, case.power_format, rng)
     if run.segments is not None:
         log["scheme"] = np.full(len(times), SCHEME)
@@ -194,6 +217,9 @@ def _record(case: Case, run: _Run, secrets: Secrets, robot: Robot) -> tuple[Log,
     true["power"] = rows.mean(through(run.meter, total))
     true["measured"] = rows.mean(shown)
     true["seconds"] = rows.right - rows.left
+    true["noise_s"] = np.full(len(times), fast_s)
+    for name, column in run.candidates.items():
+        true[f"candidate:{name}"] = rows.mean(through(run.meter, column))
     return {k: v[keep] for k, v in log.items()}, {k: v[keep] for k, v in true.items()}
 
 

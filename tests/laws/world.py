@@ -166,7 +166,7 @@ def _record(part: tuple, strength: float, body: Robot, rate_hz: float) -> tuple[
     times, keep = row_times(duration, rate_hz, 2, rng)
     rows = Rows(times, duration)
     total = base_w + strength * unit
-    shown = reading(meter, total, 2, rng)
+    shown = reading(meter, total, 2, float(rng.uniform(1.0, 4.0)), rng)
     columns = frozenset({"accel", "cpu_freq", "access_point"})
     log = log_rows(motion, body, shown, volt, rows, 2, columns, "power", rng)
     log["arm_torque"] = np.round(rows.mean(state["arm_torque"]) + 0.02 * rng.standard_normal(len(times)), 3)
