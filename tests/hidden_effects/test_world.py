@@ -171,7 +171,7 @@ def test_the_world_imports_nothing_of_the_product():
 def test_peers_find_a_loud_effect_and_trees_beat_the_nominal_model():
     pytest.importorskip("pysindy")
     rows = {row["method"]: row for row in score_task(Task("turning_scrub-10pct", 3, with_product=False))}
-    assert set(rows) == {"PySINDy", "PySINDy ensemble", "LASSO, by run", "stepwise BIC", "boosted trees"}
+    assert set(rows) == {"PySINDy", "PySINDy ensemble", "LASSO, by run", "stepwise BIC", "boosted trees", "oracle"}
     assert rows["LASSO, by run"]["first_right"]
     assert rows["boosted trees"]["rmse_w"] < 0.7 * rows["boosted trees"]["nominal_rmse_w"]
     assert rows["LASSO, by run"]["oracle_rmse_w"] < rows["LASSO, by run"]["nominal_rmse_w"]
