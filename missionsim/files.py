@@ -60,6 +60,11 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def fields_of(item: object, names: str) -> Json:
+    """Attributes of an object, named with blanks between, as part of a JSON object."""
+    return {name: getattr(item, name) for name in names.split()}
+
+
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write `text` to `path` as UTF-8, whole or not at all."""
     with atomic_write(path) as temporary:

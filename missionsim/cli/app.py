@@ -22,7 +22,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "montecarlo": ("montecarlo:montecarlo", "Draw the uncertain values many times and run the mission with each draw."),
     "plan": ("plan:plan", "Plan a task: which order, way, speed and control scheme, and where to charge."),
     "reach": ("plan:reach", "Which places a robot gets to and back from, and where it must turn back."),
-    "reproduce": ("reproduce:reproduce", "Print every published figure of the four robots beside ours."),
+    "reproduce": ("shipped:reproduce", "Print every published figure of the four robots beside ours."),
     "calibrate": ("calibrate:calibrate", "Fit a base model to logs, or refit the parameters of a robot."),
     "compare": ("compare:compare", "Compare the model with measurements and see where it fails."),
     "diagnose": ("diagnose:diagnose", "Find which physical effect is missing, or say that the data cannot tell."),

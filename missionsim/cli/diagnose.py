@@ -144,7 +144,7 @@ def improve(
     write_text(out, for_folder(text, out.parent))
     to.emit(_as_json(done, skipped, out, split.how) | {"left_out": left_out})
     if report is not None:
-        from missionsim.report.improve_page import improve_page
+        from missionsim.report.diagnosis_page import improve_page
 
         write_text(report, improve_page(spec.name, done))
     if to.text:

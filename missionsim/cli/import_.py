@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from missionsim.cli.options import TERMINAL, OutPath, Output
 from missionsim.errors import Fault, InputError, visible
-from missionsim.files import write_text
+from missionsim.files import fields_of, write_text
 from missionsim.report.terminal import console, show_table
 
 if TYPE_CHECKING:
@@ -160,11 +160,7 @@ def _summary(log: LogTable | LongRun, target: Path) -> dict[str, Any]:
             name: {"energy_wh": log.energy_wh(name), "power_from": log.power_from[name]} for name in log.batteries
         },
         "columns": list(log.columns),
-        "remarks": [
-            {key: getattr(r, key) for key in ("kind", "column", "message", "action", "severity", "line")}
-            | {"rows": r.count}
-            for r in log.remarks
-        ],
+        "remarks": [fields_of(r, "kind column message action severity line") | {"rows": r.count} for r in log.remarks],
     }
 
 

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.compare.axes import Axis, LabelAxis, NumberAxis
-from missionsim.compare.place import PlaceGrid
+from missionsim.compare.axes import Axis, LabelAxis, NumberAxis, PlaceGrid
 from missionsim.effects.covariates import is_text
 from missionsim.effects.model import TermKey
 from missionsim.labels import Labels

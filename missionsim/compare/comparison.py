@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from missionsim.compare.accumulate import Series
+from missionsim.compare.axes import PlaceCell
 from missionsim.compare.behaviour import MissionGap
-from missionsim.compare.place import PlaceCell
 from missionsim.compare.where import Dependence, Where, in_words, ranked
 from missionsim.effects.model import TermKey
-from missionsim.files import Json, sha256
+from missionsim.files import Json, fields_of, sha256
 from missionsim.physics import Array
 from missionsim.runs.error import Errors, ErrorStatistics, RunError
 
@@ -85,16 +85,8 @@ class RunComparison(_Totals):
 
     def to_json(self) -> Json:
         """The contract's fields and ours beside them."""
-        return {
-            "run": self.run,
-            "energy_error_pct": self.energy_error_pct,
-            "power_rmse_w": self.power_rmse_w,
-            "power_bias_w": self.power_bias_w,
-            "seconds": self.seconds,
-            "energy_measured_wh": self.energy_measured_wh,
-            "energy_model_wh": self.energy_model_wh,
-            "error_statistics": self.error_statistics.to_json(),
-        }
+        names = "run energy_error_pct power_rmse_w power_bias_w seconds energy_measured_wh energy_model_wh"
+        return fields_of(self, names) | {"error_statistics": self.error_statistics.to_json()}
 
 
 def thousandfold(measured: float, model: float) -> str:
@@ -141,20 +133,17 @@ class BatteryComparison(_Totals):
     @property
     def by_component_wh(self) -> dict[str, float]:
         """Modelled energy by component, largest first [Wh]."""
-        totals: dict[str, float] = {}
-        for run in self.runs:
-            for key, energy in run.by_term_wh.items():
-                totals[key.component] = totals.get(key.component, 0.0) + energy
-        return dict(sorted(totals.items(), key=lambda item: -abs(item[1])))
+        return self._sums(lambda key: key.component)
 
     @property
     def by_term_wh(self) -> dict[str, float]:
         """Modelled energy by term, largest first [Wh]."""
+        return self._sums(lambda key: f"{key.component}.{key.name}")
+
+    def _sums(self, name_of: Callable[[TermKey], str]) -> dict[str, float]:
         totals: dict[str, float] = {}
-        for run in self.runs:
-            for key, energy in run.by_term_wh.items():
-                name = f"{key.component}.{key.name}"
-                totals[name] = totals.get(name, 0.0) + energy
+        for key, energy in ((key, energy) for run in self.runs for key, energy in run.by_term_wh.items()):
+            totals[name_of(key)] = totals.get(name_of(key), 0.0) + energy
         return dict(sorted(totals.items(), key=lambda item: -abs(item[1])))
 
     @property
@@ -199,14 +188,8 @@ class BatteryComparison(_Totals):
 
     def to_json(self) -> Json:
         """The contract's fields and ours beside them."""
-        data: Json = {
-            "energy_measured_wh": self.energy_measured_wh,
-            "energy_model_wh": self.energy_model_wh,
-            "energy_error_pct": self.energy_error_pct,
-            "run_energy_error_pct": self.run_energy_error_pct,
-            "power_rmse_w": self.power_rmse_w,
-            "power_bias_w": self.power_bias_w,
-            "gap_wh": self.gap_wh,
+        names = "energy_measured_wh energy_model_wh energy_error_pct run_energy_error_pct power_rmse_w power_bias_w"
+        data = fields_of(self, f"{names} gap_wh") | {
             "error_statistics": self.error_statistics.to_json(),
             "error_statistics_relative_to_predicted": self.error_statistics_predicted.to_json(),
             "per_run": [run.to_json() for run in self.runs],

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from missionsim.compare.accumulate import Accumulator
 from missionsim.compare.axes import Bin
-from missionsim.files import Json
+from missionsim.files import Json, fields_of
 
 BLOCK_S = 20.0
 """Errors nearer in time than this count as one observation, since power errors last for many seconds."""
@@ -17,12 +17,6 @@ LESSER_SHARE = 0.15
 """Nor of one that explains less than this share of what the strongest explains."""
 CHART_BINS = 40
 CHART_THIN_SHARE = 0.0005
-
-
-IN_JSON = (
-    *("by", "value", "share_of_gap", "bias_w", "seconds", "low", "high", "unit", "gap_wh", "share_of_squared_error"),
-    "explains",
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +46,8 @@ class Where:
 
     def to_json(self) -> Json:
         """The contract's fields and ours beside them."""
-        return {name: getattr(self, name) for name in IN_JSON}
+        contract = "by value share_of_gap bias_w seconds"
+        return fields_of(self, f"{contract} low high unit gap_wh share_of_squared_error explains")
 
     @property
     def phrase(self) -> str:

@@ -1,8 +1,9 @@
-"""Energy to come home from where segments end (Parasuraman 2012, Eqs. 11–13)."""
+"""Ways to a dock, and the energy to come home from where segments end (Parasuraman 2012, Eqs. 11–13)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,13 +11,121 @@ import numpy as np
 from missionsim.effects.model import PowerModel
 from missionsim.engine.meter import Asked, Evaluating
 from missionsim.engine.recorder import Row
+from missionsim.inputs.mission import MissionSpec
 from missionsim.physics import Value
-from missionsim.plan.homing import Homing, last_driven
-from missionsim.plan.legs import Leg
+from missionsim.plan.legs import Leg, Limits, OnEdge
+from missionsim.plan.routes import Routes, Way, along
 from missionsim.plan.steps import group
 
 if TYPE_CHECKING:
     from missionsim.engine.world import World
+
+
+class Homing:
+    """Ways to the dock of a mission.
+
+    The dock is the policy's; without one the nearest place with a charger; without any charger the place where the
+    mission starts. The way is the shortest by length, driven with the scheme, sensors, payload and speed of the last
+    leg that drove (the defaults before the first), without stretch. `routes`: None without an environment: then there
+    is no way home.
+    """
+
+    def __init__(self, mission: MissionSpec, limits: Limits, routes: Routes | None) -> None:
+        self.limits = limits
+        self.routes = routes
+        self._start = mission.start or ""
+        self.docks: tuple[str, ...] = ()
+        self._found: dict[str, list[Way] | None] = {}
+        if routes is None or mission.environment is None:
+            return
+        chargers = tuple(name for name, place in mission.environment.places.items() if place.charger is not None)
+        start = (mission.start,) if mission.start else ()
+        self.docks = (mission.policy.dock,) if mission.policy.dock else chargers or start
+
+    def ways(self, place: str) -> list[Way] | None:
+        """Shortest way from a place to a dock; None where there is none or the place is not known."""
+        if self.routes is None or place not in self.routes.ways:
+            return None
+        if place not in self._found:
+            found = [way for dock in self.docks if (way := self.routes.shortest(place, dock)) is not None]
+            self._found[place] = min(found, key=_length, default=None)
+        return self._found[place]
+
+    def from_place(self, place: str, like: Leg) -> list[Leg] | None:
+        """Legs home from a place, driven like a leg; [] at the dock, None where there is no way."""
+        ways = self.ways(place)
+        return None if ways is None else [_leg(like, way) for way in ways]
+
+    def excursion(
+        self, last: Leg | None, done_m: float, like: Leg, docks: Sequence[str], *, back: bool, stands: bool
+    ) -> tuple[list[Leg], str, list[Leg], bool] | None:
+        """The way to the nearest of some docks, and back to where the robot left the plan.
+
+        From an edge under way it goes on to its end or back to its beginning, whichever is shorter in all; one that
+        stands comes back to the same place. `last`: the leg that is driven, or that was the last to be; None at the
+        mission's start. `done_m`: metres on it when the robot stands. `like`: how the ways are driven. `back`: whether
+        the way back counts; there is none otherwise. `stands`: whether the robot stands rather than drives. Gives legs
+        to the dock, the dock, legs back, and whether they lead to the end of the edge under way. None where the place
+        is not known or no way leads there.
+        """
+        if self.routes is None:
+            return None
+        starts: list[tuple[str, list[Leg], list[Leg], bool]] = []
+        if last is None:
+            starts.append((self._start, [], [], False))
+        elif last.kind == "roll" and last.edge is not None and last.distance_m > 0.0:
+            edge = last.edge
+            here = min(edge.from_m + (edge.to_m - edge.from_m) * done_m / last.distance_m, edge.to_m)
+            ways = [way for place in edge[:2] for way in self.routes.ways[place] if way.edge == edge.edge]
+            for way in ways:
+                on = way.end == edge.end
+                metres = way.length_m - here if on else here
+                first = [_leg(like, way)._replace(distance_m=metres)] if metres > 0.0 else []
+                again = [_leg(like, other)._replace(distance_m=metres) for other in ways if other.end != way.end]
+                if not (back and stands):  # it need not come back to the very place
+                    starts.append((way.end, first, [], on))
+                elif on and (again or not first):
+                    starts.append((way.end, first, again[:1] if first else [], on))
+        best: tuple[list[Leg], str, list[Leg], bool] | None = None
+        least = math.inf
+        for begin, first, again, on in starts:
+            for dock in docks:
+                out, home = self.routes.shortest(begin, dock), self.routes.shortest(dock, begin) if back else []
+                if out is None or home is None:
+                    continue
+                length = _length(out) + _length(home) + math.fsum(leg.distance_m for leg in first)
+                if length < least:
+                    least = length
+                    way_back = [*(_leg(like, way) for way in home), *again]
+                    best = [*first, *(_leg(like, way) for way in out)], dock, way_back, on
+        return best
+
+
+def last_driven(legs: Sequence[Leg]) -> list[Leg | None]:
+    """Of each leg, itself or the last one before it that drives; before the first such, that one; None without any."""
+    last = next((leg for leg in legs if leg.kind == "roll"), None)
+    found: list[Leg | None] = []
+    for leg in legs:
+        last = leg if leg.kind == "roll" else last
+        found.append(last)
+    return found
+
+
+def _leg(like: Leg, way: Way) -> Leg:
+    speed = min(like.speed_m_s, way.max_speed_m_s)
+    return Leg(
+        "roll",
+        along(like.settings, way),
+        way.length_m,
+        speed,
+        instant=like.instant,
+        place=way.end,
+        edge=OnEdge(way.begin, way.end, way.edge, 0.0, way.length_m),
+    )
+
+
+def _length(ways: Sequence[Way]) -> float:
+    return math.fsum(way.length_m for way in ways)
 
 
 def home_energies(

@@ -15,11 +15,10 @@ from missionsim.effects.model import PowerModel, TermKey
 from missionsim.effects.timeline import Timeline
 from missionsim.engine.batteries import Battery, ConstantEnergy
 from missionsim.engine.components import ComponentInfo
-from missionsim.engine.driven import DrivenEdge, edges_driven
 from missionsim.engine.meter import Batch, Evaluating, alone
-from missionsim.engine.outcome import J_PER_WH, Alarm, BatteryResult, RunResult
+from missionsim.engine.outcome import J_PER_WH, Alarm, BatteryResult, DrivenEdge, RunResult, edges_driven
 from missionsim.engine.remarks import doubts, never_on
-from missionsim.engine.reserve import home_energies
+from missionsim.engine.reserve import Homing, home_energies
 from missionsim.engine.setup import build_battery, check_covariates, split_values
 from missionsim.engine.world import World
 from missionsim.errors import Fault, InputError
@@ -30,7 +29,6 @@ from missionsim.inputs.segments import DockSegment, RechargeSpec
 from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.build import legs_of, make_plan
-from missionsim.plan.homing import Homing
 from missionsim.plan.legs import Leg, Plan, Step
 from missionsim.plan.routes import routes_of
 from missionsim.plan.steps import group
@@ -117,7 +115,7 @@ class RunSetup:
         self.plan = plan
         self.model = model
         self.drawn = drawn
-        self.numbers = cast("Mapping[str, float]", numbers)  # of many runs, arrays: see missionsim.plan.draws
+        self.numbers = cast("Mapping[str, float]", numbers)  # of many runs, arrays: see missionsim.plan.legs
         self.again: Generator | None = None
         robot = mission.robot
         self.batteries = {

@@ -9,9 +9,8 @@ from typing import Any, cast
 import simpy
 
 from missionsim.effects.model import PowerModel
-from missionsim.engine.activities import FOREVER_S, Activities
 from missionsim.engine.batteries import CHARGING, HELD, Battery
-from missionsim.engine.components import ComponentInfo, Switchboard
+from missionsim.engine.components import FOREVER_S, Activities, ComponentInfo, Switchboard
 from missionsim.engine.meter import Evaluating, Meter
 from missionsim.engine.outcome import Alarm
 from missionsim.engine.recorder import Recorder

@@ -16,7 +16,7 @@ import numpy as np
 
 from missionsim.errors import InputError
 from missionsim.exchange.source import Value
-from missionsim.files import atomic_write
+from missionsim.files import atomic_write, fields_of
 from missionsim.inputs.loading import load_environment, load_mission
 from missionsim.inputs.robot import RobotSpec
 from missionsim.physics import Array
@@ -265,13 +265,11 @@ class Site:
         return {
             "schema": "missionsim.site/1",
             "source": self.file,
-            "format": self.format,
-            "name": self.name,
+            **fields_of(self, "format name"),
             "places": len(self.places),
             "edges": len(self.edges),
             "one_way": sum(not edge.get("both_ways", True) for edge in self.edges),
-            "length_m": self.length_m,
-            "chargers": self.chargers,
+            **fields_of(self, "length_m chargers"),
             "segments": len(self.segments),
             "told": [vars(remark) for remark in self.remarks.values()],
         }

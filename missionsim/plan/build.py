@@ -24,10 +24,8 @@ from missionsim.inputs.segments import (
 )
 from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
-from missionsim.plan.asked import Asked
-from missionsim.plan.chance import failures, stopped_by_obstacles
-from missionsim.plan.draws import remainder, sign
-from missionsim.plan.legs import Gate, Kind, Leg, OnEdge, Pace, Plan, SegmentInfo, Settings
+from missionsim.plan.asked import Asked, failures, stopped_by_obstacles
+from missionsim.plan.legs import Gate, Kind, Leg, OnEdge, Pace, Plan, SegmentInfo, Settings, remainder, sign
 from missionsim.plan.routes import Way, along, routes_of
 from missionsim.plan.steady import steady_power_w
 from missionsim.plan.steps import group, slow_components

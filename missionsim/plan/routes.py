@@ -21,8 +21,7 @@ from missionsim.errors import InputError, did_you_mean
 from missionsim.inputs.environment import EdgeSpec, EnvironmentSpec
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.values import Parameter
-from missionsim.plan.draws import least
-from missionsim.plan.legs import Settings
+from missionsim.plan.legs import Settings, least
 
 _ROUNDING = 1e-12
 RADIO_PIECE_M = 2.0

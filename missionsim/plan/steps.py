@@ -9,9 +9,8 @@ import numpy as np
 
 from missionsim.inputs.robot import RobotSpec
 from missionsim.physics import Array
-from missionsim.plan.draws import Odd, sign
 from missionsim.plan.kinematics import ramp_phases
-from missionsim.plan.legs import Leg, Limits, Phase, Step
+from missionsim.plan.legs import Leg, Limits, Odd, Phase, Step, sign
 
 SHORTEST_PHASE_S = 1e-12
 """Phases below this are rounding residues of the profile and are dropped."""

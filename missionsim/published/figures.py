@@ -11,6 +11,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from missionsim.files import fields_of
 from missionsim.inputs.examples import examples_folder
 from missionsim.inputs.tree import read_document
 
@@ -129,21 +130,9 @@ class Item:
     def to_json(self) -> dict[str, object]:
         """The row under the contract's names (``missionsim.reproduction/1``)."""
         figure = self.figure
-        return {
-            "paper": figure.paper,
-            "item": figure.item,
-            "where": figure.where,
-            "published": figure.value,
-            "ours": self.ours,
-            "unit": figure.unit,
-            "difference": self.difference,
-            "tolerance": figure.tolerance,
-            "rule": figure.rule,
-            "status": self.status,
-            "note": self.note,
-            "key": figure.key,
-            "printed": figure.printed,
-        }
+        named = {**fields_of(figure, "paper item where"), "published": figure.value, "ours": self.ours}
+        named |= {"unit": figure.unit, "difference": self.difference, **fields_of(figure, "tolerance rule")}
+        return named | fields_of(self, "status note") | fields_of(figure, "key printed")
 
 
 def load_figures(paper: str) -> dict[str, Figure]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from missionsim.compare import BatteryComparison, Comparison, Dependence, RunComparison
-from missionsim.compare.place import PlaceCell
+from missionsim.compare.axes import PlaceCell
 from missionsim.files import atomic_write
 from missionsim.physics import Array
 from missionsim.report.traces import MEASURED, MODEL, RESIDUAL, literal, shared_indices

@@ -14,7 +14,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.engine.outcome import BatteryResult, RunResult
 from missionsim.engine.simulate import simulate
 from missionsim.errors import Fault, InputError
-from missionsim.files import Json
+from missionsim.files import Json, fields_of
 from missionsim.inputs.loading import load_mission, load_study, remembered
 from missionsim.inputs.power import build_power_model
 from missionsim.workers import interrupts_held, process_pool
@@ -72,7 +72,7 @@ class WhatIf:
         rows = []
         for alternative, result in zip(self.alternatives, self.results, strict=True):
             batteries: dict[str, Any] = {}
-            own = {"name": alternative.name, "title": alternative.title, "set": dict(alternative.set)}
+            own: Json = {"name": alternative.name, "title": alternative.title, "set": dict(alternative.set)}
             if not isinstance(result, RunResult):
                 why = "; ".join(fault.message + (f" ({fault.got})" if fault.got else "") for fault in result)
                 nothing = dict.fromkeys(("robot", "duration_s", "difference_s", "distance_m"))
@@ -89,26 +89,17 @@ class WhatIf:
                     "energy_wh": energy,
                     "difference_wh": energy - reference,
                     "difference_pct": 100.0 * (energy - reference) / reference if reference else None,
-                    **_given(now, "charge_left_wh", "charge_left_fraction", "reserve_wh"),
+                    **_given(now, "charge_left_wh charge_left_fraction reserve_wh"),
                     "margin_wh": now.charge_left_wh - now.reserve_required_wh if now else None,
-                    **_given(now, "empty_at_s", "deficit_wh"),
+                    **_given(now, "empty_at_s deficit_wh"),
                     "by_term_wh": terms,
                     "difference_by_term_wh": {
                         term: terms.get(term, 0.0) - old.get(term, 0.0) for term in dict.fromkeys([*old, *terms])
                     },
                 }
-            rows.append(
-                own
-                | {
-                    "robot": result.robot,
-                    "feasible": result.feasible,
-                    "reason": result.reason or None,
-                    "duration_s": result.duration_s,
-                    "difference_s": result.duration_s - base.duration_s,
-                    "distance_m": result.distance_m,
-                    "batteries": batteries,
-                }
-            )
+            own |= fields_of(result, "robot feasible") | {"reason": result.reason or None}
+            own |= {"duration_s": result.duration_s, "difference_s": result.duration_s - base.duration_s}
+            rows.append({**own, "distance_m": result.distance_m, "batteries": batteries})
         return rows
 
     def to_json(self) -> Json:
@@ -138,8 +129,8 @@ class WhatIf:
         return {name: [row.get(name) for row in rows] for name in COLUMNS}
 
 
-def _given(battery: BatteryResult | None, *names: str) -> dict[str, Any]:
-    return {name: getattr(battery, name, None) for name in names}
+def _given(battery: BatteryResult | None, names: str) -> Json:
+    return dict.fromkeys(names.split()) if battery is None else fields_of(battery, names)
 
 
 def varied(vary: Iterable[tuple[str, Sequence[object]]], base: Sequence[tuple[str, object]] = ()) -> list[Alternative]:

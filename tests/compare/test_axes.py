@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from missionsim.compare.accumulate import MAX_BUCKETS, Series
-from missionsim.compare.axes import LabelAxis, NumberAxis
-from missionsim.compare.place import PlaceGrid
+from missionsim.compare.axes import LabelAxis, NumberAxis, PlaceGrid
 from missionsim.labels import Labels
 
 KEYS = ("seconds", "gap", "square")

@@ -13,8 +13,7 @@ from missionsim.diagnose import words
 from missionsim.diagnose.improve import Improved, Step, _why
 from missionsim.diagnose.waterfall import energy_note, heldout_note, mean_variance, noise_floor, noted, worse_of
 from missionsim.identify.findings import Diagnosis, HeldOut, Unexplained
-from missionsim.report.diagnosis_page import diagnosis_page
-from missionsim.report.improve_page import improve_page
+from missionsim.report.diagnosis_page import diagnosis_page, improve_page
 from tests.diagnose.test_words import BATTERY, HELD
 
 WANDERS = Unexplained(0.1, (), "the residual wanders by 3.6 % of the power")

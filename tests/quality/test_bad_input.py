@@ -81,7 +81,7 @@ def test_missions_that_cannot_be(
     mission: tuple[str, str],
     told: str,
 ) -> None:
-    monkeypatch.setattr("missionsim.engine.activities.MOST_BURSTS", 2000)
+    monkeypatch.setattr("missionsim.engine.components.MOST_BURSTS", 2000)
     assert run_with(tmp_path, robot, mission) == 2
     out, err = capsys.readouterr()
     assert told in err

@@ -13,8 +13,7 @@ from missionsim.diagnose.split import choose_split
 from missionsim.identify.findings import Diagnosis, RunSeries
 from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
-from missionsim.report.diagnosis_page import diagnosis_page
-from missionsim.report.improve_page import improve_page
+from missionsim.report.diagnosis_page import diagnosis_page, improve_page
 from tests.diagnose.logs import drive
 from tests.report.browser import OUTSIDE, run_in_page
 
