@@ -7,7 +7,7 @@ the bins shown at the end are made of whole cells of that grid.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,6 +51,32 @@ class Bin:
         return math.sqrt(max(self.square_w2s / self.seconds - self.bias_w**2, 0.0)) if self.seconds > 0.0 else 0.0
 
 
+class _Sums:
+    """Sums of weights by cell, a whole number or two, as many as there are cells with rows."""
+
+    def __init__(self, *shape: int) -> None:
+        self.cells = np.zeros((0, *shape), dtype=np.int64)
+        self._sums: dict[str, Array] = {}
+
+    def of(self, key: str) -> Array:
+        """Sum of a weight in each cell."""
+        return self._sums.get(key, np.zeros(len(self.cells)))
+
+    def add(self, cells: NDArray[np.int64], sums: Mapping[str, Array]) -> None:
+        """Add what lies in some cells."""
+        new = np.zeros(len(cells))
+        every = {key: np.append(self.of(key), sums.get(key, new)) for key in self._sums | dict(sums)}
+        self.cells, self._sums = _joined(np.concatenate([self.cells, cells]), every)
+
+    def coarsen(self, factor: int) -> None:
+        """Make one cell of so many."""
+        self.cells, self._sums = _joined(self.cells // factor, self._sums)
+
+    def joined(self, factor: int, keys: Sequence[str]) -> tuple[NDArray[np.int64], dict[str, Array]]:
+        """Cells that are `factor` as wide, and the sums of some weights in them."""
+        return _joined(self.cells // factor, {key: self.of(key) for key in keys})
+
+
 class NumberAxis:
     """A numeric covariate on a decimal grid.
 
@@ -62,12 +88,11 @@ class NumberAxis:
         self.name, self.title, self.unit = name, title, unit
         self._factor, self._magnitude = factor, magnitude
         self._exponent: int | None = None
-        self._first = 0
-        self._size = 0
-        self._sums: dict[str, Array] = {}
+        self._offset = 0
+        self._sums = _Sums()
 
     def place(self, column: ArrayLike | Labels) -> NDArray[np.int64] | None:
-        """Cell of each row, counted from the axis' first cell (widened if need be), shape (n,); -1 for NaN.
+        """Cell of each row, counted from the lowest of them, shape (n,); -1 for NaN.
 
         Returns None where no row has a number.
         """
@@ -86,23 +111,22 @@ class NumberAxis:
         if self._exponent is None:
             span = high - low
             self._exponent = _exponent_of(span / 20.0 if span > 0.0 else 0.1 * low)
-            self._first = math.floor(_cells(low, self._exponent))
-        while _cells(max(high, self._high()) - min(low, self._low()), self._exponent) > MAX_CELLS:
-            self._coarsen()
+        while self._span(low, high) > MAX_CELLS:
+            self._exponent += 1
+            self._sums.coarsen(10)
         scale = 10.0**-self._exponent if self._exponent <= 0 else 1.0 / 10.0**self._exponent
         # a value on a cell's edge, such as 0.3, must not fall below it by rounding
         cells = np.floor(values * scale + 1e-9).astype(np.int64)
-        self._widen(math.floor(low * scale + 1e-9), math.floor(high * scale + 1e-9))
-        cells -= self._first
+        self._offset = math.floor(low * scale + 1e-9)
+        cells -= self._offset
         if known is not None:
             cells[~known] = -1
         return cells
 
     def add(self, cells: NDArray[np.int64], weights: Mapping[str, Array]) -> None:
         """Add each of the `weights` to the sum of its key in the cells given by `place` for the same rows."""
-        for key, found in _sums_of(cells, weights).items():
-            sums = self._array(key)
-            sums[: len(found)] += found
+        met, sums = _by_cell(cells, weights)
+        self._sums.add(met + self._offset, sums)
 
     def bins(
         self, seconds: str, gap: str, square: str, wanted: int = WANTED_BINS, thin: float = THIN_SHARE
@@ -111,17 +135,14 @@ class NumberAxis:
 
         Bins at the ends with less than the share `thin` of the time are joined to their neighbour.
         """
-        if self._exponent is None:
+        filled = self._sums.cells[self._sums.of(seconds) > 0.0]
+        if self._exponent is None or not filled.size:
             return []
-        time = self._array(seconds)
-        filled = np.flatnonzero(time > 0.0)
-        if filled.size == 0:
-            return []
-        lowest, highest = self._first + int(filled[0]), self._first + int(filled[-1])
+        lowest, highest = int(filled[0]), int(filled[-1])
         multiple = next(m for m in _round_multiples() if highest // m - lowest // m + 1 <= wanted)
-        index = (np.arange(self._size) + self._first) // multiple
+        index = self._sums.cells // multiple
         start = int(index[0])
-        totals = [sums_by(index - start, self._array(key)) for key in (seconds, gap, square)]
+        totals = [sums_by(index - start, self._sums.of(key)) for key in (seconds, gap, square)]
         groups = _join_thin_ends(totals[0], thin)
         width = multiple * 10.0**self._exponent
         result = []
@@ -132,35 +153,13 @@ class NumberAxis:
                 result.append(Bin(f"{tidy(low)} to {tidy(high)}", _rounded(low), _rounded(high), *sums))
         return result
 
-    def _array(self, key: str) -> Array:
-        return self._sums.setdefault(key, np.zeros(self._size))
-
-    def _low(self) -> float:
+    def _span(self, low: float, high: float) -> float:
+        """Cells between two values, or the ends of the axis where these lie further out."""
         assert self._exponent is not None
-        return self._first * 10.0**self._exponent if self._size else math.inf
-
-    def _high(self) -> float:
-        assert self._exponent is not None
-        return (self._first + self._size) * 10.0**self._exponent if self._size else -math.inf
-
-    def _coarsen(self) -> None:
-        assert self._exponent is not None
-        self._exponent += 1
-        first = self._first // 10
-        index = (np.arange(self._size) + self._first) // 10 - first
-        self._sums = {key: sums_by(index, sums) for key, sums in self._sums.items()}
-        self._size = int(index[-1]) + 1 if self._size else 0
-        self._first = first
-
-    def _widen(self, low: int, high: int) -> None:
-        if not self._size:
-            self._first, self._size = low, high - low + 1
-            return
-        before, after = max(0, self._first - low), max(0, high - (self._first + self._size - 1))
-        if before or after:
-            self._sums = {key: np.pad(sums, (before, after)) for key, sums in self._sums.items()}
-            self._first -= before
-            self._size += before + after
+        if len(self._sums.cells):
+            first, last = int(self._sums.cells[0]), int(self._sums.cells[-1])
+            low, high = min(low, first * 10.0**self._exponent), max(high, (last + 1) * 10.0**self._exponent)
+        return (high - low) / 10.0**self._exponent
 
 
 class LabelAxis:
@@ -170,7 +169,7 @@ class LabelAxis:
         self.name, self.title, self.unit = name, title, ""
         self._suffix = suffix
         self._codes: dict[str, int] = {}
-        self._sums: dict[str, Array] = {}
+        self._sums = _Sums()
 
     def place(self, column: ArrayLike | Labels) -> NDArray[np.int64] | None:
         """Code of each row's value, shape (n,); -1 where it is missing."""
@@ -194,26 +193,18 @@ class LabelAxis:
 
     def add(self, cells: NDArray[np.int64], weights: Mapping[str, Array]) -> None:
         """Add each of the `weights` to the sum of its key in the codes given by `place` for the same rows."""
-        for key, found in _sums_of(cells, weights).items():
-            old = self._sums.get(key, np.zeros(0))
-            sums = np.zeros(max(len(found), len(old)))
-            sums[: len(old)] = old
-            sums[: len(found)] += found
-            self._sums[key] = sums
+        self._sums.add(*_by_cell(cells, weights))
 
     def bins(
         self, seconds: str, gap: str, square: str, wanted: int = WANTED_BINS, thin: float = THIN_SHARE
     ) -> list[Bin]:
         """One bin per value, in order of appearance (numbers in increasing order)."""
-        size = len(self._codes)
-        found = [self._sums.get(key, np.zeros(0)) for key in (seconds, gap, square)]
-        totals = [np.pad(sums, (0, size - len(sums))) for sums in found]
-        names = sorted(self._codes, key=_natural)
-        return [
-            Bin(name + self._suffix, None, None, *(float(total[self._codes[name]]) for total in totals))
-            for name in names
-            if totals[0][self._codes[name]] > 0.0
-        ]
+        names = self.names
+        rows = zip(
+            self._sums.cells.tolist(), *(self._sums.of(key).tolist() for key in (seconds, gap, square)), strict=True
+        )
+        found = {names[code]: sums for code, *sums in rows if sums[0] > 0.0}
+        return [Bin(name + self._suffix, None, None, *found[name]) for name in sorted(found, key=_natural)]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -232,15 +223,16 @@ def tidy(number: float) -> str:
     return f"{_rounded(number):.10g}".replace("-", "−")
 
 
-def _sums_of(cells: NDArray[np.int64], weights: Mapping[str, Array]) -> dict[str, Array]:
-    """Sum of each weight by cell, cells from 0 up to the highest one; rows with cell -1 are left out."""
+def _by_cell(cells: NDArray[np.int64], weights: Mapping[str, Array]) -> tuple[NDArray[np.int64], dict[str, Array]]:
+    """Cells with rows, in order, and the sum of each weight in them; rows with cell -1 are left out."""
     low, high = int(cells.min()), int(cells.max())
     if low == high:
         # one value in the whole block, as for most columns of a long log: no need to count
-        return {} if low < 0 else {key: np.append(np.zeros(low), values.sum()) for key, values in weights.items()}
-    if low < 0:
-        return {key: sums_by(cells + 1, values)[1:] for key, values in weights.items()}
-    return {key: sums_by(cells, values) for key, values in weights.items()}
+        return (
+            (cells[:1], {key: values.sum()[None] for key, values in weights.items()}) if low >= 0 else (cells[:0], {})
+        )
+    met = np.flatnonzero(np.bincount(cells + 1)[1:])
+    return met, {key: sums_by(cells + 1, values)[1 + met] for key, values in weights.items()}
 
 
 def sums_by(index: NDArray[np.int64], weights: Array) -> Array:
@@ -250,10 +242,6 @@ def sums_by(index: NDArray[np.int64], weights: Array) -> Array:
 
 def _rounded(number: float) -> float:
     return float(f"{number:.10g}") + 0.0
-
-
-def _cells(length: float, exponent: int) -> float:
-    return length / 10.0**exponent if math.isfinite(length) else 0.0
 
 
 def _exponent_of(value: float) -> int:
@@ -316,8 +304,7 @@ class PlaceGrid:
 
     def __init__(self) -> None:
         self.width_m = FIRST_CELL_M
-        self._cells = np.zeros((0, 2), dtype=np.int64)
-        self._sums: dict[str, Array] = {}
+        self._sums = _Sums(2)
 
     def add(self, cov: Covariates, weights: Mapping[str, Array]) -> None:
         """Add the `weights` of rows, arrays of shape (n,), at their ``x_m`` and ``y_m``."""
@@ -331,26 +318,19 @@ class PlaceGrid:
             at, weights = at[:, known], {key: values[known] for key, values in weights.items()}
         while True:
             cells = np.floor(at / self.width_m).astype(np.int64)
-            ends = np.concatenate([self._cells, [cells.min(axis=1), cells.max(axis=1)]])
+            ends = np.concatenate([self._sums.cells, [cells.min(axis=1), cells.max(axis=1)]])
             low, sides = ends.min(axis=0), np.ptp(ends, axis=0) + 1
             if sides.max() <= MAX_SIDE:
                 break
             self.width_m *= 2.0
-            self._cells, self._sums = _joined(self._cells // 2, self._sums)
-        flat = (cells[0] - low[0]) * sides[1] + (cells[1] - low[1])
-        met = np.flatnonzero(np.bincount(flat))
-        fresh = {key: sums_by(flat, values)[met] for key, values in weights.items()}
-        before, new = np.zeros(len(self._cells)), np.zeros(len(met))
-        sums = {k: np.append(self._sums.get(k, before), fresh.get(k, new)) for k in (self._sums | fresh)}
-        met_cells = np.stack(np.divmod(met, sides[1]), axis=1) + low
-        self._cells, self._sums = _joined(np.concatenate([self._cells, met_cells]), sums)
+            self._sums.coarsen(2)
+        met, sums = _by_cell((cells[0] - low[0]) * sides[1] + (cells[1] - low[1]), weights)
+        self._sums.add(np.stack(np.divmod(met, sides[1]), axis=1) + low, sums)
 
     def cells(self, battery: str, blocks: int = 1) -> list[PlaceCell]:
         """Visited cells of one battery; `blocks` by `blocks` cells of the grid make one."""
         keys = [f"{battery}:{what}" for what in ("seconds", "gap", "square")]
-        if keys[0] not in self._sums:
-            return []
-        cells, sums = _joined(self._cells // blocks, {key: self._sums[key] for key in keys})
+        cells, sums = self._sums.joined(blocks, keys)
         width = self.width_m * blocks
         rows = zip(cells.tolist(), *(sums[key].tolist() for key in keys), strict=True)
         return [
@@ -361,7 +341,7 @@ class PlaceGrid:
 
     def coarse_cells(self, battery: str, wanted: int = 8) -> list[PlaceCell]:
         """Cells so wide that about `wanted` by `wanted` cover the map."""
-        side = int(np.ptp(self._cells, axis=0).max()) + 1 if len(self._cells) else 0
+        side = int(np.ptp(self._sums.cells, axis=0).max()) + 1 if len(self._sums.cells) else 0
         return self.cells(battery, max(1, -(-side // wanted)))
 
 

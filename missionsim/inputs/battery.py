@@ -5,22 +5,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from missionsim.inputs import units
+from missionsim.inputs import units, values
 from missionsim.inputs.base import Model, alone, check_rising, wrong
-from missionsim.inputs.values import (
-    Efficiency,
-    Fraction,
-    Issue,
-    Parameter,
-    Period,
-    Peukert,
-    Power,
-    QuantityOf,
-    Resistance,
-    Temperature,
-    Voltage,
-    quantity,
-)
+from missionsim.inputs.values import Issue, Parameter, QuantityOf, quantity
 
 
 class _CapacityOf(QuantityOf):
@@ -49,19 +36,21 @@ class ConstantEnergy(Model):
     """The papers' battery: a store of energy, times an ageing factor."""
 
     kind: Literal["constant_energy"] = "constant_energy"
-    ageing: Efficiency = Parameter(1.0)
+    ageing: values.Efficiency = Parameter(1.0)
 
 
 class EquivalentCircuit(Model):
     """Open-circuit voltage over the state of charge, internal resistance, Peukert's law, ageing, cut-off."""
 
     kind: Literal["equivalent_circuit"]
-    open_circuit_voltage: Annotated[tuple[tuple[Fraction, Voltage], ...], Field(min_length=2, max_length=1000)]
-    resistance: Resistance
-    peukert: Peukert = Parameter(1.0)
-    rated_time: Period = Parameter(20 * 3600.0, unit="s")
-    ageing: Efficiency = Parameter(1.0)
-    cut_off: Voltage | None = None
+    open_circuit_voltage: Annotated[
+        tuple[tuple[values.Fraction, values.Voltage], ...], Field(min_length=2, max_length=1000)
+    ]
+    resistance: values.Resistance
+    peukert: values.Peukert = Parameter(1.0)
+    rated_time: values.Period = Parameter(20 * 3600.0, unit="s")
+    ageing: values.Efficiency = Parameter(1.0)
+    cut_off: values.Voltage | None = None
 
     @model_validator(mode="after")
     def _increasing(self) -> "EquivalentCircuit":
@@ -88,8 +77,8 @@ BatteryModel = Annotated[
 class TaperSpec(Model):
     """Constant current up to a charge, then constant voltage: the power into the battery falls to a part when full."""
 
-    from_: Fraction = Field(alias="from")
-    end_power: Efficiency
+    from_: values.Fraction = Field(alias="from")
+    end_power: values.Efficiency
 
     @model_validator(mode="after")
     def _below_full(self) -> "TaperSpec":
@@ -110,7 +99,7 @@ class MeterSpec(Model):
 
 
 Relative = Annotated[Parameter, quantity("fraction", 0.0, 100.0, strict=True)]
-Curve = Annotated[tuple[tuple[Temperature, Relative], ...], Field(min_length=2, max_length=1000)]
+Curve = Annotated[tuple[tuple[values.Temperature, Relative], ...], Field(min_length=2, max_length=1000)]
 
 
 class TemperatureSpec(Model):
@@ -131,12 +120,12 @@ class BatterySpec(Model):
     """One battery. `capacity` is in J, or in C where the file gives Ah: use `capacity_j`."""
 
     capacity: Capacity
-    nominal_voltage: Voltage | None = None
-    reserve: Fraction = Parameter(0.0, status="assumed")
-    initial_charge: Fraction = Parameter(1.0, status="assumed")
+    nominal_voltage: values.Voltage | None = None
+    reserve: values.Fraction = Parameter(0.0, status="assumed")
+    initial_charge: values.Fraction = Parameter(1.0, status="assumed")
     model: BatteryModel = ConstantEnergy.model_construct()
-    max_charge_power: Power | None = None
-    charge_efficiency: Efficiency = Parameter(1.0, status="assumed")
+    max_charge_power: values.Power | None = None
+    charge_efficiency: values.Efficiency = Parameter(1.0, status="assumed")
     charge_taper: TaperSpec | None = None
     over_temperature: TemperatureSpec | None = None
     meter: MeterSpec | None = None

@@ -10,22 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import Field, model_validator
 
 from missionsim.errors import Fault
+from missionsim.inputs import values
 from missionsim.inputs.base import FileModel, Identifier, Model, Name, Text, wrong
 from missionsim.inputs.tree import Document
 from missionsim.inputs.validation import Checker
-from missionsim.inputs.values import (
-    Angle,
-    Condition,
-    Coordinate,
-    Distance,
-    Efficiency,
-    Length,
-    Parameter,
-    Power,
-    Slope,
-    Speed,
-    Temperature,
-)
+from missionsim.inputs.values import Parameter
 
 if TYPE_CHECKING:
     from networkx import MultiDiGraph
@@ -37,18 +26,18 @@ _ROUNDING = 1e-3
 class ChargerSpec(Model):
     """Charger at a place: power delivered to each battery that charges, and how many robots at once."""
 
-    power: Power
+    power: values.Power
     batteries: tuple[Identifier, ...] = ()
     slots: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 1
-    efficiency: Efficiency = Parameter(1.0)
+    efficiency: values.Efficiency = Parameter(1.0)
 
 
 class PlaceSpec(Model):
     """A named place; coordinates may be left out where every edge has a length. No way leads to a closed one."""
 
-    x: Coordinate | None = None
-    y: Coordinate | None = None
-    heading: Angle | None = None
+    x: values.Coordinate | None = None
+    y: values.Coordinate | None = None
+    heading: values.Angle | None = None
     charger: ChargerSpec | None = None
     closed: bool = False
     title: Text = ""
@@ -71,31 +60,31 @@ class EdgeSpec(Model):
     name: Name | None = None
     from_: Name = Field(alias="from")
     to: Name
-    length: Distance | None = None
-    slope: Slope = Parameter(0.0, unit="rad")
+    length: values.Distance | None = None
+    slope: values.Slope = Parameter(0.0, unit="rad")
     surface: Name | None = None
     both_ways: bool = True
     closed: bool = False
-    max_speed: Speed | None = None
-    temperature: Temperature | None = None
-    access_point_distance: Length | None = None
-    conditions: dict[Identifier, Condition] = Field(default_factory=dict)
+    max_speed: values.Speed | None = None
+    temperature: values.Temperature | None = None
+    access_point_distance: values.Length | None = None
+    conditions: dict[Identifier, values.Condition] = Field(default_factory=dict)
 
 
 class AmbientSpec(Model):
     """What holds everywhere unless an edge or a segment says otherwise."""
 
-    temperature: Temperature | None = None
+    temperature: values.Temperature | None = None
     surface: Name | None = None
-    access_point_distance: Length | None = None
-    conditions: dict[Identifier, Condition] = Field(default_factory=dict)
+    access_point_distance: values.Length | None = None
+    conditions: dict[Identifier, values.Condition] = Field(default_factory=dict)
 
 
 class AccessPointSpec(Model):
     """Radio access point."""
 
-    x: Coordinate
-    y: Coordinate
+    x: values.Coordinate
+    y: values.Coordinate
 
 
 class EnvironmentSpec(FileModel):

@@ -7,6 +7,7 @@ from pydantic import AfterValidator, Field, JsonValue, model_validator
 
 from missionsim.errors import Fault, did_you_mean
 from missionsim.glossary import COLUMNS, column_of
+from missionsim.inputs import values
 from missionsim.inputs.base import (
     Expression,
     FileModel,
@@ -22,25 +23,7 @@ from missionsim.inputs.base import (
 )
 from missionsim.inputs.battery import BatterySpec
 from missionsim.inputs.tree import Document
-from missionsim.inputs.values import (
-    Acceleration,
-    AnyNumber,
-    Chance,
-    Distance,
-    Duration,
-    EffectNumber,
-    Efficiency,
-    Fraction,
-    Frequency,
-    Length,
-    Mass,
-    Parameter,
-    Power,
-    Ratio,
-    Speed,
-    YawAcceleration,
-    YawRate,
-)
+from missionsim.inputs.values import Parameter
 
 
 class LawSpec(Model):
@@ -49,8 +32,8 @@ class LawSpec(Model):
 
     power: Expression | None = None
     model: Identifier | None = None
-    rate: Frequency | None = None
-    parameters: dict[ParameterName, AnyNumber] = Field(default_factory=dict)
+    rate: values.Frequency | None = None
+    parameters: dict[ParameterName, values.AnyNumber] = Field(default_factory=dict)
 
     _one = either("power", "model", "a law has either a power or a model", 'power: "k*rate", or model: multicore_cpu')
 
@@ -59,7 +42,7 @@ class LoadSpec(Model):
     """What one unit of a component takes from one battery."""
 
     battery: Identifier
-    power: Power | None = None
+    power: values.Power | None = None
     law: LawSpec | None = None
     through: Identifier | None = None
 
@@ -69,8 +52,8 @@ class LoadSpec(Model):
 class StartupSpec(Model):
     """Time between switching on and being ready, and the power meanwhile (per unit, on the first load's battery)."""
 
-    duration: Duration
-    power: Power | None = None
+    duration: values.Duration
+    power: values.Power | None = None
 
 
 class ComponentSpec(Model):
@@ -89,7 +72,7 @@ class LinkSpec(Model):
     """Converter or USB link between a component and its battery: power at the battery = power / efficiency."""
 
     battery: Identifier
-    efficiency: Efficiency = Parameter(1.0)
+    efficiency: values.Efficiency = Parameter(1.0)
     title: Text = ""
 
 
@@ -97,7 +80,7 @@ class SwitchboardSpec(Model):
     """Relay board: its own power for 0, 1, 2… activated relays."""
 
     battery: Identifier
-    power: Annotated[tuple[Power, ...], Field(min_length=1, max_length=100)]
+    power: Annotated[tuple[values.Power, ...], Field(min_length=1, max_length=100)]
     title: Text = ""
 
 
@@ -109,7 +92,7 @@ class ProcessorSpec(Model):
     """
 
     battery: Identifier
-    idle: Power | None = None
+    idle: values.Power | None = None
     fallback: Literal["nearest", "refuse"] = "nearest"
 
 
@@ -118,7 +101,7 @@ class ProcessorRow(Model):
 
     navigation: Identifier | None = None
     sensors: Sensors = Field(default_factory=dict)
-    power: Power
+    power: values.Power
     source: Text = ""
     status: Literal["", "published", "fitted", "assumed", "measured"] = ""
 
@@ -144,13 +127,13 @@ class BehaviourSpec(Model):
     with a stop of a mean time, and relocalisation at the end of a segment, which fails and is tried again.
     """
 
-    path_stretch: Ratio | None = None
-    speed_tracking: Ratio | None = None
-    dwell: Duration | None = None
-    obstacle_spacing: Distance | None = None
-    obstacle_stop: Duration | None = None
-    relocalisation_failure: Chance | None = None
-    relocalisation_time: Duration | None = None
+    path_stretch: values.Ratio | None = None
+    speed_tracking: values.Ratio | None = None
+    dwell: values.Duration | None = None
+    obstacle_spacing: values.Distance | None = None
+    obstacle_stop: values.Duration | None = None
+    relocalisation_failure: values.Chance | None = None
+    relocalisation_time: values.Duration | None = None
 
 
 class SchemeSpec(Model):
@@ -159,7 +142,7 @@ class SchemeSpec(Model):
     title: Text = ""
     motion: bool = True
     image_analysis: bool = False
-    max_speed: Speed | None = None
+    max_speed: values.Speed | None = None
     sensors: SensorRules = SensorRules.model_construct()
     default_sensors: Sensors = Field(default_factory=dict)
     navigation: dict[Identifier, SensorRules] = Field(default_factory=dict)
@@ -188,17 +171,17 @@ Drive = Literal["differential", "skid_steer", "mecanum", "omni", "ackermann"]
 class BodySpec(Model):
     """Mass, drive and limits."""
 
-    mass: Mass | None = None
+    mass: values.Mass | None = None
     drive: Drive
-    max_speed: Speed
-    max_lateral_speed: Speed | None = None
-    max_acceleration: Acceleration | None = None
-    max_deceleration: Acceleration | None = None
-    max_yaw_rate: YawRate = Parameter(1.0, status="assumed", unit="rad/s")
-    max_yaw_acceleration: YawAcceleration | None = None
-    max_payload: Mass | None = None
-    track_width: Length | None = None
-    regeneration: Fraction = Parameter(0.0, status="assumed")
+    max_speed: values.Speed
+    max_lateral_speed: values.Speed | None = None
+    max_acceleration: values.Acceleration | None = None
+    max_deceleration: values.Acceleration | None = None
+    max_yaw_rate: values.YawRate = Parameter(1.0, status="assumed", unit="rad/s")
+    max_yaw_acceleration: values.YawAcceleration | None = None
+    max_payload: values.Mass | None = None
+    track_width: values.Length | None = None
+    regeneration: values.Fraction = Parameter(0.0, status="assumed")
 
     @property
     def moves_sideways(self) -> bool:
@@ -213,7 +196,7 @@ class MotionSpec(Model):
     model: Identifier = "polynomial"
     power: Expression | None = None
     standing: Expression | None = None
-    parameters: dict[ParameterName, AnyNumber] = Field(default_factory=dict)
+    parameters: dict[ParameterName, values.AnyNumber] = Field(default_factory=dict)
     options: dict[Identifier, JsonValue] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -266,7 +249,7 @@ class EffectSpec(Model):
     battery: Identifier
     power: Expression | None = None
     component: Identifier | None = None
-    parameters: dict[Name, EffectNumber] = Field(default_factory=dict)
+    parameters: dict[Name, values.EffectNumber] = Field(default_factory=dict)
     options: dict[Identifier, JsonValue] = Field(default_factory=dict)
     candidate: bool = False
     origin: Origin = Field(default_factory=dict)

@@ -7,26 +7,11 @@ from pydantic import Field, GetJsonSchemaHandler, WrapValidator, model_validator
 from pydantic_core import PydanticCustomError, core_schema
 
 from missionsim.errors import did_you_mean
+from missionsim.inputs import values
 from missionsim.inputs.base import Identifier, Model, Name, Sensors, either, wrong
 from missionsim.inputs.robot import BehaviourSpec
 from missionsim.inputs.tree import as_written
-from missionsim.inputs.values import (
-    Angle,
-    Chance,
-    Condition,
-    Distance,
-    Duration,
-    Fraction,
-    Frequency,
-    Length,
-    Mass,
-    Parameter,
-    Period,
-    Slope,
-    Speed,
-    Temperature,
-    YawRate,
-)
+from missionsim.inputs.values import Parameter
 
 Profile = Literal["trapezoidal", "constant_speed"]
 
@@ -34,19 +19,19 @@ Profile = Literal["trapezoidal", "constant_speed"]
 class Settings(Model):
     """What a segment may set and `defaults` may set for all segments."""
 
-    speed: Speed | None = None
-    yaw_rate: YawRate | None = None
+    speed: values.Speed | None = None
+    yaw_rate: values.YawRate | None = None
     scheme: Identifier | None = None
     navigation: Identifier | None = None
     sensors: Sensors | None = None
-    payload: Mass | None = None
+    payload: values.Mass | None = None
     profile: Profile | None = None
     surface: Name | None = None
-    temperature: Temperature | None = None
-    cpu_load: Fraction | None = None
-    cpu_frequency: Frequency | None = None
-    access_point_distance: Length | None = None
-    conditions: dict[Identifier, Condition] = Field(default_factory=dict)
+    temperature: values.Temperature | None = None
+    cpu_load: values.Fraction | None = None
+    cpu_frequency: values.Frequency | None = None
+    access_point_distance: values.Length | None = None
+    conditions: dict[Identifier, values.Condition] = Field(default_factory=dict)
     behaviour: BehaviourSpec | None = None
 
 
@@ -71,9 +56,9 @@ class DriveSegment(SegmentSpec):
     to: Name | None = None
     via: tuple[Name, ...] = ()
     along: tuple[Name, ...] | None = Field(default=None, min_length=1)
-    distance: Distance | None = None
-    slope: Slope | None = None
-    heading: Angle | None = None
+    distance: values.Distance | None = None
+    slope: values.Slope | None = None
+    heading: values.Angle | None = None
 
     @model_validator(mode="after")
     def _one(self) -> "DriveSegment":
@@ -93,25 +78,25 @@ class ArcSegment(SegmentSpec):
     """Drive along a part of a circle; positive angles turn left."""
 
     kind: Literal["arc"]
-    radius: Distance
-    angle: Angle
-    slope: Slope | None = None
+    radius: values.Distance
+    angle: values.Angle
+    slope: values.Slope | None = None
 
 
 class TurnSegment(SegmentSpec):
     """Turn on the spot; positive angles turn left."""
 
     kind: Literal["turn"]
-    angle: Angle
+    angle: values.Angle
 
 
 class MoveSegment(SegmentSpec):
     """Move in a direction without turning (mecanum and omni drives); 0 is forward, 90 deg left."""
 
     kind: Literal["move"]
-    distance: Distance
-    direction: Angle
-    slope: Slope | None = None
+    distance: values.Distance
+    direction: values.Angle
+    slope: values.Slope | None = None
 
 
 class InspectSegment(SegmentSpec):
@@ -122,22 +107,22 @@ class InspectSegment(SegmentSpec):
     """
 
     kind: Literal["inspect"]
-    duration: Duration
-    repeat_probability: Annotated[Chance, Field()] | None = None
+    duration: values.Duration
+    repeat_probability: Annotated[values.Chance, Field()] | None = None
 
 
 class WaitSegment(SegmentSpec):
     """Stand still."""
 
     kind: Literal["wait"]
-    duration: Duration
+    duration: values.Duration
 
 
 class RechargeSpec(Model):
     """Charge until a state of charge, or for a time; all batteries of the charger unless named."""
 
-    until: Fraction | None = None
-    duration: Duration | None = None
+    until: values.Fraction | None = None
+    duration: values.Duration | None = None
     batteries: tuple[Identifier, ...] = ()
 
     _one = either("until", "duration", "recharge until a charge or for a duration", "until: 95 %")
@@ -148,7 +133,7 @@ class DockSegment(SegmentSpec):
 
     kind: Literal["dock"]
     recharge: RechargeSpec = RechargeSpec.model_construct(until=Parameter(1.0), batteries=())
-    if_below: Fraction | None = None
+    if_below: values.Fraction | None = None
 
     @model_validator(mode="after")
     def _useful(self) -> "DockSegment":
@@ -166,7 +151,7 @@ class RepeatSegment(Model):
     kind: Literal["repeat"]
     name: Name | None = None
     times: Annotated[int, Field(strict=True, ge=1, le=100_000)] | None = None
-    until: Period | None = None
+    until: values.Period | None = None
     segments: Annotated[tuple["Segment", ...], Field(min_length=1)]
 
     _one = either("times", "until", "repeat some times or until a time", "times: 5, or until: 8 h")

@@ -1,16 +1,18 @@
 """Units in text (``14.8 V``, ``10 min``, ``2200 mAh``) to SI floats, with the dimension checked.
 
-The units that robot files use are in a small table, since loading pint costs more than a whole `missionsim validate`;
-any other unit goes to pint, which is loaded then.
+The units that robot files use are in a small table (``units.json``: their factors to SI), since loading pint costs more
+than a whole `missionsim validate`; any other unit goes to pint, which is loaded then.
 """
 
 from __future__ import annotations
 
 import functools
+import json
 import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from missionsim.errors import did_you_mean
@@ -35,52 +37,9 @@ class Dimension:
     exponents: tuple[int, int, int, int, int]
 
 
-DIMENSIONS: dict[str, Dimension] = {
-    item.name: item
-    for item in (
-        Dimension("length", "m", "m", "50 m", "meter", (1, 0, 0, 0, 0)),
-        Dimension("speed", "m/s", "m/s", "0.5 m/s", "meter/second", (1, 0, -1, 0, 0)),
-        Dimension("acceleration", "m/s^2", "m/s^2", "0.3 m/s^2", "meter/second**2", (1, 0, -2, 0, 0)),
-        Dimension("angle", "rad", "rad", "90 deg", "radian", (0, 0, 0, 0, 0)),
-        Dimension("yaw rate", "rad/s", "rad/s", "30 deg/s", "radian/second", (0, 0, -1, 0, 0)),
-        Dimension("yaw acceleration", "rad/s^2", "rad/s^2", "1 rad/s^2", "radian/second**2", (0, 0, -2, 0, 0)),
-        Dimension("mass", "kg", "kg", "2.5 kg", "kilogram", (0, 1, 0, 0, 0)),
-        Dimension("power", "W", "W", "2.34 W", "watt", (2, 1, -3, 0, 0)),
-        Dimension("energy", "J", "Wh", "259 Wh", "joule", (2, 1, -2, 0, 0)),
-        Dimension("charge", "C", "Ah", "7.2 Ah", "coulomb", (0, 0, 1, 1, 0)),
-        Dimension("voltage", "V", "V", "14.8 V", "volt", (2, 1, -3, -1, 0)),
-        Dimension("current", "A", "A", "1.2 A", "ampere", (0, 0, 0, 1, 0)),
-        Dimension("resistance", "ohm", "ohm", "0.05 ohm", "ohm", (2, 1, -3, -2, 0)),
-        Dimension("duration", "s", "s", "10 min", "second", (0, 0, 1, 0, 0)),
-        Dimension("frequency", "Hz", "Hz", "25 Hz", "hertz", (0, 0, -1, 0, 0)),
-        Dimension("temperature", "degC", "degC", "20 degC", "degC", (0, 0, 0, 0, 1)),
-        Dimension("fraction", "1", "1", "15 % or 0.15", "dimensionless", (0, 0, 0, 0, 0)),
-        Dimension("number", "1", "1", "1.2", "dimensionless", (0, 0, 0, 0, 0)),
-    )
-}
-
-_FACTORS: dict[str, dict[str, float]] = {
-    "length": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "in": 0.0254},
-    "speed": {"m/s": 1.0, "km/h": 1 / 3.6, "cm/s": 1e-2, "mm/s": 1e-3, "m/min": 1 / 60, "mph": 0.44704},
-    "acceleration": {"m/s^2": 1.0, "m/s2": 1.0, "m/s²": 1.0, "m/s**2": 1.0, "cm/s^2": 1e-2},
-    "angle": {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180, "mrad": 1e-3, "turn": 2 * math.pi},
-    "yaw rate": {"rad/s": 1.0, "deg/s": math.pi / 180, "°/s": math.pi / 180, "rpm": math.pi / 30},
-    "yaw acceleration": {"rad/s^2": 1.0, "rad/s2": 1.0, "rad/s²": 1.0, "rad/s**2": 1.0, "deg/s^2": math.pi / 180},
-    "mass": {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": 0.45359237},
-    "power": {"W": 1.0, "mW": 1e-3, "kW": 1e3, "uW": 1e-6, "µW": 1e-6, "J/s": 1.0, "hp": 745.6998715822702},
-    "energy": {"J": 1.0, "kJ": 1e3, "MJ": 1e6, "Wh": 3600.0, "mWh": 3.6, "kWh": 3.6e6, "W h": 3600.0, "W s": 1.0},
-    "charge": {"C": 1.0, "Ah": 3600.0, "mAh": 3.6, "A h": 3600.0, "A s": 1.0},
-    "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3},
-    "current": {"A": 1.0, "mA": 1e-3, "uA": 1e-6},
-    "resistance": {"ohm": 1.0, "mohm": 1e-3, "Ω": 1.0, "mΩ": 1e-3, "Ohm": 1.0},
-    "duration": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86400.0, "hours": 3600.0, "minutes": 60.0},
-    "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "GHz": 1e9, "1/s": 1.0},
-    "temperature": {"degC": 1.0, "°C": 1.0, "celsius": 1.0},
-    "fraction": {"": 1.0, "%": 0.01},
-    "number": {"": 1.0, "%": 0.01},
-}
-_FACTORS["energy"] |= {"mJ": 1e-3, "uWh": 3.6e-3}
-_FACTORS["duration"] |= {"us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+_TABLE: dict[str, dict[str, Any]] = json.loads(Path(__file__).with_name("units.json").read_text("utf-8"))
+_FACTORS: dict[str, dict[str, float]] = {name: told.pop("units") for name, told in _TABLE.items()}
+DIMENSIONS = {name: Dimension(name, **told | {"exponents": tuple(told["exponents"])}) for name, told in _TABLE.items()}
 _PLAIN = {name: _FACTORS[name].get("" if item.plain == "1" else item.plain, 1.0) for name, item in DIMENSIONS.items()}
 _DIMENSION_OF = {unit: name for name, table in reversed(_FACTORS.items()) for unit in table if unit}
 
