@@ -99,7 +99,7 @@ class Expression:
     place: Place = field(default=Place(), repr=False, compare=False)
     """Where it was written, for messages."""
 
-    def evaluate(self, values: Mapping[str, object]) -> Any:
+    def evaluate(self, values: Mapping[str, object]) -> object:
         """Value of the formula; arrays broadcast as in NumPy, and division by zero gives inf or nan as there."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             try:

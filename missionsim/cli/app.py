@@ -23,7 +23,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "plan": ("plan:plan", "Plan a task: which order, way, speed and control scheme, and where to charge."),
     "reach": ("plan:reach", "Which places a robot gets to and back from, and where it must turn back."),
     "reproduce": ("shipped:reproduce", "Print every published figure of the four robots beside ours."),
-    "calibrate": ("calibrate:calibrate", "Fit a base model to logs, or refit the parameters of a robot."),
+    "calibrate": ("compare:calibrate", "Fit a base model to logs, or refit the parameters of a robot."),
     "compare": ("compare:compare", "Compare the model with measurements and see where it fails."),
     "diagnose": ("diagnose:diagnose", "Find which physical effect is missing, or say that the data cannot tell."),
     "add-effect": ("diagnose:add_effect", "Fit an effect and write the robot file that has it."),

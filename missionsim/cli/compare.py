@@ -1,16 +1,19 @@
-"""``missionsim compare``: model against measurements; where it fails."""
+"""`missionsim compare` (model against measurements: where it fails) and `calibrate` (a model fitted to them)."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from missionsim.cli.options import TERMINAL, OutFile, OutFolder, Output, tell_left_out
+from missionsim.cli.options import TERMINAL, OutFile, OutFolder, Output, RobotFile, tell_left_out
 from missionsim.errors import InputError
 from missionsim.files import write_text
-from missionsim.report.terminal import console
+from missionsim.report.terminal import console, show_table
+
+if TYPE_CHECKING:
+    from missionsim.fit.parameters import ModelFit
 
 
 def compare(
@@ -71,8 +74,7 @@ def compare(
         footer += "Error is model minus measured throughout; a gap is measured minus model."
         write_text(report, compare_page(result, tolerance_pct=tolerance, footer=footer))
     if out is not None:
-        from missionsim.report.compare_figures import write_figures
-        from missionsim.report.compare_terminal import write_tables
+        from missionsim.report.compare_files import write_figures, write_tables
 
         write_tables(result, out)
         write_figures(result, out)
@@ -84,7 +86,7 @@ def compare(
     to.emit(result.to_json())
     inside = tolerance is None or result.within(tolerance)
     if text:
-        from missionsim.report.compare_terminal import print_comparison
+        from missionsim.report.compare_files import print_comparison
 
         terminal = console()
         print_comparison(result, terminal)
@@ -95,3 +97,114 @@ def compare(
                 terminal.print(f"written: {path}")
     doubtful = any(thousandfold(one.energy_measured_wh, one.energy_model_wh) for one in result.batteries.values())
     return 0 if inside and not doubtful and not result.left_out else 1
+
+
+def calibrate(
+    *logs: Path,
+    out: RobotFile,
+    new: str | None = None,
+    base: str | None = None,
+    robot: str | None = None,
+    battery: str | None = None,
+    mass: str = "",
+    capacity: str = "",
+    max_speed: str = "",
+    drive: str = "differential",
+    to: Output = TERMINAL,
+) -> int:
+    """Fit a base model for a new robot to logs, or refit the parameters of a robot.
+
+    Parameters
+    ----------
+    logs
+        Log files or folders of them.
+    out
+        Robot file to write.
+    new
+        Name of a new robot; needs --base.
+    base
+        Power while moving as a formula over v (magnitude of the speed), a (its rate), w (yaw rate), u (sideways
+        speed), theta (slope), m (mass) or log columns, with parameters of your own naming: "c2*v**2 + c3*v + c4".
+    robot
+        A robot (shipped name or file) whose parameters are refitted, each with its own prior.
+    battery
+        Battery that is fitted; by default every measured one for --robot, and for a new robot the only one that the
+        logs measure, or "robot".
+    mass
+        Mass of a new robot, such as "25 kg"; without it, effects of mass come out per robot instead of per kg.
+    capacity
+        Battery capacity of a new robot, such as "100 Wh".
+    max_speed
+        Top speed of a new robot; by default the fastest in the logs.
+    drive
+        differential, skid_steer, mecanum, omni or ackermann.
+    """
+    from missionsim.inputs.loading import load_robot
+    from missionsim.inputs.power import build_power_model
+    from missionsim.logs import describe, read_logs
+    from missionsim.runs.admit import admit
+
+    if (new is None) == (robot is None):
+        raise InputError.single("give either --new NAME with --base, or --robot R", got="both" if new else "neither")
+    if new is not None and base is None:
+        raise InputError.single("--new needs --base", allowed='--base "c2*v**2 + c3*v + c4"')
+    if robot is not None and base is not None:
+        raise InputError.single("--base belongs to --new", got=base)
+    if not logs:
+        raise InputError.single("give at least one log", allowed="files or folders")
+    given = None if robot is None else build_power_model(load_robot(robot))
+    refused: list[str] = []
+    tables, left_out = admit(read_logs(list(logs), left_out=refused), given)
+    left_out += refused
+    tell_left_out(left_out, to)
+    fits: list[ModelFit]
+    remarks: list[str]
+    if new is not None and base is not None:
+        from missionsim.fit.newrobot import NewRobot, calibrate_new
+
+        measured = {name for log in tables for name in log.power_w}
+        battery = battery or (measured.pop() if len(measured) == 1 else "robot")
+        made = calibrate_new(NewRobot(new, base, battery, mass, capacity, max_speed, drive), tables)
+        text, fits, remarks = made.text, [made.fit], list(made.remarks)
+    else:
+        from missionsim.fit.refit import refit_robot
+
+        again = refit_robot(str(robot), tables, battery)
+        text, fits, remarks = again.text, list(again.fits), list(again.remarks)
+    remarks = [*describe(tables), *remarks]
+    write_text(out, text)
+    to.emit(
+        {
+            "schema": "missionsim.calibration/1",
+            "robot_file": str(out),
+            "batteries": {fit.battery: fit.to_json() for fit in fits},
+            "remarks": remarks,
+            "left_out": left_out,
+        }
+    )
+    if to.text:
+        _print(fits, remarks, out)
+    return 1 if left_out else 0
+
+
+def _print(fits: list[ModelFit], remarks: list[str], out: Path) -> None:
+    terminal = console()
+    for fit in fits:
+        rows = [
+            (p.name, f"{p.value:.4g}", f"{p.low:.4g} … {p.high:.4g}", p.unit if p.unit != "1" else "")
+            for p in fit.parameters.values()
+            if p.seen
+        ]
+        show_table(f"Battery {fit.battery}", ["parameter", ">value", ">95 % interval", "unit"], rows)
+        clock = "clocks as logged"
+        if fit.delay_s or fit.lag_s:
+            clock = f"meter {fit.delay_s:+.2f} s behind the motion, lag {fit.lag_s:.2f} s"
+        count = f"{len(fit.runs)} run{'s' * (len(fit.runs) != 1)}"
+        terminal.print(
+            f"{count}, {fit.seconds / 60:.0f} min; explains {100 * fit.explained:.1f} % of the variance "
+            f"of the power; error {fit.after.power_rmse_w:.3g} W (RMS), {fit.after.run_energy_error_pct:.2f} % of the "
+            f"energy of a run; {clock}"
+        )
+    for remark in remarks:
+        terminal.print(f"note: {remark}")
+    terminal.print(f"written: {out}")

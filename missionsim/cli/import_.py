@@ -15,7 +15,7 @@ from missionsim.report.terminal import console, show_table
 
 if TYPE_CHECKING:
     from missionsim.logs import LogTable
-    from missionsim.logs.write import LongRun
+    from missionsim.logs.blocks import LongRun
 
 
 def import_(
@@ -69,7 +69,7 @@ def import_(
         raise InputError.single("--out is missing", allowed="--out LOG.parquet, or a folder for several runs")
     from missionsim.importer.mapping import import_long, import_source, provenance
     from missionsim.inputs.loading import load_map
-    from missionsim.logs.write import write_log
+    from missionsim.logs.blocks import write_log
 
     spec = load_map(map_)
     left_out: list[Fault] = []

@@ -149,7 +149,7 @@ def motion_expression_terms(
         moving = at_rest(cov, p) * _ones(cov)
         if standing is None:
             return moving
-        return np.where(is_moving(cov), moving, standing.evaluate({**aliased(cov), **p}))
+        return np.where(is_moving(cov), moving, np.asarray(standing.evaluate({**aliased(cov), **p})))
 
     def specs(names: tuple[str, ...]) -> tuple[ParameterSpec, ...]:
         return tuple(ParameterSpec(name, "", "base parameter", low=-float("inf")) for name in names)

@@ -71,23 +71,23 @@ def read_node_link(root: Value, site: Site, options: SiteOptions) -> None:
     nodes, edges = [], []
     known: dict[str, str] = {}
     for index, node in enumerate(root.entries("nodes")):
-        identity = node.data.get("id", node.data.get("name", index)) if isinstance(node.data, dict) else node.data
+        identity = node.fields.get("id", node.fields.get("name", index)) if isinstance(node.data, dict) else node.data
         name = str(identity)
         if name in known:
             node.fault(f"node '{name[:60]}' stands twice", "an id of its own")
         known[name] = name
-        nodes.append(Part((name,), node.data if isinstance(node.data, dict) else {}, node.line))
+        nodes.append(Part((name,), node.fields, node.line))
     for edge in root.entries("links", "edges"):
         start, end = (found.named(known) if (found := edge.need(key)) else None for key in ("source", "target"))
         if start is not None and end is not None:
-            edges.append(Part((start, end), edge.data, edge.line))
+            edges.append(Part((start, end), edge.fields, edge.line))
     if not nodes:
         root.fault("a graph without nodes", "nodes: [{id: …}]")
     graph = root.get("graph")
-    attributes = graph.data if graph and isinstance(graph.data, dict) else {}
+    attributes = graph.fields if graph else {}
     site.name = clean(str(attributes.get("name") or "")) or site.name
     if not root.faults.found:
-        _fill(nodes, edges, attributes, root.data.get("directed") is True, site, options, root.faults)
+        _fill(nodes, edges, attributes, root.fields.get("directed") is True, site, options, root.faults)
 
 
 def _fill(

@@ -55,7 +55,7 @@ def _nodes(root: Value, site: Site, nodes: list[tuple[Value, Value]], options: S
     names: dict[object, str] = {}
     positions = [_position(geometry) for _, geometry in nodes]
     plane = None
-    crs = str(root.data.get("crs"))
+    crs = str(root.fields.get("crs"))
     if any(code in crs for code in ("4326", "CRS84")) and any(positions):
         points = [(p[1], p[0]) for p in positions if p]
         if all(abs(latitude) <= 90 and abs(longitude) <= 360 for latitude, longitude in points):
@@ -187,7 +187,7 @@ def export_costs(
     drives: dict[tuple[float, float], float] = {}
     wanted = []
     for properties in edges:
-        edge = known.get(str(properties.data["id"]), {}) if properties else {}
+        edge = known.get(str(properties.fields["id"]), {}) if properties else {}
         limit = min(top, speed or top, edge.get("max_speed") or top)
         slope = edge.get("slope", 0.0)
         speeds = [limit * share for share in (np.linspace(0.1, 1.0, 19) if best_speed else [1.0])]
@@ -208,7 +208,7 @@ def export_costs(
         pace, cost = speeds[best], max(0.0, costs[best])
         negative += costs[best] < 0.0
         energy = drives[slope, pace] / 3600.0 * length / pace
-        row = {"id": properties.data["id"], "length_m": length, "speed_m_s": pace, "energy_wh": energy}
+        row = {"id": properties.fields["id"], "length_m": length, "speed_m_s": pace, "energy_wh": energy}
         told.append({**row, "seconds": length / pace, "cost": cost})
         _edit(properties, cost, pace / top, edits)
     mark = "\ufeff" if text.startswith("\ufeff") else ""

@@ -61,7 +61,7 @@ def read(root: Value, site: Site, options: SiteOptions) -> None:
         numbers = [value.number() for value in place.entries("coordinate")[:2]] if isinstance(place.data, dict) else []
         home = numbers
     for key in ("geoFence", "rallyPoints"):
-        if (part := root.get(key)) and any(part.has(k) and part.data[k] for k in _SHAPES):
+        if (part := root.get(key)) and any(part.fields.get(k) for k in _SHAPES):
             site.tell(f"left out: {key}", part.line)
     if root.faults.found:
         return

@@ -14,6 +14,7 @@ from typing import Any
 from xml.parsers import expat
 
 from missionsim.errors import Fault, InputError
+from missionsim.files import Json
 from missionsim.inputs.tree import Document, Node, as_written, decoded, dotted, parse_document, read_bytes
 
 MAX_BYTES = 32_000_000
@@ -202,9 +203,14 @@ class Value:
     path: tuple[str | int, ...] = ()
 
     @property
-    def data(self) -> Any:
+    def data(self) -> object:
         """As plain data."""
         return self.node.data
+
+    @property
+    def fields(self) -> Json:
+        """Plain data of a mapping; empty for all else."""
+        return self.node.data if isinstance(self.node.data, dict) else {}
 
     @property
     def line(self) -> int:
@@ -219,13 +225,13 @@ class Value:
 
     def has(self, key: str) -> bool:
         """Whether a mapping has a key whose value is not null."""
-        return isinstance(self.data, dict) and self.data.get(key) is not None
+        return self.fields.get(key) is not None
 
     def get(self, *keys: str) -> Value | None:
         """Value at the first key that is there and not null."""
         if isinstance(self.node.children, dict):
             for key in keys:
-                if self.data.get(key) is not None:
+                if self.has(key):
                     return Value(self.document, self.faults, self.node.children[key], (*self.path, key))
         return None
 
@@ -269,7 +275,7 @@ class Value:
     def number(self, low: float = -1e12, high: float = 1e12) -> float | None:
         """A number between limits; None and a fault where it is none."""
         raw = self.data
-        if type(raw) not in (int, float):
+        if isinstance(raw, bool) or not isinstance(raw, (int, float)):
             self.fault("must be a number", allowed="a number")
         elif not math.isfinite(raw) or not low <= raw <= high:
             self.fault("impossible value", allowed=f"{low:g} to {high:g}")

@@ -208,7 +208,7 @@ def _node(node: Value, site: Site, names: dict[str, str], options: SiteOptions) 
     identity = node.need("nodeId") and node.word("nodeId")
     if not identity:
         return None
-    if node.get("released") and node.data["released"] is False:
+    if node.fields.get("released") is False:
         site.tell("horizon (released: false) is read like the base", node.line)
     site.left_out("a node", node.items(), _NODE_USED)
     if identity in names:
@@ -257,9 +257,8 @@ def _edge(edge: Value | None, node: Value, start: str, end: str, site: Site) -> 
 def _actions(node: Value, site: Site, name: str, options: SiteOptions) -> None:
     for action in node.entries("actions"):
         kind = action.word("actionType")
-        parameters = {
-            p.word("key"): p.data.get("value") for p in action.entries("actionParameters") if isinstance(p.data, dict)
-        }
+        given = [p for p in action.entries("actionParameters") if isinstance(p.data, dict)]
+        parameters = {p.word("key"): p.fields.get("value") for p in given}
         duration = _duration(parameters)
         if kind.lower() in _CHARGING:
             site.places[name].setdefault("charger", options.charger)

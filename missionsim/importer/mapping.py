@@ -18,13 +18,12 @@ from missionsim.importer.mapper import Mapper
 from missionsim.importer.runs import Part, split_at_gaps, split_runs
 from missionsim.importer.sources import find_sources, read_source, table_options, with_names
 from missionsim.inputs.log_map import MapSpec, RunsMap
-from missionsim.logs.blocks import checked_blocks
+from missionsim.logs.blocks import LongRun, checked_blocks, write_blocks
 from missionsim.logs.formats.delimited import iter_csv
 from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.logs.read import PathLike, make_log
 from missionsim.logs.readers import reader_of
 from missionsim.logs.times import close_jumps
-from missionsim.logs.write import LongRun, write_blocks
 from missionsim.runs.run import Run
 
 

@@ -26,7 +26,7 @@ from missionsim.runs.run import Run, row_durations
 
 if TYPE_CHECKING:
     from missionsim.inputs import RobotSpec
-    from missionsim.logs.write import LongRun
+    from missionsim.logs.blocks import LongRun
 
 PathLike = str | os.PathLike[str]
 _SOURCES = {

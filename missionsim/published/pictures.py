@@ -93,7 +93,7 @@ def _sonar(figure: Figure) -> None:
 
 
 def _stretch(figure: Figure) -> None:
-    from missionsim.published.tables import stretch_test
+    from missionsim.published.reproduce import stretch_test
 
     rows = stretch_test()
     axes = figure.subplots()

@@ -11,7 +11,7 @@ from missionsim.compare.behaviour import PARTS
 from missionsim.compare.where import in_words
 from missionsim.report import page as web
 from missionsim.report import traces as draw
-from missionsim.report.compare_figures import DIVERGING, error_map
+from missionsim.report.compare_files import DIVERGING, error_map
 from missionsim.report.page import label
 from missionsim.report.terminal import signed
 

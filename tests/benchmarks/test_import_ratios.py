@@ -12,7 +12,7 @@ import pytest
 from missionsim.cli.app import run_command
 from missionsim.importer.mapping import import_source
 from missionsim.inputs.loading import load_map
-from missionsim.logs.write import write_log
+from missionsim.logs.blocks import write_log
 from tests.benchmarks.conftest import MISSIONSIM, InTurns, cost
 from tests.logs.bag_writers import write_bag
 

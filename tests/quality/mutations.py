@@ -86,7 +86,7 @@ def prepare(folder: Path) -> None:
 
     from missionsim.cli.app import run_command
     from missionsim.logs import read_log
-    from missionsim.logs.write import write_log
+    from missionsim.logs.blocks import write_log
     from tests.logs.bag_writers import write_ardupilot, write_bag, write_ulog
     from tests.logs.loggers import write_states
 

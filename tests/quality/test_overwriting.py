@@ -11,7 +11,7 @@ from missionsim.cli.app import read_call, run_command
 from missionsim.cli.parse import Call, check_targets
 from missionsim.errors import InputError
 from missionsim.logs import read_log
-from missionsim.logs.write import write_log
+from missionsim.logs.blocks import write_log
 
 ROBOT = """kind: robot
 name: bot
