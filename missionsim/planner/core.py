@@ -21,10 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.physics import Array
-from missionsim.planner.chains import dominates, least_of_most, most_of_least, within
+from missionsim.planner.chains import EPSILON, Front, least_of_most, most_of_least, within
 
-EPSILON = 1e-10
-"""Resources that differ by less (relative to 1 or their size) are taken as equal."""
 DOMINATED = 4
 NARROW = 3
 """Width of the beam once it is to stop but has no plan yet."""
@@ -153,38 +151,6 @@ class Outcome:
     interrupted: bool = False
 
 
-class _Front:
-    """Labels of one node that are followed; taken in the order of their bounds, no later one dominates an earlier."""
-
-    __slots__ = ("chains", "count", "lows", "values")
-
-    def __init__(self, resources: int) -> None:
-        self.values = np.empty((8, resources))
-        self.lows = np.empty((0, resources))
-        self.count = 0
-        self.chains: list[Array] = []
-
-    def add(self, points: Array) -> bool:
-        """Add the points of a label, unless it is dominated."""
-        limits = points + EPSILON * (1.0 + np.abs(points))
-        known = self.values[: self.count]
-        if self.count and all((known <= limit).all(axis=1).any() for limit in limits):
-            return False
-        if self.chains:
-            near = np.flatnonzero((self.lows <= limits.min(axis=0)).all(axis=1))
-            if any(dominates(self.chains[i], limits) for i in near.tolist()):
-                return False
-        if len(points) > 1:
-            self.chains.append(points)
-            self.lows = np.concatenate([self.lows, points.min(axis=0)[None, :]])
-            return True
-        if self.count == len(self.values):
-            self.values = np.concatenate([self.values, np.empty_like(self.values)])
-        self.values[self.count] = points[0]
-        self.count += 1
-        return True
-
-
 def search(
     network: Network,
     starts: Sequence[Label],
@@ -204,7 +170,7 @@ def search(
     """
     outcome = Outcome(objective=best)
     room = bounds.room
-    fronts: dict[int, _Front] = {}
+    fronts: dict[int, Front] = {}
     heap: list[tuple[float, float, int, Label]] = []
     serial = itertools.count()
     taken = 0
@@ -231,7 +197,7 @@ def search(
             # whatever dominates a label has no larger bound, so that it was taken before
             compared = bounds.sheared(label.points)
             if label.node not in fronts:
-                fronts[label.node] = _Front(compared.shape[1])
+                fronts[label.node] = Front(compared.shape[1])
             taken += 1
             if most_labels is not None and taken > DOMINATED * most_labels:
                 outcome.labels = most_labels + 1
@@ -283,7 +249,7 @@ def quick(
     outcome = Outcome(objective=best)
     room = bounds.room
     layer = list(starts)
-    fronts: dict[int, _Front] = {}  # of all steps: a label that none was better than may still go round in circles
+    fronts: dict[int, Front] = {}  # of all steps: a label that none was better than may still go round in circles
     try:
         while layer:
             made = [expand(network, label, bounds, room) for label in layer]
@@ -310,7 +276,7 @@ def quick(
                     outcome.label, outcome.objective = label, float(label.points[:, 0].min())
                 else:
                     compared = bounds.sheared(label.points)
-                    if fronts.setdefault(label.node, _Front(compared.shape[1])).add(compared):
+                    if fronts.setdefault(label.node, Front(compared.shape[1])).add(compared):
                         layer.append(label)
             outcome.labels += len(layer)
             if watch is not None and watch(outcome, len(layer)):

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Columns, Truth
-from missionsim.effects.integrate import SAMPLES, averaged
-from missionsim.effects.model import PowerModel
+from missionsim.effects.integrate import SAMPLES
+from missionsim.effects.model import PowerModel, TermKey
 from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.outcome import J_PER_WH
 from missionsim.engine.setup import split_values
@@ -34,7 +34,9 @@ from missionsim.uncertainty.matrices import (
     Intervals,
     Progress,
     at_nodes,
+    at_times,
     distance_of,
+    mean_powers,
     running_sum,
     take,
 )
@@ -296,6 +298,12 @@ class ArrayMission:
         changing = [np.any(rate != 0.0, axis=0) if np.ndim(rate) > 1 else rate != 0.0 for rate in rates.values()]
         return np.asarray(np.broadcast_to(functools.reduce(np.logical_or, changing), (count,)))
 
+    @functools.cached_property
+    def _driving(self) -> dict[str, list[TermKey]]:
+        """The terms of each battery whose sum the regeneration bends at zero."""
+        model = self.varying
+        return {b: [t.key for t in model.of(b) if t.effect.drive or t.limited] for b in model.batteries}
+
     def _energies(
         self,
         cov: dict[str, Any],
@@ -327,13 +335,12 @@ class ArrayMission:
             lasts = time_s if whole else length.sum(axis=1)
             for battery, terms in powers.items():
                 mean = total[battery] if isinstance(total[battery], float) else total[battery][where]
-                for key, watts in terms.items():
+                means = terms
+                if sampled:
+                    means, off = mean_powers(terms, length, functools.partial(inside, battery), self._driving[battery])
+                    doubt = doubt + (length * off).sum(axis=1)
+                for key, watts in means.items():
                     watts = np.asarray(watts, dtype=float)
-                    if sampled:
-                        shape = (length.shape[1], len(SAMPLES))
-                        watts = np.broadcast_to(watts, (*watts.shape[:-1], shape[0] * shape[1])).reshape(-1, *shape)
-                        watts, spread, bent = averaged(watts)
-                        doubt = doubt + (length * np.maximum(spread, bent)).sum(axis=1)
                     if watts.shape == (len(length), 1):  # the same in all intervals
                         joules = lasts * watts[:, 0]
                     else:
@@ -349,6 +356,10 @@ class ArrayMission:
                     if battery not in energy:
                         energy[battery] = np.zeros(duration.shape[::-1]).T
                     energy[battery][:, where] = length * mean
+
+        def inside(battery: str, rows: Any, columns: Any, times: Array) -> dict[TermKey, Any]:
+            at = at_times(cov, rates, rows, np.flatnonzero(curved_at)[columns], times)
+            return self.varying.evaluate(at, {name: value[rows, 0] for name, value in values.items()}, battery)[battery]
 
         if self.varying.terms and not curved_at.any():
             book(self.varying.evaluate(cov, values), slice(None), duration)

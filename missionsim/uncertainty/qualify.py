@@ -23,6 +23,8 @@ from missionsim.uncertainty.single import left_to_chance
 
 _CHECK_PROBABILITIES = (0.5, 0.002, 0.998, 0.25, 0.75)
 _CHECK_DRAWS, _TRIED = 3, 256
+_MOST_AGAIN = 0.9
+"""Share of the runs that go back to SimPy up to which arrays are worth their while for the others."""
 
 
 def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) -> ArrayMission | str:
@@ -40,7 +42,7 @@ def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) ->
         return parts
     made = _without_fixed_terms(ArrayMission(mission, model, sampler, plan, model, {}, parts))
     _, again = made.evaluate(sampler.draw(0, 0, _TRIED), _TRIED)
-    if again.mean() > 0.5:
+    if again.mean() > _MOST_AGAIN:
         return (
             f"in {100 * again.mean():.0f} % of its runs a battery comes to a threshold, another way is shorter, a "
             "value changes what the plan consists of, or a power has a kink inside an interval"

@@ -169,3 +169,23 @@ def test_runs_with_a_kink_inside_an_interval_go_to_simpy(tmp_path: Path) -> None
     assert_agree(
         prepared.arrays.block(1, 0, 300), simulate_block(prepared.mission, prepared.model, prepared.sampler, 1, 0, 300)
     )
+
+
+@pytest.mark.parametrize("regeneration", ["0 %", "15 %", "{value: 40 %, sd: 10 %}"])
+def test_where_braking_gives_back_is_found_in_every_run(tmp_path: Path, regeneration: str) -> None:
+    drive = "  - drive: {distance: 12 m, speed: {value: 0.7 m/s, sd: 2 %}, slope: SLOPE}\n"
+    slopes = ("-3 %", "-1 %", "1 %", "3 %")
+    path = written(tmp_path, "segments:\n" + "".join(drive.replace("SLOPE", slope) for slope in slopes))
+    robot = tmp_path / "robot.yaml"
+    text = robot.read_text(encoding="utf-8").replace("body: {", f"body: {{regeneration: {regeneration}, ")
+    own = "".join(
+        f"  - {{effect: {name}, battery: main, parameters: {{k: {{value: 1.2, sd: 5 %}}}}}}\n"
+        for name in ("grade", "acceleration")
+    )
+    robot.write_text(f"{text}effects:\n{own}", encoding="utf-8")
+    prepared = prepare(Task(path, (), None, 1, "auto"))
+    assert prepared.arrays is not None, prepared.why_not_arrays
+    assert not prepared.arrays.evaluate(prepared.sampler.draw(1, 0, 200), 200)[1].any()
+    assert_agree(
+        prepared.arrays.block(1, 0, 200), simulate_block(prepared.mission, prepared.model, prepared.sampler, 1, 0, 200)
+    )
