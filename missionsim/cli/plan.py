@@ -107,7 +107,7 @@ def _solved(task: TaskSpec, seconds: float | None, to: Output) -> tuple[Answer, 
         told = bar.add_task("planning", total=None)
 
         def watch(what: str, objective: float, bound: float) -> bool:
-            bar.update(told, description=f"planning: best {objective:.6g}, none below {bound:.6g}")
+            bar.update(told, description=f"{what}: best {objective:.6g}, none below {bound:.6g}")
             return stop or (seconds is not None and time.monotonic() - began > seconds)
 
         if threading.current_thread() is not threading.main_thread():

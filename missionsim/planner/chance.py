@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,46 +11,28 @@ from numpy.typing import NDArray
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
 from missionsim.errors import Fault, InputError
-from missionsim.files import write_text
 from missionsim.inputs.loading import load_mission
 from missionsim.inputs.task import TaskSpec
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer
+from missionsim.planner.draws import Columns, draws_of, mission_file, slack_of, standard_error, surer, told
 from missionsim.planner.rounds import of_one_kind, plan_rounds
-from missionsim.planner.solve import Watch, solve_site
+from missionsim.planner.solve import FEW_LABELS, MOST_LABELS, Watch, solve_site
 from missionsim.planner.tour import Site, make_site
-from missionsim.planner.write import mission_text
-from missionsim.uncertainty.answers import proportion_interval
-from missionsim.uncertainty.batch import Task, compute_block, prepare
 
-RUNS = 4096
 TRIES = 6
+CHECKS = 3
+"""So often a plan is checked on fresh draws, each time within wider margins."""
+NEAR = 0.005
+"""A share of draws that is no more than this above what is asked is near enough."""
 SEED = 20_260_101
 SAME = 1e-9
-
-
-@contextmanager
-def _mission(answer: Answer) -> Iterator[str]:
-    """A file of a plan's mission, while it is needed."""
-    with tempfile.TemporaryDirectory(prefix="missionsim-", ignore_cleanup_errors=True) as folder:
-        path = Path(folder) / "mission.yaml"
-        write_text(path, mission_text(answer, path))
-        yield str(path)
-
-
-def draws_of(answer: Answer, seed: int, runs: int = RUNS) -> dict[str, NDArray[Any]]:
-    """Columns of many runs of a plan's mission, each with values drawn."""
-    with _mission(answer) as path:
-        task = Task(path, answer.site.task.elsewhere, None, seed, "auto")
-        if prepare(task).arrays is None:
-            runs = min(runs, 200)  # one by one: a minute and more for what arrays do in a second
-        return compute_block(task, 0, runs)
 
 
 def as_run(answer: Answer) -> tuple[Answer, RunResult]:
     """A plan with what SimPy says of its mission where that differs: of what the search takes more simply."""
     task = answer.site.task
-    with _mission(answer) as path:
+    with mission_file(answer) as path:
         try:
             mission = load_mission(path, overrides=task.elsewhere)
         except InputError as error:
@@ -99,23 +76,10 @@ def _in_task(answer: Answer, fault: Fault) -> Fault:
     return task.document.fault(where, fault.message, got=fault.got, allowed=fault.allowed, hint=fault.hint)
 
 
-def holds(site: Site, columns: dict[str, NDArray[Any]]) -> NDArray[np.bool_]:
-    """Which runs are feasible and within the deadline."""
-    late = columns["duration_s"] > site.deadline_s * (1.0 + 1e-9)
-    return np.asarray(columns["feasible"], dtype=bool) & ~late
-
-
-def told(site: Site, columns: dict[str, NDArray[Any]]) -> dict[str, float]:
-    """Share of the runs that hold, with its 95 % interval."""
-    good = holds(site, columns)
-    low, high = proportion_interval(int(good.sum()), good.size)
-    return {"value": float(good.mean()), "low": low, "high": high, "runs": int(good.size)}
-
-
 def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunResult | None]:
     """The plan of least objective that holds when it is simulated and, where asked, in so many of fresh draws.
 
-    Where it does not, margins on the reserves and the deadline grow until it does.
+    Where it does not, it is planned within margins on the reserves and the deadline.
 
     Parameters
     ----------
@@ -132,103 +96,210 @@ def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunRe
     """
     site = make_site(task if task.repeat is None else of_one_kind(task))
     asked = None if task.within.with_probability is None else task.within.with_probability.value
-    physics = site.physics
-    kept, count = physics.reserve_wh, len(physics.names)
-    margins = np.zeros(2 * count + 1)  # at the end and on the way of each battery, of time
-    first = surest = low = enough = beyond = None
-    best: tuple[Answer, RunResult] | None = None
-    for attempt in range(TRIES):
-        now = margins
-        physics.reserve_wh, physics.held_wh = kept + now[:count], now[count:-1]
+    search = _Search(site, watch or (lambda what, objective, bound: False))
+    made = search.simulated() if asked is None else search.sure(asked)
+    return made or (search.none(asked), None)
+
+
+@dataclass
+class _Tried:
+    """A plan within margins, as it is simulated."""
+
+    answer: Answer
+    run: RunResult
+    margins: Array
+    """On the charge of each battery at the end and on the way [Wh], and on the time [s]."""
+
+
+class _Search:
+    """Plans of a site within margins, until one holds."""
+
+    def __init__(self, site: Site, watch: Watch) -> None:
+        self.site, self.watch = site, watch
+        self.names = site.physics.names
+        self.found = Answer(site, False)
+        self.first: _Tried | None = None
+        self.surest: tuple[dict[str, float], Columns] | None = None
+        self.told = ""
+
+    def plan(self, margins: Array, told: str, *, proves: bool = True) -> _Tried | None:
+        """The best plan within margins, as it is simulated; with its proof or without."""
+        site, physics, count = self.site, self.site.physics, len(self.names)
+        kept = physics.reserve_wh
+
+        def watch(what: str, objective: float, bound: float) -> bool:
+            return self.watch(told, objective, bound)
+
+        physics.reserve_wh, physics.held_wh = kept + margins[:count], margins[count:-1]
         try:
-            within = replace(site, deadline_s=site.deadline_s - float(now[-1]))
-            found = plan_rounds(within, watch) if task.repeat is not None else solve_site(within, watch)
+            within = replace(site, deadline_s=site.deadline_s - float(margins[-1]))
+            if site.task.repeat is not None:
+                self.found = plan_rounds(within, watch)
+            else:
+                self.found = solve_site(within, watch, labels=MOST_LABELS if proves else FEW_LABELS)
         finally:
             physics.reserve_wh, physics.held_wh = kept, np.zeros(count)
-        if not found.feasible:
-            if asked is None or low is None:
+        if not self.found.feasible:
+            return None
+        tried = _Tried(*as_run(replace(self.found, site=site)), margins)
+        self.first = self.first or tried
+        return tried
+
+    def simulated(self) -> tuple[Answer, RunResult] | None:
+        """The plan that holds when it is simulated, within margins for what the search takes more simply."""
+        margins = np.zeros(2 * len(self.names) + 1)
+        for attempt in range(TRIES):
+            tried = self.plan(margins, f"margins for what the search leaves out, {attempt}" if attempt else "")
+            if tried is None:
+                return None
+            late = tried.answer.duration_s - self.site.deadline_s * (1.0 + SAME)
+            short = np.maximum(np.append(_short(tried.answer, tried.run), late), 0.0)
+            if tried.run.feasible and not (short > SAME).any() and not _missed(tried.answer):
+                return tried.answer, tried.run
+            if tried.answer.stopped or not short.any():
+                return None
+            margins = margins + short * (1.0 + SAME)
+        return None
+
+    def sure(self, asked: float) -> tuple[Answer, RunResult] | None:
+        """The plan that holds in a share of fresh draws, within margins that are as tight as the draws can tell."""
+        target = asked
+        for check in range(CHECKS):
+            tried = self._tight(target, asked)
+            if tried is None:
+                return None
+            fresh = self._draw(tried, SEED + 1 + check)
+            if fresh["value"] >= asked:
+                return self._proved(tried, fresh, asked)
+            if tried.answer.stopped:
+                return None
+            # as if half a standard error less had been seen of the draws that the margins were made from
+            target = min(target + asked - fresh["value"] + 0.5 * standard_error(asked, fresh["runs"]), 1.0)
+        return None
+
+    def _proved(self, tried: _Tried, fresh: dict[str, float], asked: float) -> tuple[Answer, RunResult]:
+        """A plan that holds, or a better one within its margins, with the proof."""
+        answer = tried.answer
+        if self.site.task.repeat is None and not answer.stopped and answer.gap > SAME:
+            proved = self.plan(tried.margins, f"proof, for what holds in {100 * fresh['value']:.2f} %")
+            if proved is not None:
+                said = {key: proved.answer.extra[key] for key in ("assumed",) if key in proved.answer.extra}
+                again = self._draw(proved, SEED + CHECKS + 1)
+                if proved.answer.objective < answer.objective * (1.0 - SAME) and again["value"] >= asked:
+                    tried, fresh = proved, again
+                bound = min(proved.answer.bound, tried.answer.objective)
+                answer = replace(tried.answer, bound=bound, stopped=proved.answer.stopped)
+                answer.extra |= said
+        count, margins = len(self.names), tried.margins.tolist()
+        answer.extra["probability"] = fresh | {"asked": asked}
+        answer.extra["margins"] = {
+            "reserve_wh": dict(zip(self.names, margins[:count], strict=True)),
+            "on_the_way_wh": dict(zip(self.names, margins[count:-1], strict=True)),
+            "deadline_s": margins[-1],
+        }
+        return answer, tried.run
+
+    def _draw(self, tried: _Tried, seed: int) -> dict[str, float]:
+        """In how many draws a plan holds; what the surest was is kept."""
+        columns = draws_of(tried.answer, seed)
+        share = told(self.site, columns)
+        if self.surest is None or share["value"] > self.surest[0]["value"]:
+            self.surest = share, columns
+        self.columns = columns
+        return share
+
+    def _tight(self, target: float, asked: float) -> _Tried | None:
+        """The cheapest plan found that holds in a share of the draws that margins are made from."""
+        margins = np.zeros(2 * len(self.names) + 1)
+        low: Array | None = None
+        high: Array | None = None
+        best: _Tried | None = None
+        beyond: Array | None = None
+        limits = np.zeros(len(margins), dtype=bool)
+        told_of = f"plan for {100 * asked:g} %"
+        for attempt in range(TRIES):
+            tried = self.plan(margins, f"{told_of}, {attempt + 1}", proves=False)
+            if tried is None:
+                if low is None or self.found.stopped:
+                    return best
+                beyond = margins  # no plan keeps such margins
+                margins = 0.5 * (low + beyond)
+                continue
+            share = self._draw(tried, SEED)
+            told_of = f"plan for {100 * asked:g} % (last held in {100 * share['value']:.2f} %)"
+            if share["value"] >= target:
+                high = margins
+                if best is None or tried.answer.objective < best.answer.objective:
+                    best = tried
+                if not margins.any() or share["value"] <= target + NEAR:
+                    break
+            else:
+                low = margins
+            if tried.answer.stopped and best is not None:
                 break
-            beyond = now  # no plan keeps such margins
-            margins = 0.5 * (low + beyond)
-            continue
-        answer, run = as_run(replace(found, site=site))
-        first = first or answer
-        late = max(0.0, answer.duration_s - site.deadline_s * (1.0 + SAME))
-        short = np.append(_short(answer, run), late)
-        good = run.feasible and not (short > SAME).any() and not _missed(answer)
-        if asked is not None:
-            columns = draws_of(answer, SEED + 2 * attempt)
-            told_of = told(site, columns)
-            if told_of["value"] >= asked:
-                told_of = told(site, draws_of(answer, SEED + 2 * attempt + 1))
-            good = told_of["value"] >= asked
-            answer.extra["probability"] = told_of | {"asked": asked}
-            if surest is None or told_of["value"] > surest["value"]:
-                surest = told_of
-            answer.extra["margins"] = {
-                "reserve_wh": dict(zip(physics.names, now[:count].tolist(), strict=True)),
-                "deadline_s": float(now[-1]),
-            }
-            # each limit is to hold often enough, and all of them together
-            each = [-columns[f"margin_{name}_wh"] for name in physics.names]
-            limits = max(1, sum(float(np.nanquantile(lacking, asked)) > 0.0 for lacking in each))
-            share = 1.0 - (1.0 - asked) / (limits + 1 + attempt)
-            lacks = [float(np.nanquantile(lacking, share)) for lacking in each]
-            to_dock = [lack * any(leg.kind == "charge" for leg in answer.legs) for lack in lacks]
-            late = float(np.nanquantile(columns["duration_s"], share)) - site.deadline_s
-            short = np.array([*lacks, *to_dock, late])
-        if good:
-            enough = now
-            if best is None or answer.objective < best[0].objective:
-                best = answer, run
-        else:
-            low = now
-        if best is not None and (answer.stopped or asked is None or low is None):
-            return best
-        if answer.stopped:
-            break
-        if enough is not None and low is not None:  # the cheapest plan lies between too little and enough
-            now = 0.5 * (low + enough)
-        elif beyond is not None and low is not None:
-            now = 0.5 * (low + beyond)
-        elif not (short > 0.0).any():
-            break
-        else:
-            now = now + np.maximum(short, 0.0) * (1.0 + SAME)
-        margins = now
-    if best is not None:
+            # in haste somewhat more than needed, so that the first plan within holds
+            needed = self._needed(tried, limits, target) * (1.2 if tried.answer.stopped else 1.0)
+            if not needed.any():
+                break
+            if any(known is not None and np.allclose(needed, known, rtol=0.02) for known in (low, high, beyond)):
+                if high is not None and low is not None:
+                    needed = 0.5 * (low + high)
+                elif beyond is not None and low is not None:
+                    needed = 0.5 * (low + beyond)
+                else:
+                    needed = 1.2 * needed
+            margins = needed
         return best
-    if first is None:
-        return Answer(site, False, notes=found.notes, extra=found.extra), None
-    if answer.stopped:
-        note = "the search was stopped before it found a plan that holds when it is simulated; there may be one"
-        return Answer(site, False, notes=[note], stopped=True), None
-    if surest is None or asked is None:
-        why = run.reason or "too late, or outside a window"
-        note = f"the plan found does not hold when it is simulated ({why}), and within margins for that there is none"
-        return Answer(site, False, notes=[note]), None
-    note = f"no plan was found that holds in {100 * asked:g} % of the draws"
-    extra = {"probability": surest | {"asked": asked}, "would_do": _surer(site, columns, asked, surest["low"])}
-    return Answer(
-        site, False, notes=[f"{note}, the surest that was found holds in {100 * surest['value']:.2f} %"], extra=extra
-    ), None
 
+    def _needed(self, tried: _Tried, limits: NDArray[np.bool_], target: float) -> Array:
+        """The least margins, alike in share for all limits that matter, within which a share of the draws would be.
 
-def _surer(site: Site, columns: dict[str, NDArray[Any]], asked: float, low: float) -> list[dict[str, Any]]:
-    """Single changes with which a plan holds as often as is asked: a later deadline if that alone does, and asking for
-    no more than the surest plan gives for certain."""
-    found = []
-    late = np.where(columns["feasible"], columns["duration_s"], np.inf)
-    # two standard errors more than is asked, for other draws will be others
-    share = asked + 2.0 * float(np.sqrt(asked * (1.0 - asked) / late.size))
-    end = float(np.quantile(late, share, method="higher")) if share < 1.0 else np.inf
-    if site.deadline_s < end < np.inf:
-        text = f"a deadline of {end:.1f} s ({end - site.deadline_s:.1f} s later)"
-        found.append({"change": "within.deadline", "to": end, "unit": "s", "text": text})
-    if (less := float(np.floor(1e3 * low) / 1e3)) > 0.0:
-        text = f"with_probability: {100 * less:.1f} %"
-        found.append({"change": "within.with_probability", "to": less, "unit": "", "text": text})
-    return found
+        `limits`: which matter; those that some draw of this plan breaks are added.
+        """
+        slack = slack_of(self.site, self.columns)
+        one = tried.run.batteries
+        nominal = {f"margin_{n}_wh": b.charge_left_wh - b.reserve_required_wh for n, b in one.items()}
+        nominal |= {f"charge_left_{n}_wh": b.charge_left_wh for n, b in one.items()}
+        nominal |= {f"needed_{n}_wh": b.needed_wh or 0.0 for n, b in one.items()}
+        columns: Columns = {name: np.array([value]) for name, value in nominal.items()}
+        columns |= {f"charge_{n}_wh": np.array([[b.initial_wh]]) for n, b in one.items()}
+        away = slack_of(self.site, columns | {"duration_s": np.array([tried.answer.duration_s])}) - slack
+        limits |= ~(slack >= 0.0).all(axis=0)
+        made = np.zeros(len(limits))
+        if not limits.any():
+            return made
+        away = away[:, limits]
+        low, high = target, 1.0
+        for _ in range(20):
+            share = 0.5 * (low + high)
+            within = np.nanquantile(away, share, axis=0, method="higher")
+            low, high = (low, share) if (away <= within).all(axis=1).mean() >= target else (share, high)
+        made[limits] = np.maximum(np.nanquantile(away, high, axis=0, method="higher"), 0.0) * (1.0 + SAME)
+        return made
+
+    def none(self, asked: float | None) -> Answer:
+        """That there is no plan, with what is known of why."""
+        site, found = self.site, self.found
+        if self.first is None:
+            return Answer(site, False, notes=found.notes, extra=found.extra)
+        if found.stopped:
+            note = "the search was stopped before it found a plan that holds when it is simulated; there may be one"
+            return Answer(site, False, notes=[note], stopped=True)
+        if self.surest is None or asked is None:
+            why = self.first.run.reason or "too late, or outside a window"
+            note = (
+                f"the plan found does not hold when it is simulated ({why}), and within margins for that there is none"
+            )
+            return Answer(site, False, notes=[note])
+        surest, columns = self.surest
+        note = f"no plan was found that holds in {100 * asked:g} % of the draws"
+        extra = {"probability": surest | {"asked": asked}, "would_do": surer(site, columns, asked, surest["low"])}
+        return Answer(
+            site,
+            False,
+            notes=[f"{note}, the surest that was found holds in {100 * surest['value']:.2f} %"],
+            extra=extra,
+        )
 
 
 def _short(answer: Answer, run: RunResult) -> Array:

@@ -21,7 +21,7 @@ from missionsim.plan.legs import Leg as PlanLeg
 from missionsim.plan.legs import OnEdge
 from missionsim.plan.steps import group
 from missionsim.planner.answer import Answer
-from missionsim.planner.chance import draws_of, told
+from missionsim.planner.draws import draws_of, told
 from missionsim.planner.physics import Physics
 from missionsim.planner.solve import solve_site
 from missionsim.planner.tour import Site, make_site

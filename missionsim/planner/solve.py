@@ -23,6 +23,26 @@ from missionsim.planner.tour import Site
 Watch = Callable[[str, float, float], bool]
 """``(what is done, objective so far, bound) -> stop?``"""
 
+VARIED = (0.3, 1.5)
+"""By so much of what the mean arc costs the price of each resource is raised for the first drives."""
+MOST_LABELS = 4_500
+FEW_LABELS = 400
+"""Both: after which a search that has a plan gives up its proof; the second where that is to follow."""
+WIDE = 0.03
+"""Gap with which half of them are enough: more would not close it."""
+PATIENCE = 6_000
+"""Labels after which the search for more drives on one road ends."""
+MOST_GAP = 300.0
+"""Drives whose price is not within so much of the first gap are tried all together."""
+PROVED = 1e-10
+"""A plan whose objective is within this of the bound (relative) is the best."""
+SAME = 1e-10
+"""Sums of values that differ by less (relative to all) are the same."""
+STEP = 8.0
+"""By which that grows."""
+FIRST_GAP = 0.002
+"""Drives whose price is within this (relative to the bound) of the cheapest are tried first."""
+
 
 class Fronts:
     """The drives between stops, found when first asked for: all that none is better than, or those cheapest for prices.
@@ -97,44 +117,28 @@ class Fronts:
         return self._cheap[payload_kg]
 
 
-VARIED = (0.3, 1.5)
-"""By so much of what the mean arc costs the price of each resource is raised for the first drives."""
-MOST_LABELS = 4_500
-"""After which a search that has a plan gives up its proof."""
-WIDE = 0.03
-"""Gap with which half of them are enough: more would not close it."""
-PATIENCE = 6_000
-"""Labels after which the search for more drives on one road ends."""
-MOST_GAP = 300.0
-"""Drives whose price is not within so much of the first gap are tried all together."""
-PROVED = 1e-10
-"""A plan whose objective is within this of the bound (relative) is the best."""
-SAME = 1e-10
-"""Sums of values that differ by less (relative to all) are the same."""
-STEP = 8.0
-"""By which that grows."""
-FIRST_GAP = 0.002
-"""Drives whose price is within this (relative to the bound) of the cheapest are tried first."""
+def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True, labels: int = MOST_LABELS) -> Answer:
+    """The best plan of a site; where visits may be left out, first (if `valued`) as much value as can be.
 
-
-def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True) -> Answer:
-    """The best plan of a site; where visits may be left out, first (if `valued`) as much value as can be."""
+    `labels`: after so many a search that has a plan gives up its proof.
+    """
     if site.order.sequence is None and len(site.task.visits) > MOST_FREE:
-        return solve_large(site, lambda one: solve_site(one, watch))
+        return solve_large(site, lambda one: solve_site(one, watch, labels=labels))
+    _solve = partial(_search, watch=watch, labels=labels)
     if not valued or not any(visit.value is not None for visit in site.task.visits):
-        return _solve(site, Tour, watch)
+        return _solve(site, Tour)
     values = np.array([visit.value or 0.0 for visit in site.task.visits])
     needed = tuple(v.model_copy(update={"value": None}) if v.value else v for v in site.task.visits)
     whole = site.task.model_copy(update={"visits": needed})
-    every = _solve(replace(site, task=whole, order=Order(whole, site.order.sequence)), Tour, watch, soon=True)
+    every = _solve(replace(site, task=whole, order=Order(whole, site.order.sequence)), Tour, soon=True)
     if every.feasible or every.stopped:
         return replace(every, site=site)
     first = replace(site, weights=np.zeros_like(site.weights))
-    most = _solve(first, partial(Tour, values=values, by_value=True), watch)
+    most = _solve(first, partial(Tour, values=values, by_value=True))
     if not most.feasible:
         return most
     missed = most.objective + 1e-9 * float(values.sum())
-    best = _solve(site, partial(Tour, values=values, most_missed=missed), watch)
+    best = _solve(site, partial(Tour, values=values, most_missed=missed))
     if not best.feasible:
         use = np.array([most.duration_s, *most.energy_wh.values()])
         best = replace(most, site=site, objective=float(site.objective(use)), bound=0.0)
@@ -143,7 +147,9 @@ def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True) -
     return best
 
 
-def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None, *, soon: bool = False) -> Answer:
+def _search(
+    site: Site, network: Callable[..., Tour], watch: Watch | None, labels: int, *, soon: bool = False
+) -> Answer:
     """The plan of least objective of a network of stops, whose drives are still to be chosen.
 
     `soon`: none unless one is found among few drives.
@@ -163,10 +169,12 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None, *, soo
         return answer_of(tour, best, objective, objective)
     if not (site.timeless or site.weights[0] or prices.best[0] or site.windowed):
         # where the best plan of all takes no longer than it may, nothing is to be chosen for its time
-        free = _solve(replace(site, deadline_s=math.inf, timeless=True), network, watch, soon=soon)
+        free = _search(replace(site, deadline_s=math.inf, timeless=True), network, watch, labels, soon=soon)
         if free.duration_s <= site.deadline_s * (1.0 + PROVED) if free.feasible else not free.stopped:
             return replace(free, site=site)
         bound = max(bound, free.bound)
+    # what the search leaves out keeps its bound from counting: it may only find a better plan
+    vain = bool(charges_tried(tour))
     stopped, base, more = False, prices.bound, [prices.best, *prices.others]
     weights, slack = tour.priced(prices.best)[0], slack_of(tour, prices.best)[0]
     # where only value counts, all drives are as cheap: soon a plan by few of them, then all
@@ -196,7 +204,7 @@ def _solve(site: Site, network: Callable[..., Tour], watch: Watch | None, *, soo
         ) -> bool:
             nonlocal tired
             wide = outcome.objective - max(outcome.bound, low) > WIDE * abs(outcome.objective)
-            most = MOST_LABELS // 2 if wide and proves else MOST_LABELS
+            most = labels // 4 if vain else labels // 2 if wide and proves else labels
             tired = (soon or math.isfinite(outcome.objective)) and outcome.labels > most
             return tired or (
                 watch is not None and watch("search", outcome.objective, min(max(outcome.bound, low), high))

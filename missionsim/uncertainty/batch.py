@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import itertools
+import os
 import platform
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED as FIRST
@@ -66,6 +67,8 @@ class Prepared:
     arrays: ArrayMission | None
     why_not_arrays: str
     intervals: int
+    files: tuple[tuple[str, int, int], ...] = ()
+    """What it was read from, each as `_state_of` had it."""
 
     @property
     def engine(self) -> str:
@@ -79,14 +82,34 @@ def block_runs(prepared: Prepared) -> int:
     return max(1, min(BLOCK_RUNS[prepared.engine], BLOCK_NUMBERS[prepared.engine] // max(1, width)))
 
 
-@functools.lru_cache(maxsize=4)
 def prepare(task: Task) -> Prepared:
-    """Load what a task needs; a worker keeps it for all its blocks.
+    """Load what a task needs; a worker keeps it for all its blocks, until a file is another.
 
     Raises InputError: where files have faults, the nominal mission cannot be planned, or `arrays` is asked but
     impossible.
     """
+    made = _prepared(task)
+    if made.files != tuple(_state_of(path) for path, *_ in made.files):
+        _prepared.cache_clear()
+        made = _prepared(task)
+    return made
+
+
+def _state_of(path: str) -> tuple[str, int, int]:
+    """A file with its time and size; zero where it is gone."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return path, 0, 0
+    return path, found.st_mtime_ns, found.st_size
+
+
+@functools.lru_cache(maxsize=4)
+def _prepared(task: Task) -> Prepared:
+    read = _state_of(task.mission)
     mission = load_mission(task.mission, overrides=task.overrides, robot=task.robot)
+    paths = [str(part.path) for part in (mission.robot, mission.environment) if part is not None and part.path]
+    files = (read, *(_state_of(path) for path in paths))
     model = build_power_model(mission.robot)
     sampler = make_sampler(mission)
     plan = make_plan(mission, rng=run_generator(0, "chance", 0))  # what no run could do is told once, where it stands
@@ -100,8 +123,8 @@ def prepare(task: Task) -> Prepared:
                 got=compiled,
                 allowed="--engine simpy, or auto",
             )
-        return Prepared(mission, model, sampler, None, compiled, intervals)
-    return Prepared(mission, model, sampler, compiled, "", intervals)
+        return Prepared(mission, model, sampler, None, compiled, intervals, files)
+    return Prepared(mission, model, sampler, compiled, "", intervals, files)
 
 
 def compute_block(task: Task, first: int, count: int) -> dict[str, NDArray[np.generic]]:

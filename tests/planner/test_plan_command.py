@@ -373,3 +373,56 @@ def test_a_plan_holds_as_often_as_is_asked_and_the_one_without_is_cheaper_and_fa
     told = held["sure"]["probability"]
     assert told["low"] <= held["sure"]["draws"]["high"]
     assert held["sure"]["draws"]["low"] <= told["high"]
+
+
+BACK = "robot.body.regeneration=20 %"
+CHARGED = (
+    "robot.batteries.drive.capacity={value: 5 Wh, sd: 2 %}",
+    BACK,
+    "choose.docks=all",
+    "defaults.profile=trapezoidal",
+)
+
+
+def _pairs(*settings: str) -> list[tuple[str, str]]:
+    return [(path, value) for path, _, value in (one.partition("=") for one in settings)]
+
+
+def test_with_charges_the_margin_is_as_tight_as_draws_can_tell(root: Path, tmp_path: Path) -> None:
+    plain, _ = plan_task(load_task(root / "missions/planning/inspection.yaml", _pairs(TWO, *CHARGED)))
+    sure = plan(root, tmp_path, TWO, *CHARGED, "within.with_probability=0.95")
+    assert any(leg["kind"] == "charge" for leg in sure["legs"])
+    assert plain.objective < sure["objective"]
+    assert 0.95 <= sure["probability"]["value"] < 0.965
+    assert sure["margins"]["reserve_wh"]["drive"] + sure["margins"]["on_the_way_wh"]["drive"] > 0.0
+    target = tmp_path / "draws.json"
+    words = [
+        "montecarlo",
+        str(tmp_path / "mission.yaml"),
+        "--runs",
+        "400",
+        "--seed",
+        "5",
+        "--engine",
+        "simpy",
+        "--sobol",
+        "0",
+    ]
+    run_command([*words, "--set", CHARGED[0], "--set", BACK, "--json", str(target), "--quiet"])
+    assert 0.93 < json.loads(target.read_text())["p_feasible"]["value"] < 0.975
+
+
+def test_a_stopped_search_for_a_surer_plan_gives_one_that_holds(root: Path) -> None:
+    changes = _pairs(TWO, *CHARGED, "within.with_probability=0.95")
+    told: list[str] = []
+
+    def watch(what: str, objective: float, bound: float) -> bool:
+        told.append(what)
+        return "last held in" in what and math.isfinite(objective)
+
+    answer, run = plan_task(load_task(root / "missions/planning/inspection.yaml", changes), watch)
+    assert run is not None
+    assert run.feasible
+    assert answer.stopped
+    assert answer.extra["probability"]["value"] >= 0.95
+    assert len(set(told)) > 1

@@ -54,7 +54,6 @@ def _prepared(
     head = head if fast else head.replace("0.5 m/s, scheme: creep", "0.8 m/s, scheme: follow")
     path = folder / "mission.yaml"
     path.write_text(head + "\n".join(f"  - {segment}" for segment in [*segments, "drive: {to: home}"]) + "\n")
-    prepare.cache_clear()
     return prepare(Task(str(path), (), None, 5, "auto"))
 
 

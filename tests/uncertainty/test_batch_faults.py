@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from missionsim.cli.app import run_command
-from missionsim.uncertainty.batch import prepare
+from missionsim.uncertainty.batch import _prepared
 from missionsim.uncertainty.store import BlockStore
 from tests.uncertainty.test_limits import written
 from tests.uncertainty.test_montecarlo import files
@@ -19,6 +19,7 @@ EMPIRICAL = DRIVE % "{kind: empirical, file: speeds.csv, column: v}"
 
 @pytest.fixture
 def mission(tmp_path: Path) -> str:
+    _prepared.cache_clear()  # a new process reads it anew
     (tmp_path / "speeds.csv").write_text("v\n0.3\n0.35\n0.4\n", encoding="utf-8")
     return written(tmp_path, EMPIRICAL)
 
@@ -50,8 +51,8 @@ def test_a_batch_of_other_draws_is_not_resumed(
 ) -> None:
     out = tmp_path / "out"
     assert batch(mission, out) == 0
+    _prepared.cache_clear()  # a new process reads it anew
     (tmp_path / "speeds.csv").write_text("v\n0.3\n0.35\n0.45\n", encoding="utf-8")
-    prepare.cache_clear()  # a new process reads it anew
     assert batch(mission, out, "--resume") == 2
     assert "another one, by its distributions" in capsys.readouterr().err
     assert batch(mission, out, "--resume", "--set", "defaults.payload=1 kg") == 2

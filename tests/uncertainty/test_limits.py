@@ -130,7 +130,6 @@ def test_a_mission_with_hundreds_of_uncertain_values_compiles_quickly(tmp_path: 
             for i in range(count)
         )
         path = written(tmp_path, f"segments:\n{drives}")
-        prepare.cache_clear()
         begin = time.process_time()
         assert prepare(Task(path, (), None, 1, "auto")).arrays is not None
         times.append(time.process_time() - begin)
@@ -189,3 +188,15 @@ def test_where_braking_gives_back_is_found_in_every_run(tmp_path: Path, regenera
     assert_agree(
         prepared.arrays.block(1, 0, 200), simulate_block(prepared.mission, prepared.model, prepared.sampler, 1, 0, 200)
     )
+
+
+def test_a_file_that_was_written_anew_is_read_anew(tmp_path: Path) -> None:
+    path = written(tmp_path, "segments: [{wait: {duration: {value: 10 s, sd: 5 %}}}]")
+    task = Task(path, (), None, 1, "auto")
+    assert prepare(task) is prepare(task)
+    before = prepare(task).arrays
+    written(tmp_path, "segments: [{wait: {duration: {value: 200 s, sd: 5 %}}}]")
+    after = prepare(task).arrays
+    assert before is not None
+    assert after is not None
+    assert np.mean(after.block(1, 0, 50)["duration_s"]) > 10 * np.mean(before.block(1, 0, 50)["duration_s"])

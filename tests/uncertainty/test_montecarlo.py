@@ -99,7 +99,6 @@ def test_arrays_and_simpy_agree_on_random_missions(
     text = "kind: mission\nname: random\nrobot: robot.yaml\ndefaults: {speed: 0.5 m/s, scheme: follow}\nsegments:\n"
     path = tmp_path / "mission.yaml"
     path.write_text(text + "\n".join(segments) + "\n", encoding="utf-8")
-    prepare.cache_clear()
     prepared = prepare(Task(str(path), (), None, seed, "auto"))
     assert prepared.arrays is not None or prepared.why_not_arrays
     if prepared.arrays is not None:
