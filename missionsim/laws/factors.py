@@ -135,7 +135,7 @@ def make_grammar(covariates: Sequence[Covariates], components: Sequence[str] = (
             b.add(Factor("moving_time_s", text, symbol, 2), [np.exp(-x / tau) for x in clock])
     for name in names:
         if name.startswith("on_") and not name.startswith("on_time_"):
-            _switched(b, name)
+            _switched(b, name, clocks)
     known = {"speed_m_s", "yaw_rate_rad_s", "accel_m_s2", *SYMBOLS}
     further = 0
     for name in names:
@@ -316,13 +316,16 @@ def _further(b: _Builder, name: str) -> None:
     )
 
 
-def _switched(b: _Builder, name: str) -> None:
-    """A component that is on, and first-order memories of its being switched on."""
+def _switched(b: _Builder, name: str, clocks: bool) -> None:
+    """A component that is on, and first-order memories of its being switched on.
+
+    Where no run switches it, the time since then is the time since the run began under another name.
+    """
     part = name[3:]
     on = b.raw(name)
     b.add(Factor(name, name, f"[{part} on]"), on)
     clock = f"on_time_{part}_s"
-    if not b.has(clock):
+    if not clocks or not b.has(clock) or not any(len(np.unique(x[np.isfinite(x)])) > 1 for x in on):
         return
     since = b.raw(clock)
     for tau in WARM_S:

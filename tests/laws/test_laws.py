@@ -81,6 +81,20 @@ def test_a_law_holds_each_quantity_once_and_never_the_voltage(grammar: Grammar) 
 
 
 @pytest.mark.parametrize(
+    ("switched", "clocks", "warms"), [(True, True, True), (False, True, False), (True, False, False)]
+)
+def test_only_a_switch_that_is_thrown_within_runs_has_a_clock(switched: bool, clocks: bool, warms: bool) -> None:
+    runs = [covariates(), covariates(150)]
+    for number, run in enumerate(runs):
+        if not switched:  # in one run it is on all the time, in the other off
+            run["on_camera"] = np.full(len(run["time_s"]), float(number))
+            run["on_time_camera_s"] = run["time_s"] * number
+    texts = [factor.text for factor in make_grammar(runs, clocks=clocks).factors]
+    assert "on_camera" in texts
+    assert any("on_time_camera_s" in text for text in texts) is warms
+
+
+@pytest.mark.parametrize(
     ("formula", "unit"),
     [
         ("k * abs(yaw_rate_rad_s)", "W s/rad"),
