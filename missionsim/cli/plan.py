@@ -240,7 +240,10 @@ def reach(
     with to.progress() as bar:
         row = bar.add_task("places", total=len(task.environment.places))
         found = planner.reach(task, probability, lambda: bar.advance(row))
+    warnings = {(fault.file, fault.line, fault.got): fault for item in found for fault in item.warnings}
+    to.warn(warnings.values())
     answer = planner.summary(task, found, probability)
+    answer["warnings"] = [fault.message for fault in warnings.values()]
     if plot is not None:
         from missionsim.report.site_map import map_of_reach, write_map
 
@@ -278,8 +281,12 @@ def _show(answer: dict[str, Any]) -> None:
             sure = f"{turn['sure_metres']:.1f} m" if turn["sure_edge"] == turn["edge"] else f"on '{turn['sure_edge']}'"
             if turn["sure_edge"] is None:
                 sure = "at the start"
+            after = f"after {turn['metres']:.1f} m on"
+            if turn["one_way"]:
+                after = f"at {turn['from']}, before one-way"
+                sure = "too" if turn["sure_edge"] == turn["edge"] else sure
             terminal.print(
-                f"  towards {place}: turn back after {turn['metres']:.1f} m on '{turn['edge']}' ({turn['from']} to "
+                f"  towards {place}: turn back {after} '{turn['edge']}' ({turn['from']} to "
                 f"{turn['to']}), in {percent} of draws {sure}: {turn['battery']} decides"
             )
     if answer["unreachable"]:

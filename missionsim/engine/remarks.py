@@ -34,6 +34,7 @@ def doubts(
     batteries: Mapping[str, Battery],
     segments: Sequence[SegmentInfo],
     places: Mapping[str, Place] | None = None,
+    file: str = "",
 ) -> tuple[Fault, ...]:
     """Warnings about batteries that are charged by what should draw from them.
 
@@ -41,7 +42,7 @@ def doubts(
     the whole battery is charged, unless that is while braking or descending of a robot that regenerates. Terms that the
     engine itself limits to what a robot gives back are none of it. `energies`: battery → term key → energy of each
     interval [J], shape (n,); `charge_wh` (shape (n,)): at the end of each interval; `places`: of the batteries in the
-    robot file. They stand at the place of the formula.
+    robot file. They stand at the place of the formula; what leaves the range of the logs, at its segment in `file`.
     """
     found: list[Fault] = []
     if not len(line):
@@ -79,10 +80,10 @@ def doubts(
                     "full; the surplus is counted as if it were kept"
                 )
             )
-    return (*found, *_beyond(model, line, segments))
+    return (*found, *_beyond(model, line, segments, file))
 
 
-def _beyond(model: PowerModel, line: Timeline, segments: Sequence[SegmentInfo]) -> list[Fault]:
+def _beyond(model: PowerModel, line: Timeline, segments: Sequence[SegmentInfo], file: str) -> list[Fault]:
     """Warnings where the mission leaves the range of the logs that the model's effects were fitted to."""
     read = {name for term in model.terms for name in (*term.effect.needs, term.effect.covariate)} | _ALWAYS_TOLD
     found: list[Fault] = []
@@ -91,10 +92,11 @@ def _beyond(model: PowerModel, line: Timeline, segments: Sequence[SegmentInfo]) 
         for number, floor in enumerate(floors.names):
             strange = floors.codes == number
             if floor and floor not in model.floors and np.any(strange):
-                there = _named(line.segment[np.broadcast_to(strange, (len(line),))], segments)
+                numbers = line.segment[np.broadcast_to(strange, (len(line),))]
+                there, place = _named(numbers, segments), Place(file, segments[int(numbers[0])].line)
                 measured = ", ".join(sorted(model.floors))
                 told = f"floor '{floor}' in {there}: the logs that this robot was fitted to have {measured}"
-                found.append(Place().warning(told, got=floor, allowed=measured))
+                found.append(place.warning(told, got=floor, allowed=measured))
     for name, (low, high) in model.known.items():
         one = COVARIATES.get(name)
         if one is None or one.text or name not in read or name not in line.columns:
@@ -113,7 +115,7 @@ def _beyond(model: PowerModel, line: Timeline, segments: Sequence[SegmentInfo]) 
         there = f"{values[worst] * one.factor:.3g} {one.unit}".strip()
         worst_in = int(line.segment[worst])
         found.append(
-            Place().warning(
+            Place(file, segments[worst_in].line).warning(
                 f"{one.title} {there} in {_named(line.segment[over > room], segments, worst_in)}: the logs that this "
                 f"robot was fitted to have {measured}",
                 got=there,

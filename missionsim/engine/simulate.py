@@ -288,7 +288,8 @@ class RunSetup:
         if trace:
             document = self.mission.robot.document
             places = {name: document.place(("batteries", name)) for name in self.batteries}
-            warnings = doubts(self.model, line, energies, charge, self.batteries, segments, places)
+            file = str(self.mission.path)
+            warnings = doubts(self.model, line, energies, charge, self.batteries, segments, places, file)
             off = never_on(line)
         mission = self.mission
         return RunResult(

@@ -14,7 +14,7 @@ from missionsim.errors import Fault, InputError
 from missionsim.inputs.loading import load_mission
 from missionsim.inputs.task import TaskSpec
 from missionsim.physics import Array
-from missionsim.planner.answer import Answer
+from missionsim.planner.answer import Answer, Leg
 from missionsim.planner.draws import Columns, draws_of, mission_file, slack_of, standard_error, surer, told
 from missionsim.planner.rounds import of_one_kind, plan_rounds
 from missionsim.planner.solve import FEW_LABELS, MOST_LABELS, Watch, solve_site
@@ -41,7 +41,9 @@ def as_run(answer: Answer) -> tuple[Answer, RunResult]:
     own = {os.path.abspath(item.path): str(item.path) for item in (task.robot, task.environment)}
     known = [(fault, own.get(os.path.abspath(fault.file))) for fault in mission.warnings]
     told = tuple(replace(fault, file=file) for fault, file in known if file is not None)
-    run = replace(run, warnings=(*(fault for fault in told if fault not in task.warnings), *run.warnings))
+    legs_at = {segment.line: leg for segment, leg in zip(run.segments, answer.legs, strict=False)}
+    doubts = (_at_source(answer, fault, legs_at[fault.line]) if fault.file == path else fault for fault in run.warnings)
+    run = replace(run, warnings=(*(fault for fault in told if fault not in task.warnings), *doubts))
     plan = [answer.duration_s, *answer.energy_wh.values(), *answer.charge_left_wh.values()]
     batteries = run.batteries.values()
     real = [run.duration_s, *(b.energy_wh for b in batteries), *(b.charge_left_wh for b in batteries)]
@@ -62,6 +64,16 @@ def as_run(answer: Answer) -> tuple[Answer, RunResult]:
     found.charge_left_wh = {name: battery.charge_left_wh for name, battery in run.batteries.items()}
     found.extra = {**answer.extra, "corrected": float(np.max(np.abs(np.array(real) - plan) / np.maximum(real, SAME)))}
     return found, run
+
+
+def _at_source(answer: Answer, fault: Fault, leg: Leg) -> Fault:
+    """A warning about a leg, at its edge of the environment or its visit of the task."""
+    task = answer.site.task
+    if leg.piece is not None:
+        place = task.environment.document.place(("edges", leg.piece.way.edge))
+    else:
+        place = task.document.place(("visits",) if leg.visit is None else ("visits", leg.visit))
+    return place.warning(fault.message, got=fault.got, allowed=fault.allowed)
 
 
 def _in_task(answer: Answer, fault: Fault) -> Fault:

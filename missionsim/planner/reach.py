@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from missionsim.errors import Fault
 from missionsim.files import Json, write_text
 from missionsim.inputs.examples import shipped_robots
 from missionsim.inputs.loading import Override, load_robot, load_task
@@ -21,6 +22,7 @@ from missionsim.plan.legs import Leg as PlanLeg
 from missionsim.plan.legs import OnEdge
 from missionsim.plan.steps import group
 from missionsim.planner.answer import Answer
+from missionsim.planner.chance import as_run
 from missionsim.planner.draws import draws_of, told
 from missionsim.planner.physics import Physics
 from missionsim.planner.solve import solve_site
@@ -48,6 +50,8 @@ class Reached:
     turn: dict[str, Any] | None = None
     """Of a place out of reach, the last point of the way there from which the robot comes back: ``edge``, ``from``,
     ``to``, ``metres`` on it, ``battery`` that decides; ``sure_metres`` and ``sure_edge`` with the share asked."""
+    warnings: tuple[Fault, ...] = ()
+    """Of the way, such as slopes beyond those of the logs that the robot was fitted to."""
 
 
 def reach_task(
@@ -88,7 +92,8 @@ def reach(task: TaskSpec, probability: float = 0.95, done: Callable[[], object] 
             one = task.model_copy(update={"visits": (VisitSpec.model_construct(place=place),)})
             made = _place(make_site(one), place, probability)
             if made is not None:
-                found.append(made)
+                assert made.plan is not None
+                found.append(replace(made, warnings=as_run(made.plan)[1].warnings))
         done()
     return found
 
@@ -98,18 +103,14 @@ def _place(site: Site, place: str, probability: float) -> Reached | None:
     if plan.feasible:
         holds = told(site, draws_of(plan, SEED))
         return Reached(place, True, holds["value"] >= probability, plan, holds)
-    plans = [found for b in range(len(site.physics.names)) if (found := with_ample(site, b, every=True)) is not None]
-    if not plans:
+    if (least := _least(site)) is None:
         return None
-    # the way of which least is lacking in the battery that lacks most
-    left = site.physics.initial_wh - site.physics.reserve_wh
-    plan = min(plans, key=lambda made: float((np.array(list(made.energy_wh.values())) - left).max()))
-    more = _more(plan, probability)
-    turn = _turn(site, plan, np.zeros(len(left)))
+    more = _more(least, probability)
+    turn = _turn(site, least, np.zeros(len(more)))
     if turn is not None:
-        sure = _turn(site, plan, more)
+        sure = _turn(site, least, more)
         turn["sure_metres"], turn["sure_edge"] = (0.0, None) if sure is None else (sure["metres"], sure["edge"])
-    return Reached(place, False, False, plan, {}, turn)
+    return Reached(place, False, False, least, {}, turn)
 
 
 def _more(plan: Answer, probability: float) -> Array:
@@ -126,46 +127,64 @@ def _more(plan: Answer, probability: float) -> Array:
     return np.maximum(np.array(used) / np.maximum([plan.energy_wh[name] for name in names], 1e-9) - 1.0, 0.0)
 
 
+def _least(site: Site) -> Answer | None:
+    """The way of which least is lacking in the battery that lacks most, whatever the charge."""
+    plans = [found for b in range(len(site.physics.names)) if (found := with_ample(site, b, every=True)) is not None]
+    left = site.physics.initial_wh - site.physics.reserve_wh
+    lacking = [float((np.array(list(made.energy_wh.values())) - left).max()) for made in plans]
+    return plans[int(np.argmin(lacking))] if plans else None
+
+
 def _turn(site: Site, plan: Answer, more: Array) -> dict[str, Any] | None:
-    """Where on the way out the robot must turn back so as to keep its reserve."""
+    """Where on the way out the robot must turn back so as to keep its reserve; before an edge that leads one way only,
+    where it would not come home from its end by any way."""
     physics = site.physics
     left = physics.initial_wh - physics.reserve_wh
     out: list[PlanLeg] = []
     back: list[PlanLeg] = []
-    best: dict[str, Any] | None = None
     for leg in plan.legs:
         if leg.piece is None:
             break
-        home = _backwards(site, leg.piece.legs)
-        if home is None:
-            break
-
-        there, end = leg.piece.legs, back
+        there = leg.piece.legs
+        retraced = _backwards(site, there)
+        home, end = retraced or [], back if retraced else _home(site, leg.place)
 
         def short(share: float, there: Any = there, home: Any = home, out: Any = out, end: Any = end) -> Array:
+            if end is None:
+                return np.asarray(drive_wh(physics, [*out, *there]) * (1.0 + more) - left + np.inf)
             way = [*out, *_part(there, share, True), *_part(home, share, False), *end]
             return np.asarray(drive_wh(physics, way) * (1.0 + more) - left)
 
-        if (short(1.0) <= 0.0).all():
-            out, back = [*out, *leg.piece.legs], [*home, *back]
+        lacking = short(1.0)
+        if end is not None and (lacking <= 0.0).all():
+            out, back = [*out, *there], [*home, *end]
             continue
-        low, high = 0.0, 1.0
+        low, high = 0.0, 1.0 if home else 0.0
         if (short(1e-9) > 0.0).any():
             high = 0.0
         for _ in range(40):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if (short(middle) <= 0.0).all() else (low, middle)
-        lacking = short(max(high, 1e-9))
-        best = {
+        lacking = short(max(high, 1e-9)) if home else lacking
+        return {
             "edge": leg.piece.name,
             "edge_index": leg.piece.way.edge,
             "from": leg.piece.way.begin,
             "to": leg.piece.way.end,
             "metres": low * leg.piece.way.length_m,
+            "one_way": not home,
             "battery": physics.names[int(np.argmax(lacking))],
         }
-        break
-    return best
+    return None
+
+
+def _home(site: Site, place: str) -> list[PlanLeg] | None:
+    """The legs from a place to where the robot is to come to, by the way of which least is lacking; None without."""
+    if place == site.task.goal:
+        return []
+    task = site.task.model_copy(update={"start": place, "visits": (VisitSpec.model_construct(place=place),)})
+    plan = _least(make_site(task))
+    return None if plan is None else [one for leg in plan.legs if leg.piece is not None for one in leg.piece.legs]
 
 
 def _backwards(site: Site, legs: Sequence[PlanLeg]) -> list[PlanLeg] | None:

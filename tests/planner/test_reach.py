@@ -68,6 +68,48 @@ def test_the_point_of_no_return_is_where_the_reserve_is_left(root: Path, tmp_pat
     assert pytest.approx(min(energies, key=lambda wh: abs(wh - 6.4)), rel=1e-6) == 8.0 * 0.8
 
 
+ONE_WAY = """kind: environment
+name: chute
+places: {base: {x: 0, y: 0}, mid: {x: 200, y: 0}, far: {x: 200, y: 100}, top: {x: 0, y: 900}}
+edges:
+  - {name: road, from: base, to: mid}
+  - {name: chute, from: mid, to: far, both_ways: false}
+  - {name: up, from: far, to: top, slope: 4 %}
+  - {name: down, from: top, to: base}
+  - {name: short_cut, from: far, to: base, both_ways: false, closed: true}
+"""
+
+
+def test_before_an_edge_that_leads_one_way_the_robot_must_turn_back(root: Path, tmp_path: Path) -> None:
+    """And only where no other way from its end leads home."""
+    site, turns = tmp_path / "site.yaml", {}
+    robot = root / "missions/planning/inspector.yaml"
+    for name, text in (("shut", ONE_WAY), ("open", ONE_WAY.replace(", closed: true", ""))):
+        site.write_text(text)
+        words = ["reach", str(site), "--robot", str(robot), "--from", "base", "--json", str(tmp_path / "a.json")]
+        assert run_command([*words, "--set", "robot.batteries.drive.capacity=16 Wh", "--quiet"]) == 1
+        places = json.loads((tmp_path / "a.json").read_text())["places"]
+        assert not places["top"]["reachable"]
+        turns[name] = places["far"]["point_of_no_return"]
+        assert places["far"]["reachable"] is (name == "open")
+    assert turns["open"] is None
+    assert (turns["shut"]["edge"], turns["shut"]["from"], turns["shut"]["metres"]) == ("chute", "mid", 0.0)
+    assert turns["shut"]["one_way"]
+
+
+def test_what_the_robot_was_not_fitted_to_is_told_at_its_edge(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    site, robot = tmp_path / "site.yaml", tmp_path / "robot.yaml"
+    site.write_text(ONE_WAY.replace("name: up,", "name: up, surface: grit,"))
+    text = (root / "missions/planning/inspector.yaml").read_text()
+    robot.write_text(text + "origin: {range: {slope_rad: [-0.01, 0.01]}}\n")
+    words = ["reach", str(site), "--robot", str(robot), "--from", "base", "--json", str(tmp_path / "a.json")]
+    assert run_command(words) in (0, 1)
+    assert f"{site}:7:5: warning: slope 2.29 °" in capsys.readouterr().err
+    assert any("slope 2.29 °" in told for told in json.loads((tmp_path / "a.json").read_text())["warnings"])
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
