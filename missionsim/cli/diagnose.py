@@ -99,7 +99,13 @@ def show(result: Diagnosis, robot: str, logs: Sequence[Path]) -> None:
 
 
 def improve(
-    *logs: Path, search: Search, out: RobotFile, yes: bool = False, report: OutFile | None = None, to: Output = TERMINAL
+    *logs: Path,
+    search: Search,
+    out: RobotFile,
+    yes: bool = False,
+    without: list[str] | None = None,
+    report: OutFile | None = None,
+    to: Output = TERMINAL,
 ) -> int:
     """Compare, diagnose, add what is missing and compare again, until nothing is left to find.
 
@@ -114,10 +120,14 @@ def improve(
         Robot file to write.
     yes
         Add every effect that was identified, without asking.
+    without
+        An effect or a law, by the name that it would have in the file, that is not to be added; may be given several
+        times.
     report
         Write an interactive page to this HTML file.
     """
     from missionsim.diagnose.improve import improve as run_improve
+    from missionsim.diagnose.proposed import called
     from missionsim.inputs.edit import for_folder, robot_text
 
     search.check(logs)
@@ -131,9 +141,18 @@ def improve(
     wanted = [search.battery] if search.battery is not None else _batteries(spec, tables)
     done: list[Improved] = []
     skipped: dict[str, InputError] = {}
+    refused: set[str] = set()
+
+    def ask(finding: Finding, diagnosis: BatteryDiagnosis) -> bool:
+        name = called(finding)
+        if name in (without or ()):
+            refused.add(name)
+            return False
+        return yes or _ask(finding, diagnosis)
+
     for name in wanted:
         try:
-            result = run_improve(text, split, name, search.settings, (lambda *_: True) if yes else _ask)
+            result = run_improve(text, split, name, search.settings, ask)
         except InputError as error:
             skipped[name] = error
             continue
@@ -142,13 +161,19 @@ def improve(
     if not done:
         raise next(iter(skipped.values()))
     write_text(out, for_folder(text, out.parent))
+    advice = {one.battery: one.advice(search.robot, logs, search.given) for one in done}
     to.emit(_as_json(done, skipped, out, split.how) | {"left_out": left_out})
     if report is not None:
         from missionsim.report.diagnosis_page import improve_page
 
-        write_text(report, improve_page(spec.name, done))
+        write_text(report, improve_page(spec.name, done, advice=advice))
     if to.text:
-        _print(done, skipped, out, report)
+        _print(done, advice, skipped)
+        for name in [name for name in without or () if name not in refused]:
+            console().print(f"--without {name}: nothing of that name was about to be added")
+        console().print(f"written: {out}")
+        if report is not None:
+            console().print(f"report written: {report}")
     return 1 if left_out or any(one.worse for one in done) else 0
 
 
@@ -181,11 +206,12 @@ def _as_json(done: list[Improved], skipped: dict[str, Any], out: Path, how: str)
     }
 
 
-def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Path | None) -> None:
+def _print(done: list[Improved], advice: dict[str, tuple[str, str]], skipped: dict[str, Any]) -> None:
     from missionsim.diagnose.waterfall import energy_note, measured_note
 
     terminal = console()
     for one in done:
+        better, command = advice[one.battery]
         which = "held-out runs" if one.heldout else "fitted runs (none held out)"
         most = max(step.power_rmse_w for step in one.steps) or 1.0
         rows = [
@@ -199,6 +225,11 @@ def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Pat
         ]
         if one.worse:
             terminal.print(one.worse, style="bold red")
+        if better:
+            terminal.print(better)
+        if command:
+            terminal.print("Next, type:")
+            terminal.print(f"    {command}", style="cyan", soft_wrap=True)
         show_table(
             f"Battery {one.battery}: error on {which}", ["model", ">energy error, %", ">power RMSE, W", ""], rows
         )
@@ -208,9 +239,6 @@ def _print(done: list[Improved], skipped: dict[str, Any], out: Path, report: Pat
                 terminal.print(note)
     for name, error in skipped.items():
         terminal.print(f"battery {name} was left as it is: {' '.join(str(error).split())}")
-    terminal.print(f"written: {out}")
-    if report is not None:
-        terminal.print(f"report written: {report}")
 
 
 def add_effect(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -167,6 +168,14 @@ class Search:
         from missionsim.identify.settings import Settings
 
         return Settings(alpha=self.alpha, align=not self.no_align)
+
+    @property
+    def given(self) -> str:
+        """The options that are not as by default, but the robot, as they are typed."""
+        words = [] if self.battery is None else ["--battery", self.battery]
+        words += [word for one in self.holdout or () for word in ("--holdout", one)]
+        words += [] if self.alpha == FALSE_ALARM_RATE else ["--alpha", f"{self.alpha:g}"]
+        return shlex.join([*words, *(["--no-align"] if self.no_align else [])])
 
     def read(self, logs: Sequence[Path], to: Output) -> tuple[RobotSpec, Split, list[LogTable], list[str]]:
         """Robot, runs to fit and to test on, all of them, and those left out; says what the checks found."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from missionsim.diagnose.adopt import write
@@ -11,7 +13,7 @@ from missionsim.diagnose.diagnosis import diagnose_battery, examine
 from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.subject import NO_PRIOR_SD, Subject, prior_before
-from missionsim.diagnose.waterfall import noise_floor, worse_note
+from missionsim.diagnose.waterfall import best_before, noise_floor, worse_note
 from missionsim.files import Json
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.settings import Settings
@@ -69,10 +71,28 @@ class Improved:
     @property
     def worse(self) -> str:
         """In words, that the file predicts these runs worse; empty where it does not, or where nothing was added."""
-        if not self.added:
-            return ""
-        before, recalibrated, *_, after, _floor = self.steps
-        return worse_note(before, recalibrated, after, self.heldout)
+        return worse_note(self.steps[:-1], self.added, self.heldout) if self.added else ""
+
+    def advice(self, robot: str, logs: Sequence[str | Path], options: str = "") -> tuple[str, str]:
+        """What predicts these runs better than the file that was made, in words, and the command for it.
+
+        `options`: of the command that this came of, such as ``--holdout later``. Both empty where nothing is better;
+        the command alone where the file as it was given is.
+        """
+        if not self.worse:
+            return "", ""
+        best = best_before(self.steps[:-1])
+        if best == 0:
+            return "The robot file as it was predicts these runs best: leave it as it is.", ""
+        given = f"--robot {shlex.quote(robot)} {' '.join(shlex.quote(str(log)) for log in logs)}"
+        out = f"--out {shlex.quote(Path(robot).stem + '_better.yaml')}"
+        if best == 1:
+            told = "The same file with its base fitted anew and nothing added predicts these runs better."
+            return told, f"missionsim calibrate {given} {out}"
+        late = self.added[best - 1 :]
+        without = " ".join(f"--without {shlex.quote(name)}" for name in late)
+        told = f"The file without {' and '.join(late)} predicts these runs better."
+        return told, " ".join(f"missionsim improve {given} {options} --yes {without} {out}".split())
 
 
 def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask) -> Improved:

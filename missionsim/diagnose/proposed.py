@@ -33,6 +33,7 @@ _SHORT = {
     "moving_time_s": "moving_time",
 }
 MOTION = frozenset({"speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad"})
+PROPOSED = "proposed: no effect of the library fits"
 STANDS_IN = "stood in for a law that the library does not hold"
 
 
@@ -98,6 +99,11 @@ def law_name(formula: str) -> str:
     names = compile_expression(formula).names - {"k"}
     words = [_SHORT.get(name, name) for name in sorted(names, key=formula.index)]
     return "_".join(["law", *words])[:60]
+
+
+def called(finding: Finding) -> str:
+    """The name that what is about to be added would have in a robot file."""
+    return law_name(finding.effect) if finding.level == PROPOSED else finding.effect
 
 
 def with_candidate(text: str, battery: str, formula: str) -> tuple[str, str]:
@@ -172,7 +178,7 @@ def as_finding(law: Proposal) -> Finding:
         share_low=law.energy_share - Z95 * law.share_sd,
         share_high=law.energy_share + Z95 * law.share_sd,
         gain_nats=law.rise_nats,
-        level="proposed: no effect of the library fits",
+        level=PROPOSED,
         heldout_rmse_before_w=before,
         heldout_rmse_after_w=after,
     )

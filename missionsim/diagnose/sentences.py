@@ -212,11 +212,15 @@ def errors(battery: BatteryDiagnosis) -> str:
     if not battery.effects and not battery.proposed_laws:
         return ""
     alone = held.power_rmse_w["recalibrated"]
-    verb = "was" if after <= min(before, alone) else "WAS ONLY"
-    return (
-        f"On runs not used the power error {verb} {power(before)} ({power(alone)} recalibrated) and is "
-        f"{power(after)} with it (energy {energy[0]:.2f} → {energy[1]:.2f} %)."
-    )
+    told = f"On runs not used the power error was {power(before)} ({power(alone)} recalibrated) and is"
+    if after > before:
+        told = f"On runs not used the power error WAS ONLY {power(before)} ({power(alone)} recalibrated) and is"
+    elif after > alone:
+        told = (
+            f"On runs not used the power error was {power(before)}, is {power(alone)} with the base alone fitted anew"
+        )
+        return f"{told}, and NO LESS, {power(after)}, with it (energy {energy[0]:.2f} → {energy[1]:.2f} %)."
+    return f"{told} {power(after)} with it (energy {energy[0]:.2f} → {energy[1]:.2f} %)."
 
 
 def next_step(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], several: bool = False) -> str:

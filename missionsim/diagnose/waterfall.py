@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -132,11 +132,32 @@ CLEAR_SHARE = 0.01
 """Rise of the power error over the better of file and recalibration that is told (assumed)."""
 
 
-def worse_note(before: Errors, recalibrated: Errors, after: Errors, heldout: bool = True) -> str:
-    """In words, that effects made runs worse than the file as it was and a mere recalibration; else empty."""
+def best_before(bars: Sequence[Errors]) -> int:
+    """Number of the bar before the last that predicts best: file, recalibration, then each effect in its turn.
+
+    One whose energy error is beyond both that of the file and of the recalibration is none to go back to.
+    """
+    most_pct = SHOWN_PCT + max(bars[0].energy_error_pct, bars[1].energy_error_pct)
+    kept = [i for i, bar in enumerate(bars[:-1]) if bar.energy_error_pct <= most_pct]
+    return min(kept, key=lambda i: bars[i].power_rmse_w)
+
+
+def worse_note(bars: Sequence[Errors], added: Sequence[str] = (), heldout: bool = True) -> str:
+    """In words, that runs are predicted worse than by a bar before the last, or than in energy by the first two.
+
+    `bars`: errors of the file as it was, of a mere recalibration, and after each of `added`. Empty where none is worse.
+    """
+    before, recalibrated, after = bars[0], bars[1], bars[-1]
     told = []
     powers = (before.power_rmse_w, recalibrated.power_rmse_w)
-    if after.power_rmse_w > min((1.0 + SHOWN_SHARE) * max(powers), (1.0 + CLEAR_SHARE) * min(powers)):
+    best = best_before(bars)
+    what = "what was added raises"
+    if best > 1:
+        late = added[best - 1 :]
+        what = f"{late[0] if len(late) == 1 else 'what came after ' + added[best - 2]} raises"
+    if best > 1 and after.power_rmse_w > (1.0 + CLEAR_SHARE) * bars[best].power_rmse_w:
+        told.append(f"the power error from {bars[best].power_rmse_w:.3g} to {after.power_rmse_w:.3g} W")
+    elif after.power_rmse_w > min((1.0 + SHOWN_SHARE) * max(powers), (1.0 + CLEAR_SHARE) * min(powers)):
         told.append(
             f"the power error from {before.power_rmse_w:.3g} W ({recalibrated.power_rmse_w:.3g} W recalibrated) to "
             f"{after.power_rmse_w:.3g} W"
@@ -147,14 +168,13 @@ def worse_note(before: Errors, recalibrated: Errors, after: Errors, heldout: boo
             f"recalibrated) to {after.energy_error_pct:.2f} %"
         )
     which = "runs that were not used to fit" if heldout else "the fitted runs"
-    return f"WORSE on {which}: what was added raises {' and '.join(told)}." if told else ""
+    return f"WORSE on {which}: {what} {' and '.join(told)}." if told else ""
 
 
 def worse_of(held: HeldOut) -> str:
     """`worse_note` of errors on held-out runs."""
     kinds = ("nominal", "recalibrated", "with_effects")
-    before, recalibrated, after = (Told(held.energy_error_pct[kind], held.power_rmse_w[kind]) for kind in kinds)
-    return worse_note(before, recalibrated, after)
+    return worse_note([Told(held.energy_error_pct[kind], held.power_rmse_w[kind]) for kind in kinds])
 
 
 def measured_note(done: Improved) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -315,25 +315,28 @@ def _percent(value: float | None) -> float | None:
     return 100.0 * value if value is not None and math.isfinite(value) else None
 
 
-def improve_page(robot: str, done: Sequence[Improved], *, footer: str = "") -> str:
+def improve_page(
+    robot: str, done: Sequence[Improved], *, advice: Mapping[str, tuple[str, str]] | None = None, footer: str = ""
+) -> str:
     """The page as HTML.
 
-    `done`: one a battery; `footer`: how it was made.
+    `done`: one a battery; `advice`: by battery what predicts better, and its command; `footer`: how it was made.
     """
     sections: list[Section] = []
     for one in done:
         prefix = f"Battery {one.battery}: " if len(done) > 1 else ""
-        sections.append(Section(f"{prefix}Result", _improvement(one)))
+        better = (advice or {}).get(one.battery, ("", ""))
+        sections.append(Section(f"{prefix}Result", _improvement(one, *better)))
         for title, diagnosis in (("Before", one.first), ("After", one.last)):
             inner = diagnosis_sections(Diagnosis(robot, {one.battery: diagnosis}))
             sections += [Section(f"{prefix}{title}: {part.title}", part.blocks) for part in inner]
     return page(f"{robot}: model improved", sections, subtitle="compare, diagnose, add, compare again", footer=footer)
 
 
-def _improvement(one: Improved) -> list[Block]:
+def _improvement(one: Improved, better: str, command: str) -> list[Block]:
     which = "held-out runs" if one.heldout else "the fitted runs; none were held out"
     first, last = one.steps[0], one.steps[-2]
-    text = f"{one.worse} " if one.worse else ""
+    text = "".join(f"{told} " for told in (one.worse, better) if told)
     text += (
         f"Battery {one.battery}: {', '.join(one.added) or 'nothing'} added; the power error on {which} went from "
         f"{first.power_rmse_w:.3g} to {last.power_rmse_w:.3g} W, the energy error from "
@@ -373,4 +376,5 @@ def _improvement(one: Improved) -> list[Block]:
             ("Noise floor", f"{floor.power_rmse_w:.3g} W", "noise, and runs whose meters and drives differ"),
         ]
     )
-    return [Verdict(text, tone), tiles, *charts, table]
+    typed = [web.Command("Type this next", command)] if command else []
+    return [Verdict(text, tone), *typed, tiles, *charts, table]

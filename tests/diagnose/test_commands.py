@@ -270,6 +270,19 @@ def test_improve_adds_nothing_where_nothing_is_missing(folders: dict[str, Path],
     assert page.exists()
 
 
+def test_improve_leaves_out_what_it_is_told_to(
+    folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ("--yes", "--without", "turning_scrub", "--without", "grade", "--out", str(tmp_path / "w.yaml"))
+    run("improve", "--robot", "pioneer3dx", str(folders["train"]), *given, "--json", str(tmp_path / "w.json"))
+    battery = json.loads((tmp_path / "w.json").read_text(encoding="utf-8"))["batteries"]["robot"]
+    assert "turning_scrub" not in battery["added"]
+    assert "turning_scrub" in battery["declined"]
+    said = capsys.readouterr().out
+    assert "--without grade: nothing of that name was about to be added" in said
+    assert "--without turning_scrub: " not in said
+
+
 def test_improve_asks_on_a_terminal_only(
     folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

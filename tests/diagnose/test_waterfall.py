@@ -9,7 +9,7 @@ from html import unescape
 import numpy as np
 import pytest
 
-from missionsim.diagnose import words
+from missionsim.diagnose import sentences, words
 from missionsim.diagnose.improve import Improved, Step, _why
 from missionsim.diagnose.waterfall import energy_note, heldout_note, mean_variance, noise_floor, noted, worse_of
 from missionsim.identify.findings import Diagnosis, HeldOut, Unexplained
@@ -130,3 +130,28 @@ def test_the_noise_floor_is_what_runs_of_this_noise_show() -> None:
     energy_pct, rmse_w = noise_floor(BATTERY)
     assert energy_pct == pytest.approx(100.0 * np.mean(np.abs(total.mean(axis=1))) / power_w, rel=0.05)
     assert rmse_w == pytest.approx(np.sqrt(np.mean(total**2)), rel=0.02)
+
+
+def test_a_step_that_makes_held_out_runs_worse_is_told_first_with_what_to_type() -> None:
+    bars = (Step("before", 11.4, 43.0), Step("recalibrated", 4.0, 32.8), Step("+ grade", 5.3, 25.1))
+    rising = replace(improved(1.0), added=("grade", "law_x"), steps=(*bars, Step("+ law_x", 3.3, 32.5), bars[0]))
+    assert "law_x raises the power error from 25.1 to 32.5 W" in rising.worse  # below the recalibrated 32.8 W
+    told, command = rising.advice("my robot.yaml", ["train"], "--holdout held")
+    assert "without law_x" in told
+    assert "--robot 'my robot.yaml' train --holdout held --yes --without law_x --out" in command
+    page = unescape(improve_page("r", [rising], advice={"robot": (told, command)}))
+    assert page.index(rising.worse) < page.index("grade, law_x added")
+    assert command in page
+    first = replace(rising, added=("grade",), steps=(*bars[:2], Step("+ grade", 3.3, 34.0), bars[0]))
+    assert first.advice("r.yaml", ["train"])[1].startswith("missionsim calibrate --robot r.yaml train")
+    falling = replace(rising, steps=(*bars[:2], Step("+ grade", 3.3, 34.0), Step("+ law_x", 3.3, 20.0), bars[0]))
+    assert falling.worse == ""  # a step that the next one makes good
+    assert falling.advice("r.yaml", ["train"]) == ("", "")
+
+
+def test_an_error_that_only_recalibration_lowers_is_said_so() -> None:
+    rmse = {"nominal": 16.9, "recalibrated": 7.47, "with_effects": 7.52}
+    held = HeldOut("the last run", ("run_05",), {"nominal": 18.5, "recalibrated": 4.4, "with_effects": 4.5}, rmse)
+    told = sentences.errors(replace(BATTERY, heldout=held))
+    assert "ONLY 16.9" not in told
+    assert "was 16.9 W, is 7.47 W with the base alone fitted anew, and NO LESS, 7.52 W, with it" in told
