@@ -87,7 +87,7 @@ def resolve(data: object, path: str) -> tuple[str | int, ...] | Fault:
         if not key:
             return Fault("", 0, 0, "empty part in a path", path, path, "parts between the dots")
         if isinstance(here, dict):
-            whole = _longest_key(here, rest)
+            whole = next((count for count in range(len(rest), 0, -1) if ".".join(rest[:count]) in here), 0)
             if whole:
                 joined = ".".join(rest[:whole])
                 result.append(joined)
@@ -116,11 +116,6 @@ def resolve(data: object, path: str) -> tuple[str | int, ...] | Fault:
             return tuple(result)
         return _lost(path, key, [])
     return tuple(result)
-
-
-def _longest_key(here: dict[str, Any], rest: Sequence[str]) -> int:
-    """How many parts make a key of `here` (a place may be called ``A.1``)."""
-    return next((count for count in range(len(rest), 0, -1) if ".".join(rest[:count]) in here), 0)
 
 
 def _lost(path: str, key: str, known: Sequence[str]) -> Fault:
