@@ -45,24 +45,7 @@ _POWER = {
     "charge_wh": "Charge left [Wh]",
     "terms": "Modelled power by component/term [W]",
 }
-_NUMBER = {"type": "number"}
-_POINT = {"type": "object", "properties": dict.fromkeys("xyz", _NUMBER)}
-_POSE_SCHEMA = {
-    "title": "foxglove.PoseInFrame",
-    "type": "object",
-    "properties": {
-        "timestamp": {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}},
-        "frame_id": {"type": "string"},
-        "time_s": {"type": "number", "description": _POWER["time_s"]},
-        "pose": {
-            "type": "object",
-            "properties": {
-                "position": _POINT,
-                "orientation": {"type": "object", "properties": dict.fromkeys("xyzw", _NUMBER)},
-            },
-        },
-    },
-}
+_POSE_SCHEMA = json.loads(Path(__file__).with_name("pose.schema.json").read_text("utf-8"))
 
 
 def write_run(result: RunResult, mission: MissionSpec, path: str | Path) -> list[Path]:

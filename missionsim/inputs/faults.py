@@ -17,23 +17,16 @@ _LIMITS = {
     "less_than": ("less than", "lt"),
     "less_than_equal": ("at most", "le"),
 }
-_KINDS = {
-    "string_type": "text",
-    "int_type": "a whole number",
-    "int_from_float": "a whole number",
-    "int_parsing": "a whole number",
-    "float_type": "a number",
-    "float_parsing": "a number",
-    "bool_type": "true or false",
-    "bool_parsing": "true or false",
-    "dict_type": "a mapping",
-    "model_type": "a mapping",
-    "model_attributes_type": "a mapping",
-    "mapping_type": "a mapping",
-    "tuple_type": "a list",
-    "list_type": "a list",
-    "finite_number": "a finite number",
+_WANTED = {
+    "text": "string_type",
+    "a whole number": "int_type int_from_float int_parsing",
+    "a number": "float_type float_parsing",
+    "true or false": "bool_type bool_parsing",
+    "a mapping": "dict_type model_type model_attributes_type mapping_type",
+    "a list": "tuple_type list_type",
+    "a finite number": "finite_number",
 }
+_KINDS = {kind: words for words, kinds in _WANTED.items() for kind in kinds.split()}
 
 
 def to_faults(

@@ -27,38 +27,11 @@ _REST_BAND = 5.0
 _SLOW_STEP_S = 60.0
 """A mobile robot's log has a row every few seconds at least; beyond this the times may be milliseconds."""
 
-_LARGE: dict[str, tuple[float, str]] = {
-    "speed_m_s": (15.0, "faster than a mobile robot drives: km/h or mm/s"),
-    "lateral_speed_m_s": (15.0, "faster than a mobile robot drives: km/h or mm/s"),
-    "accel_m_s2": (30.0, "mm/s² or a raw accelerometer"),
-    "yaw_rate_rad_s": (8.0, "degrees per second"),
-    "slope_rad": (0.7, "degrees or per cent"),
-    "temp_ambient_c": (70.0, "kelvin or fahrenheit"),
-    "temp_motor_c": (200.0, "kelvin or fahrenheit"),
-    "cpu_load": (1.01, "per cent"),
-    "payload_kg": (5000.0, "grams"),
-    "heading_rad": (200.0, "degrees"),
-    "voltage_<battery>_v": (1000.0, "millivolts"),
-    "current_<battery>_a": (400.0, "milliamperes"),
-    "power_<battery>_w": (30000.0, "milliwatts"),
-}
-"""Glossary column → a magnitude that its 95 % point hardly exceeds in a mobile robot, and what it then may be."""
-_RATIOS: tuple[tuple[float, str], ...] = (
-    (1000.0, "1,000"),
-    (1e-3, "1/1,000"),
-    (1e6, "1,000,000"),
-    (1e-6, "1/1,000,000"),
-    (3600.0, "3,600"),
-    (1 / 3600.0, "1/3,600"),
-    (3.6, "3.6 (km/h)"),
-    (1 / 3.6, "1/3.6"),
-    (180 / np.pi, "57.3 (degrees)"),
-    (np.pi / 180, "1/57.3"),
-    (-1.0, "−1 (the sign)"),
-    (60.0, "60"),
-    (1 / 60.0, "1/60"),
-    (100.0, "100"),
-)
+_RATIOS = {
+    "1,000": 1e3, "1/1,000": 1e-3, "1,000,000": 1e6, "1/1,000,000": 1e-6, "3,600": 3600.0, "1/3,600": 1 / 3600.0,
+    "3.6 (km/h)": 3.6, "1/3.6": 1 / 3.6, "57.3 (degrees)": 180 / np.pi, "1/57.3": np.pi / 180, "−1 (the sign)": -1.0,
+    "60": 60.0, "1/60": 1 / 60.0, "100": 100.0,
+}  # fmt: skip
 
 
 def check_names(rows: Rows, known_batteries: tuple[str, ...] = (), known_components: tuple[str, ...] = ()) -> None:
@@ -95,7 +68,7 @@ def check_magnitudes(rows: Rows, max_speed_m_s: float | None = None) -> None:
             continue
         sample = np.abs(data[:_SAMPLE])
         large = float(np.quantile(sample, 0.95))
-        limit, perhaps = _LARGE.get(found[0].name, (np.inf, ""))
+        limit, perhaps = found[0].large, found[0].perhaps
         if name == "speed_m_s" and max_speed_m_s:
             limit, perhaps = 2.0 * max_speed_m_s, f"the robot drives {max_speed_m_s:g} m/s at most: km/h or mm/s"
         if large > limit and not _fits_a_vehicle(rows, name):
@@ -185,7 +158,7 @@ def _ratio(rows: Rows, name: str, other: str, value: float, reference: float, lo
         return
     ratio = value / reference
     spread = 1.35 if loose else 1.15
-    near = {words: factor for factor, words in _RATIOS if factor * ratio > 0 and 1 / spread < ratio / factor < spread}
+    near = {w: f for w, f in _RATIOS.items() if f * ratio > 0 and 1 / spread < ratio / f < spread}
     if near and name == "accel_m_s2":
         told = f"{ratio:.2g} times {other}: another unit or sign of either (km/h, mph, g?), or of time_s?"
         rows.remark("unit", name, told, _LEFT, "error")

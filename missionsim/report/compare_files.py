@@ -19,7 +19,7 @@ from missionsim.compare.behaviour import PARTS
 from missionsim.files import atomic_write, csv_cell
 from missionsim.physics import Array
 from missionsim.report.terminal import signed, simple_table
-from missionsim.report.traces import MEASURED, MODEL, RESIDUAL, literal, shared_indices
+from missionsim.report.traces import MEASURED, MODEL, RESIDUAL, literal, new_figure, save_figure, shared_indices
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -202,18 +202,18 @@ def write_figures(comparison: Comparison, folder: Path) -> list[Path]:
     written = []
     for one in comparison.batteries.values():
         for run in sorted(one.runs, key=lambda run: -run.power_rmse_w)[:MOST_RUNS]:
-            written.append(_save(power_figure(run), folder / f"power_{one.battery}_{_file_name(run.run)}.png"))
+            written.append(save_figure(power_figure(run), folder / f"power_{one.battery}_{_file_name(run.run)}.png"))
         if one.dependences:
-            written.append(_save(covariate_figure(one), folder / f"error_by_covariate_{one.battery}.png"))
-        written.append(_save(progress_figure(one), folder / f"error_over_progress_{one.battery}.png"))
+            written.append(save_figure(covariate_figure(one), folder / f"error_by_covariate_{one.battery}.png"))
+        written.append(save_figure(progress_figure(one), folder / f"error_over_progress_{one.battery}.png"))
         if one.places:
-            written.append(_save(map_figure(one), folder / f"error_map_{one.battery}.png"))
+            written.append(save_figure(map_figure(one), folder / f"error_map_{one.battery}.png"))
     return written
 
 
 def power_figure(run: RunComparison) -> Figure:
     """Measured and modelled power over time with the error under it."""
-    figure = _figure(9.0, 5.0)
+    figure = new_figure(9.0, 5.0)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     measured, model = run.series.power_w("measured"), run.series.power_w("model")
     kept = shared_indices([measured, model, model - measured], POINTS)
@@ -235,7 +235,7 @@ def covariate_figure(one: BatteryComparison) -> Figure:
     found = [d for d in one.dependences if d.by != "place"][:MOST_COVARIATES]
     columns = min(3, len(found))
     rows = -(-len(found) // columns)
-    figure = _figure(4.0 * columns, 3.2 * rows)
+    figure = new_figure(4.0 * columns, 3.2 * rows)
     for axes, dependence in zip(figure.subplots(rows, columns, squeeze=False).flat, found, strict=False):
         _draw_covariate(axes, dependence)
     for axes in figure.axes[len(found) :]:
@@ -266,7 +266,7 @@ def _draw_covariate(axes: Axes, found: Dependence) -> None:
 
 def progress_figure(one: BatteryComparison) -> Figure:
     """Error of the energy so far over the progress of the runs."""
-    figure = _figure(8.0, 4.0)
+    figure = new_figure(8.0, 4.0)
     axes = figure.subplots()
     axes.axhline(0.0, color="black", linewidth=0.8)
     if len(one.runs) > 1:
@@ -315,7 +315,7 @@ def map_figure(one: BatteryComparison) -> Figure:
 
     found = error_map(one.places)
     rows, columns = found.error_w.shape
-    figure = _figure(7.0, float(np.clip(7.0 * rows / columns, 3.0, 8.0)))
+    figure = new_figure(7.0, float(np.clip(7.0 * rows / columns, 3.0, 8.0)))
     axes = figure.subplots()
     edge = 0.5 * one.places[0].width_m
     extent = (found.x_m[0] - edge, found.x_m[-1] + edge, found.y_m[0] - edge, found.y_m[-1] + edge)
@@ -329,20 +329,6 @@ def map_figure(one: BatteryComparison) -> Figure:
     axes.set_ylabel("y, m")
     axes.set_title(f"battery {one.battery}", loc="right", fontsize=10)
     return figure
-
-
-def _figure(width: float, height: float) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    for axes in figure.axes:
-        axes.spines[["top", "right"]].set_visible(False)
-    with atomic_write(path) as temporary:
-        figure.savefig(temporary, dpi=130)
-    return path
 
 
 def _file_name(text: str) -> str:

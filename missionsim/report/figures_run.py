@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from missionsim.engine.outcome import J_PER_WH, RunResult
-from missionsim.files import atomic_write
-from missionsim.report.traces import literal
+from missionsim.report.traces import literal, new_figure, save_figure
 from missionsim.uncertainty.store import BlockStore
 
 if TYPE_CHECKING:
@@ -44,14 +43,7 @@ def write_figures(
         from missionsim.report.site_map import map_of_run, site_figure
 
         figures["site"] = site_figure(map_of_run(result, environment))
-    written = []
-    for name, figure in figures.items():
-        path = Path(folder) / f"{name}.{format}"
-        with atomic_write(path) as temporary:
-            metadata = {"Date": None} if format == "svg" else {"Software": "missionsim"}
-            figure.savefig(temporary, format=format, dpi=130, metadata=metadata)
-        written.append(path)
-    return written
+    return [save_figure(figure, Path(folder) / f"{name}.{format}") for name, figure in figures.items()]
 
 
 def power_figure(result: RunResult) -> Figure:
@@ -123,10 +115,8 @@ def energy_figure(result: RunResult) -> Figure:
     }
     kept = set(sorted(totals, key=lambda label: -totals[label])[:MOST_BARS])
     labels = [label for label in groups if label in kept]
-    from matplotlib.figure import Figure
-
     height = max(2.4, 0.26 * len(labels) + 1.2)
-    figure = Figure(figsize=(4.6 * len(names) + 1.4, height), layout="constrained")
+    figure = new_figure(4.6 * len(names) + 1.4, height)
     axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     count = len(result.segments)
     colours = _colours(result)
@@ -140,7 +130,6 @@ def energy_figure(result: RunResult) -> Figure:
         axis.set_xlabel(f"{name} battery [Wh]")
         axis.set_yticks(range(len(labels)), [literal(label) for label in labels], fontsize=8)
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.9 / height), ncols=3, frameon=False, fontsize=7)
-        axis.spines[["top", "right"]].set_visible(False)
     axes[0].invert_yaxis()
     figure.suptitle(_title(result), fontsize=10)
     return figure
@@ -168,13 +157,10 @@ def _colours(result: RunResult) -> dict[str, str]:
 
 
 def _figure(result: RunResult, rows: int, height: float) -> tuple[Figure, list[Axes]]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.0, height * rows + 1.0), layout="constrained")
+    figure = new_figure(10.0, height * rows + 1.0)
     axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
     for axis in axes:
         axis.margins(x=0)
-        axis.spines[["top", "right"]].set_visible(False)
     figure.suptitle(_title(result), fontsize=10)
     return figure, list(axes)
 
@@ -222,9 +208,7 @@ def write_batch_figures(store: BlockStore, firsts: list[int], batteries: tuple[s
 
     `firsts`: blocks that count. Gives the files written.
     """
-    from matplotlib.figure import Figure
-
-    histogram = Figure(figsize=(4.6 * len(batteries), 3.4), layout="constrained")
+    histogram, fan = (new_figure(4.6 * len(batteries), 3.4) for _ in range(2))
     axes = np.atleast_1d(histogram.subplots(1, len(batteries)))
     for axis, name in zip(axes, batteries, strict=True):
         energy = store.beginning([f"energy_{name}_wh"], firsts, HISTOGRAM_RUNS)[f"energy_{name}_wh"]
@@ -233,7 +217,6 @@ def write_batch_figures(store: BlockStore, firsts: list[int], batteries: tuple[s
             text = f"{energy[0]:.4g} Wh in all runs" if len(energy) else "all runs failed"
             axis.text(0.5, 0.5, text, transform=axis.transAxes, ha="center", va="center")
             axis.set(xlabel=f"energy of battery {name} [Wh]", xticks=[], yticks=[])
-            axis.spines[["top", "right"]].set_visible(False)
             continue
         axis.hist(energy, bins="auto" if len(energy) < 50_000 else 120, color="#4477aa")
         for q, style in ((0.05, ":"), (0.5, "-"), (0.95, ":")):
@@ -242,8 +225,6 @@ def write_batch_figures(store: BlockStore, firsts: list[int], batteries: tuple[s
             where: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "ha": "center", "va": "bottom"}
             axis.annotate(f"{100 * q:g} %", (at, 1.0), fontsize=7, **where)
         axis.set(xlabel=f"energy of battery {name} [Wh]", ylabel="runs")
-        axis.spines[["top", "right"]].set_visible(False)
-    fan = Figure(figsize=(4.6 * len(batteries), 3.4), layout="constrained")
     axes = np.atleast_1d(fan.subplots(1, len(batteries)))
     for axis, name in zip(axes, batteries, strict=True):
         charge = store.beginning([f"charge_{name}_wh"], firsts, FAN_RUNS)[f"charge_{name}_wh"]
@@ -257,11 +238,6 @@ def write_batch_figures(store: BlockStore, firsts: list[int], batteries: tuple[s
             axis.fill_between(progress, edges[0], edges[1], color="#4477aa", alpha=alpha, linewidth=0, label=label)
         axis.plot(progress, np.median(charge, axis=0), color="#222222", linewidth=1, label="median")
         axis.set(xlabel="progress of the mission [% of its time]", ylabel=f"charge of battery {name} [Wh]")
-        axis.spines[["top", "right"]].set_visible(False)
         axis.legend(fontsize=7, frameon=False)
-    written = []
-    for figure, file in ((histogram, "energy_histogram.png"), (fan, "charge_fan.png")):
-        with atomic_write(folder / file) as temporary:
-            figure.savefig(temporary, dpi=130)
-        written.append(folder / file)
-    return written
+    files = {"energy_histogram.png": histogram, "charge_fan.png": fan}
+    return [save_figure(figure, folder / name) for name, figure in files.items()]

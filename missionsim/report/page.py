@@ -12,6 +12,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
+from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypeGuard
 
 import numpy as np
@@ -117,27 +118,13 @@ class Section:
 
 
 MARKS = {"good": ("✓", "Good"), "warn": ("!", "Attention"), "bad": ("✗", "Wrong"), "neutral": ("i", "Result")}
-AXIS = {
-    "gridcolor": "#e5e8ec",
-    "zerolinecolor": "#aab2bd",
-    "linecolor": "#aab2bd",
-    "ticks": "outside",
-    "tickcolor": "#aab2bd",
-    "automargin": True,
-}
 _NUMBER = re.compile(r"[-+−]?[0-9][0-9.,]*(e[-−+]?[0-9]+)?")
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f3c8d", "#666666")
+STYLE: dict[str, dict[str, Any]] = json.loads(
+    Path(__file__).with_name("templates").joinpath("charts.json").read_text("utf-8")
+)
+"""Plotly layout of every chart, and of every axis."""
+COLOURS: tuple[str, ...] = tuple(STYLE["layout"]["colorway"])
 """Okabe and Ito's colours, told apart with any colour vision, and two more."""
-HOUSE_LAYOUT: dict[str, Any] = {
-    "font": {"family": "system-ui, 'DejaVu Sans', Arial, sans-serif", "size": 13, "color": "#1f2933"},
-    "paper_bgcolor": "#ffffff",
-    "plot_bgcolor": "#ffffff",
-    "margin": {"l": 64, "r": 16, "t": 30, "b": 48},
-    "hovermode": "x unified",
-    "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"},
-    "hoverlabel": {"namelength": -1},
-    "colorway": list(COLOURS),
-}
 
 
 def page(title: str, sections: Sequence[Section], *, subtitle: str = "", footer: str = "") -> str:
@@ -222,10 +209,10 @@ def label(text: object) -> str:
 
 
 def _chart(block: Chart) -> dict[str, Any]:
-    layout: dict[str, Any] = {**HOUSE_LAYOUT, "height": block.height, **block.layout}
+    layout: dict[str, Any] = {**STYLE["layout"], "height": block.height, **block.layout}
     for key in [*layout, "xaxis", "yaxis"]:
         if key.startswith(("xaxis", "yaxis")):
-            layout[key] = {**AXIS, **layout.get(key, {})}
+            layout[key] = {**STYLE["axis"], **layout.get(key, {})}
     return {"data": plain(list(block.traces)), "layout": plain(layout)}
 
 

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.errors import visible
+from missionsim.files import atomic_write
 from missionsim.physics import Array
 from missionsim.report.page import COLOURS, Block, Chart, Choice, Paragraph
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MEASURED, MODEL, FITTED = COLOURS[:3]
 RESIDUAL = "#52606d"
@@ -116,3 +121,20 @@ def shared_indices(series: list[Array], points: int) -> NDArray[np.int64]:
 def literal(text: str) -> str:
     """A name for Matplotlib, which takes what stands between dollar signs for mathematics; no control signs."""
     return visible(text).replace("$", r"\$")
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of Matplotlib, in inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG or SVG by its suffix, whole or not at all, without lines at the top and the right."""
+    for axes in figure.axes:
+        axes.spines[["top", "right"]].set_visible(False)
+    metadata = {"Date": None} if path.suffix == ".svg" else {"Software": "missionsim"}
+    with atomic_write(path) as temporary:
+        figure.savefig(temporary, format=path.suffix[1:], dpi=130, metadata=metadata)
+    return path
