@@ -72,7 +72,7 @@ def robot_from_text(text: str, name: str = "robot") -> RobotSpec:
 def mission_from_text(text: str, robot: RobotSpec, name: str = "mission") -> MissionSpec:
     """A mission of a loaded robot from the text of its file; see `robot_from_text`."""
     faults: list[Fault] = []
-    return _finish(_load_mission(Path(name), faults, (), robot, parse_document(text, name=name)), faults)
+    return _finish(_load_joined(Path(name), MissionSpec, faults, (), robot, parse_document(text, name=name)), faults)
 
 
 def load_environment(path: str | os.PathLike[str], overrides: Sequence[Override] = ()) -> EnvironmentSpec:
@@ -102,7 +102,7 @@ def load_mission(
         All faults of all files.
     """
     faults: list[Fault] = []
-    return _finish(_load_mission(Path(path), faults, overrides, robot), faults)
+    return _finish(_load_joined(Path(path), MissionSpec, faults, overrides, robot), faults)
 
 
 def load_study(path: str | os.PathLike[str]) -> StudySpec:
@@ -121,8 +121,10 @@ def load_task(
     path: str | os.PathLike[str], overrides: Sequence[Override] = (), robot: str | os.PathLike[str] | None = None
 ) -> TaskSpec:
     """Load a task with its robot and environment; see `load_mission`."""
+    from missionsim.inputs.task import TaskSpec
+
     faults: list[Fault] = []
-    return _finish(_load_task(Path(path), faults, overrides, robot), faults)
+    return _finish(_load_joined(Path(path), TaskSpec, faults, overrides, robot), faults)
 
 
 def model_of(kind: str) -> type[FileModel]:
@@ -151,9 +153,11 @@ def check_files(paths: Iterable[str | os.PathLike[str]]) -> list[Fault]:
             continue
         kind = document.data.get("kind") if isinstance(document.data, dict) else None
         if kind == "mission":
-            _load_mission(Path(path), faults, document=document)
+            _load_joined(Path(path), MissionSpec, faults, document=document)
         elif kind == "task":
-            _load_task(Path(path), faults, document=document)
+            from missionsim.inputs.task import TaskSpec
+
+            _load_joined(Path(path), TaskSpec, faults, document=document)
         elif kind == "study":
             study = _load(Path(path), StudySpec, faults, document=document)
             if study is not None and study.whole:
@@ -277,56 +281,36 @@ def _companions(
     return robot_spec, environment
 
 
-def _load_task(
-    path: Path,
-    faults: list[Fault],
-    overrides: Sequence[Override] = (),
-    robot: str | os.PathLike[str] | None = None,
-    document: Document | None = None,
-) -> TaskSpec | None:
-    from missionsim.inputs.check_task import check_task
-    from missionsim.inputs.task import TaskSpec
-
-    task, by_file = _load_joined(path, TaskSpec, faults, overrides, robot, document)
-    if task is not None:
-        elsewhere = [(f"{part}.{key}", value) for part in ("robot", "environment") for key, value in by_file[part]]
-        task._elsewhere = _shown(elsewhere)
-        faults.extend(check_task(task, task.document))
-    return task
-
-
-def _load_mission(
-    path: Path,
-    faults: list[Fault],
-    overrides: Sequence[Override] = (),
-    robot: str | os.PathLike[str] | RobotSpec | None = None,
-    document: Document | None = None,
-) -> MissionSpec | None:
-    mission, _ = _load_joined(path, MissionSpec, faults, overrides, robot, document)
-    if mission is not None:
-        mission._overrides = _shown(overrides)
-        faults.extend([*check_mission(mission, mission.document), *unread(mission)])
-    return mission
-
-
 def _load_joined(
     path: Path,
     model: type[Joined],
     faults: list[Fault],
-    overrides: Sequence[Override],
-    robot: str | os.PathLike[str] | RobotSpec | None,
-    document: Document | None,
-) -> tuple[Joined | None, dict[str, list[Override]]]:
-    """A mission or a task with the robot and the environment that it names, and the overrides by file."""
+    overrides: Sequence[Override] = (),
+    robot: str | os.PathLike[str] | RobotSpec | None = None,
+    document: Document | None = None,
+) -> Joined | None:
+    """A mission or a task with the robot and the environment that it names, and what the checks of them all find."""
     document = document or _read(path, faults)
     if document is None:
-        return None, {}
+        return None
     by_file = override_rules.route(overrides, document.data)
     made = _load(path, model, faults, by_file[""], document=document)
     companions = _companions(path, document, faults, by_file, robot)
-    if made is not None:
-        made._robot, made._environment = companions
-    return made, by_file
+    if made is None:
+        return None
+    made._robot, made._environment = companions
+    spec: Any = made
+    if model is MissionSpec:
+        spec._overrides = _shown(overrides)
+        faults += [*check_mission(spec, spec.document), *unread(spec)]
+    else:
+        from missionsim.inputs.check_task import check_task
+
+        spec._elsewhere = _shown(
+            [(f"{part}.{k}", value) for part in override_rules.ROOTS for k, value in by_file[part]]
+        )
+        faults += check_task(spec, spec.document)
+    return made
 
 
 def _shown(overrides: Sequence[Override]) -> tuple[tuple[str, str], ...]:
@@ -337,7 +321,8 @@ def _check_study(study: StudySpec, target: Path, faults: list[Fault]) -> None:
     """Each alternative must lead to a valid mission."""
     common = list(study.baseline.items())
     first: list[Fault] = []
-    if _load_mission(target, first, common, study.robot) is None or any(fault.severity == "error" for fault in first):
+    made = _load_joined(target, MissionSpec, first, common, study.robot)
+    if made is None or any(fault.severity == "error" for fault in first):
         faults.extend(first)
         return
     known = set(first)
@@ -351,7 +336,7 @@ def _check_study(study: StudySpec, target: Path, faults: list[Fault]) -> None:
     ]
     for where, extra, robot in cases:
         found: list[Fault] = []
-        _load_mission(target, found, [*common, *extra], robot or study.robot)
+        _load_joined(target, MissionSpec, found, [*common, *extra], robot or study.robot)
         line, column = study.document.position(where)
         for fault in [fault for fault in found if fault not in known]:
             here = dataclasses.replace(fault, file=study.document.file, line=line, column=column)
