@@ -165,9 +165,8 @@ class NumberAxis:
 class LabelAxis:
     """A covariate with names or counts for values (surface, scheme, units switched on, run)."""
 
-    def __init__(self, name: str, title: str, suffix: str = "") -> None:
+    def __init__(self, name: str, title: str) -> None:
         self.name, self.title, self.unit = name, title, ""
-        self._suffix = suffix
         self._codes: dict[str, int] = {}
         self._sums = _Sums()
 
@@ -204,7 +203,7 @@ class LabelAxis:
             self._sums.cells.tolist(), *(self._sums.of(key).tolist() for key in (seconds, gap, square)), strict=True
         )
         found = {names[code]: sums for code, *sums in rows if sums[0] > 0.0}
-        return [Bin(name + self._suffix, None, None, *found[name]) for name in sorted(found, key=_natural)]
+        return [Bin(name, None, None, *found[name]) for name in sorted(found, key=_natural)]
 
     @property
     def names(self) -> tuple[str, ...]:

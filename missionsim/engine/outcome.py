@@ -198,10 +198,8 @@ class RunResult:
 
     def places_passed(self) -> dict[int, list[str]]:
         """Segment → the places from where it began to where it ended, of drives on the map."""
-        passed: dict[int, list[str]] = {}
-        for edge in self.edges_driven():
-            passed.setdefault(edge.segment, [edge.begin]).append(edge.end)
-        return passed
+        ways = _grouped(self.edges_driven()).items()
+        return {segment: [edges[0].begin, *(edge.end for edge in edges)] for segment, edges in ways}
 
     @property
     def returned(self) -> bool:

@@ -14,6 +14,7 @@ from missionsim.inputs.battery import BatterySpec
 from missionsim.inputs.battery import EquivalentCircuit as CircuitSpec
 from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
+from missionsim.plan.asked import EXTRAS
 from missionsim.plan.legs import Plan
 
 T = TypeVar("T", float, Array)
@@ -98,12 +99,7 @@ def check_covariates(plan: Plan, model: PowerModel) -> None:
 
     Raises InputError: with the effect, the column and a segment that lacks it.
     """
-    keys = {
-        "temp_ambient_c": "temperature",
-        "cpu_load": "cpu_load",
-        "cpu_freq_hz": "cpu_frequency",
-        "access_point_distance_m": "access_point_distance",
-    }
+    keys = {column: key for key, column in EXTRAS}
     wanted = {name: term.effect for term in model.terms for name in term.effect.needs if name in keys}
     if not wanted:
         return

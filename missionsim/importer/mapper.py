@@ -56,8 +56,10 @@ class Mapper:
 
     def _fault(
         self, path: tuple[str | int, ...], message: str, got: str = "", allowed: str = "", hint: str = ""
-    ) -> None:
+    ) -> InputError:
+        """Note a fault; gives the error of all until now."""
         self.faults.append(self.spec.document.fault(path, message, got=got, allowed=allowed, hint=hint))
+        return InputError(self.faults)
 
     def _compile(self, text: str, path: tuple[str | int, ...], known: set[str]) -> _Formula:
         try:
@@ -133,8 +135,7 @@ class Mapper:
         except (TypeError, ValueError, InputError) as error:
             text = [name for name in formula.expression.names if isinstance(values.get(name), Labels)]
             told = "the formula cannot be computed" + (f": {', '.join(text)} holds text" if text else "")
-            self._fault(formula.path, told, formula.expression.source, "" if text else str(error)[:100])
-            raise InputError(self.faults) from None
+            raise self._fault(formula.path, told, formula.expression.source, "" if text else str(error)[:100]) from None
         if isinstance(data, Labels):
             return data
         if isinstance(data, str):
@@ -184,8 +185,7 @@ class Mapper:
         try:
             found = read_stamps(parts, "time_s", column.zone, any(name in self.raw.local for name in names))
         except TimeError as error:
-            self._fault(("columns", "time_s"), str(error), ", ".join(map(str, names)))
-            raise InputError(self.faults) from None
+            raise self._fault(("columns", "time_s"), str(error), ", ".join(map(str, names))) from None
         self.remarks += [remark for remark in found.remarks if remark not in self.remarks]
         self.clock = found.kind
         return found.seconds
@@ -193,15 +193,13 @@ class Mapper:
     def _numbers(self, name: str, parts: list[ColumnData]) -> list[Array]:
         numbers = [part for part in parts if not isinstance(part, Labels)]
         if len(numbers) != len(parts):
-            self._fault(("columns", name), "this column is computed from text")
-            raise InputError(self.faults)
+            raise self._fault(("columns", name), "this column is computed from text")
         return numbers
 
     def _as_text(self, name: str, data: Labels, column: ColumnMap) -> Labels:
         found = column_of(name)
         if (found is not None and found[0].kind != "text") or column.unit is not None:
-            self._fault(("columns", name), "this column holds text, not numbers", got=", ".join(data.names[:5]))
-            raise InputError(self.faults)
+            raise self._fault(("columns", name), "this column holds text, not numbers", got=", ".join(data.names[:5]))
         return data
 
     def _converted(self, name: str, data: Array, column: ColumnMap) -> Array:
@@ -211,15 +209,13 @@ class Mapper:
             return to_glossary(data, column.unit, name)
         except InputError as error:
             fault = error.faults[0]
-            self._fault(("columns", name, "unit"), fault.message, fault.got, fault.allowed, fault.hint)
-            raise InputError(self.faults) from None
+            raise self._fault(("columns", name, "unit"), fault.message, fault.got, fault.allowed, fault.hint) from None
 
     def _from_file_name(self, name: str, words: tuple[str, ...], rows: int) -> Labels:
         found = [word for word in words if word.lower() in self.stem.lower()]
         if len(found) != 1:
             told = f"the file's name holds {' and '.join(found) or 'none'} of the words"
-            self._fault(("columns", name, "file_name"), told, self.stem, "exactly one of " + ", ".join(words))
-            raise InputError(self.faults)
+            raise self._fault(("columns", name, "file_name"), told, self.stem, "exactly one of " + ", ".join(words))
         return Labels(np.zeros(rows, dtype=np.int64), (found[0],))
 
     def _looked_up(self, name: str, data: ColumnData, table: dict[str, Any]) -> ColumnData:
@@ -228,8 +224,7 @@ class Mapper:
         if unknown:
             allowed, hint = ", ".join(map(str, table)), did_you_mean(unknown[0], [str(key) for key in table])
             told = f"'{unknown[0]}' has no value"
-            self._fault(("columns", name, "values"), told, ", ".join(unknown[:10]), allowed, hint)
-            raise InputError(self.faults)
+            raise self._fault(("columns", name, "values"), told, ", ".join(unknown[:10]), allowed, hint)
         given = [table[word] for word in labels.names]
         if all(isinstance(item, (int, float)) for item in given) and not _is_text_column(name):
             numbers = np.array([*(float(item) for item in given), np.nan])

@@ -7,7 +7,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from missionsim.inputs import units, values
 from missionsim.inputs.base import Model, alone, check_rising, wrong
-from missionsim.inputs.values import Issue, Parameter, QuantityOf, quantity
+from missionsim.inputs.values import Issue, Parameter, QuantityOf
 
 
 class _CapacityOf(QuantityOf):
@@ -87,8 +87,8 @@ class TaperSpec(Model):
         return self
 
 
-Lateness = Annotated[Parameter, quantity("duration", -60.0, 60.0)]
-Lag = Annotated[Parameter, quantity("duration", 0.0, 60.0)]
+Lateness = Annotated[Parameter, QuantityOf("duration", -60.0, 60.0)]
+Lag = Annotated[Parameter, QuantityOf("duration", 0.0, 60.0)]
 
 
 class MeterSpec(Model):
@@ -98,7 +98,7 @@ class MeterSpec(Model):
     lag: Lag = Parameter(0.0, unit="s")
 
 
-Relative = Annotated[Parameter, quantity("fraction", 0.0, 100.0, strict=True)]
+Relative = Annotated[Parameter, QuantityOf("fraction", 0.0, 100.0, strict_low=True)]
 Curve = Annotated[tuple[tuple[values.Temperature, Relative], ...], Field(min_length=2, max_length=1000)]
 
 

@@ -14,12 +14,12 @@ from missionsim.inputs import units
 from missionsim.inputs.examples import find_robot, unknown_robot
 from missionsim.inputs.loading import robot_from_text
 from missionsim.inputs.overrides import resolve
-from missionsim.inputs.parameter import Parameter
+from missionsim.inputs.parameter import Parameter, parameters
 from missionsim.inputs.schemas import SCHEMA_FOLDER
 from missionsim.physics.meter import Meter
 
 if TYPE_CHECKING:
-    from missionsim.inputs.robot import RobotSpec
+    pass
 
 _SCHEMA_LINE = re.compile(r"^(# yaml-language-server: \$schema=)(\S+)[ \t]*$", re.MULTILINE)
 _NUMBERS = ("value", "sd", "low", "high")
@@ -79,7 +79,7 @@ class Editing:
         ``value`` and perhaps ``sd`` (SI), ``status``, ``source``, ``note``. A new ``value`` takes out the old status,
         source and note, since they spoke of the old value, and the old spread where no new one is given.
         """
-        known = numbers(self._robot)
+        known = dict(parameters(self._robot))
         for path, update in updates.items():
             found = resolve(self._data, path)
             if not isinstance(found, tuple):
@@ -132,13 +132,6 @@ def for_folder(text: str, folder: str | os.PathLike[str], kind: str = "robot") -
         relative = target.as_uri()
     reference = Path(relative).as_posix() if "://" not in relative else relative
     return _SCHEMA_LINE.sub(lambda match: match.group(1) + reference, text, count=1)
-
-
-def numbers(robot: RobotSpec) -> dict[str, Parameter]:
-    """Every number of a robot file by its path."""
-    from missionsim.inputs.parameter import parameters
-
-    return dict(parameters(robot))
 
 
 def _open(text: str) -> tuple[Any, Any]:

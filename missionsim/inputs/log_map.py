@@ -9,7 +9,7 @@ from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import compile_expression
 from missionsim.inputs.base import FileModel, Model, Name, Text, alone
 from missionsim.inputs.tree import Document, dotted
-from missionsim.inputs.values import AnyNumber, Parameter, Period, quantity
+from missionsim.inputs.values import AnyNumber, Parameter, Period, QuantityOf
 from missionsim.logs.power import MEASURED, measured_batteries
 
 Formula = Annotated[
@@ -24,7 +24,7 @@ Names = Annotated[
 ]
 """One name, or a list of them."""
 Alias = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=80)]
-Lag = Annotated[Parameter, quantity("duration")]
+Lag = Annotated[Parameter, QuantityOf("duration")]
 _WAYS = ("value", "stamp", "quaternion", "differentiate", "text", "lookup", "file_name")
 
 

@@ -85,7 +85,7 @@ def _piece(leg: Leg, from_m: float, to_m: float) -> Leg:
     return leg._replace(distance_m=to_m - from_m, edge=edge)
 
 
-_EXTRAS = (
+EXTRAS = (
     ("temperature", "temp_ambient_c"),
     ("cpu_load", "cpu_load"),
     ("cpu_frequency", "cpu_freq_hz"),
@@ -118,7 +118,7 @@ class Asked:
         self._base: dict[int, Settings] = {}
         self._ambient_values = self._ambient()
         self._ambient_surface = (environment.ambient.surface or "") if environment is not None else ""
-        self._default_extras = {key: getattr(mission.defaults, key, None) for key, _ in _EXTRAS}
+        self._default_extras = {key: getattr(mission.defaults, key, None) for key, _ in EXTRAS}
         self._tops: dict[tuple[str, bool, float], tuple[float, float, float]] = {}
         self._behaviours_of: dict[str, tuple[tuple[BehaviourSpec | None, str], ...]] = {}
 
@@ -144,7 +144,7 @@ class Asked:
         payload = mission.setting(segment, "payload")
         surface = mission.setting(segment, "surface")
         extra: dict[str, float | str] = dict(self._ambient_values)
-        for key, column in _EXTRAS:
+        for key, column in EXTRAS:
             given = getattr(segment, key)
             if given is None:
                 given = self._default_extras[key]

@@ -212,14 +212,12 @@ def errors(model_w: Array, measured_w: Array) -> tuple[float, float, float]:
     return float(np.sqrt(np.mean(miss**2))), float(np.mean(relative)), float(np.max(relative))
 
 
-def mecanum_fit(
-    figures: Mapping[str, Figure], *, profile: str = "linear", duration_s: float = 0.3, mass_kg: float | None = None
-) -> MecanumFit:
+def mecanum_fit(figures: Mapping[str, Figure], *, profile: str = "linear", duration_s: float = 0.3) -> MecanumFit:
     """Least squares of friction, mass, copper loss, electronics and pulse to the measured columns of Tables 3 and 4.
 
     Motion power is (F + M a) v + R_c (F + M a)², the robot's has a constant and, while speeding up, a pulse on top.
     `figures`: of the paper. `profile`, `duration_s`: the start's speed profile and its duration; the printed speed
-    column fits no mass at all. `mass_kg`: hold the mass, to see what the data say about it.
+    column fits no mass at all.
     """
     from scipy.optimize import least_squares
 
@@ -230,11 +228,8 @@ def mecanum_fit(
     moving = (speed > 0.0).astype(float)
     speeding = ((times > 0.0) & (times <= duration_s + 1e-9)).astype(float)
 
-    def unpack(x: Array) -> Array:
-        return x if mass_kg is None else np.concatenate([x[:1], [mass_kg], x[1:]])
-
     def model(x: Array) -> tuple[Array, Array]:
-        friction, mass, copper, electronics, pulse = unpack(x)
+        friction, mass, copper, electronics, pulse = x
         force = (friction + mass * accel) * moving
         motion_w = force * speed + copper * force**2
         return motion_w, motion_w + electronics * moving + pulse * speeding
@@ -243,10 +238,9 @@ def mecanum_fit(
         motion_w, robot_w = model(x)
         return np.concatenate([motion_w - motion_measured, robot_w - robot_measured])[np.tile(moving, 2) > 0]
 
-    start = np.array([17.0, 3.0, 0.01, 1.0, 1.0])
-    first = start if mass_kg is None else np.delete(start, 1)
+    first = np.array([17.0, 3.0, 0.01, 1.0, 1.0])
     fit = least_squares(residuals, first, bounds=(0.0, np.inf), x_scale=first, xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    friction, mass, copper, electronics, pulse = (float(v) for v in unpack(fit.x))
+    friction, mass, copper, electronics, pulse = map(float, fit.x)
     motion_w, robot_w = model(fit.x)
     missed = {"3": errors(motion_w, motion_measured), "4": errors(robot_w, robot_measured)}
     return MecanumFit(friction, mass, copper, electronics, pulse, missed, float(np.linalg.cond(fit.jac * fit.x)))

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from missionsim.inputs.parameter import Distribution, Parameter
-from missionsim.inputs.values import EffectNumber, Fraction, Power, Slope, Temperature, quantity
+from missionsim.inputs.values import EffectNumber, Fraction, Power, QuantityOf, Slope, Temperature
 
 POWER: TypeAdapter[Parameter] = TypeAdapter(Power)
 
@@ -168,7 +168,7 @@ def test_quantiles_have_the_stated_moments(distribution: Distribution) -> None:
 
 @given(st.floats(1e-3, 1e3), st.floats(1e-3, 0.5))
 def test_scaled_parameter_scales_its_distribution(value: float, share: float) -> None:
-    adapter = TypeAdapter(Annotated[Parameter, quantity("power")])
+    adapter = TypeAdapter(Annotated[Parameter, QuantityOf("power")])
     parameter = adapter.validate_python({"value": value, "sd": share * value}).scaled(3.0, "W")
     assert parameter.distribution is not None
     assert parameter.distribution.mean == pytest.approx(3 * value)
