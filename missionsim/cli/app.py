@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import codecs
+import csv
 import io
 import itertools
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from missionsim.cli.parse import Call, build_app, check_targets, plain_call, whole_call
 from missionsim.errors import InputError, did_you_mean, visible
@@ -16,28 +18,8 @@ EXIT_FINE, EXIT_NO, EXIT_INPUT, EXIT_OURS = 0, 1, 2, 3
 EXIT_INTERRUPTED, EXIT_PIPE = 130, 141
 """128 and the number of the signal, as shells count."""
 
-COMMANDS: dict[str, tuple[str, str]] = {
-    "run": ("run:run", "Simulate one mission."),
-    "whatif": ("whatif:whatif", "Run alternatives of a mission and print one table of them."),
-    "montecarlo": ("montecarlo:montecarlo", "Draw the uncertain values many times and run the mission with each draw."),
-    "plan": ("plan:plan", "Plan a task: which order, way, speed and control scheme, and where to charge."),
-    "reach": ("plan:reach", "Which places a robot gets to and back from, and where it must turn back."),
-    "reproduce": ("shipped:reproduce", "Print every published figure of the four robots beside ours."),
-    "calibrate": ("compare:calibrate", "Fit a base model to logs, or refit the parameters of a robot."),
-    "compare": ("compare:compare", "Compare the model with measurements and see where it fails."),
-    "diagnose": ("diagnose:diagnose", "Find which physical effect is missing, or say that the data cannot tell."),
-    "add-effect": ("diagnose:add_effect", "Fit an effect and write the robot file that has it."),
-    "improve": ("diagnose:improve", "Compare, diagnose, add and compare again until nothing is left to find."),
-    "effects": ("shipped:effects_app", "Show the library of effects."),
-    "import": ("import_:import_", "Turn a bag, MCAP, ULog or CSV of any layout into a log."),
-    "import-site": ("exchange:import_site", "Turn a map, route graph, track or order of another tool into a site."),
-    "import-robot": ("exchange:import_robot", "Turn a fleet config of Open-RMF into a robot file."),
-    "export": ("exchange:app", "Write our numbers and missions into the files of other tools."),
-    "validate": ("validate:validate", "Check YAML files and logs, all faults at once."),
-    "examples": ("shipped:examples", "Write the missions, logs and maps that come with missionsim into a folder."),
-    "schema": ("shipped:schema", "Write the JSON Schema of each kind of YAML file."),
-    "robots": ("shipped:robots", "List the shipped robots."),
-}
+with Path(__file__).with_name("commands.csv").open(newline="", encoding="utf-8") as _table:
+    COMMANDS = {name: (function, told) for name, function, told in itertools.islice(csv.reader(_table), 1, None)}
 """Command → (function inside `missionsim.cli`, one line of help); the function is imported when it is called."""
 
 HELP = """Energy that mobile robots spend on missions: simulate, vary, compare with measurements, find what is missing.

@@ -6,9 +6,11 @@ on the ground: altitudes, take-off and landing do not move it.
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from missionsim.errors import InputError
@@ -300,21 +302,7 @@ def plan_of(mission: MissionSpec, origin: tuple[float, float] | None = None) -> 
     if any(stop.recharge_until is not None for stop in stops):
         remarks.append("charging has no command in it: the robot stops at the charger")
     fastest = max((stop.speed_m_s or 0.0 for stop in stops), default=0.0)
-    plan = {
-        "fileType": "Plan",
-        "geoFence": {"circles": [], "polygons": [], "version": 2},
-        "groundStation": "QGroundControl",
-        "mission": {
-            "cruiseSpeed": fastest,
-            "firmwareType": 12,
-            "globalPlanAltitudeMode": 1,
-            "hoverSpeed": fastest,
-            "items": items,
-            "plannedHomePosition": [*points[stops[0].place], 0],
-            "vehicleType": 10,
-            "version": 2,
-        },
-        "rallyPoints": {"points": [], "version": 2},
-        "version": 1,
-    }
+    plan: Json = json.loads(Path(__file__).with_name("rover.plan").read_text("utf-8"))
+    plan["mission"] |= {"cruiseSpeed": fastest, "hoverSpeed": fastest, "items": items}
+    plan["mission"]["plannedHomePosition"] = [*points[stops[0].place], 0]
     return plan, tuple(remarks)
