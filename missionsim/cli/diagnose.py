@@ -214,15 +214,10 @@ def _print(done: list[Improved], advice: dict[str, tuple[str, str]], skipped: di
         better, command = advice[one.battery]
         which = "held-out runs" if one.heldout else "fitted runs (none held out)"
         most = max(step.power_rmse_w for step in one.steps) or 1.0
-        rows = [
-            (
-                step.name,
-                f"{step.energy_error_pct:.2f}",
-                f"{step.power_rmse_w:.3g}",
-                "█" * max(1, round(18 * step.power_rmse_w / most)),
-            )
-            for step in one.steps
-        ]
+        rows = []
+        for step in one.steps:
+            bar = "█" * max(1, round(18 * step.power_rmse_w / most))
+            rows.append((step.name, f"{step.energy_error_pct:.2f}", f"{step.power_rmse_w:.3g}", bar))
         if one.worse:
             terminal.print(one.worse, style="bold red")
         if better:
@@ -230,9 +225,8 @@ def _print(done: list[Improved], advice: dict[str, tuple[str, str]], skipped: di
         if command:
             terminal.print("Next, type:")
             terminal.print(f"    {command}", style="cyan", soft_wrap=True)
-        show_table(
-            f"Battery {one.battery}: error on {which}", ["model", ">energy error, %", ">power RMSE, W", ""], rows
-        )
+        heads = ["model", ">energy error, %", ">power RMSE, W", ""]
+        show_table(f"Battery {one.battery}: error on {which}", heads, rows)
         terminal.print(f"added: {', '.join(one.added) or 'nothing'}; {one.stopped}")
         for note in (energy_note(one) if not one.worse else "", measured_note(one)):
             if note:

@@ -90,18 +90,8 @@ def show(result: RunResult) -> None:
         home = "unknown" if b.home_wh is None else f"{b.home_wh:.3f}"
         used = [f"{b.energy_wh:.3f}", f"{b.mean_power_w:.2f}", f"{b.capacity_wh:.1f}"]
         rows.append([name, *used, *left, home, f"{b.reserve_wh:.3f}"])
-    heads = [
-        "battery",
-        ">Wh used",
-        ">mean W",
-        ">full Wh",
-        ">Wh left",
-        ">left",
-        ">to keep Wh",
-        ">home Wh",
-        ">reserve Wh",
-    ]
-    show_table("Batteries", heads, rows)
+    heads = ("Wh used", "mean W", "full Wh", "Wh left", "left", "to keep Wh", "home Wh", "reserve Wh")
+    show_table("Batteries", ["battery", *(f">{head}" for head in heads)], rows)
     if result.dock_s:
         charged = ", ".join(f"{name} {b.charged_wh:.3f} Wh" for name, b in result.batteries.items() if b.charged_wh)
         terminal.print(f"  charged at docks in {clock(result.dock_s)}: {charged or 'nothing'}")

@@ -71,19 +71,11 @@ def _summary(comparison: Comparison, console: Console) -> None:
 
 
 def _where(one: BatteryComparison, console: Console) -> None:
-    rows = [
-        (
-            where.title,
-            f"{where.value} {where.unit}".strip(),
-            f"{100.0 * where.explains:.1f}",
-            f"{where.bias_w:+.3g}",
-            f"{where.seconds:.0f}",
-            f"{100.0 * where.share_of_squared_error:.0f}",
-            f"{where.gap_wh:+.3f}",
-        )
-        for where in one.where
-        if where.explains > 0.0
-    ][:WHERE_ROWS]
+    rows = []
+    for where in [where for where in one.where if where.explains > 0.0][:WHERE_ROWS]:
+        row = [where.title, f"{where.value} {where.unit}".strip(), f"{100.0 * where.explains:.1f}"]
+        row += [f"{where.bias_w:+.3g}", f"{where.seconds:.0f}", f"{100.0 * where.share_of_squared_error:.0f}"]
+        rows.append([*row, f"{where.gap_wh:+.3f}"])
     if rows:
         columns = ["quantity", "value", ">explains %", ">bias W", ">time s", ">sq. error %", ">gap Wh"]
         console.print(simple_table(f"Where it fails, battery {one.battery}", columns, rows))
@@ -117,18 +109,10 @@ def _runs(one: BatteryComparison, console: Console) -> None:
         return
     shown = sorted(one.runs, key=lambda run: -abs(run.energy_error_pct))[:RUN_ROWS]
     more = f", the {RUN_ROWS} worst of {len(one.runs)}" if len(one.runs) > RUN_ROWS else ""
-    rows = [
-        (
-            run.run,
-            f"{run.seconds:.0f}",
-            f"{run.energy_measured_wh:.3f}",
-            f"{run.energy_model_wh:.3f}",
-            _plain(run.energy_error_pct, "+.2f"),
-            f"{run.power_rmse_w:.3g}",
-        )
-        for run in one.runs
-        if run in shown
-    ]
+    rows = []
+    for run in [run for run in one.runs if run in shown]:
+        row = [run.run, f"{run.seconds:.0f}", f"{run.energy_measured_wh:.3f}", f"{run.energy_model_wh:.3f}"]
+        rows.append([*row, _plain(run.energy_error_pct, "+.2f"), f"{run.power_rmse_w:.3g}"])
     columns = ["run", ">time s", ">measured Wh", ">model Wh", ">error %", ">RMSE W"]
     console.print(simple_table(f"Runs, battery {one.battery}{more}", columns, rows))
 

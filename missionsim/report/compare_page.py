@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -39,27 +39,19 @@ def compare_page(comparison: Comparison, *, tolerance_pct: float | None = None, 
 def compare_sections(comparison: Comparison, *, tolerance_pct: float | None = None) -> list[web.Section]:
     """The sections of the page, for pages that show a comparison among other things."""
     batteries = list(comparison.batteries.values())
-    sections = [
-        web.Section("Result", [block for one in batteries for block in _result(one, tolerance_pct)]),
-        web.Section("Where it fails", _by_battery(batteries, _where)),
-        web.Section("Power over time", _by_battery(batteries, lambda one: _power(one, len(batteries)))),
-        web.Section("Error over the progress of the run", _by_battery(batteries, _progress)),
-    ]
-    mapped = [one for one in batteries if one.places]
-    if mapped:
-        sections.append(web.Section("Where on the map", _by_battery(mapped, _map)))
-    planned = [one for one in batteries if one.mission is not None]
-    if planned:
-        sections.append(web.Section("Behaviour and power model", _by_battery(planned, _behaviour)))
-    sections.append(web.Section("Runs and components", _by_battery(batteries, _runs)))
-    sections.append(web.Section("What was assumed", _notes(comparison)))
-    return sections
-
-
-def _by_battery(
-    batteries: Sequence[BatteryComparison], make: Callable[[BatteryComparison], list[web.Block]]
-) -> list[web.Block]:
-    return draw.one_of("Battery", [(one.battery, make(one)) for one in batteries])
+    sections = [web.Section("Result", [block for one in batteries for block in _result(one, tolerance_pct)])]
+    parts: dict[str, Callable[[BatteryComparison], list[web.Block]]] = {
+        "Where it fails": _where,
+        "Power over time": lambda one: _power(one, len(batteries)),
+        "Error over the progress of the run": _progress,
+        "Where on the map": _map,
+        "Behaviour and power model": _behaviour,
+        "Runs and components": _runs,
+    }
+    for title, make in parts.items():
+        if made := [(one.battery, blocks) for one in batteries if (blocks := make(one))]:
+            sections.append(web.Section(title, draw.one_of("Battery", made)))
+    return [*sections, web.Section("What was assumed", _notes(comparison))]
 
 
 def _result(one: BatteryComparison, tolerance_pct: float | None) -> list[web.Block]:
@@ -105,19 +97,10 @@ def _where(one: BatteryComparison) -> list[web.Block]:
                 60 + 30 * max(3, len(shown)),
             )
         )
-    rows = [
-        [
-            w.title,
-            f"{w.value} {w.unit}".strip(),
-            w.explains,
-            signed(w.bias_w),
-            w.seconds,
-            w.share_of_squared_error,
-            signed(w.gap_wh, 3),
-        ]
-        for w in one.where[:TABLE_ROWS]
-        if w.explains > 0.0
-    ]
+    rows: list[list[object]] = []
+    for w in [w for w in one.where[:TABLE_ROWS] if w.explains > 0.0]:
+        row = [w.title, f"{w.value} {w.unit}".strip(), w.explains, signed(w.bias_w), w.seconds]
+        rows.append([*row, w.share_of_squared_error, signed(w.gap_wh, 3)])
     if rows:
         columns = ["quantity", "value", "explains", "bias, W", "time, s", "share of squared error", "energy gap, Wh"]
         caption = "Values that explain most of the error (bias: model minus measured; energy gap: measured minus model)"
@@ -220,6 +203,8 @@ def _progress(one: BatteryComparison) -> list[web.Block]:
 
 
 def _map(one: BatteryComparison) -> list[web.Block]:
+    if not one.places:
+        return []
     found = error_map(one.places)
     cells = one.places
     heat = draw.tiles(
@@ -246,8 +231,8 @@ def _map(one: BatteryComparison) -> list[web.Block]:
 
 
 def _behaviour(one: BatteryComparison) -> list[web.Block]:
-    mission = one.mission
-    assert mission is not None
+    if (mission := one.mission) is None:
+        return []
     gap = one.gap_wh
     steps = [gap["power_model"] or 0.0, *(mission.part_wh(part) for part in PARTS)]
     waterfall: draw.Trace = {
@@ -279,18 +264,10 @@ def _behaviour(one: BatteryComparison) -> list[web.Block]:
 
 
 def _runs(one: BatteryComparison) -> list[web.Block]:
-    rows = [
-        [
-            run.run,
-            run.seconds,
-            f"{run.energy_measured_wh:.3f}",
-            f"{run.energy_model_wh:.3f}",
-            signed(run.energy_error_pct, 2),
-            f"{run.power_rmse_w:.3g}",
-            signed(run.power_bias_w),
-        ]
-        for run in one.runs
-    ]
+    rows = []
+    for run in one.runs:
+        row = [run.run, run.seconds, f"{run.energy_measured_wh:.3f}", f"{run.energy_model_wh:.3f}"]
+        rows.append([*row, signed(run.energy_error_pct, 2), f"{run.power_rmse_w:.3g}", signed(run.power_bias_w)])
     total = sum(one.by_component_wh.values()) or 1.0
     parts = [[name, energy, max(0.0, energy / total)] for name, energy in one.by_component_wh.items()]
     terms = [[name, energy] for name, energy in one.by_term_wh.items()]

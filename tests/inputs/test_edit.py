@@ -9,8 +9,9 @@ import pytest
 
 from missionsim.errors import InputError
 from missionsim.inputs import load_robot, shipped_robots
-from missionsim.inputs.edit import Editing, for_folder, numbers, robot_text
+from missionsim.inputs.edit import Editing, for_folder, robot_text
 from missionsim.inputs.loading import robot_from_text
+from missionsim.inputs.parameter import parameters
 
 EFFECT = {
     "effect": "turning_scrub",
@@ -80,9 +81,9 @@ def test_values_keep_unit_and_comments_and_lose_the_old_source() -> None:
 def test_every_number_can_be_written_back() -> None:
     text = robot_text("pioneer3dx")
     robot = load_robot("pioneer3dx")
-    known = {path: item for path, item in numbers(robot).items() if not path.startswith("schemes.")}
+    known = {path: item for path, item in parameters(robot) if not path.startswith("schemes.")}
     changed = robot_from_text(Editing(text).set_values({path: item.value for path, item in known.items()}).text)
-    after = numbers(changed)
+    after = dict(parameters(changed))
     for path, item in known.items():
         assert after[path].value == pytest.approx(item.value, rel=1e-6), path
 

@@ -88,9 +88,9 @@ def test_configuration_without_a_row_takes_the_nearest() -> None:
 
 
 def test_every_number_has_a_status() -> None:
-    from missionsim.inputs.edit import numbers
+    from missionsim.inputs.parameter import parameters
 
-    without = [path for path, item in numbers(ROBOT).items() if not item.status and not path.endswith("max_speed")]
+    without = [path for path, item in parameters(ROBOT) if not item.status and not path.endswith("max_speed")]
     assert without == []
 
 
