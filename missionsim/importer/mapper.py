@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
@@ -19,12 +18,6 @@ from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.logs.times import TimeError, read_stamps
 from missionsim.physics import Array
-
-
-@dataclass
-class _Formula:
-    path: tuple[str | int, ...]
-    expression: Expression
 
 
 class Mapper:
@@ -61,13 +54,12 @@ class Mapper:
         self.faults.append(self.spec.document.fault(path, message, got=got, allowed=allowed, hint=hint))
         return InputError(self.faults)
 
-    def _compile(self, text: str, path: tuple[str | int, ...], known: set[str]) -> _Formula:
+    def _compile(self, text: str, path: tuple[str | int, ...], known: set[str]) -> Expression:
         try:
-            expression = compile_expression(text, names=known, **self.spec.document.place(path)._asdict())
+            return compile_expression(text, names=known, **self.spec.document.place(path)._asdict())
         except InputError as error:
             self.faults.extend(error.faults)
-            expression = compile_expression("0")
-        return _Formula(path, expression)
+            return compile_expression("0")
 
     def _check_names(self, path: tuple[str | int, ...], names: Iterable[str], known: Iterable[str]) -> None:
         known = list(known)
@@ -79,7 +71,7 @@ class Mapper:
     def _needs(self, name: str) -> set[str]:
         """Helpers and result columns that a helper or column reads; a source column of the same name comes first."""
         formulas = [self.let[name]] if name in self.let else list(self.columns[name].values())
-        read = set().union(*(formula.expression.names for formula in formulas)) if formulas else set()
+        read = set().union(*(formula.names for formula in formulas)) if formulas else set()
         made = {*self.let, *self.columns} - {*self.raw.columns, *self.constants}
         inner = {name for name in read if name in made}
         column = self.spec.columns.get(name) if name not in self.let else None
@@ -128,14 +120,15 @@ class Mapper:
                 return [name for name in self.order if name in need]
             need |= more
 
-    def run(self, formula: _Formula, values: Mapping[str, ColumnData | float], rows: int) -> ColumnData:
+    def run(self, formula: Expression, values: Mapping[str, ColumnData | float], rows: int) -> ColumnData:
         """Value of a formula in every row; InputError where it cannot be computed."""
         try:
-            data = formula.expression.evaluate(values)
+            data = formula.evaluate(values)
         except (TypeError, ValueError, InputError) as error:
-            text = [name for name in formula.expression.names if isinstance(values.get(name), Labels)]
+            text = [name for name in formula.names if isinstance(values.get(name), Labels)]
             told = "the formula cannot be computed" + (f": {', '.join(text)} holds text" if text else "")
-            raise self._fault(formula.path, told, formula.expression.source, "" if text else str(error)[:100]) from None
+            self.faults.append(formula.place.fault(told, got=formula.source, allowed="" if text else str(error)[:100]))
+            raise InputError(self.faults) from None
         if isinstance(data, Labels):
             return data
         if isinstance(data, str):
@@ -253,7 +246,7 @@ class Mapper:
                 return True
             formulas = [self.let[current]] if current in self.let else list(self.columns.get(current, {}).values())
             for formula in formulas:
-                new = formula.expression.names - seen
+                new = formula.names - seen
                 seen |= new
                 todo += new
         return False
