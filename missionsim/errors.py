@@ -94,10 +94,11 @@ class InputError(MissionsimError):
         return cls(Fault(file, 0, 0, message, path, str(got) if got != "" else "", allowed, hint))
 
     @classmethod
-    def unknown(cls, message: str, got: str, known: Iterable[str], *, allowed: str = "") -> InputError:
+    def unknown(cls, message: str, got: str, known: Iterable[str], *, allowed: str = "", file: str = "") -> InputError:
         """A name that is none of the known ones, with the closest of them; `allowed` where they are not all of it."""
         names = list(known)
-        return cls.single(message, got=got, allowed=allowed or ", ".join(names), hint=did_you_mean(got, names))
+        hint = did_you_mean(got, names)
+        return cls.single(message, file=file, got=got, allowed=allowed or ", ".join(names), hint=hint)
 
 
 def did_you_mean(word: str, known: Sequence[str] | Iterable[str], cutoff: float = 0.6) -> str:

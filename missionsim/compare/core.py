@@ -280,17 +280,9 @@ def _noting(blocks: Iterable[Run], remarks: list[Remark]) -> Iterator[Run]:
 
 
 def _check_by(by: Sequence[str], log: Run) -> None:
-    from missionsim.errors import did_you_mean
-
     for name in by:
         if name not in log.columns:
-            raise InputError.single(
-                f"the log has no column '{name}'",
-                file=log.source,
-                got=name,
-                allowed=", ".join(log.columns),
-                hint=did_you_mean(name, log.columns),
-            )
+            raise InputError.unknown(f"the log has no column '{name}'", name, log.columns, file=log.source)
 
 
 def _told(note: str, runs: list[str], all_runs: int) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.errors import InputError, did_you_mean
+from missionsim.errors import InputError
 from missionsim.inputs.environment import EdgeSpec, EnvironmentSpec
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.values import Parameter
@@ -159,13 +159,7 @@ class Routes:
         """The route of least cost (see `shortest`), or a fault that names both places."""
         for place in (begin, end):
             if place not in self.ways:
-                raise InputError.single(
-                    f"unknown place '{place}'",
-                    file=where,
-                    got=place,
-                    allowed=", ".join(self.ways),
-                    hint=did_you_mean(place, self.ways),
-                )
+                raise InputError.unknown(f"unknown place '{place}'", place, self.ways, file=where)
         found = self.shortest(begin, end, cost)
         if found is None:
             raise InputError.single(
