@@ -14,6 +14,7 @@ from missionsim.cli.app import run_command
 from missionsim.errors import InputError
 from missionsim.inputs import edit, units
 from missionsim.inputs.loading import robot_from_text
+from missionsim.inputs.parameter import parameters
 
 ROBOT = """\
 kind: robot
@@ -59,7 +60,7 @@ def test_a_spread_in_another_unit_is_a_fault() -> None:
 @pytest.mark.parametrize("path", ["motion.parameters.c4", "motion.parameters.standing", "effects.0.parameters.k"])
 def test_fitted_values_replace_those_with_units(path: str) -> None:
     new = edit.Editing(ROBOT).set_values({path: {"value": 0.75, "sd": 0.25, "status": "fitted"}}).text
-    found = edit.numbers(robot_from_text(new))[path]
+    found = dict(parameters(robot_from_text(new)))[path]
     assert (found.value, found.sd, found.unit, found.status) == (0.75, 0.25, "W", "fitted")
 
 
