@@ -23,6 +23,11 @@ Json = dict[str, Any]
 """A JSON object."""
 
 
+def is_device(path: Path) -> bool:
+    """Whether a path is a device or a pipe, which is written to and never replaced."""
+    return "/dev" in map(str, path.absolute().parents) or (path.exists() and not path.is_file() and not path.is_dir())
+
+
 @contextlib.contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary path beside `path`; on success it is renamed to `path`, on failure removed.
@@ -32,9 +37,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     caller.
     """
     final = Path(path)
-    special = "/dev" in map(str, final.absolute().parents) or (
-        final.exists() and not final.is_file() and not final.is_dir()
-    )
+    special = is_device(final)
     if final.is_dir():
         raise IsADirectoryError(errno.EISDIR, "this is a folder, a file is to be written", str(path))
     if final.is_symlink() and not special:

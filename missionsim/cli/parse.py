@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from missionsim.cli.options import SHARED, Target
 from missionsim.errors import Fault, InputError
+from missionsim.files import is_device
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -231,7 +232,7 @@ def _faults(targets: Sequence[tuple[str, Target, Path]]) -> Iterator[Fault]:
         if message := _problem(path, is_file, is_folder):
             allowed = "a file's path" if is_file else "a folder's path"
             yield _fault(f"{option} {message}", path, allowed + (", or -" * (option == "--json")))
-        elif target.kind == "robot file" and path.suffix.lower() not in (".yaml", ".yml") and not _is_device(path):
+        elif target.kind == "robot file" and path.suffix.lower() not in (".yaml", ".yml") and not is_device(path):
             yield _fault(f"{option} is a robot file", path, "a name that ends in .yaml or .yml")
 
 
@@ -243,7 +244,7 @@ def _clashes(targets: Sequence[tuple[str, Target, Path]], inputs: Sequence[str])
     """Outputs that are a file the command reads, or that another option writes too; links are followed."""
     written: dict[tuple[int, int] | str, str] = {}
     for option, target, path in targets:
-        if _is_device(path):
+        if is_device(path):
             continue
         name = _identity(path)
         if (first := written.setdefault(name, option)) != option:
@@ -309,10 +310,6 @@ def _identity(path: Path) -> tuple[int, int] | str:
     except (OSError, ValueError):
         return os.path.realpath(path)
     return status.st_dev, status.st_ino
-
-
-def _is_device(path: Path) -> bool:
-    return "/dev" in map(str, path.absolute().parents) or (path.exists() and not path.is_file() and not path.is_dir())
 
 
 def _problem(path: Path, is_file: bool, is_folder: bool) -> str:

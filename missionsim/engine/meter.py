@@ -8,7 +8,7 @@ Thresholds are found afterwards in closed form or by a bracketed root.
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -110,39 +110,32 @@ class Batch:
     states: dict[str, Array]
 
 
+@dataclass(eq=False)
 class Meter:
-    """Energy and charge of a run.
+    """Energy and charge of a run."""
 
-    `legs`: of the plan; may grow while the mission runs. `values`: parameters that differ from the model's. `segments`:
-    whose names messages tell.
-    """
+    model: PowerModel
+    recorder: Recorder
+    legs: list[Leg]
+    """Of the plan; may grow while the mission runs."""
+    batteries: Mapping[str, Battery]
+    values: Mapping[str, Value]
+    """Parameters that differ from the model's."""
+    segments: Sequence[SegmentInfo]
+    """Whose names messages tell."""
+    batches: list[Batch] = field(default_factory=list)
+    _done: int = 0
+    _ahead: tuple[Row, Evaluated] | None = None
 
-    def __init__(
-        self,
-        model: PowerModel,
-        recorder: Recorder,
-        legs: list[Leg],
-        batteries: Mapping[str, Battery],
-        values: Mapping[str, Value] | None = None,
-        segments: Sequence[SegmentInfo] = (),
-    ) -> None:
-        self.model = model
-        self.segments = segments
-        self.recorder = recorder
-        self.legs = legs
-        self.batteries = batteries
-        self.values = values or {}
-        self.batches: list[Batch] = []
-        self.state = {name: battery.initial for name, battery in batteries.items()}
-        self._done = 0
-        self._ahead: tuple[Row, Evaluated] | None = None
+    def __post_init__(self) -> None:
+        self.state = {name: battery.initial for name, battery in self.batteries.items()}
 
     def settle(self, ahead_s: float = 0.0) -> Evaluating[None]:
         """Evaluate the rows that have been closed since the last time, and the next `ahead_s` if nothing changes."""
         recorder = self.recorder
         rows = recorder.rows[self._done :] if self._done else recorder.rows
         count = len(rows)
-        ahead = recorder.current_row(ahead_s) if ahead_s > 0.0 else None
+        ahead = recorder.row(recorder.env.now, ahead_s) if ahead_s > 0.0 else None
         if ahead is None and not rows:
             return
         self._done = len(recorder.rows)

@@ -64,7 +64,7 @@ class Recorder:
         duration = now - self._since_s
         if duration <= 0.0:
             return
-        self.rows.append(self._row(self._since_s, duration))
+        self.rows.append(self.row(self._since_s, duration))
         moving = self._phase.moving
         self._was_moving = moving
         if moving:
@@ -110,11 +110,8 @@ class Recorder:
         """Time since the phase under way began."""
         return float(self.env.now - self._phase_began_s)
 
-    def current_row(self, duration_s: float) -> Row:
-        """What the interval under way would be, were it to last `duration_s` from now without a change."""
-        return self._row(self.env.now, duration_s)
-
-    def _row(self, start_s: float, duration_s: float) -> Row:
+    def row(self, start_s: float, duration_s: float) -> Row:
+        """What the interval under way would be, were it to begin then and to last so long without a change."""
         if self._state_index < 0:  # of those that take time: many a change is followed by others at its instant
             self._state_index = self._states.setdefault(tuple(self._state), len(self._states))
         phase = self._phase

@@ -58,7 +58,7 @@ class World:
         self.segments: list[SegmentInfo] = list(plan.segments)
         self.recorder = Recorder(env, [info.name for info in components])
         self.board = Switchboard(env, self.recorder, components)
-        self.meter = Meter(model, self.recorder, self.legs, batteries, values, self.segments)
+        self.meter = Meter(model, self.recorder, self.legs, batteries, values or {}, self.segments)
         self.docks: dict[str, simpy.Resource] = {}
         self.completed = False
         self.begun = 0

@@ -157,26 +157,24 @@ def _has_place(item: Item) -> bool:
     return not none and not (item.latitude == 0.0 and item.longitude == 0.0 and item.frame not in _LOCAL_FRAMES)
 
 
+@dataclass
 class _Route:
     """Follows the commands from place to place."""
 
-    def __init__(
-        self,
-        items: list[Item],
-        plane: LocalPlane | None,
-        speed: float | None,
-        site: Site,
-        options: SiteOptions,
-        home: tuple[float, float] | None,
-    ) -> None:
-        self.items, self.plane, self.site, self.options = items, plane, site, options
-        self.here = ""
-        self.home = ""
+    items: list[Item]
+    plane: LocalPlane | None
+    wanted: float | None
+    site: Site
+    options: SiteOptions
+    begin: tuple[float, float] | None
+
+    def __post_init__(self) -> None:
+        self.here = self.home = ""
         self.ways: set[tuple[str, str]] = set()
-        self.limit = options.robot.body.max_speed.value if options.robot else math.inf
-        site.speed = self.speed = self.allowed(speed)
-        if home is not None and plane is not None:
-            self.home = self.here = site.start = site.place("home", plane.to_metres(*home))
+        self.limit = self.options.robot.body.max_speed.value if self.options.robot else math.inf
+        self.site.speed = self.speed = self.allowed(self.wanted)
+        if self.begin is not None and self.plane is not None:
+            self.home = self.here = self.site.start = self.site.place("home", self.plane.to_metres(*self.begin))
 
     def allowed(self, speed: float | None) -> float | None:
         """A speed of the plan, at most the robot's."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
@@ -195,11 +196,7 @@ def _joined(paths: Sequence[Path]) -> Draft:
 
 def _common(paths: Sequence[Path]) -> str:
     """What the names of the files of a run begin with, up to and with a mark."""
-    names = [path.stem for path in paths]
-    common = names[0]
-    while not all(name.startswith(common) for name in names):
-        common = common[:-1]
-    match = re.match(r".*[_\- ]", common)
+    match = re.match(r".*[_\- ]", os.path.commonprefix([path.stem for path in paths]))  # noqa: RUF071 (names, no paths)
     return match[0] if match else ""
 
 

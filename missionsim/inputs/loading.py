@@ -14,12 +14,12 @@ from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.inputs import overrides as override_rules
 from missionsim.inputs.base import FileModel
 from missionsim.inputs.check_mission import check_mission
+from missionsim.inputs.check_robot import unread
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.examples import find_robot, unknown_robot
 from missionsim.inputs.mission import MissionSpec, StudySpec
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.tree import Document, as_written, parse_document, read_document
-from missionsim.inputs.unread import unread
 from missionsim.inputs.validation import validate_document
 
 if TYPE_CHECKING:

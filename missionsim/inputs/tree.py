@@ -360,12 +360,9 @@ class _Builder:
 
 def _convert(tag: str, text: str) -> Any:
     if tag == _INT:
-        sign = -1 if text.startswith("-") else 1
-        digits = text.lstrip("+-")
-        if len(digits) > 300:
+        if len(text.lstrip("+-")) > 300:
             raise ValueError(text[:20])
-        base = 16 if digits.startswith("0x") else 8 if digits.startswith("0o") else 10
-        return sign * int(digits[2:] if base != 10 else digits, base)
+        return int(text, 0 if text.lstrip("+-")[:2] in ("0x", "0o") else 10)
     if tag == _FLOAT:
         word = text.lower()
         if word.lstrip("+-") == ".inf":

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 
@@ -14,6 +12,7 @@ from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
 from missionsim.logs.power import refreshes
 from missionsim.physics import Array
+from missionsim.physics.meter import Meter, metered
 
 _SAMPLE = 100_000
 
@@ -163,7 +162,10 @@ def clock_delay(
     best = float(explained[top])
     if best <= 0.2:
         return None
-    smooth = [_explained(power, np.diff(_low_pass(causes, step, tau), axis=1), 0) for tau in _SMOOTHINGS_S]
+    smooth = [
+        _explained(power, np.diff([metered(row, grid, Meter(-0.5 * step, tau)) for row in causes], axis=1), 0)
+        for tau in _SMOOTHINGS_S
+    ]
     values = [0.0 if one is None else float(one[0]) for one in smooth]
     at = int(np.argmax(values))
     better = values[at] > best
@@ -188,26 +190,6 @@ def _causes(grid: Array, step: float, time_s: Array, speed_m_s: Array, yaw_rate_
     if yaw_rate_rad_s is not None:
         rows.append(np.abs(np.interp(grid, time_s, yaw_rate_rad_s)))
     return np.array(rows)
-
-
-_AT_ONCE = 64
-
-
-def _low_pass(causes: Array, step: float, tau: float) -> Array:
-    """First-order low-pass of each row, at rest before it: `_AT_ONCE` samples by a product of matrices, which each
-    begin where those before them ended."""
-    rows, length = causes.shape
-    kept = math.exp(-step / tau)
-    ages = np.subtract.outer(np.arange(_AT_ONCE), np.arange(_AT_ONCE))
-    answer = np.where(ages >= 0, (1.0 - kept) * kept ** np.maximum(ages, 0), 0.0)
-    first = causes[:, :1]
-    padded = np.zeros((rows, -(-length // _AT_ONCE), _AT_ONCE))
-    padded.reshape(rows, -1)[:, :length] = causes - first
-    out = padded @ answer.T
-    ends = list(accumulate(out[:, :-1, -1].T, lambda before, end: end + kept**_AT_ONCE * before))
-    if ends:
-        out[:, 1:] += np.array(ends).T[:, :, None] * kept ** np.arange(1, _AT_ONCE + 1)
-    return np.asarray(first + out.reshape(rows, -1)[:, :length])
 
 
 def _explained(power: Array, causes: Array, most: int) -> Array | None:

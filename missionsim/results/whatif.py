@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -139,9 +140,7 @@ def varied(vary: Iterable[tuple[str, Sequence[object]]], base: Sequence[tuple[st
     `base`: what the baseline sets. Raises InputError: for more combinations than `MOST_ALTERNATIVES`.
     """
     pairs = list(vary)
-    count = 1
-    for _, values in pairs:
-        count *= len(values)
+    count = math.prod(len(values) for _, values in pairs)
     if count > MOST_ALTERNATIVES:
         raise InputError.single(
             f"{count} alternatives", got=", ".join(path for path, _ in pairs), allowed=f"at most {MOST_ALTERNATIVES}"

@@ -143,19 +143,13 @@ def edges_table(result: RunResult) -> dict[str, Sequence[object]]:
 def _charge_at(result: RunResult, battery: str, times: Sequence[float | None]) -> list[float | None]:
     """Charge at the ends of segments [Wh]; None for those that did not end."""
     line = result.timeline
-    charge = np.asarray(result.charge_wh[battery])
-    if len(charge) != len(line):
+    charge = [result.batteries[battery].initial_wh, *np.asarray(result.charge_wh[battery]).tolist()]
+    if len(charge) != len(line) + 1:
         return [None] * len(times)
     ends = line.start_s + line.duration_s
-    initial = result.batteries[battery].initial_wh
-    found: list[float | None] = []
-    for time in times:
-        if time is None:
-            found.append(None)
-            continue
-        index = int(np.searchsorted(ends, time + 1e-9 * max(1.0, abs(time)), side="right")) - 1
-        found.append(float(charge[index]) if index >= 0 else initial)
-    return found
+    return [
+        None if t is None else charge[np.searchsorted(ends, t + 1e-9 * max(1.0, abs(t)), side="right")] for t in times
+    ]
 
 
 def largest_consumers(result: RunResult, count: int = 3) -> list[tuple[str, str, float, float]]:

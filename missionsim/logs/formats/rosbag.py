@@ -6,8 +6,8 @@ import array
 import contextlib
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
-from functools import cache
-from operator import attrgetter
+from functools import cache, reduce
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -143,40 +143,17 @@ def _wanted(fields: Collection[str]) -> dict[str, dict[str, _Get | None]]:
 
 def _getter(rest: str) -> _Get | None:
     steps: list[_Get] = []
+    names: list[str] = []
     for part in rest.split("."):
         match = _STEP.match(part)
         if match is None or part.startswith("__"):
             return None
-        steps.append(attrgetter(match.group(1)))
-        steps += [_element(index) for index in re.findall(r"\[([^\]]+)\]", match.group(2))]
-    if any(isinstance(step, _Named) for step in steps):
-        names = next(step for step in steps if isinstance(step, _Named))
-        first = steps[0]
-        return lambda message: first(message)[list(message.name).index(names.name)]
-
-    def get(message: Any) -> Any:
-        for step in steps:
-            message = step(message)
-        return message
-
-    return get
-
-
-class _Named:
-    """An element of an array by the name that stands at its place in the message's ``name``."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __call__(self, value: Any) -> Any:
-        raise IndexError(self.name)
-
-
-def _element(index: str) -> _Get:
-    if not index.isdigit():
-        return _Named(index)
-    number = int(index)
-    return lambda value: value[number]
+        indices = re.findall(r"\[([^\]]+)\]", match[2])
+        names += [index for index in indices if not index.isdigit()]
+        steps += [attrgetter(match[1]), *(itemgetter(int(index)) for index in indices if index.isdigit())]
+    if names:  # an element by the name that stands at its place in the message's ``name``
+        return lambda message: steps[0](message)[list(message.name).index(names[0])]
+    return lambda message: reduce(lambda value, step: step(value), steps, message)
 
 
 def _values(topic: str, message: Any, wanted: dict[str, _Get | None] | None) -> list[tuple[str, list[tuple[str, Any]]]]:
