@@ -151,14 +151,7 @@ def show(answer: Answer) -> None:
         for line in answer.extra["why"]["text"]:
             terminal.print(f"  {line}")
         return
-    order, rounds = answer.order(), answer.extra.get("rounds", 1)
-    each = len(order) // rounds
-    text = " → ".join(order)
-    if rounds > 1:
-        of = f" of at most {answer.extra['rounds_at_most']}" if "rounds_at_most" in answer.extra else ""
-        same = order == order[:each] * rounds
-        text = f"{rounds} rounds{of}" + (f", each {' → '.join(order[:each])}" if same else f": {text}")
-    terminal.print(titled(task.name, f" with {task.robot.name}: {text}, {answer.claim}"))
+    terminal.print(titled(task.name, f" with {task.robot.name}: {answer.course()}, {answer.claim}"))
     if sure := answer.extra.get("probability"):
         terminal.print(
             f"holds in {100 * sure['value']:.2f} % of {sure['runs']} fresh draws "

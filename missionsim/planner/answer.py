@@ -136,6 +136,17 @@ class Answer:
         visits = self.site.task.visits
         return [visits[leg.visit].label for leg in self.legs if leg.visit is not None]
 
+    def course(self) -> str:
+        """The visits in their order, with how many rounds there are."""
+        order, rounds = self.order(), self.extra.get("rounds", 1)
+        each = len(order) // rounds
+        text = " → ".join(order)
+        if rounds == 1:
+            return text
+        of = f" of at most {self.extra['rounds_at_most']}" if "rounds_at_most" in self.extra else ""
+        same = order == order[:each] * rounds
+        return f"{rounds} rounds{of}" + (f", each {' → '.join(order[:each])}" if same else f": {text}")
+
 
 def answer_of(tour: Tour, label: Label, objective: float, bound: float) -> Answer:
     """The legs of the best way that the search found."""

@@ -29,7 +29,7 @@ def plan_page(answer: Answer, *, footer: str = "") -> str:
         interval = f"{100 * sure['low']:.2f} to {100 * sure['high']:.2f} %"
         tiles.append(("Holds", f"{100 * sure['value']:.2f} %", f"of {sure['runs']} fresh draws ({interval})"))
     sections = [
-        Section("Plan", [Verdict(f"{' → '.join(answer.order())}: {answer.claim}.", "good"), Tiles(tiles)]),
+        Section("Plan", [Verdict(f"{answer.course()}: {answer.claim}.", "good"), Tiles(tiles)]),
         Section("Map", [site_chart(map_of_plan(answer))]),
         Section("Charge", [_charge(answer, names)]),
         Section("Legs", [_legs(answer, names)]),

@@ -12,10 +12,11 @@ import numpy as np
 
 from missionsim.engine.outcome import RunResult
 from missionsim.files import atomic_write
-from missionsim.inputs.environment import EnvironmentSpec
+from missionsim.inputs.environment import EdgeSpec, EnvironmentSpec
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer
 from missionsim.planner.reach import Reached
+from missionsim.report.map_text import Paper
 from missionsim.report.page import Chart
 
 if TYPE_CHECKING:
@@ -26,7 +27,6 @@ Points = Array
 SURFACES = ("#7a8793", "#c9a66b", "#8fb58a", "#b59ac9", "#d9928f", "#88b5d0")
 DOCK, SURE, ONLY, OUT, VISIT = "#0072b2", "#009e73", "#e69f00", "#c0392b", "#cc3377"
 SCALE = "viridis"
-BOX = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6}
 
 
 @dataclass(frozen=True)
@@ -43,30 +43,47 @@ class SiteMap:
     """Of places. Mapping of str to (colour, word)."""
     turns: Sequence[tuple[int, str, float, str]] = ()
     """Points on edges. Sequence of (edge, begin, share, text)."""
+    order: Mapping[str, str] = field(default_factory=dict)
+    """Which visit is made at a place, counted in their order, with a ``+`` where there are more."""
 
 
 def map_of_run(result: RunResult, environment: EnvironmentSpec) -> SiteMap:
     """The map of a run."""
     edges = result.edges_driven()
     driven = [(e.edge, e.begin, sum(e.energy_wh.values()) / max(e.length_m, 1e-9)) for e in edges]
-    capacity = {name: battery.capacity_wh for name, battery in result.batteries.items()}
     verdict = "feasible" if result.feasible else f"not feasible: {result.reason}"
-    charges = {edge.end: _percent(edge.charge_wh, capacity) for edge in edges}
+    ends = {edge.segment: edge for edge in edges}
+    place, steps = edges[0].begin if edges else "", []
+    for i, segment in enumerate(result.segments):
+        last = int(np.searchsorted(result.timeline.segment, i, side="right")) - 1
+        if last < 0 or result.timeline.segment[last] != i:
+            continue
+        place = ends[i].end if i in ends else place
+        visited = segment.kind == "inspect" or (segment.kind == "wait" and segment.label != "wait")
+        steps.append(
+            (
+                "visit" if visited else segment.kind,
+                place,
+                {name: float(charge[last]) for name, charge in result.charge_wh.items()},
+            )
+        )
+    capacity = {name: battery.capacity_wh for name, battery in result.batteries.items()}
+    order, charges = _stops(steps, capacity)
     title = f"{result.mission}, {result.robot}: {verdict}; charge of {' / '.join(capacity)}"
-    return SiteMap(environment, title, driven, charges)
+    return SiteMap(environment, title, driven, charges, order=order)
 
 
 def map_of_plan(answer: Answer) -> SiteMap:
     """The map of a plan."""
     task = answer.site.task
     capacity = dict(zip(answer.site.physics.names, answer.site.physics.capacity_wh.tolist(), strict=True))
-    driven = []
-    charges: dict[str, str] = {}
-    for leg in answer.legs:
-        charges[leg.place] = _percent(leg.charge_wh, capacity)
-        if leg.piece is not None:
-            wh = sum(leg.energy_wh.values()) / max(leg.piece.way.length_m, 1e-9)
-            driven.append((leg.piece.way.edge, leg.piece.way.begin, wh))
+    driven = [
+        (leg.piece.way.edge, leg.piece.way.begin, sum(leg.energy_wh.values()) / max(leg.piece.way.length_m, 1e-9))
+        for leg in answer.legs
+        if leg.piece is not None
+    ]
+    each = len(answer.order()) // answer.extra.get("rounds", 1)
+    order, charges = _stops([(leg.kind, leg.place, leg.charge_wh) for leg in answer.legs], capacity, each)
     environment = task.environment
     shut = {name for name, choice in task.edges.items() if choice.closed}
     if shut:
@@ -75,8 +92,37 @@ def map_of_plan(answer: Answer) -> SiteMap:
         )
         environment = environment.model_copy(update={"edges": edges})
     title = f"{task.name}, {task.robot.name}; charge of {' / '.join(capacity)}"
-    visits = {visit.place: (VISIT, "visit") for visit in task.visits}
-    return SiteMap(environment, title, driven, charges, visits)
+    visits = {visit.place: (VISIT, "visit, in this order") for visit in task.visits}
+    return SiteMap(environment, title, driven, charges, visits, order=order)
+
+
+def _stops(
+    steps: Sequence[tuple[str, str, Mapping[str, float]]], capacity_wh: Mapping[str, float], each: int | None = None
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Of each place the number of its first visit, and the charge left there, or from and to which it was charged.
+
+    `steps`: kind, place at its end, and charge by battery of each leg; `each`: visits of a round, counted in each anew.
+    """
+    made: dict[str, set[int]] = {}
+    left: dict[str, str] = {}
+    charged: dict[str, list[str]] = {}
+    count = 0
+    before: Mapping[str, float] | None = None
+    for kind, place, charge in steps:
+        left[place] = _percent(charge, capacity_wh)
+        if kind == "visit":
+            made.setdefault(place, set()).add((count % each if each else count) + 1)
+            count += 1
+        elif kind in ("charge", "dock", "recharge") and before is not None:
+            text = f"charges {_percent(before, capacity_wh)} → {left[place]}"
+            charged.setdefault(place, []).append(text)
+        before = charge
+    order = {place: f"{min(numbers)}{'+' * (len(numbers) > 1)}" for place, numbers in made.items()}
+    texts = {
+        place: "\n".join([*charged.get(place, [])[:2], *["…"] * (len(charged.get(place, ())) > 2)] or [text])
+        for place, text in left.items()
+    }
+    return order, texts
 
 
 def map_of_reach(environment: EnvironmentSpec, start: str, found: Sequence[Reached], probability: float) -> SiteMap:
@@ -101,7 +147,8 @@ def map_of_reach(environment: EnvironmentSpec, start: str, found: Sequence[Reach
         if item.turn is not None:
             length = environment.length_m(environment.edges[item.turn["edge_index"]]) or 1.0
             share = item.turn["metres"] / length
-            turns.append((item.turn["edge_index"], item.turn["from"], share, f"turn back: {item.turn['metres']:.0f} m"))
+            text = f"before '{item.turn['edge']}'" if item.turn["one_way"] else f"after {item.turn['metres']:.0f} m"
+            turns.append((item.turn["edge_index"], item.turn["from"], share, f"turn back {text}"))
     return SiteMap(environment, f"reach from {start}", (), charges, colours, sorted(set(turns)))
 
 
@@ -124,17 +171,18 @@ def site_figure(site: SiteMap) -> Figure:
     where, curves = layout(site.environment)
     points = np.array(list(where.values()))
     span = np.maximum(np.ptp(points, axis=0), 1e-9)
-    width, height = 10.0, float(np.clip(10.0 * span[1] / max(span[0], 1e-9), 4.0, 10.0)) + 1.2
+    width, height = 11.0, float(np.clip(9.0 * span[1] / max(span[0], 1e-9), 4.0, 9.5)) + 1.4
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.subplots()
     axes.set_aspect("equal")
     axes.spines[["top", "right"]].set_visible(False)
     axes.set_xlabel("x [m] (wider edge: steeper; slope in the direction of its arrow)")
     axes.set_ylabel("y [m]")
-    axes.margins(0.09)
+    axes.margins(0.12)
     axes.set_title(site.title, fontsize=10, loc="left")
     size = float(max(span))
     _draw_edges(axes, site, curves)
+    lines: list[Points] = []
     if site.driven:
         values = np.array([wh for *_, wh in site.driven])
         low, high = float(values.min()), float(values.max())
@@ -145,25 +193,28 @@ def site_figure(site: SiteMap) -> Figure:
             axes.plot(*line.T, color=colour, linewidth=3.2, solid_capstyle="butt", zorder=3)
             middle, ahead = line[int(0.62 * len(line)) - 1], line[int(0.62 * len(line))]
             axes.annotate("", ahead, middle, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2}, zorder=4)
+            lines.append(line)
         bar = figure.colorbar(ScalarMappable(norm, SCALE), ax=axes, shrink=0.7, pad=0.01)
         bar.set_label("energy of all batteries on the edge [Wh/m]", fontsize=8)
+    marks = []
     for edge, begin, share, text in site.turns:
         line = curves[edge] if begin == site.environment.edges[edge].from_ else curves[edge][::-1]
         at = line[min(int(share * (len(line) - 1) + 0.5), len(line) - 1)]
-        axes.plot(*at, marker="X", color=OUT, markersize=8, zorder=6, linestyle="none")
-        axes.annotate(text, at, (6, -11), textcoords="offset points", fontsize=7, color=OUT, zorder=6)
+        axes.plot(*at, marker="X", color=OUT, markersize=8, zorder=6, linestyle="none", label="turn back")
+        marks.append((at, text))
     _draw_places(axes, site, where)
     handles, labels = axes.get_legend_handles_labels()
     known = dict(zip(labels, handles, strict=True))
-    axes.legend(
-        known.values(),
-        known.keys(),
-        fontsize=7,
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.09),
-        ncols=5,
-        frameon=False,
-    )
+    figure.legend(known.values(), known.keys(), fontsize=7.5, loc="outside lower center", ncols=7, frameon=False)
+    figure.draw_without_rendering()  # so that it is known where on the paper everything lies
+    paper = Paper(axes, [*lines, *curves.values()], list(where.values()))
+    for name, at in where.items():
+        paper.write(np.array(at), name + (f"\n{site.charges[name]}" if name in site.charges else ""), 7.5, "black")
+    for at, text in marks:
+        paper.write(at, text, 7.0, OUT)
+    shut = _shut(site.environment)
+    for index, spec in enumerate(site.environment.edges):
+        paper.along(curves[index], _edge_text(spec, curves[index]) + " closed" * (index in shut))
     return figure
 
 
@@ -172,38 +223,36 @@ def _draw_edges(axes: Axes, site: SiteMap, curves: Mapping[int, Points]) -> None
     shut = _shut(site.environment)
     for index, edge in enumerate(site.environment.edges):
         line, surface = curves[index], _surface(site.environment, edge)
-        slope = math.tan(edge.slope.value)
         if index in shut:
             axes.plot(*line.T, color="#b0b0b0", linestyle=":", linewidth=1.6, label="closed", zorder=1)
             axes.plot(*line[len(line) // 2], marker="x", color="#555555", markersize=8, zorder=2)
             continue
-        axes.plot(*line.T, color=surfaces[surface], linewidth=1.4 + 40.0 * min(abs(slope), 0.15), alpha=0.75, zorder=1,
-                  label=surface or "edge")  # fmt: skip
-        text = edge.name or ""
-        if abs(slope) > 5e-4:
-            text += f" {100 * slope:+.1f} %".replace("-", "−") + (" →" if line[-1][0] >= line[0][0] else " ←")
-        if not edge.both_ways:
-            text += " one way"
-        middle = line[len(line) // 2]
-        angle = math.degrees(math.atan2(*(line[-1] - line[0])[::-1]))
-        angle -= 180.0 if angle > 90.0 else -180.0 if angle < -90.0 else 0.0
-        axes.annotate(text, middle, (0, 3), textcoords="offset points", fontsize=6, color="#555555", ha="center",
-                      rotation=angle, rotation_mode="anchor", zorder=5, bbox={**BOX, "alpha": 0.55})  # fmt: skip
+        width = 1.4 + 40.0 * min(abs(math.tan(edge.slope.value)), 0.15)
+        axes.plot(*line.T, color=surfaces[surface], linewidth=width, alpha=0.75, zorder=1, label=surface or "edge")
+
+
+def _edge_text(edge: EdgeSpec, line: Points) -> str:
+    """What is written at an edge: its name, slope, and whether it leads one way."""
+    slope, text = math.tan(edge.slope.value), edge.name or ""
+    if abs(slope) > 5e-4:
+        text += f" {100 * slope:+.1f} %".replace("-", "−") + (" →" if line[-1][0] >= line[0][0] else " ←")
+    return text if edge.both_ways else f"{text} one way"
 
 
 def _draw_places(axes: Axes, site: SiteMap, where: Mapping[str, tuple[float, float]]) -> None:
     for name, at in where.items():
         spec = site.environment.places[name]
         colour, word = site.colours.get(name, ("#444444", "place"))
-        dock = spec.charger is not None
-        axes.plot(*at, marker="o", markersize=7, color=colour, label=word, zorder=5, linestyle="none")
-        if dock:
-            axes.plot(*at, marker="s", markersize=13, markerfacecolor="none", markeredgecolor=DOCK, label="dock",
+        number = site.order.get(name, "")
+        axes.plot(*at, marker="o", markersize=10 if number else 7, color=colour, label=word, zorder=5, linestyle="none")
+        if number:
+            axes.annotate(number, at, fontsize=7 if len(number) < 2 else 6, color="white", weight="bold", ha="center",
+                          va="center_baseline", zorder=8, in_layout=False)  # fmt: skip
+        if spec.charger is not None:
+            axes.plot(*at, marker="s", markersize=15, markerfacecolor="none", markeredgecolor=DOCK, label="dock",
                       markeredgewidth=1.8, zorder=5, linestyle="none")  # fmt: skip
         if spec.closed:
             axes.plot(*at, marker="x", markersize=13, color="#222222", zorder=6, linestyle="none")
-        text = name + (f"\n{site.charges[name]}" if name in site.charges else "")
-        axes.annotate(text, at, (8, 6), textcoords="offset points", fontsize=7.5, zorder=7, bbox=BOX)
 
 
 def site_chart(site: SiteMap, height: int = 560) -> Chart:
@@ -240,11 +289,12 @@ def site_chart(site: SiteMap, height: int = 560) -> Chart:
     colours = [site.colours.get(name, ("#444444", ""))[0] for name in names]
     docks = [site.environment.places[name].charger is not None for name in names]
     traces.append({
-        "type": "scatter", "mode": "markers+text", "name": "places (square: dock)", "text": names, "cliponaxis": False,
+        "type": "scatter", "mode": "markers+text", "name": "places (square: dock)", "cliponaxis": False,
+        "text": [f"{site.order[n]} {n}" if n in site.order else n for n in names],
         "textposition": "top right", "x": [where[n][0] for n in names], "y": [where[n][1] for n in names],
         "marker": {"size": [13 if dock else 9 for dock in docks], "color": colours,
                    "symbol": ["square" if dock else "circle" for dock in docks]},
-        "customdata": [site.charges.get(name, "") for name in names],
+        "customdata": [site.charges.get(name, "").replace("\n", "<br>") for name in names],
         "hovertemplate": "%{text} %{customdata}<extra></extra>",
     })  # fmt: skip
     layout_ = {
@@ -253,7 +303,8 @@ def site_chart(site: SiteMap, height: int = 560) -> Chart:
         "yaxis": {"title": {"text": "y [m]"}, "scaleanchor": "x", "showgrid": False},
     }
     caption = (
-        "The site: edges by surface, the route by energy per metre; the charge stands at each place under the pointer."
+        "The site: edges by surface, the route by energy per metre, visits in their order; the charge stands at each "
+        "place under the pointer."
     )
     return Chart(traces, layout_, caption, height)
 

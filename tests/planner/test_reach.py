@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
 import yaml
 
 from missionsim.cli.app import run_command
+from missionsim.inputs.loading import load_task
+from missionsim.planner.chance import plan_task
+from missionsim.report.site_map import map_of_plan, site_figure
 
 SMALL = "robot.batteries.drive.capacity=8 Wh"
 
@@ -135,3 +139,22 @@ def test_pictures_and_page_of_a_plan(root: Path, tmp_path: Path) -> None:
     page = (tmp_path / "plan.html").read_text()
     assert "pump_road" in page
     assert "proved best" in page
+
+
+def test_the_map_counts_the_visits_and_says_what_is_charged_without_text_upon_text(root: Path) -> None:
+    changes = [("robot.batteries.drive.capacity", "7 Wh"), ("choose.docks", "all"), ("within.reserve", "{drive: 10 %}")]
+    task = load_task(root / "missions/planning/inspection.yaml", changes)
+    answer, _ = plan_task(task, lambda what, objective, bound: math.isfinite(objective))
+    figure = site_figure(map_of_plan(answer))
+    figure.draw_without_rendering()
+    (axes, _) = figure.axes
+    texts = [text for text in axes.texts if text.get_text()]
+    words = [text.get_text() for text in texts]
+    assert {str(i + 1) for i in range(len(answer.order()))} <= set(words)
+    charged = {leg.place for leg in answer.legs if leg.kind == "charge"}
+    assert charged
+    assert all(any(word.startswith(f"{place}\ncharges ") for word in words) for place in charged)
+    named = [text for text in texts if text.get_text().split("\n")[0] in task.environment.places]
+    assert len(named) == len(task.environment.places)
+    boxes = [text.get_window_extent() for text in named]
+    assert not any(one.overlaps(other) for i, one in enumerate(boxes) for other in boxes[:i])
