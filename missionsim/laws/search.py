@@ -40,7 +40,7 @@ HELPS = 0.995
 HARDLY_WORSE = 1.03
 """At a glance a law lowers the error of left-out runs to this part at least (with a noise of its own it must do far
 better, see `missionsim.laws.gates`), and misses the best by no more than this."""
-CLOCKS, NEEDED_ERROR = ("moving_time_s", "time_s"), 1.02
+NEEDED_ERROR = 1.02
 """A law without one of its quantities must predict left-out runs so much worse, or that quantity goes."""
 CLOSE_ERROR = 1.005
 """Of two forms whose left-out errors come this close, likelihood decides."""
@@ -244,17 +244,14 @@ class Search:
     def _plainest(self, top: Fitted) -> Fitted:
         """A law without the quantities that left-out runs hardly need, the most needless gone first.
 
-        A slow wander looks like a clock within the pieces of a run. Where the base is far from right any quantity is
-        asked, since one that hardly varies multiplies a law for nothing.
+        A slow wander looks like a clock within the pieces of a run, and a quantity that hardly varies, or that another
+        of them follows, multiplies a law for nothing.
         """
-        asked = self._variables(top.form)
-        if self.ground.model.squares is None:
-            asked &= {*CLOCKS}
         limit, best = NEEDED_ERROR * top.errors.with_law, top
         while True:
             forms = {
                 tuple(i for i in best.form if self.grammar.factors[i].variable != name)
-                for name in asked & self._variables(best.form)
+                for name in self._variables(best.form)
             }
             fits = [self.fit(form, top.model.noise) for form in sorted(forms) if form]
             plainer = min(fits, key=lambda fit: fit.errors.with_law, default=None)
