@@ -147,7 +147,8 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
             break
         taken, text, last = settle([*taken, *new])
     for _ in range(MOST_LAWS):
-        law = next((p for p in last.proposed_laws if p.first.simulated and p.first.formula not in declined), None)
+        offered = (p for p in last.proposed_laws if p.first.simulated and not p.open)
+        law = next((p for p in offered if p.first.formula not in declined), None)
         if law is None:
             break
         if not ask(as_finding(law), last):
@@ -204,6 +205,10 @@ def _why(last: BatteryDiagnosis, declined: Sequence[str]) -> str:
         drive = f" Drive next: {last.next_experiments[0].do}." if last.next_experiments else ""
         none = "neither" if len(unsure[0].indistinguishable_from) == 1 else "none of them"
         return f"these data cannot tell {names}, so {none} is added.{drive}"
+    undecided = next((law for law in last.proposed_laws if law.open), None)
+    if undecided is not None:
+        names = " or ".join(undecided.possible)
+        return f"these data cannot tell whether a law reads {names}, so it is not added. Next: {undecided.experiment}."
     if last.verdict == "unexplained_structure":
         return f"something remains that the library does not contain: {last.unexplained.shape}."
     if declined:

@@ -236,11 +236,10 @@ def next_step(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path],
             f"missionsim add-effect --robot {shlex.quote(robot)} --effect {shlex.quote(clear.effect)}{on} {files} "
             f"--out {shlex.quote(out)}"
         )
-    if not battery.effects and battery.proposed_laws and battery.proposed_laws[0].first.simulated:
-        twin = battery.proposed_laws[0].looks_like
-        what = (
-            f"--effect {shlex.quote(twin)} --force" if twin else f'--formula "{battery.proposed_laws[0].first.formula}"'
-        )
+    one = battery.proposed_laws[0] if battery.proposed_laws else None
+    if not battery.effects and one is not None and one.first.simulated and not one.open:
+        twin = one.looks_like
+        what = f"--effect {shlex.quote(twin)} --force" if twin else f'--formula "{one.first.formula}"'
         return f"missionsim add-effect --robot {shlex.quote(robot)} {what}{on} {files} --out {shlex.quote(out)}"
     return ""
 

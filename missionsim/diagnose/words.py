@@ -37,6 +37,8 @@ def headline(battery: BatteryDiagnosis) -> str:
         fits = f"it looks like {law.looks_like}" if law.looks_like else "no effect of the library fits"
         if law.instead_of:
             fits += f"; {' and '.join(law.instead_of)} would only stand in for it"
+        if law.open:
+            fits += f"; whether it is {' or '.join(law.possible)} that it follows, these data cannot tell"
         said.append(f"Battery {name}: {sentences.law(law)}; {fits}.")
     if battery.proposed_laws:
         if battery.unexplained.shape:

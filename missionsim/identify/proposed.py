@@ -8,6 +8,8 @@ from dataclasses import KW_ONLY, dataclass
 
 from missionsim.files import Json
 
+CLOCKS = frozenset({"time_s", "moving_time_s"})
+"""Quantities that pass whatever the robot does: what else rises through a run looks like them."""
 FAR_BETTER = 2.0 / 3.0
 """Part of the left-out error that a law may leave where it takes the place of effects in a base that is far off."""
 QUANTITY = {
@@ -124,6 +126,12 @@ class Proposal:
         """Whether runs that are left out are predicted with an error smaller by a third than without it."""
         before, after = self.left_out_rmse_w
         return after < FAR_BETTER * before
+
+    @property
+    def open(self) -> bool:
+        """Whether it is open which quantities the law reads; a clock that does as well as a logged one is no rival."""
+        first = {*self.first.variables}
+        return any(first != {*law.variables} and (first & CLOCKS or not CLOCKS & {*law.variables}) for law in self.laws)
 
     @property
     def first(self) -> Law:

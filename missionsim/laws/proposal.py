@@ -12,7 +12,7 @@ from missionsim.effects.covariates import Covariates
 from missionsim.expressions import compile_expression
 from missionsim.glossary import column_of
 from missionsim.identify.identification import Identification
-from missionsim.identify.proposed import QUANTITY, Curve, Law, Proposal
+from missionsim.identify.proposed import CLOCKS, QUANTITY, Curve, Law, Proposal
 from missionsim.labels import Labels
 from missionsim.laws.adapter import Ground, ground_of
 from missionsim.laws.factors import make_grammar
@@ -72,17 +72,37 @@ def propose(found: Identification, covariates: Sequence[Covariates]) -> Proposed
 
 
 def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored], Fitted, Gates]:
-    """The set of forms, those beside it, the fit of the first, and its gates."""
+    """The set of forms, those beside it, the fit of the first, and its gates.
+
+    Left-out runs say which quantity leads and which others come near it.
+    """
     near, beside = _set(done.near, search.grammar)
-    fitted = search.settled(done.best if near[0].form == done.best.form else search.fit(near[0].form))
     # the best form is not near where its sign is wrong at the noise that all are compared at
-    best = next((one for one in done.near if one.form == done.best.form), None)
-    better = done.best.errors.with_law < CLEARLY * fitted.errors.with_law
-    if best is not None and best.form != near[0].form and better:
-        # the plainest predicts left-out runs less well than the best, which then stands first
-        near = [best, *(one for one in near if one.form != best.form)][:MOST_LAWS]
-        fitted = search.settled(done.best)
-    return near, beside, fitted, gates(fitted)
+    best = [one for one in done.near if one.form == done.best.form]
+    forms = {one.form: one for one in (*_one_each(near, search.grammar), *best)}
+    fits = {form: done.best if form == done.best.form else search.fit(form) for form in forms}
+    read = {form: set(search.grammar.variables(form)) for form in fits}
+    lead = near[0].form
+    other = min(fits, key=lambda form: fits[form].errors.with_law)
+    if fits[other].errors.with_law < CLEARLY * fits[lead].errors.with_law:
+        lead = other  # the plainest predicts left-out runs less well
+    limit = fits[lead].errors.with_law / CLEARLY
+    logged = [f for f in fits if not read[f] & CLOCKS and fits[f].errors.with_law <= limit]
+    if read[lead] & CLOCKS and logged:
+        lead = min(logged, key=lambda form: fits[form].errors.with_law)  # time passes whatever drives the power
+        limit = max(limit, fits[lead].errors.with_law / CLEARLY)
+    as_good = [read[form] for form in fits if fits[form].errors.with_law <= limit]
+    others = [one for one in near if one.form != lead and set(search.grammar.variables(one.form)) in as_good]
+    fitted = search.settled(fits[lead])
+    return [forms[lead], *others][:MOST_LAWS], beside, fitted, gates(fitted)
+
+
+def _one_each(near: Sequence[Scored], grammar: Grammar) -> list[Scored]:
+    """The first form of each choice of quantities."""
+    found: dict[frozenset[str], Scored] = {}
+    for one in near:
+        found.setdefault(frozenset(grammar.variables(one.form)), one)
+    return list(found.values())
 
 
 def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identification) -> Proposed | None:

@@ -56,6 +56,7 @@ def judge(law: str | None, seed: int, share: float, made: Made, report: dict[str
         "forms": len(proposed[0]["forms"]) if proposed else 0,
         "variables": None,
         "certain": None,
+        "open": bool(proposed) and len({frozenset(form["depends_on"]) for form in proposed[0]["forms"]}) > 1,
         "band": None,
         "removed": None,
         "found_share": proposed[0]["energy_share"] if proposed else None,

@@ -31,6 +31,48 @@ def test_a_best_form_whose_sign_is_wrong_among_the_others_does_not_stand_first(
 
 
 @pytest.mark.parametrize(
+    ("other", "errors", "first", "kept"),
+    [
+        ("humidity", (1.0, 1.01), "wet", {"wet", "humidity"}),  # too close to say
+        ("humidity", (1.0, 1.2), "wet", {"wet"}),
+        ("humidity", (1.2, 1.0), "humidity", {"humidity"}),
+        ("wet", (1.0, 1.01), "wet", {"wet"}),
+    ],
+)
+def test_left_out_runs_say_which_quantity_leads(
+    monkeypatch: pytest.MonkeyPatch, other: str, errors: tuple[float, float], first: str, kept: set[str]
+) -> None:
+    judged = _judged(monkeypatch, ("wet", other), errors, best=0)
+    assert judged[0] == first
+    assert set(judged) == kept
+
+
+@pytest.mark.parametrize(
+    ("errors", "best", "first"),
+    [((1.0, 1.01), 0, "temp_battery_c"), ((1.0, 0.6), 0, "temp_battery_c"), ((1.0, 1.3), 0, "time_s")],
+)
+def test_a_logged_quantity_leads_a_clock_that_does_no_better(
+    monkeypatch: pytest.MonkeyPatch, errors: tuple[float, float], best: int, first: str
+) -> None:
+    assert _judged(monkeypatch, ("time_s", "temp_battery_c"), errors, best)[0] == first
+
+
+def _judged(monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...], errors: tuple[float, ...], best: int) -> list[str]:
+    """Quantities of the forms that stay, in order, of one form for each name with its left-out error."""
+    grammar = Grammar(tuple(Factor(name, f"{name}**{i + 1}", name, i) for i, name in enumerate(names)), ())
+
+    def fitted(form: tuple[int, ...]) -> SimpleNamespace:
+        return SimpleNamespace(form=form, errors=SimpleNamespace(with_law=errors[form[0]]))
+
+    near = tuple(Scored((i,), 50.0, 0.1, 45.0 - 0.1 * i) for i in range(len(names)))
+    search = SimpleNamespace(grammar=grammar, fit=fitted, settled=lambda one: one)
+    monkeypatch.setattr(proposal, "gates", lambda one: one.form)
+    kept, _, chosen, seen = proposal._judged(search, SimpleNamespace(best=fitted((best,)), near=near))
+    assert kept[0].form == chosen.form == seen
+    return [names[one.form[0]] for one in kept]
+
+
+@pytest.mark.parametrize(
     ("far", "factors", "acting", "held"),
     [(True, 3, 2, False), (True, 3, 3, True), (True, 2, 2, True), (True, 1, 1, True), (False, 3, 2, True)],
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 from missionsim.cli.app import run_command as main
 from missionsim.diagnose import sentences
+from missionsim.diagnose.improve import _why
 from missionsim.diagnose.proposed import formula_of, with_candidate
 from missionsim.errors import InputError
 from missionsim.identify.proposed import Curve, Law, Proposal
@@ -195,6 +197,30 @@ def test_a_law_in_plain_words() -> None:
         "Turning with payload costs about 6 W (turn rate 0.5 rad/s, payload 4 kg) that the model does not know: "
         "5.0 % of the energy"
     )
+
+
+@pytest.mark.parametrize(
+    ("first", "other", "undecided"),
+    [
+        (("speed_m_s", "humidity"), ("speed_m_s", "memory"), True),
+        (("temp_battery_c",), ("time_s",), False),  # time passes whatever the battery does
+        (("time_s",), ("temp_battery_c",), True),
+        (("payload_kg",), ("payload_kg",), False),
+    ],
+)
+def test_a_law_whose_quantity_is_open_is_not_added(
+    first: tuple[str, ...], other: tuple[str, ...], undecided: bool
+) -> None:
+    forms = [
+        Law(f"k * {' * '.join(names)}**{i}", "", "W", 3.0, 2.5, 3.5, 0.05, 0.0, variables=names)
+        for i, names in enumerate((first, other), 1)
+    ]
+    told = law(laws=tuple(forms), possible=(first[-1], other[-1]))
+    assert told.open is undecided
+    last = SimpleNamespace(effects=(), proposed_laws=(told,), verdict="unexplained_structure", battery="main",
+                           unexplained=SimpleNamespace(shape="it wanders"), next_experiments=(), heldout=None)  # fmt: skip
+    assert (f"{first[-1]} or {other[-1]}, so it is not added. Next: 3 min at" in _why(last, ())) is undecided
+    assert ("add-effect" in sentences.next_step(last, "robot.yaml", ["train"])) is not undecided
 
 
 @pytest.mark.parametrize(
