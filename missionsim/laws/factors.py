@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -23,6 +24,7 @@ MOST_FURTHER = 6
 LAGS_S = (5.0, 30.0)
 WARM_S = (30.0, 120.0)
 VARIES = 1e-9
+TEMPERATURE = re.compile(r"^temp_|_temp(erature)?(_|$)|_deg_?[cf]$")
 NOISE_PART = 0.1
 """A quantity that falls below zero by less than this part of its highest value is noise about zero."""
 SYMBOLS = {
@@ -148,7 +150,7 @@ def make_grammar(covariates: Sequence[Covariates], components: Sequence[str] = (
             np.shape(value) == np.shape(covariates[0]["time_s"]) and further < MOST_FURTHER and column_of(name) is None
         ):
             further += 1
-            _further(b, name)
+            (_about_thresholds if TEMPERATURE.search(name) else _further)(b, name)
     count = len(b.factors)
     runs = tuple(
         np.ascontiguousarray(np.vstack([b.values[i][j] for i in range(count)]))
