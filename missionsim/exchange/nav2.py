@@ -10,17 +10,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from missionsim.exchange.site import Site, SiteOptions, flow, says_charger, scalar
 from missionsim.exchange.source import Faults, Value, encoding_of, parse_json, read_text
+from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.tree import Node
 from missionsim.physics import Array
-
-if TYPE_CHECKING:
-    from missionsim.inputs.robot import RobotSpec
 
 _TITLES = ("name", "label", "title")
 _SPEEDS = ("speed_limit", "abs_speed_limit")

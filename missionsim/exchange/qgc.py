@@ -11,15 +11,13 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from missionsim.errors import InputError
 from missionsim.exchange.site import LocalPlane, Site, SiteOptions
 from missionsim.exchange.source import Faults, Value
 from missionsim.files import Json
-
-if TYPE_CHECKING:
-    from missionsim.inputs.mission import MissionSpec
+from missionsim.inputs.mission import MissionSpec
 
 _ORIGIN = re.compile(r"metres east and north of (-?[\d.]+), (-?[\d.]+) \(WGS 84\)")
 WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF, SPLINE = 16, 17, 18, 19, 20, 21, 22, 82

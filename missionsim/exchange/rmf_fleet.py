@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +19,7 @@ from missionsim.errors import InputError
 from missionsim.exchange.site import Remark, clean, flow, scalar
 from missionsim.exchange.source import Faults, Value, encoding_of, read_document, read_text
 from missionsim.inputs.loading import robot_from_text
-
-if TYPE_CHECKING:
-    from missionsim.inputs.robot import RobotSpec
+from missionsim.inputs.robot import RobotSpec
 
 FORMULA = "friction*m*9.81*abs(v) + m*abs(a)*abs(v)"
 GUESS_SD = "30 %"

@@ -13,15 +13,13 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from missionsim.errors import InputError
 from missionsim.exchange.site import Site, SiteOptions, nurbs_length, says_charger
 from missionsim.exchange.source import Value
 from missionsim.files import Json
-
-if TYPE_CHECKING:
-    from missionsim.inputs.mission import MissionSpec
+from missionsim.inputs.mission import MissionSpec
 
 _PROPERTIES_USED = {"vehicleTypeId", "maxSpeed", "trajectory"}
 

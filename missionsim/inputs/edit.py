@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from missionsim.errors import InputError
 from missionsim.inputs import units
@@ -17,9 +17,6 @@ from missionsim.inputs.overrides import resolve
 from missionsim.inputs.parameter import Parameter, parameters
 from missionsim.inputs.schemas import SCHEMA_FOLDER
 from missionsim.physics.meter import Meter
-
-if TYPE_CHECKING:
-    pass
 
 _SCHEMA_LINE = re.compile(r"^(# yaml-language-server: \$schema=)(\S+)[ \t]*$", re.MULTILINE)
 _NUMBERS = ("value", "sd", "low", "high")

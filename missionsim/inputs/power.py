@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from missionsim.effects import base_terms
 from missionsim.effects.base import Effect, ParameterSpec
@@ -14,11 +14,9 @@ from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.effects.motion_models import get_motion_model
 from missionsim.errors import InputError
 from missionsim.expressions import Expression, Place, compile_expression
+from missionsim.inputs.robot import ComponentSpec, EffectSpec, LoadSpec, RobotSpec
+from missionsim.inputs.values import Parameter
 from missionsim.physics.meter import Meter
-
-if TYPE_CHECKING:
-    from missionsim.inputs.robot import ComponentSpec, EffectSpec, LoadSpec, RobotSpec
-    from missionsim.inputs.values import Parameter
 
 
 def build_power_model(robot: RobotSpec) -> PowerModel:

@@ -7,16 +7,14 @@ import json
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from missionsim.errors import InputError
 from missionsim.inputs import units
 from missionsim.inputs.loading import KINDS, model_of
+from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.segments import SEGMENT_KINDS
 from missionsim.inputs.tree import read_document
-
-if TYPE_CHECKING:
-    from missionsim.inputs.robot import RobotSpec
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 SCHEMA_FOLDER = Path(__file__).resolve().parent.parent / "schemas"

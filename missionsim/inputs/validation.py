@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -13,10 +13,8 @@ from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.inputs.base import FileModel, Model
 from missionsim.inputs.faults import exists, file_path, follows_from_entries, to_faults
 from missionsim.inputs.parameter import Parameter
+from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.tree import Document, as_written
-
-if TYPE_CHECKING:
-    from missionsim.inputs.robot import RobotSpec
 
 Path_ = tuple[str | int, ...]
 _STAND_INS: tuple[Any, ...] = (

@@ -7,16 +7,14 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from missionsim.effects.covariates import Labels
 from missionsim.engine.outcome import RunResult
 from missionsim.files import Json, atomic_write, csv_cell, to_json, write_text
-
-if TYPE_CHECKING:
-    from missionsim.inputs.mission import MissionSpec
+from missionsim.inputs.mission import MissionSpec
 
 Table = Mapping[str, Sequence[Any]]
 """Column name → values."""
