@@ -7,10 +7,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from missionsim.compare.accumulate import Series
 from missionsim.compare.axes import PlaceCell
 from missionsim.compare.behaviour import MissionGap
-from missionsim.compare.where import Dependence, Where, in_words, ranked
+from missionsim.compare.where import Dependence, Series, Where, in_words, ranked
 from missionsim.effects.model import TermKey
 from missionsim.files import Json, fields_of, sha256
 from missionsim.physics import Array

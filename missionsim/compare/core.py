@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.compare.accumulate import Accumulator, RunSums, Series
 from missionsim.compare.behaviour import MissionGap, split_behaviour
 from missionsim.compare.comparison import BatteryComparison, Comparison, RunComparison
-from missionsim.compare.where import dependences
+from missionsim.compare.where import Accumulator, RunSums, Series, dependences
 from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline

@@ -48,13 +48,11 @@ def write_figures(
 
 def power_figure(result: RunResult) -> Figure:
     """Power of each battery over time, stacked by component (mean of each interval), segments marked."""
-    names = list(result.batteries)
-    figure, axes = _figure(result, len(names), 3.0)
-    scale, unit = _time_unit(result.duration_s)
+    figure, axes, scale = _figure(result, 3.0)
     line = result.timeline
     edges = np.append(line.start_s, line.start_s[-1:] + line.duration_s[-1:]) / scale
     colours = _colours(result)
-    for axis, name in zip(axes, names, strict=True):
+    for axis, name in zip(axes, result.batteries, strict=True):
         parts = _by_component(result, name)
         base = np.zeros(len(line))
         for component, joules in parts.items():
@@ -67,20 +65,16 @@ def power_figure(result: RunResult) -> Figure:
         axis.set_ylim(min(0.0, float(base.min(initial=0.0)) * 1.05), max(1e-9, float(base.max(initial=0.0))) * 1.06)
         handles, labels = axis.get_legend_handles_labels()
         axis.legend(handles[::-1], labels[::-1], **BESIDE)
-    _mark_segments(axes, result, scale)
-    axes[-1].set_xlabel(f"time [{unit}]")
     return figure
 
 
 def charge_figure(result: RunResult) -> Figure:
     """Charge of each battery over time, with its required reserve, the energy home, and where it is empty."""
-    names = list(result.batteries)
-    figure, axes = _figure(result, len(names), 2.4)
-    scale, unit = _time_unit(result.duration_s)
+    figure, axes, scale = _figure(result, 2.4)
     line = result.timeline
     time = np.append(line.start_s[:1], line.start_s + line.duration_s) / scale
     home = result.home_energy()
-    for i, (axis, name) in enumerate(zip(axes, names, strict=True)):
+    for i, (axis, name) in enumerate(zip(axes, result.batteries, strict=True)):
         battery = result.batteries[name]
         charge = np.append(battery.initial_wh, result.charge_wh[name])
         axis.plot(time, charge, color=COLOURS[i % len(COLOURS)], linewidth=1.6, label="charge")
@@ -99,8 +93,6 @@ def charge_figure(result: RunResult) -> Figure:
         axis.set_ylim(low * 1.05, max(float(charge.max()), reserve) * 1.08)
         axis.set_ylabel(f"{name} battery [Wh]")
         axis.legend(**BESIDE)
-    _mark_segments(axes, result, scale)
-    axes[-1].set_xlabel(f"time [{unit}]")
     return figure
 
 
@@ -156,13 +148,17 @@ def _colours(result: RunResult) -> dict[str, str]:
     return {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(shown)} | {"others": OTHERS}
 
 
-def _figure(result: RunResult, rows: int, height: float) -> tuple[Figure, list[Axes]]:
-    figure = new_figure(10.0, height * rows + 1.0)
-    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+def _figure(result: RunResult, height: float) -> tuple[Figure, list[Axes], float]:
+    """A panel for each battery over time, with segments marked; seconds in the unit of its axis."""
+    figure = new_figure(10.0, height * len(result.batteries) + 1.0)
+    axes = list(figure.subplots(len(result.batteries), 1, sharex=True, squeeze=False)[:, 0])
     for axis in axes:
         axis.margins(x=0)
+    scale, unit = _time_unit(result.duration_s)
+    _mark_segments(axes, result, scale)
+    axes[-1].set_xlabel(f"time [{unit}]")
     figure.suptitle(_title(result), fontsize=10)
-    return figure, list(axes)
+    return figure, axes, scale
 
 
 def _title(result: RunResult) -> str:

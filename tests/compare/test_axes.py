@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from missionsim.compare.accumulate import MAX_BUCKETS, Series
 from missionsim.compare.axes import LabelAxis, NumberAxis, PlaceGrid
+from missionsim.compare.where import MAX_BUCKETS, Series
 from missionsim.labels import Labels
 
 KEYS = ("seconds", "gap", "square")
