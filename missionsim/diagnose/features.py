@@ -17,7 +17,7 @@ from missionsim.effects.library import FLOORS, all_effects, execution_effects, f
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.fit.prepare import Prepared, never_on, prepare
 from missionsim.identify.data import Candidate, RunData
-from missionsim.identify.settings import SLOW_ROWS_S, SPEED_AGREE, SPEED_NOISY, SPEED_ROWS
+from missionsim.identify.settings import SLOW_ROWS_S, SPEED_AGREE, SPEED_AVERAGED_S, SPEED_JUMPS_BACK, SPEED_NOISY
 from missionsim.physics import Array
 from missionsim.runs.covariates import is_switch, logged_name
 from missionsim.runs.run import Run
@@ -128,19 +128,23 @@ def steady_speed(run: Run) -> Run:
     """A run whose speed, logged in slow rows, has its noise averaged out over neighbours that agree within it.
 
     That noise goes into base and effects but not into the power, and pulls coefficients down, those of steep curves
-    most (errors in variables, Carroll et al. 2006). Ramps and steps stay as they are (sigma filter).
+    most (errors in variables, Carroll et al. 2006). Ramps and steps stay as they are (sigma filter), and so does a speed
+    that moves on as it moved before, as in traffic: that is no noise.
     """
-    if "speed_m_s" not in run.columns or float(np.median(np.diff(run.time_s))) < SLOW_ROWS_S:
+    row_s = float(np.median(np.diff(run.time_s)))
+    if "speed_m_s" not in run.columns or row_s < SLOW_ROWS_S:
         return run
     speed = run.number("speed_m_s")
-    step = np.abs(np.diff(speed))
-    moving = (speed[1:] != 0) | (speed[:-1] != 0)
-    typical = float(np.median(step[moving])) if np.any(moving) else 0.0
-    level = float(np.median(np.abs(speed[speed != 0]))) if np.any(speed) else 0.0
-    if not 0.0 < typical < SPEED_NOISY * level:
+    moving = speed != 0
+    step = np.diff(speed)[moving[1:] | moving[:-1]]
+    turn = np.diff(speed, 2)[moving[1:-1] | (moving[2:] & moving[:-2])]
+    if not len(turn):
+        return run
+    typical, level = float(np.median(np.abs(step))), float(np.median(np.abs(speed[moving])))
+    if not (0.0 < typical < SPEED_NOISY * level and np.median(np.abs(turn)) > SPEED_JUMPS_BACK * typical):
         return run
     total, count = speed.copy(), np.ones_like(speed)
-    for shift in range(1, SPEED_ROWS + 1):
+    for shift in range(1, min(round(SPEED_AVERAGED_S / row_s), len(speed) - 1) + 1):
         near = np.abs(speed[shift:] - speed[:-shift]) <= SPEED_AGREE * typical
         total[shift:] += near * speed[:-shift]
         count[shift:] += near

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from missionsim.identify.data import Candidate, Layout
 from missionsim.identify.design import Design
 from missionsim.identify.noise import Noise, Packed, Shape, packed
-from missionsim.identify.settings import MOST_TRIPLES, SHARE_PRIOR
+from missionsim.identify.settings import MOST_TRIPLES, SHAPE_NATS, SHARE_PRIOR
 from missionsim.physics import Array
 
 RANDOM_COUNT = 5
@@ -251,8 +251,9 @@ class Constraints:
 
     @cached_property
     def grid_nats(self) -> Array:
-        """Nats that each column owes to its grid of shapes: a grid is one effect, not several, shape (p,)."""
-        return np.where(self.joint, 0.0, np.log(np.bincount(self.effect)[self.effect]))
+        """Nats that each column owes to its grid of shapes, which bends towards noise and other forms, shape (p,)."""
+        number = np.bincount(self.effect)[self.effect]
+        return np.where(self.joint | (number == 1), 0.0, np.maximum(np.log(number), SHAPE_NATS))
 
     def compatible(self, column: int, chosen: Iterable[int]) -> bool:
         """Whether a column may join a set."""

@@ -74,8 +74,11 @@ STRETCH_S = 600.0
 
 SLOW_ROWS_S = 0.4
 """Faster logs average the noise of their speed within an analysis interval of about a second."""
-SPEED_ROWS = 2
-"""Rows on either side over which the speed of slower logs is averaged: cruises last longer, ramps are left out."""
+SPEED_AVERAGED_S = 10.0
+"""Time on either side over which the speed of slower logs is averaged [s]: cruises last longer, ramps are left out. Five
+rows of a second leave half of the noise, which hid a third of a missing c2 of 2 % of the energy."""
+SPEED_JUMPS_BACK = 1.5
+"""Usual second difference over usual difference: 1.73 of white noise, 1.41 of a random walk, 0.5 to 0.7 of a car."""
 SPEED_NOISY = 0.1
 """A speed whose usual step is a larger part of its usual value jumps about by itself: that is signal, not noise."""
 SPEED_AGREE = 4.5
@@ -147,6 +150,8 @@ CLOSE = 0.6
 """The second best is fitted too when it reaches this part of the best, for the same reason."""
 CLOSE_NATS = 8.0
 """Sets no further behind the best are compared under common noise: noise that is fitted apart differs by some nats."""
+SHAPE_NATS = 3.0
+"""ln 20, strong evidence (Kass & Raftery 1995): least lead of an effect with a shape of its own over one without."""
 JOINT_NATS = 0.5
 """Levels of a label enter a forced fit when they gain this much: about what chance gains."""
 MOST_TRIPLES = 20_000

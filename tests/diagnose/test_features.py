@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from missionsim.diagnose.features import Features, make_features
+from missionsim.diagnose.features import Features, make_features, steady_speed
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.inputs.loading import load_robot
@@ -130,3 +130,21 @@ def test_a_battery_that_needs_more_columns_is_a_fault_of_the_input(model: PowerM
         make_features(model, [log], "laptop")
     with pytest.raises(InputError, match="no log measures the battery 'robot'"):
         make_features(model, [log], "robot")
+
+
+def test_noise_of_a_cruising_speed_is_averaged_out_and_steps_stay() -> None:
+    rng = np.random.default_rng(3)
+    true = np.repeat(rng.choice([0.2, 0.35, 0.5, 0.7], 14), 30)
+    noisy = true + rng.normal(0.0, 0.01, len(true))
+    left = steady_speed(drive(1, speed_m_s=noisy)).number("speed_m_s") - true
+    assert np.sqrt(np.mean(left**2)) < 0.0035  # 10 rows on either side where none is beyond a step
+    assert np.max(np.abs(left)) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_speed_in_traffic_is_signal(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pedal = np.convolve(rng.normal(0.0, 0.4, 440), np.ones(20) / np.sqrt(20.0), "valid")[:420]
+    speed = 12.0 + np.cumsum(pedal - np.linspace(pedal[0], pedal[-1], 420)) * 0.3
+    run = drive(1, speed_m_s=speed)
+    np.testing.assert_array_equal(steady_speed(run).number("speed_m_s"), speed)

@@ -55,6 +55,10 @@ def test_oil_that_thickens_exponentially_brings_no_second_name():
     assert row("temperature_friction-5pct", 42)["named"] == "temperature_friction"
 
 
+def test_a_known_load_that_draws_more_is_not_called_its_warming_up():
+    assert row("component_power-kinect-2pct", 0)["named"] == "component_power:kinect"
+
+
 @pytest.mark.study
 def test_two_effects_are_both_named():
     result = row("two-turning_scrub-surface_rolling_resistance")
