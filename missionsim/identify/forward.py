@@ -168,13 +168,12 @@ def forward(
     for number, options in search.options():
         own = [k for k in chosen if search.effect_of(k) == number]
         rest = [k for k in chosen if k not in own]
-        found = [t for o in ([own] if own else options) if (t := search.tried(number, o, rest)) is not None]
-        if found:
+        if own:  # a given effect keeps all its columns, whatever their signs
+            trials[number] = trial = search.measured(number, own, rest)
+            if search.signs_hold(trial):
+                rivals[number] = search.rivals(trial, rest, inside)
+        elif found := [t for o in options if (t := search.tried(number, o, rest)) is not None]:
             trials[number] = min(found, key=lambda t: t.left.total)
-        elif own:
-            trials[number] = search.measured(number, own, rest)
-        if number in inside and found:
-            rivals[number] = search.rivals(trials[number], rest, inside)
     return Forward(chosen, clock, search.squares, trials, rivals)
 
 
@@ -245,6 +244,10 @@ class _Search:
                 if rest and (trial is None or not trial.accepted):
                     chosen = rest
                     break
+                # a level whose sign a later effect has turned goes
+                if trial is not None and len(trial.columns) < len(own):
+                    chosen = tuple(k for k in chosen if k in rest or k in trial.columns)
+                    break
             else:
                 return chosen
 
@@ -259,6 +262,10 @@ class _Search:
                 return self.measured(number, own, beside)
             own.pop(int(np.argmin(wrong)))
         return None
+
+    def signs_hold(self, trial: Trial) -> bool:
+        """Whether every coefficient has the sign that physics asks for."""
+        return bool(np.all(self.candidates[trial.candidate].sign * trial.shares >= 0.0))
 
     def measured(self, number: int, own: Sequence[int], beside: Sequence[int]) -> Trial:
         """What speaks for an effect beside others, and the answer of every gate."""

@@ -32,3 +32,22 @@ def test_an_effect_that_halves_the_error_of_left_out_runs_is_there_though_its_si
     trial = search.measured(0, [0], [])
     assert trial.p_value > 0.01
     assert trial.passed["robust"] is there
+
+
+def test_a_level_whose_sign_another_effect_turns_leaves_the_set() -> None:
+    """Floor b lies on slopes: it looks dear until grade is in, and is smoother than the others then."""
+    rng = np.random.default_rng(1)
+    names = np.repeat(["a", "b", "c"], 200)
+    folds = []
+    for _ in range(8):
+        slope = np.where(names == "b", 1.0, 0.0) + 0.5 * rng.normal(size=600)
+        floors = [(names == name).astype(float) for name in ("b", "c")]
+        power = 5.0 * slope - 2.0 * floors[0] + 3.0 * floors[1] + 0.5 * rng.normal(size=600)
+        folds.append(np.vstack([power, slope, *floors, np.ones(600), 10.0 + power]))
+    squares = LeastSquares(np.array([f @ f.T for f in folds]), np.full(8, 600.0), np.zeros(0), np.arange(8))
+    columns = [Column(0, 0, "grade", 1.0), Column(1, 0, "b", 1.0), Column(1, 1, "c", 1.0)]
+    layout = Layout((), np.zeros(0), tuple(columns), 10.0, 1.0)
+    effects = [Candidate("grade", ("grade",)), Candidate("floor", ("b", "c"), levels=("b", "c"))]
+    search = _Search(squares, layout, effects, Settings())
+    assert search.tried(1, [1, 2], ()).columns == (1, 2)
+    assert search._kept((1, 2, 0)) == (2, 0)
