@@ -17,7 +17,14 @@ from missionsim.effects.library import FLOORS, all_effects, execution_effects, f
 from missionsim.effects.model import ModelParameter, PowerModel
 from missionsim.fit.prepare import Prepared, never_on, prepare
 from missionsim.identify.data import Candidate, RunData
-from missionsim.identify.settings import SLOW_ROWS_S, SPEED_AGREE, SPEED_AVERAGED_S, SPEED_JUMPS_BACK, SPEED_NOISY
+from missionsim.identify.settings import (
+    SLOW_ROWS_S,
+    SPEED_AGREE,
+    SPEED_AVERAGED_S,
+    SPEED_JUMPS_BACK,
+    SPEED_NOISY,
+    SPEED_ROWS,
+)
 from missionsim.physics import Array
 from missionsim.runs.covariates import is_switch, logged_name
 from missionsim.runs.run import Run
@@ -128,8 +135,8 @@ def steady_speed(run: Run) -> Run:
     """A run whose speed, logged in slow rows, has its noise averaged out over neighbours that agree within it.
 
     That noise goes into base and effects but not into the power, and pulls coefficients down, those of steep curves
-    most (errors in variables, Carroll et al. 2006). Ramps and steps stay as they are (sigma filter), and so does a speed
-    that moves on as it moved before, as in traffic: that is no noise.
+    most (errors in variables, Carroll et al. 2006). Ramps and steps stay as they are (sigma filter in two passes), and
+    so does a speed that moves on as it moved before, as in traffic: that is no noise.
     """
     row_s = float(np.median(np.diff(run.time_s)))
     if "speed_m_s" not in run.columns or row_s < SLOW_ROWS_S:
@@ -143,14 +150,19 @@ def steady_speed(run: Run) -> Run:
     typical, level = float(np.median(np.abs(step))), float(np.median(np.abs(speed[moving])))
     if not (0.0 < typical < SPEED_NOISY * level and np.median(np.abs(turn)) > SPEED_JUMPS_BACK * typical):
         return run
-    total, count = speed.copy(), np.ones_like(speed)
-    for shift in range(1, min(round(SPEED_AVERAGED_S / row_s), len(speed) - 1) + 1):
-        near = np.abs(speed[shift:] - speed[:-shift]) <= SPEED_AGREE * typical
-        total[shift:] += near * speed[:-shift]
-        count[shift:] += near
-        total[:-shift] += near * speed[shift:]
-        count[:-shift] += near
-    return replace(run, columns={**run.columns, "speed_m_s": total / count})
+    near = SPEED_AGREE * typical
+    going = np.abs(speed) > near  # what starts or stops keeps its instant, and noise near rest moves no steep curve
+    for rows in (SPEED_ROWS, round(SPEED_AVERAGED_S / row_s)):
+        total, count = speed.copy(), np.ones_like(speed)
+        for shift in range(1, min(rows, len(speed) - 1) + 1):
+            alike = (np.abs(speed[shift:] - speed[:-shift]) <= near) & going[shift:] & going[:-shift]
+            total[shift:] += alike * speed[:-shift]
+            count[shift:] += alike
+            total[:-shift] += alike * speed[shift:]
+            count[:-shift] += alike
+        speed = total / count
+        near /= np.sqrt(2 * SPEED_ROWS + 1)  # what the first pass leaves of the noise: ends of ramps stand out now
+    return replace(run, columns={**run.columns, "speed_m_s": speed})
 
 
 def effect_columns(effects: Mapping[str, Effect], candidates: Sequence[Candidate], cov: Covariates) -> dict[str, Array]:

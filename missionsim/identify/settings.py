@@ -74,9 +74,11 @@ STRETCH_S = 600.0
 
 SLOW_ROWS_S = 0.4
 """Faster logs average the noise of their speed within an analysis interval of about a second."""
+SPEED_ROWS = 2
+"""Rows on either side over which the speed of slower logs is averaged first: ramps are left out."""
 SPEED_AVERAGED_S = 10.0
-"""Time on either side over which the speed of slower logs is averaged [s]: cruises last longer, ramps are left out. Five
-rows of a second leave half of the noise, which hid a third of a missing c2 of 2 % of the energy."""
+"""Time on either side over which it is averaged then [s]: cruises last longer. Five rows of a second leave half of the
+noise, which hid a third of a missing c2 of 2 % of the energy."""
 SPEED_JUMPS_BACK = 1.5
 """Usual second difference over usual difference: 1.73 of white noise, 1.41 of a random walk, 0.5 to 0.7 of a car."""
 SPEED_NOISY = 0.1
