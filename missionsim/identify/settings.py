@@ -156,6 +156,8 @@ SHAPE_NATS = 3.0
 """ln 20, strong evidence (Kass & Raftery 1995): least lead of an effect with a shape of its own over one without."""
 JOINT_NATS = 0.5
 """Levels of a label enter a forced fit when they gain this much: about what chance gains."""
+FRESH_NATS = 2.0
+"""A noise fitted afresh is another optimum where its likelihood is better by this; less is the fits' tolerance."""
 MOST_TRIPLES = 20_000
 """Up to so many triples of columns are compared in full (5 ms); beyond, sets that differ in one column."""
 

@@ -16,7 +16,7 @@ from missionsim.identify.model import Model, fit_model, log_likelihood
 from missionsim.identify.noise import bounded_noise, without_outliers
 from missionsim.identify.profile import refit_shapes_of
 from missionsim.identify.rules import LAST_GATES, Question, weigh
-from missionsim.identify.settings import CLOSE, CLOSE_NATS, GLANCE, JOINT_NATS, PROMISING, TRIED, Settings
+from missionsim.identify.settings import CLOSE, CLOSE_NATS, FRESH_NATS, GLANCE, JOINT_NATS, PROMISING, TRIED, Settings
 
 
 def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) -> Choice:
@@ -65,7 +65,12 @@ def _next_step(
         else:
             refused.update({c: e for c, e in weighed.items() if c not in model.chosen and not e.accepted})
     while options:
-        best = _best(options, constraints)
+        option = best = _best(options, constraints)
+        # the noise without an effect had swallowed it, and a fit that begins there may stay there
+        fresh = fit_model(source, best.model.chosen)
+        if log_likelihood(fresh) > log_likelihood(best.model) + FRESH_NATS:
+            weighed = {c: weigh(fresh, c, constraints, candidates, settings) for c in fresh.chosen}
+            best = replace(best, model=fresh, evidence=weighed)
         # what is left beside an effect is judged with that effect at its best: a reference temperature 5 K off leaves
         # a constant friction over; and the effect itself is asked again there
         new = set(best.model.chosen) - set(model.chosen)
@@ -75,7 +80,7 @@ def _next_step(
             bent.refused.update(refused)
             return bent
         refused.update({k: e for k, e in failed.items() if k in new})
-        options = [option for option in options if option[1] is not best]
+        options = [other for other in options if other[1] is not option]
     found.refused.update(refused)
     return None
 

@@ -10,6 +10,7 @@ import pytest
 
 from missionsim import interface
 from missionsim.cli.options import FALSE_ALARM_RATE
+from missionsim.identify import stepwise
 from missionsim.identify.data import Candidate
 from missionsim.identify.design import make_source
 from missionsim.identify.identification import fit_effects, identify
@@ -55,6 +56,22 @@ def test_one_effect_is_named_and_measured(column, effect):
     half = 0.5 * (estimate.high - estimate.low)
     assert abs(estimate.value - hidden[column]) < 1.5 * half
     assert found.effects[0].p_value < 1e-3
+
+
+def test_a_noise_that_had_swallowed_the_effect_is_fitted_afresh(monkeypatch):
+    """Two runs on hills whose noise had taken the grade: a fit that began there stayed, and the grade was demoted."""
+    runs = make_runs(4, _strength("grade", 0.05), count=3)
+    right = identify(runs, library(), {})
+    fit = stepwise.fit_model
+
+    def stuck(source, chosen, start=None, thorough=True):
+        model = fit(source, chosen, start, thorough)
+        return model if thorough else replace(model, noise=replace(model.noise, sigma_w=2.0 * model.noise.sigma_w))
+
+    monkeypatch.setattr(stepwise, "fit_model", stuck)
+    found = identify(runs, library(), {})
+    assert _names(found) == _names(right) == ["grade"]
+    assert found.noise["sd_w"] == pytest.approx(right.noise["sd_w"], rel=0.05)
 
 
 def _rmse_on(found, runs, effects=True):
