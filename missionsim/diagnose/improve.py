@@ -15,6 +15,7 @@ from missionsim.diagnose.split import Split
 from missionsim.diagnose.subject import NO_PRIOR_SD, Subject, prior_before
 from missionsim.diagnose.waterfall import best_before, noise_floor, worse_note
 from missionsim.files import Json
+from missionsim.fit.final import FinalFit
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.settings import Settings
 
@@ -120,21 +121,28 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     first = last = diagnose_battery(start, split, battery, None, settings, seen=seen)
     given = text
 
-    def settle(effects: list[Finding]) -> tuple[list[Finding], str, BatteryDiagnosis]:
+    nothing: set[str] = set()
+
+    def together(effects: list[Finding], surest: int = 0) -> tuple[list[Finding], FinalFit]:
         """Effects and base fitted together, from the file as it was given, so that no round moves one on from where
-        another left it; the file with them, and its diagnosis."""
-        fitted = models.fit(effects)
-        effects = list(models.told(effects, fitted))
+        another left it. What comes to nothing beside the others goes, but never the surest."""
+        names = [effect.effect for effect in effects]
+        told, fitted = models.certain([effects[surest], *effects[:surest], *effects[surest + 1 :]])
+        nothing.update({*names} - {effect.effect for effect in told})
+        return sorted(told, key=lambda effect: names.index(effect.effect)), fitted
+
+    def settled(effects: list[Finding], fitted: FinalFit) -> tuple[str, BatteryDiagnosis]:
+        """The file with effects, and its diagnosis."""
         new, _ = write(given, robot_from_text(given), models, effects, fitted, split)
         made = robot_from_text(new)
         # the file's own base values came from these logs: what was known before them stays the prior
         again = Subject.of(made, priors={**_fitted_priors(made, battery), **priors})
-        return effects, new, diagnose_battery(again, split, battery, None, settings, clock=models.clock)
+        return new, diagnose_battery(again, split, battery, None, settings, clock=models.clock)
 
     taken: list[Finding] = []
     declined: list[str] = []
     for _ in range(MOST_ROUNDS):
-        known = {effect.effect for effect in taken}
+        known = {*nothing, *(effect.effect for effect in taken)}
         new = []
         for effect in last.effects:
             if effect.indistinguishable_from or effect.effect in (*declined, *known):
@@ -145,19 +153,28 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
                 declined.append(effect.effect)
         if not new:
             break
-        taken, text, last = settle([*taken, *new])
+        taken, fitted = together([*taken, *new])
+        text, last = settled(taken, fitted)
     for _ in range(MOST_LAWS):
+        refused = {*declined, *nothing}
         offered = (p for p in last.proposed_laws if p.first.simulated and not p.open)
-        law = next((p for p in offered if p.first.formula not in declined), None)
+        law = next((p for p in offered if p.first.formula not in refused), None)
         if law is None:
             break
         if not ask(as_finding(law), last):
             declined.append(law.first.formula)
             continue
-        given, name = with_candidate(given, battery, law.first.formula)
-        models = with_law(models, name, law.first.formula)
+        changed, name = with_candidate(given, battery, law.first.formula)
+        before, models = models, with_law(models, name, law.first.formula)
         kept = [effect for effect in taken if effect.effect not in law.instead_of]
-        taken, text, last = settle([*kept, replace(as_finding(law), effect=name)])
+        found, fitted = together([*kept, replace(as_finding(law), effect=name)], surest=len(kept))
+        k = next(one for one in found if one.effect == name).parameters["k"]
+        if k.low <= 0.0 <= k.high:
+            nothing.add(law.first.formula)
+            models = before
+            continue
+        given, taken = changed, found
+        text, last = settled(taken, fitted)
     heldout = [log for log in split.heldout if battery in log.power_w]
     powers = {"before": start.model, "recalibrated": models.fit(()).model}
     # as add-effect writes one of several: its size as it was found beside the others, the base fitted again
@@ -179,7 +196,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         bool(heldout),
         first,
         last,
-        stopped=_why(last, declined),
+        stopped=_why(last, declined, sorted(nothing)),
     )
 
 
@@ -198,7 +215,7 @@ def _fitted_priors(robot: Any, battery: str) -> dict[str, float]:
     return {term.name_of(name): NO_PRIOR_SD for term in model.of(battery) if not term.base for name in term.parameters}
 
 
-def _why(last: BatteryDiagnosis, declined: Sequence[str]) -> str:
+def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str] = ()) -> str:
     unsure = [e for e in last.effects if e.indistinguishable_from]
     if unsure:
         names = " or ".join((unsure[0].effect, *unsure[0].indistinguishable_from))
@@ -209,10 +226,12 @@ def _why(last: BatteryDiagnosis, declined: Sequence[str]) -> str:
     if undecided is not None:
         names = " or ".join(undecided.possible)
         return f"these data cannot tell whether a law reads {names}, so it is not added. Next: {undecided.experiment}."
-    if last.verdict == "unexplained_structure":
+    if last.verdict == "unexplained_structure" and last.unexplained.shape:
         return f"something remains that the library does not contain: {last.unexplained.shape}."
     if declined:
         return f"declined: {', '.join(declined)}."
+    if nothing:
+        return f"{', '.join(nothing)}: seen, but of a size that cannot be told from none beside the rest; not added."
     if last.unexplained.depends_on:
         on = ", ".join(last.unexplained.depends_on)
         return f"no further effect is above the detection limits; what remains still varies with {on}."

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.fit.provenance import data_tag
 from missionsim.fit.refit import refit_robot
 from missionsim.identify.align import Clock
+from missionsim.identify.findings import BatteryDiagnosis, Estimate
 from missionsim.identify.settings import Settings
 from missionsim.inputs.edit import robot_text
 from missionsim.inputs.loading import robot_from_text
@@ -244,6 +246,26 @@ def test_scrub_that_differs_by_floor_is_added_after_scrub() -> None:
     assert done.added == ("turning_scrub", "surface_turning_scrub")
     more = {e.effect: e.parameters for e in robot_from_text(done.text).effects}["surface_turning_scrub"]
     assert more["k_carpet"].value == pytest.approx(8.0, rel=0.2)
+
+
+def test_an_effect_that_comes_to_nothing_beside_the_next_one_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    logs = [with_payload(drive(seed, seconds=240.0, scrub_w_s_rad=6.0), 2.0 * (seed % 2)) for seed in range(4)]
+    text, split = robot_text("pioneer3dx"), Split(tuple(logs), (), "")
+
+    def late(*args: Any, **named: Any) -> BatteryDiagnosis:
+        """As if drag, of which there is none, had been named too."""
+        found = diagnose_battery(*args, **named)
+        if named.get("seen") is None:
+            return replace(found, effects=(), proposed_laws=())
+        drag = replace(found.effects[0], effect="aerodynamic_drag", parameters={"k": Estimate(1e-6, -0.1, 0.1, "kg/m")})
+        drag = replace(drag, energy_share=1e-6, share_low=-0.01, share_high=0.01)
+        return replace(found, effects=(*found.effects, drag))
+
+    monkeypatch.setattr("missionsim.diagnose.improve.diagnose_battery", late)
+    done = improve(text, split, BATTERY, Settings(), lambda *_: True)
+    assert sorted(done.added) == ["payload", "turning_scrub"]
+    assert "aerodynamic_drag" not in done.text
+    assert "aerodynamic_drag" in done.stopped
 
 
 def test_what_comes_to_nothing_in_the_last_fit_is_written_as_nothing() -> None:
