@@ -82,6 +82,14 @@ def test_a_law_holds_each_quantity_once_and_never_the_voltage(grammar: Grammar) 
     assert all(not grammar.simulated(form) for form in grammar.forms(memory=True)[1])
 
 
+@pytest.mark.parametrize("name", ["temp_battery_c", "gearbox_temp", "oil_degc"])
+def test_a_further_temperature_has_no_zero_of_its_own(name: str) -> None:
+    run = covariates() | {name: np.linspace(18.0, 40.0, 200)}
+    texts = [factor.text for factor in make_grammar([run]).factors if factor.variable == name]
+    assert all(text.startswith("max(") for text in texts)
+    assert len([text for text in texts if text.startswith(f"max({name} - ")]) > 5
+
+
 @pytest.mark.parametrize(
     ("switched", "clocks", "warms"), [(True, True, True), (False, True, False), (True, False, False)]
 )
