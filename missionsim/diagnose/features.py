@@ -26,7 +26,7 @@ from missionsim.identify.settings import (
     SPEED_ROWS,
 )
 from missionsim.physics import Array
-from missionsim.runs.covariates import is_switch, logged_name
+from missionsim.runs.covariates import is_switch, logged_name, remarks_on
 from missionsim.runs.run import Run
 
 MOST_SURFACES = 40
@@ -96,6 +96,7 @@ def make_features(
         # louder on one floor than on another
         held.add("surface_turning_scrub")
     watts = _loads(names, model.batteries, covariates, ready)
+    ready.remarks.extend(remarks_on(covariates))
     library = all_effects(tuple(components), surfaces if 1 < len(surfaces) <= MOST_SURFACES else (), watts, battery)
     effects, untestable = _testable(names, surfaces, (*library, *own), held, ready.remarks)
     steady: dict[str, float] = {}

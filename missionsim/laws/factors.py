@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
 from typing import Any
 
@@ -99,12 +99,11 @@ def _round(value: float) -> float:
     return float(f"{value:.2g}")
 
 
-def make_grammar(covariates: Sequence[Covariates], components: Sequence[str] = (), *, clocks: bool = True) -> Grammar:
+def make_grammar(covariates: Sequence[Covariates], skip: Set[str] = frozenset(), *, clocks: bool = True) -> Grammar:
     """The factors that these runs allow.
 
     `covariates`: covariates of each run at its raw rate, with those that follow from the log (``accel_m_s2``,
-    ``moving_time_s``, ``on_time_<component>_s``). `components`: components whose switching may matter; all with an
-    ``on_`` column where empty.
+    ``moving_time_s``, ``on_time_<component>_s``). `skip`: columns beyond the glossary that no law reads.
     """
     b = _Builder(covariates)
     names = sorted(set.intersection(*(set(run) for run in covariates)))
@@ -141,7 +140,7 @@ def make_grammar(covariates: Sequence[Covariates], components: Sequence[str] = (
     known = {"speed_m_s", "yaw_rate_rad_s", "accel_m_s2", *SYMBOLS}
     further = 0
     for name in names:
-        if name in known or name.startswith("on_") or not _may_enter(name) or not name.isidentifier():
+        if name in (known | skip) or name.startswith("on_") or not _may_enter(name) or not name.isidentifier():
             continue  # the last of these: a formula cannot name it
         value = covariates[0][name]
         if is_text(value):

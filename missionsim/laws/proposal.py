@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.effects.covariates import Covariates
+from missionsim.effects.covariates import Covariates, is_text
 from missionsim.expressions import compile_expression
 from missionsim.glossary import column_of
 from missionsim.identify.identification import Identification
@@ -20,6 +20,7 @@ from missionsim.laws.gates import LEAST_SHARE, Gates, gates, left_out
 from missionsim.laws.grammar import Grammar
 from missionsim.laws.search import Fitted, Scored, Search, Searched
 from missionsim.physics import Array
+from missionsim.runs.covariates import repeated
 
 ALIKE = 0.06
 """Part of the gain by which a form may lag behind and still be in the set: no form is exact, and rows blur them all."""
@@ -43,6 +44,8 @@ NO_WORSE = 1.01
 """An effect whose column is this like the law's, that keeps no more than this part of its size beside it and whose loss
 raises the error of left-out runs no further than this, stood in for it as well."""
 TWIN = 0.985
+OWN_METER = 0.99
+"""Correlation with the measured power from which on a column is that power, or the current of it."""
 POINTS = 41
 Z95 = 1.96
 
@@ -63,12 +66,26 @@ def propose(found: Identification, covariates: Sequence[Covariates]) -> Proposed
     """
     ground = ground_of(found, covariates)
     # where the base is far from right, what wanders unexplained looks like a clock, and warming up is in the library
-    grammar = make_grammar(ground.covariates, clocks=ground.model.squares is None)
+    skip = {*repeated(ground.covariates), *_own_meter(ground)}
+    grammar = make_grammar(ground.covariates, skip, clocks=ground.model.squares is None)
     for memory in (False, True):
         made = _propose(ground, grammar, memory, found)
         if made is not None:
             return made
     return None
+
+
+def _own_meter(ground: Ground) -> set[str]:
+    """Columns beyond the glossary that are the measured power once more, whatever they are called."""
+    found = set()
+    for name, value in ground.covariates[0].items():
+        if column_of(name) is not None or is_text(value) or not np.shape(value):
+            continue
+        runs = [np.nan_to_num(np.asarray(run[name], dtype=float))[None, :] for run in ground.covariates if name in run]
+        rows = ground.averaged(runs)[0] if len(runs) == len(ground.covariates) else np.zeros(1)
+        if np.ptp(rows) > 0.0 and abs(np.corrcoef(rows, ground.design.y)[0, 1]) > OWN_METER:
+            found.add(name)
+    return found
 
 
 def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored], Fitted, Gates]:

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
+from typing import Any
+
+import numpy as np
+
+from missionsim.glossary import column_of
+from missionsim.labels import Labels
+from missionsim.physics import Array
 
 
 @dataclass(frozen=True)
@@ -79,17 +87,111 @@ def known(name: str) -> Covariate:
 
 ASSUMED = {one.name: one.assumed for one in _ALL if one.assumed}
 """Columns that count as nought where a log lacks them, and what that means."""
-# electrical quantities follow the load, so they can never be its cause; places and clocks of memory are no physics
+# what is measured of the load follows it, so it can never be its cause; places and clocks of memory are no physics
 _NO_CAUSE = re.compile(
-    r"(^|_)(power|voltage|volts?|current|amps?|energy|soc|charge)(_|$)"
+    r"(^|_)(voltage|volts?|energy|soc|charge|charging)(_|$)|^power_.+_w$|^current_.+_a$"
     r"|^(x_m|y_m|segment|starts|starts_per_s|body_mass_kg|mass_kg|regeneration|drive_w|load_w|moving)$"
     r"|^on_time_"
 )
+_ELECTRICAL = frozenset(("power", "current", "currents", "amp", "amps"))
+_NO_PART = frozenset(
+    (
+        *(
+            "w",
+            "kw",
+            "mw",
+            "a",
+            "ma",
+            "mean",
+            "avg",
+            "average",
+            "raw",
+            "filtered",
+            "max",
+            "min",
+            "peak",
+            "rms",
+            "limit",
+        ),
+        *("measured", "meter", "predicted", "model", "reference", "demand", "consumed", "consumption", "used", "usage"),
+    )
+)
+"""Words that name no part of a robot."""
+_WHOLE = frozenset(
+    (
+        *("battery", "batt", "bat", "pack", "cell", "main", "robot", "base", "platform", "vehicle", "car", "system"),
+        *("charger", "dock", "regen", "brake", "mech", "mechanical", "motor", "motors", "drive", "driver", "wheel"),
+        *("wheels", "traction", "propulsion", "engine", "inverter", "esc", "left", "right", "front", "rear"),
+        *("total", "sum", "net", "gross", "whole", "input", "output", "supply", "electric", "electrical", "dc", "bus"),
+    )
+)
+"""Words of what is the whole, or follows it."""
+TWIN = 0.999
+"""Correlation from which on a column is another one in other units."""
+_ROWS = 20_000
 
 
 def may_be_cause(name: str) -> bool:
-    """Whether power may depend on a column; what is measured of the load follows it and is never its cause."""
-    return not _NO_CAUSE.search(name)
+    """Whether power may depend on a column; what is measured of the load follows it and is never its cause.
+
+    Power and current of a part that is none of battery and drive (``arm_power``, ``gripper_current_a``) may be one.
+    """
+    words = re.sub(r"\d+", "", name).split("_")
+    if not _ELECTRICAL.intersection(words):
+        return not _NO_CAUSE.search(name)
+    part = {*words} - _ELECTRICAL - _NO_PART - {""}
+    return bool(part) and _WHOLE.isdisjoint(words) and not _NO_CAUSE.search(name)
+
+
+def repeated(runs: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Columns beyond the glossary that are a straight line of one in it over all runs (km/h, rpm), and of which.
+
+    `runs`: covariates of each run, arrays of shape (n,).
+    """
+    shared = sorted(set.intersection(*(set(run) for run in runs)))
+    rows = {name for name in shared if all(_is_number(run[name], np.shape(run["time_s"])) for run in runs)}
+    every = 1 + sum(len(run["time_s"]) for run in runs) // _ROWS
+
+    def values(name: str) -> Array:
+        return np.concatenate([np.asarray(run[name], dtype=float) for run in runs])[::every]
+
+    theirs = {name for name in rows if name in COVARIATES or name == "time_s" or _is_quantity(name)}
+    known = [(name, values(name)) for name in sorted(theirs)]
+    found = {}
+    for name in sorted(rows - theirs):
+        if is_switch(name) or not may_be_cause(name):
+            continue
+        own = values(name)
+        for other, data in known:
+            if abs(_correlation(own, data)) > TWIN or abs(_correlation(own, np.abs(data))) > TWIN:
+                found[name] = other
+                break
+    return found
+
+
+def _is_number(value: Any, shape: tuple[int, ...]) -> bool:
+    return not isinstance(value, Labels) and np.shape(value) == shape and np.asarray(value).dtype.kind in "fiub"
+
+
+def _is_quantity(name: str) -> bool:
+    column = column_of(name)
+    return column is not None and column[0].kind == "number"
+
+
+def _correlation(a: Array, b: Array) -> float:
+    both = np.isfinite(a) & np.isfinite(b)
+    if not (both.any() and np.ptp(a[both]) > 0.0 and np.ptp(b[both]) > 0.0):
+        return 0.0
+    return float(np.corrcoef(a[both], b[both])[0, 1])
+
+
+def remarks_on(runs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What to know of columns beyond the glossary: which are left out, and which should have another name."""
+    told = [f"{name} is a straight line of {other}: no law reads it" for name, other in repeated(runs).items()]
+    for name in sorted(set.intersection(*(set(run) for run in runs))):
+        if "power" in name.split("_") and may_be_cause(name) and not name.endswith(("_w", "_kw")):
+            told.append(f"{name} names no unit: if it is in watts, log it as {name}_w, and it is passed through")
+    return told
 
 
 def is_switch(name: str) -> bool:

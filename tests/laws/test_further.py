@@ -1,0 +1,88 @@
+"""Columns beyond the glossary: which a law may read, which repeat another, which are the meter's own."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from missionsim.laws.factors import make_grammar
+from missionsim.laws.proposal import _own_meter
+from missionsim.runs.covariates import may_be_cause, remarks_on, repeated
+
+
+def drives() -> list[dict[str, Any]]:
+    """Two runs with an arm, a hill and the same speed in several units."""
+    rng = np.random.default_rng(8)
+    runs = []
+    for rows in (300, 200):
+        speed = rng.uniform(-0.4, 1.2, rows)
+        slope = rng.normal(0.0, 0.05, rows)
+        runs.append(
+            {
+                "time_s": np.arange(rows) + 0.5,
+                "speed_m_s": speed,
+                "slope_rad": slope,
+                "temp_ambient_c": np.full(rows, float(rows) / 10.0),
+                "speed_km_h": np.round(3.6 * speed, 2),
+                "motor_rpm": np.abs(800.0 * speed) + rng.normal(0.0, 2.0, rows),
+                "slope_pct": 100.0 * np.tan(slope),
+                "temp_ambient_f": 32.0 + 0.18 * np.full(rows, float(rows)),
+                "headwind_m_s": 3.0 + 0.2 * speed + rng.normal(0.0, 1.0, rows),
+                "arm_power": rng.choice([0.0, 12.0, 30.0], rows),
+            }
+        )
+    return runs
+
+
+def test_a_quantity_in_other_units_is_told_and_no_law_reads_it() -> None:
+    runs = drives()
+    twins = repeated(runs)
+    assert twins == {
+        "motor_rpm": "speed_m_s",
+        "slope_pct": "slope_rad",
+        "speed_km_h": "speed_m_s",
+        "temp_ambient_f": "temp_ambient_c",
+    }
+    assert "speed_km_h is a straight line of speed_m_s: no law reads it" in remarks_on(runs)
+    read = {factor.variable for factor in make_grammar(runs, {*twins}).factors}
+    assert {"headwind_m_s", "speed_m_s", "slope_rad"} <= read
+    assert not read & set(twins)
+
+
+@pytest.mark.parametrize("name", ["arm_power", "arm_current_a", "gripper_power_w", "arm_2_current_raw", "heater_amps"])
+def test_what_a_part_draws_may_be_a_cause(name: str) -> None:
+    assert may_be_cause(name)
+    run = drives()[0] | {name: np.linspace(0.0, 9.0, 300) ** 2}
+    assert name in {factor.variable for factor in make_grammar([run]).factors}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("power", "power_w", "current_a", "amps", "power_arm_w", "current_robot_a", "battery_current", "pack_power_w"),
+        *("charging_current_a", "charge_current", "state_of_charge", "soc", "voltage", "arm_voltage_v", "total_power"),
+        *("left_motor_current", "wheel_power_w", "drive_power", "energy_arm", "mean_current_a", "dc_power"),
+    ],
+)
+def test_what_follows_the_load_is_no_cause(name: str) -> None:
+    assert not may_be_cause(name)
+
+
+def test_a_load_without_a_unit_is_told() -> None:
+    (told,) = (remark for remark in remarks_on(drives()) if "arm_power" in remark)
+    assert "log it as arm_power_w" in told
+
+
+def test_the_measured_power_under_another_name_is_no_cause() -> None:
+    runs = drives()
+    rng = np.random.default_rng(2)
+    for run in runs:
+        run["power"] = 40.0 + 30.0 * np.abs(run["speed_m_s"]) + run["arm_power"]
+        run["kinova_current"] = run["power"] / 24.0 + rng.normal(0.0, 0.02, len(run["power"]))
+        run["constant"] = np.full(len(run["power"]), 3.0)
+    y = np.concatenate([run.pop("power") for run in runs])
+    ground = SimpleNamespace(covariates=runs, averaged=lambda raw: np.hstack(raw), design=SimpleNamespace(y=y))
+    assert _own_meter(ground) == {"kinova_current"}
