@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, Output
 from missionsim.errors import InputError
-from missionsim.files import write_text
+from missionsim.files import check_writable, write_text
 from missionsim.report.terminal import console, show_table, titled
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def plan(
     from missionsim.planner.write import mission_text
 
     check_picture(plot)
+    check_writable(out, plot, report)
     if seconds is not None and not seconds > 0.0:
         raise InputError.single("--seconds must be more than nothing", got=f"{seconds:g}", allowed="such as 60")
     spec = load_task(task, changes.pairs, changes.robot)
@@ -219,6 +220,7 @@ def reach(
     from missionsim.planner import reach as planner
 
     check_picture(plot)
+    check_writable(plot)
     if changes.robot is None:
         raise InputError.single("reach needs a robot", allowed="--robot ROBOT.yaml, or a shipped robot's name")
     if not 0.0 < probability < 1.0:

@@ -174,7 +174,8 @@ class _TaskCheck:
             self.check.add(("visits", index, "set_down"), "more is set down than was taken up", got, allowed)
 
     def ways(self) -> None:
-        """Visits and the end that no open way leads to, or from which none leads on."""
+        """Visits and the end that no way leads to, or from which none leads on, were all that is closed open; what only
+        closed edges keep from being visited has no plan, and the planner says what to open."""
         task, environment = self.task, self.task.environment
         if environment is None or self.places is None or not (environment.whole and environment.sound):
             return
@@ -182,16 +183,16 @@ class _TaskCheck:
         self.check.keys(("edges",), task.edges, names, "edge")
         if any(name not in self.places for name in (task.start, task.goal)):
             return
-        closed = {name for name, edge in task.edges.items() if edge.closed}
-        out, back = environment.reached(task.start, closed), environment.reached(task.goal, closed, against=True)
+        free = environment.opened()
+        out, back = free.reached(task.start), free.reached(task.goal, against=True)
         if task.goal not in out:
-            message = f"no open way leads from '{task.start}' to '{task.goal}'"
+            message = f"no way leads from '{task.start}' to '{task.goal}'"
             self.check.add(("end" if task.end else "start",), message, task.goal, ", ".join(sorted(out))[:200])
             return
         for index, visit in enumerate(task.visits):
             if visit.value is None and visit.place in self.places and not {visit.place} <= out & back:
                 way = f"from '{task.start}'" if visit.place not in out else f"on to '{task.goal}'"
-                message = f"'{visit.place}' cannot be visited: no open way leads {way}"
+                message = f"'{visit.place}' cannot be visited: no way leads {way}"
                 allowed = ", ".join(sorted(out & back))[:200]
                 self.check.add(("visits", index, "place"), message, visit.place, allowed)
 

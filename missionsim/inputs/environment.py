@@ -168,6 +168,19 @@ class EnvironmentSpec(FileModel):
             waiting += new
         return found
 
+    def opened(self, name: str | None = None) -> EnvironmentSpec:
+        """The environment with all that is closed open, or with the edge or place of that name open."""
+        edges = tuple(
+            edge.model_copy(update={"closed": False}) if name in (None, edge.name) else edge for edge in self.edges
+        )
+        places = {
+            key: place.model_copy(update={"closed": False}) if name in (None, key) else place
+            for key, place in self.places.items()
+        }
+        made = self.model_copy(update={"edges": edges, "places": places})
+        made.__dict__.pop("_open_from", None)
+        return made
+
     def graph(self) -> MultiDiGraph:
         """Directed networkx multigraph: nodes with `spec`, edges with `spec`, `length_m`, `slope_rad`, `reverse`."""
         import networkx

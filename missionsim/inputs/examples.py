@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -77,10 +78,20 @@ def find_robot(reference: str, folder: Path | None) -> Path | None:
         return None
 
 
+def files_near(file: str, reference: str) -> list[str]:
+    """The YAML files in the folder that a file refers to, named as it would."""
+    folder = os.path.dirname(reference)
+    try:
+        names = sorted(os.listdir(os.path.join(os.path.dirname(file), folder) or "."))
+    except OSError:
+        return []
+    return [os.path.join(folder, name) for name in names if name.endswith((".yaml", ".yml"))]
+
+
 def unknown_robot(reference: str, document: Document | None = None, path: tuple[str | int, ...] = ()) -> Fault:
     """The fault of a robot that is not there, at the place in a file that names it."""
     names = list(shipped_robots())
-    hint = did_you_mean(reference, names)
+    hint = did_you_mean(reference, [*names, *([] if document is None else files_near(document.file, reference))])
     allowed = ", ".join(names) + ", or the path of a robot file"
     if document is None:
         return Fault("", 0, 0, f"no robot '{reference}'", got=reference, allowed=allowed, hint=hint)

@@ -40,7 +40,7 @@ def to_faults(
     result: list[tuple[tuple[str | int, ...], Fault]] = []
     for error in problem.errors(include_url=False):
         kind = error["type"]
-        path = file_path(error["loc"], shape, missing=kind != "quantity")
+        path = file_path(error["loc"], shape, missing=kind == "missing")
         context: dict[str, Any] = error.get("ctx", {})
         raw = error.get("input")
         if kind == "quantity":
@@ -75,6 +75,8 @@ def to_faults(
             allowed, hint = ", ".join(options) or "kind: …", did_you_mean(str(tag), options)
         elif kind in _KINDS:
             message, allowed = f"must be {_KINDS[kind]}", _KINDS[kind]
+            if allowed == "a mapping" and (keys := _allowed_keys(model, error["loc"])):
+                allowed += f" with {', '.join(keys)}"
         elif kind == "string_pattern_mismatch":
             letters = "lower-case letters, digits and _, beginning with a letter"
             message, allowed, key = "not a name that can be used here", context["pattern"], True

@@ -16,7 +16,7 @@ from missionsim.inputs.base import FileModel
 from missionsim.inputs.check_mission import check_mission
 from missionsim.inputs.check_robot import unread
 from missionsim.inputs.environment import EnvironmentSpec
-from missionsim.inputs.examples import find_robot, unknown_robot
+from missionsim.inputs.examples import files_near, find_robot, unknown_robot
 from missionsim.inputs.mission import MissionSpec, StudySpec
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.tree import Document, as_written, parse_document, read_document
@@ -277,7 +277,10 @@ def _companions(
             environment = _load(target, EnvironmentSpec, faults, by_file["environment"], prefix="environment.")
         else:
             message, allowed = "no such environment file", "a path relative to this file"
-            faults.append(document.fault(("environment",), message, got=as_written(reference), allowed=allowed))
+            hint = did_you_mean(reference, files_near(document.file, reference))
+            faults.append(
+                document.fault(("environment",), message, got=as_written(reference), allowed=allowed, hint=hint)
+            )
     return robot_spec, environment
 
 

@@ -11,7 +11,7 @@ from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import Reserve, reserve_of
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.segments import DefaultSpec
-from missionsim.inputs.values import Angle, Chance, Duration, Fraction, Mass, Parameter, Period, Speed
+from missionsim.inputs.values import Angle, Duration, Fraction, Mass, Parameter, Period, Share, Speed
 
 Weight = Annotated[float, Field(strict=False, ge=0.0, le=1e6)]
 Places = Annotated[tuple[Name, ...], BeforeValidator(lambda raw: [raw] if isinstance(raw, (str, int)) else raw)]
@@ -158,7 +158,7 @@ class WithinSpec(Model):
     reserve: Reserve | None = None
     reserve_throughout: bool = False
     max_payload: Mass | None = None
-    with_probability: Chance | None = None
+    with_probability: Share | None = None
 
 
 class LeastSpec(Model):

@@ -147,7 +147,8 @@ class QuantityOf(UncertainReader):
         if math.isfinite(self.low) and self.high < _UNSAID and not self.strict_low:
             allowed = f"{self.low:g} to {'less than ' * self.strict_high}{self.high:g}{shown}"
         elif math.isfinite(self.low):
-            most = f", at most {self.high:g}{shown}" if self.high < _UNSAID else ""
+            most = f", {'less than' if self.strict_high else 'at most'} {self.high:g}{shown}"
+            most = most if self.high < _UNSAID else ""
             allowed = f"{'more than' if self.strict_low else 'at least'} {self.low:g}{shown}{most}"
         else:
             allowed = f"at most {self.high:g}{shown}"
@@ -231,6 +232,7 @@ Frequency = Annotated[Parameter, QuantityOf("frequency", 0.0, 1e11)]
 Temperature = Annotated[Parameter, QuantityOf("temperature", -90.0, 90.0)]
 Fraction = Annotated[Parameter, QuantityOf("fraction", 0.0, 1.0)]
 Chance = Annotated[Parameter, QuantityOf("fraction", 0.0, 1.0, strict_high=True)]
+Share = Annotated[Parameter, QuantityOf("fraction", 0.0, 1.0, strict_low=True, strict_high=True)]
 """Of failing, each time: 1 would never succeed."""
 Efficiency = Annotated[Parameter, QuantityOf("fraction", 0.0, 1.0, strict_low=True)]
 Ratio = Annotated[Parameter, QuantityOf("number", 0.0, 100.0, strict_low=True)]

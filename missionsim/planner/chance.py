@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +24,8 @@ from missionsim.planner.tour import Site, make_site
 TRIES = 6
 CHECKS = 3
 """So often a plan is checked on fresh draws, each time within wider margins."""
+NOTHING = 1e-3
+"""Of the capacity: a charge that is told as none."""
 NEAR = 0.005
 """A share of draws that is no more than this above what is asked is near enough."""
 SEED = 20_260_101
@@ -110,7 +113,23 @@ def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunRe
     asked = None if task.within.with_probability is None else task.within.with_probability.value
     search = _Search(site, watch or (lambda what, objective, bound: False))
     made = search.simulated() if asked is None else search.sure(asked)
-    return made or (search.none(asked), None)
+    if made is None:
+        return search.none(asked), None
+    answer, run = made
+    return answer, replace(run, warnings=(*run.warnings, *_emptied(answer)))
+
+
+def _emptied(answer: Answer) -> Iterator[Fault]:
+    """A warning for each battery of which nothing is left on the way: whatever takes more than planned ends there."""
+    for b, name in enumerate(answer.site.physics.names):
+        leg = min(answer.legs, key=lambda leg: leg.charge_wh[name], default=None)
+        if leg is not None and leg.charge_wh[name] <= NOTHING * float(answer.site.physics.capacity_wh[b]):
+            at = f"on edge '{leg.piece.name}' to '{leg.place}'" if leg.piece is not None else f"at '{leg.place}'"
+            yield answer.site.task.document.place(("within",)).warning(
+                f"nothing is left of battery '{name}' ({leg.charge_wh[name]:.3f} Wh) {at}: the reserve is only asked "
+                "for at the end",
+                allowed="within: {reserve_throughout: true}, or with_probability for a margin",
+            )
 
 
 @dataclass

@@ -32,6 +32,9 @@ def explain(site: Site) -> Json:
         limit = "above nothing" if site.task.most_kg is None else f"between 0 and {site.task.most_kg:g} kg"
         line = f"payload: no order of the visits that the task allows keeps the load {limit}"
         return _told([{"what": "payload"}], [*_lighter(site), *_one_less(site)], [line])
+    if lost := _shut_off(site.task):
+        told = [f"'{place}' cannot be visited: every way there, or on from there, is closed" for place in lost]
+        return _told([{"what": "way", "to": place} for place in lost], [*_opened(site), *_one_less(site)], told)
     short: list[dict[str, Any]] = []
     changes: list[dict[str, Any]] = []
     if math.isfinite(site.deadline_s):
@@ -224,9 +227,36 @@ def _one_less(site: Site) -> Iterator[dict[str, Any]]:
             yield {"change": f"visits.{i}", "to": None, "unit": "", "text": text, "relative": 1.0 / count}
 
 
+def _shut_off(task: TaskSpec) -> list[str]:
+    """Places that must be visited and that open edges do not lead to and on from."""
+    shut = {name for name, edge in task.edges.items() if edge.closed}
+    out = task.environment.reached(task.start, shut)
+    led = out & task.environment.reached(task.goal, shut, against=True)
+    asked = [visit.place for visit in task.visits if visit.value is None]
+    return [place for place in dict.fromkeys([*asked, task.goal]) if place not in led]
+
+
+def _opened(site: Site) -> Iterator[dict[str, Any]]:
+    """An edge or a place that is no longer closed."""
+    task, environment = site.task, site.task.environment
+    shut = {name: f"edges.{name}.closed" for name, edge in task.edges.items() if edge.closed}
+    edges = [edge.name for edge in environment.edges if edge.closed and edge.name is not None]
+    shut |= {name: f"environment.edges.{name}.closed" for name in edges}
+    shut |= {name: f"environment.places.{name}.closed" for name, place in environment.places.items() if place.closed}
+    for name, change in shut.items():
+        kept = {key: edge for key, edge in task.edges.items() if key != name}
+        other = task.model_copy(update={"edges": kept})
+        other._environment = environment.opened(name)
+        if not _shut_off(other) and solve_site(make_site(other)).feasible:
+            what = "place" if name in environment.places else "edge"
+            text = f"{what} '{name}' open (--set {change}=false)"
+            yield {"change": change, "to": False, "unit": "", "text": text, "relative": 0.4}
+
+
 def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
-    """A window that ends later; the docks that the task does not use."""
+    """An edge that is opened; a window that ends later; the docks that the task does not use."""
     task = site.task
+    yield from _opened(site)
     for i, visit in enumerate(task.visits):
         if visit.window is None or visit.window.until is None:
             continue

@@ -70,7 +70,8 @@ def map_of_run(result: RunResult, environment: EnvironmentSpec) -> SiteMap:
     capacity = {name: battery.capacity_wh for name, battery in result.batteries.items()}
     order, charges = _stops(steps, capacity)
     title = f"{result.mission}, {result.robot}: {verdict}; charge of {' / '.join(capacity)}"
-    return SiteMap(environment, title, driven, charges, order=order)
+    visits = dict.fromkeys(order, (VISIT, "visit, in this order"))
+    return SiteMap(environment, title, driven, charges, visits, order=order)
 
 
 def map_of_plan(answer: Answer) -> SiteMap:

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 import pytest
+import yaml
 
 import missionsim
 from missionsim.cli.app import run_command
@@ -146,11 +147,13 @@ BAD = {
     "edges={pump_rod: {closed: true}}": "did you mean: pump_road",
     "edges={lane: {speeds: [9 m/s]}}": "at: edges.lane.speeds",
     "edges={lane: {schemes: [nope]}}": "at: edges.lane.schemes.0",
-    "edges={pump_road: {closed: true}, tank_road: {closed: true}}": "cannot be visited",
     "within.deadline=-5 min": "at: within.deadline",
     "within.reserve=120 %": "at: within.reserve",
     "within.reserve={drve: 20 %}": "did you mean: drive",
     "within.with_probability=95": "did you mean: 95 %",
+    "within.with_probability=0": "more than 0, less than 1",
+    "within=soon": "a mapping with deadline, reserve, ",
+    "choose.charge={levels: [50 %]}": "at: choose.charge\n",
     "least=cheap": "energy, time, or",
     "least={energy: 0, time: 0}": "nothing to make least",
     "least={energy: {motor: 1}}": "no battery 'motor'",
@@ -426,3 +429,35 @@ def test_a_stopped_search_for_a_surer_plan_gives_one_that_holds(root: Path) -> N
     assert answer.stopped
     assert answer.extra["probability"]["value"] >= 0.95
     assert len(set(told)) > 1
+
+
+def test_where_only_a_closed_edge_keeps_from_a_visit_opening_it_would_do(root: Path, tmp_path: Path) -> None:
+    site = yaml.safe_load((root / "environments/trial_site.yaml").read_text())
+    ways = [edge["name"] for edge in site["edges"] if "pump" in (edge["from"], edge["to"])]
+    shut = [f"environment.edges.{name}.closed=true" for name in ways]
+    none = plan(root, tmp_path, TWO, *shut, code=1)
+    assert none["why"]["short"] == [{"what": "way", "to": "pump"}]
+    opened = [item for item in none["why"]["would_do"] if item["change"].endswith(".closed")]
+    assert opened
+    assert opened[0]["change"] in {text.partition("=")[0] for text in shut}
+    rest = [text for text in shut if not text.startswith(opened[0]["change"])]
+    assert plan(root, tmp_path, TWO, *rest)["feasible"]
+
+
+def test_nothing_is_written_where_one_file_cannot_be(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    beyond = Path("/proc/map.png")
+    words = ["plan", str(root / "missions/planning/inspection.yaml"), "--out", str(tmp_path / "mission.yaml")]
+    assert run_command([*words, "--plot", str(beyond), "--quiet"]) != 0
+    assert f"{beyond}: error:" in capsys.readouterr().err
+    assert not (tmp_path / "mission.yaml").exists()
+
+
+def test_a_dock_that_is_reached_with_nothing_is_told(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["plan", str(root / "missions/planning/inspection.yaml"), "--seconds", "2", "--set", TWO]
+    for capacity, told in ((4, True), (5, False)):
+        sets = ["--set", f"robot.batteries.drive.capacity={capacity} Wh", "--set", "choose.docks=all"]
+        assert run_command([*words, *sets]) == 0
+        said = capsys.readouterr().err
+        assert ("nothing is left of battery 'drive'" in said) is told, said
