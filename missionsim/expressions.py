@@ -18,31 +18,11 @@ import numpy as np
 
 from missionsim.errors import Fault, InputError, did_you_mean
 
-FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "abs": np.abs,
-    "arctan": np.arctan,
-    "arctan2": np.arctan2,
-    "arcsin": np.arcsin,
-    "arccos": np.arccos,
-    "clip": np.clip,
-    "cos": np.cos,
-    "degrees": np.degrees,
-    "exp": np.exp,
-    "floor": np.floor,
-    "hypot": np.hypot,
-    "log": np.log,
-    "max": np.maximum,
-    "maximum": np.maximum,
-    "min": np.minimum,
-    "minimum": np.minimum,
-    "radians": np.radians,
-    "sign": np.sign,
-    "sin": np.sin,
-    "sqrt": np.sqrt,
-    "tan": np.tan,
-    "tanh": np.tanh,
-    "where": np.where,
-}
+_OF_NUMPY = (
+    "abs arctan arctan2 arcsin arccos clip cos degrees exp floor hypot log maximum minimum radians sign sin sqrt"
+)
+FUNCTIONS: dict[str, Callable[..., Any]] = {name: getattr(np, name) for name in f"{_OF_NUMPY} tan tanh where".split()}
+FUNCTIONS |= {"max": np.maximum, "min": np.minimum}
 _ARGUMENTS = {"arctan2": 2, "clip": 3, "hypot": 2, "max": 2, "maximum": 2, "min": 2, "minimum": 2, "where": 3}
 CONSTANTS: dict[str, float] = {"pi": float(np.pi)}
 _MAX_LENGTH = 2000
