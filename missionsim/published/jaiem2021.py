@@ -39,17 +39,8 @@ def ours() -> dict[str, Ours]:
     robot = shipped_robot("pioneer3dx")
     model = build_power_model(robot)
     rows = [table4_row(model, row) for row in load_table("jaiem2021_table4_rows")]
-    return dict(
-        chain(
-            _inputs(robot),
-            _equations(model),
-            _table1(robot),
-            _table4(rows),
-            _ranges(rows),
-            _table5(figures),
-            patrol.figures(),
-        )
-    )
+    parts = (_inputs(robot), _equations(model), _table1(robot), _table4(rows), _ranges(rows), _table5(figures))
+    return dict(chain(*parts, patrol.figures()))
 
 
 def table4_row(model: PowerModel, row: Row) -> dict[str, float]:

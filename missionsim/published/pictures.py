@@ -56,7 +56,7 @@ def _pair(figure: Figure) -> tuple[Axes, Axes]:
     return left, right
 
 
-def _velocity(figure: Figure) -> None:
+def _power_velocity(figure: Figure) -> None:
     from missionsim.inputs.power import build_power_model
 
     robot = shipped_robot("pioneer3dx")
@@ -109,7 +109,7 @@ def _stretch(figure: Figure) -> None:
     _finish(axes, "", "error of the prediction (% of measured)")
 
 
-def _patrol_speed(figure: Figure) -> None:
+def _patrol_velocity(figure: Figure) -> None:
     axes = figure.subplots()
     for name, label, style in ((patrol.PLAN, "plan", "--"), (patrol.DRIVEN, "as driven (calibrated)", "-")):
         line = run(name).timeline
@@ -156,7 +156,7 @@ def _sequence(figure: Figure) -> None:
     _finish(axes, "time (s)", "power (W)", legend=False)
 
 
-def _khepera(figure: Figure) -> None:
+def _energy_speed(figure: Figure) -> None:
     figures = load_figures("parasuraman2012")
     low, high = (figures[f"speed.{name}"].value / 1e3 for name in ("min", "max"))
     speed = np.linspace(low, high, 23)
@@ -187,7 +187,7 @@ def _start(figure: Figure) -> None:
         _finish(axes, "time (s)", "power (W)")
 
 
-def _angles(figure: Figure) -> None:
+def _directions(figure: Figure) -> None:
     angles = np.arange(0.0, 181.0, 3.0)
     threshold = hou2019.threshold_ratio()
     axes = figure.subplots()
@@ -291,20 +291,17 @@ def _fidelity(figure: Figure) -> None:
     axes.legend(lines, [str(line.get_label()) for line in lines], fontsize=8, frameon=False, loc="upper center")
 
 
-PAINT: dict[str, Callable[[Figure], None]] = {
-    "power_velocity": _velocity,
-    "sonar": _sonar,
-    "stretch": _stretch,
-    "patrol_velocity": _patrol_speed,
-    "patrol_error": _patrol_error,
-    "sequence": _sequence,
-    "energy_speed": _khepera,
-    "start": _start,
-    "directions": _angles,
-    "complexities": _complexities,
-    "granularity": _granularity,
-    "mechanical": _mechanical,
-    "service": _service,
-    "fidelity": _fidelity,
-}
+_PAINTERS: list[Callable[[Figure], None]] = [_power_velocity, _sonar, _stretch, _patrol_velocity, _patrol_error]
+_PAINTERS += [
+    _sequence,
+    _energy_speed,
+    _start,
+    _directions,
+    _complexities,
+    _granularity,
+    _mechanical,
+    _service,
+    _fidelity,
+]
+PAINT = {painter.__name__[1:]: painter for painter in _PAINTERS}
 """Name of a picture → the function that paints it."""
