@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import functools
 import hashlib
 import importlib
 import json
@@ -92,28 +91,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 def to_json(data: object, ascii: bool = False) -> str:
     """JSON text of a result, ending with a line feed: NumPy values as numbers and lists, nan and inf as null."""
-    return _indented(_plain(data), ascii) + "\n"
-
-
-def _indented(value: object, ascii: bool, pad: str = "") -> str:
-    """As ``json.dumps(value, indent=2)``, whose encoder in C serves no text with line feeds: here it writes whatever
-    holds neither lists nor mappings."""
-    inner = f"{pad}  "
-    parts = list(value.values()) if isinstance(value, dict) else value if isinstance(value, list) else []
-    if not any(isinstance(part, (dict, list)) for part in parts):
-        text = _encoder(ascii, inner).encode(value)
-        return f"{text[0]}\n{inner}{text[1:-1]}\n{pad}{text[-1]}" if parts else text
-    lines = [_indented(part, ascii, inner) for part in parts]
-    if isinstance(value, dict):
-        name = _encoder(ascii, "").encode
-        lines = [f"{name(key)}: {line}" for key, line in zip(value, lines, strict=True)]
-    ends = "{}" if isinstance(value, dict) else "[]"
-    return f"{ends[0]}\n{inner}" + f",\n{inner}".join(lines) + f"\n{pad}{ends[1]}"
-
-
-@functools.cache
-def _encoder(ascii: bool, pad: str) -> json.JSONEncoder:
-    return json.JSONEncoder(ensure_ascii=ascii, allow_nan=False, separators=(f",\n{pad}", ": "))
+    return json.dumps(_plain(data), indent=2, ensure_ascii=ascii, allow_nan=False) + "\n"
 
 
 def _plain(value: object) -> object:
