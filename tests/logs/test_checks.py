@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
-from missionsim.logs import LogTable, Remark, check_log, iter_blocks, obstacles, read_log
+from missionsim.logs import LogTable, Remark, check_log, iter_blocks, read_log
 from missionsim.logs.obstacles import clock_delay
 from missionsim.logs.power import power_from_energy, refreshes
 from tests.logs.conftest import motion, write_csv
@@ -396,11 +395,3 @@ def test_the_robot_sharpens_the_checks(tmp_path: Path) -> None:
     assert "did you mean kinect?" in messages["on_kinectt"]
     assert "did you mean robot?" in messages["power_robott_w"]
     assert "the robot drives" in messages["speed_m_s"]
-
-
-@pytest.mark.parametrize("tau", [0.25, 4.0])
-def test_rows_are_smoothed_as_a_filter_of_first_order_does(tau: float) -> None:
-    rows = np.random.default_rng(0).normal(size=(3, 900)).cumsum(axis=1)
-    keep = np.exp(-0.1 / tau)
-    wanted = lfilter([1.0 - keep], [1.0, -keep], rows, axis=1, zi=rows[:, :1] * keep)[0]
-    np.testing.assert_allclose(obstacles._low_pass(rows, 0.1, tau), wanted, rtol=0, atol=1e-12)
