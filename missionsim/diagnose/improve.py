@@ -13,7 +13,7 @@ from missionsim.diagnose.diagnosis import diagnose_battery, examine
 from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.subject import NO_PRIOR_SD, Subject, prior_before
-from missionsim.diagnose.waterfall import best_before, noise_floor, worse_note
+from missionsim.diagnose.waterfall import best_before, noise_floor, unseen_note, worse_note
 from missionsim.files import Json
 from missionsim.fit.final import FinalFit
 from missionsim.identify.findings import BatteryDiagnosis, Finding
@@ -230,6 +230,8 @@ def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str]
         return f"something remains that the library does not contain: {last.unexplained.shape}."
     if declined:
         return f"declined: {', '.join(declined)}."
+    if unseen := unseen_note(last):
+        return f"{unseen}."
     if nothing:
         return f"{', '.join(nothing)}: seen, but of a size that cannot be told from none beside the rest; not added."
     if last.unexplained.depends_on:

@@ -16,6 +16,11 @@ SEEN = 0.5
 """A rise by less than this part of the noise floor is not worth a note."""
 
 
+SEVERAL = 3.0
+"""Energy error of held-out runs, in times the noise floor, from which something is missing whatever was found (assumed;
+of a single run chance shows it once in 60)."""
+
+
 class Errors(Protocol):
     """Errors of one model."""
 
@@ -117,6 +122,24 @@ def heldout_note(battery: BatteryDiagnosis) -> str:
         noise_floor(battery)[0],
         len(battery.heldout.runs),
         len(battery.runs),
+    )
+
+
+def unseen_note(battery: BatteryDiagnosis) -> str:
+    """In words, that the energy of held-out runs is off by several times the noise floor, whatever is fitted; else
+    empty. Nothing may be called complete then."""
+    if battery.heldout is None:
+        return ""
+    left_pct = min(battery.heldout.energy_error_pct.values())
+    if battery.proposed_laws and battery.proposed_laws[0].heldout_energy_pct is not None:
+        left_pct = min(left_pct, battery.proposed_laws[0].heldout_energy_pct[1])
+    floor_pct = noise_floor(battery)[0]
+    if left_pct <= SEVERAL * floor_pct * math.sqrt(1.0 + 1.0 / max(len(battery.runs), 1)):
+        return ""
+    return (
+        f"the energy of the runs not used is off by {left_pct:.1f} %, where a right model would be by {floor_pct:.1f} "
+        "%: something is missing that the fitted runs do not show. Fit runs of that kind too, or log what differs "
+        "in them"
     )
 
 

@@ -7,6 +7,7 @@ import math
 from missionsim.diagnose import sentences
 from missionsim.diagnose.execution import TOLD
 from missionsim.diagnose.leftover import watts
+from missionsim.diagnose.waterfall import unseen_note
 from missionsim.identify.findings import BatteryDiagnosis, Experiment, Finding, HeldOut, Judged
 from missionsim.identify.proposed import Proposal
 
@@ -54,6 +55,8 @@ def headline(battery: BatteryDiagnosis) -> str:
         )
     elif battery.unexplained.shape:
         said.append(f"Battery {name}: {'beyond that, ' if said else ''}something remains: {battery.unexplained.shape}.")
+    if unseen := unseen_note(battery):
+        said.append(f"Battery {name}: {'beyond that, ' if said else ''}{unseen}.")
     if not said:
         least = _smallest_limits(battery)
         said.append(f"Battery {name}: no evidence of anything missing above the detection limits{least}.")

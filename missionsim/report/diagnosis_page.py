@@ -11,7 +11,7 @@ import numpy as np
 
 from missionsim.diagnose import sentences, words
 from missionsim.diagnose.improve import Improved
-from missionsim.diagnose.waterfall import energy_note, measured_note
+from missionsim.diagnose.waterfall import energy_note, measured_note, unseen_note
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, RunSeries
 from missionsim.identify.proposed import QUANTITY
 from missionsim.report import page as web
@@ -79,7 +79,8 @@ def _result(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], s
     drives = f"{len(battery.runs)} runs, {battery.seconds / 60:.0f} min"
     cards.append(("Mean power", f"{web.format_cell(battery.mean_power_w, 3)} W", drives))
     said = [line for line in (sentences.sure(battery), sentences.errors(battery)) if line]
-    blocks: list[web.Block] = [web.Verdict(words.headline(battery), TONES[battery.verdict]), web.Tiles(cards)]
+    tone = "bad" if unseen_note(battery) else TONES[battery.verdict]
+    blocks: list[web.Block] = [web.Verdict(words.headline(battery), tone), web.Tiles(cards)]
     blocks += [web.Paragraph(line) for line in said]
     if command:
         blocks.append(web.Command("Type this next", command))

@@ -132,7 +132,7 @@ class Others:
 
 
 def runs_beside(others: Others, model: PowerModel) -> dict[str, str]:
-    """Runs that scatter more than the others or lie beside them, and what explains it."""
+    """Runs that scatter more than the others, and what explains it; `others` learns from the rest alone then."""
     found: dict[str, str] = {}
     follows = np.array([others.follows(i) for i in range(len(others.runs))])
     for i in np.argsort(-others.scatter).tolist():
@@ -152,7 +152,7 @@ def runs_beside(others: Others, model: PowerModel) -> dict[str, str]:
         else:
             others.left[i] = True
             others.learn()
-    return _offsets(others) | _stuck(others, model) | found
+    return _stuck(others, model) | found
 
 
 def _stuck(others: Others, model: PowerModel) -> dict[str, str]:
@@ -249,7 +249,7 @@ def correlation(measured: Array, said: Array) -> tuple[NDArray[np.int64], Array]
     return lags, np.asarray(along[lags] / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-300))
 
 
-def _offsets(others: Others) -> dict[str, str]:
+def offsets(others: Others) -> dict[str, str]:
     """Runs whose power lies beside that of all others by one offset, at rest and in motion with the same things on."""
     runs, battery = others.runs, others.battery
     gaps = [others.beside(i) for i in range(len(runs))]

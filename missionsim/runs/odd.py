@@ -8,7 +8,9 @@ import numpy as np
 
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
-from missionsim.runs.beside import FEWEST, FEWEST_LEVELS, LOADS, Others, correlation, runs_beside
+from missionsim.labels import Labels
+from missionsim.runs.beside import FEWEST, FEWEST_LEVELS, LOADS, Others, correlation, offsets, runs_beside
+from missionsim.runs.covariates import is_switch, may_be_cause
 from missionsim.runs.drive import Driven, drive
 from missionsim.runs.mends import SPEEDS, divided, larger
 from missionsim.runs.run import Run
@@ -24,6 +26,10 @@ ROWS_TO_TELL, VARIES = 100, 0.15
 """Rows, and variation of the modelled power relative to its mean, from which power is held against the motion."""
 NEAR_S, CLEARLY_BETTER, UNRELATED_AT_ALL = 10.0, 0.3, 0.02
 """Delay that a meter may have; rise of the correlation beyond it, and its square in all runs, that no robot shows."""
+BEYOND = 0.25
+"""Distance of a run's usual value from all of the others, in parts of their range, from which they cannot say what is
+usual there (assumed)."""
+_MOTION = ("speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad", "heading_rad", "time_s")
 STEEP_RAD, STEEPER = 0.3, 12.0
 """Slope that no robot climbs for long, and how many times that of the other runs it must be to be another unit."""
 
@@ -43,10 +49,16 @@ def odd_runs(runs: Sequence[Run], model: PowerModel) -> dict[str, str]:
         apart |= _of_another_time(driven, battery)
         if len(own) < FEWEST:
             continue
-        found |= _factors(own, driven, model, battery)
-        left = [one for one in driven if one.run.run not in found and one.run.run not in apart]
+        other_units, doubtful = _factors(own, driven, model, battery)
+        found |= other_units
+        left = [one for one in driven if one.run.run not in {*found, *doubtful, *apart}]
         if len(left) >= FEWEST_LEVELS:
-            found |= runs_beside(Others(left, battery), model)
+            others = Others(left, battery)
+            told = runs_beside(others, model)
+            doubtful |= {name: why for name, why in offsets(others).items() if name not in told}
+            found |= told
+        usual = [run for run in own if run.run not in {*found, *doubtful}]
+        found |= {run.run: doubtful[run.run] for run in own if run.run in doubtful and not beyond(run, usual)}
     return apart | (found if len(found) < 0.5 * len(runs) else {})
 
 
@@ -96,13 +108,39 @@ def _units(runs: Sequence[Run]) -> dict[str, str]:
     return found
 
 
-def _factors(runs: Sequence[Run], driven: Sequence[Driven], model: PowerModel, battery: str) -> dict[str, str]:
-    """Runs whose level against the model differs from that of the others by a factor."""
+def beyond(run: Run, others: Sequence[Run]) -> list[str]:
+    """Columns, but those of motion, in which a run is where no other run is: what it costs more is not odd then."""
+    found: list[str] = []
+    for name, data in run.columns.items():
+        have = [one.columns[name] for one in others if name in one.columns]
+        if name in _MOTION or is_switch(name) or not may_be_cause(name) or len(have) < FEWEST or not run.rows:
+            continue
+        if isinstance(data, Labels):
+            seen = {text for one in have if isinstance(one, Labels) for text in one.names}
+            if name == "surface" and not {*data.names} & seen:
+                found.append(name)
+            continue
+        values = np.concatenate([one[np.isfinite(one)] for one in have if not isinstance(one, Labels)])
+        own = data[np.isfinite(data)]
+        if not len(own) or not len(values) or (np.ptp(own) > 0.0 and np.all(np.diff(own) >= 0.0)):
+            continue  # a clock is elsewhere in every run
+        low, high = np.quantile(values, [0.02, 0.98])
+        most = max(BEYOND * float(high - low), 1e-9 * abs(float(high)))
+        if not low - most <= float(np.median(own)) <= high + most:
+            found.append(name)
+    return found
+
+
+def _factors(
+    runs: Sequence[Run], driven: Sequence[Driven], model: PowerModel, battery: str
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Runs whose level against the model differs from that of the others by a factor: in another unit; and by less."""
     found: dict[str, str] = {}
+    doubtful: dict[str, str] = {}
     ratios = np.array([_ratio(one, battery) for one in driven])
     usual = float(np.median(ratios))
     if not usual > 0.0:
-        return found
+        return found, doubtful
     apart = np.abs(np.log(np.maximum(ratios / usual, 1e-12)))
     middle = float(np.nanmedian(apart))
     least = max(np.log(SUSPECT), ALIKE * middle)
@@ -119,11 +157,11 @@ def _factors(runs: Sequence[Run], driven: Sequence[Driven], model: PowerModel, b
         elif off < 0.0 or far > np.log(LEVEL):
             found[run.run] = f"power_{battery}_w is {off:.3g} times the other runs against the model: another unit?"
         elif far > ALONE * middle:
-            found[run.run] = (
+            doubtful[run.run] = (
                 f"power_{battery}_w is {off:.3g} times the other runs against the model, which agree: "
                 "another robot, unit or load?"
             )
-    return found
+    return found, doubtful
 
 
 def _ratio(driven: Driven, battery: str) -> float:

@@ -155,3 +155,19 @@ def test_an_error_that_only_recalibration_lowers_is_said_so() -> None:
     told = sentences.errors(replace(BATTERY, heldout=held))
     assert "ONLY 16.9" not in told
     assert "was 16.9 W, is 7.47 W with the base alone fitted anew, and NO LESS, 7.52 W, with it" in told
+
+
+def test_nothing_is_called_complete_while_the_runs_not_used_are_far_off() -> None:
+    """1.2 % is the floor of these logs: runs that are hotter than all that were fitted, 20 % off."""
+    quiet = replace(BATTERY, effects=(), verdict="nothing_missing", runs=("a", "b", "c", "d"))
+    assert "no evidence of anything missing" in words.headline(quiet)
+    assert _why(quiet, ()) == "nothing is left above the detection limits."
+    held = HeldOut("the last run", ("run_05",), {"nominal": 20.0, "recalibrated": 20.6, "with_effects": 20.6}, HELD)
+    far = replace(quiet, heldout=held)
+    for told in (words.headline(far), _why(far, ())):
+        assert "something is missing that the fitted runs do not show" in told
+        assert "20.0 %" in told
+        assert "no evidence" not in told
+        assert "nothing is left" not in told
+    mended = replace(far, heldout=replace(held, energy_error_pct={**held.energy_error_pct, "recalibrated": 1.3}))
+    assert "fitted runs do not show" not in words.headline(mended)  # that is a base to be fitted anew

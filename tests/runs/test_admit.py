@@ -142,6 +142,21 @@ def test_what_a_logged_load_explains_is_no_offset_of_a_meter(runs: list[Run], el
     assert len(told([*heated[:4], replace(heated[4], columns=runs[4].columns)])) == 1
 
 
+@pytest.mark.parametrize("logged", [True, False])
+def test_hotter_than_all_others_is_not_odd(runs: list[Run], logged: bool) -> None:
+    """A fan above 16 °C: the two hottest of seven runs draw more, one of them by half, as no other run could say."""
+    warm, plain = [], []
+    for number, degrees in enumerate([9.0, 15.0, 18.5, 30.0, 7.0, 12.0, 23.0]):
+        run = drive(number, seconds=200.0)
+        heat = np.random.default_rng(number).normal(degrees, 0.3, len(run))
+        run = replace(run, columns={**run.columns, "temp_ambient_c": heat} if logged else run.columns)
+        warm.append(replace(run, power_w={"robot": run.power_w["robot"] + 0.45 * np.maximum(heat - 16.0, 0.0)}))
+        plain.append(replace(run, power_w={"robot": run.power_w["robot"] + (3.0 if number == 1 else 0.0)}))
+    assert (told(warm) == []) is logged
+    # as hot as other runs were, it is an offset of the meter
+    assert [line.split(":")[0] for line in told(plain)] == ["run_01"]
+
+
 @pytest.mark.parametrize(("kind", "seed"), [("floors", 1), ("heater", 6), ("heater", 2), ("wander", 2)])
 def test_rough_runs_are_no_spoilt_ones(kind: str, seed: int, tmp_path: Path) -> None:
     """Floors, a heater, an arm that no robot file knows: no run has another unit, nor a meter that is off."""
