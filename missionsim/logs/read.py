@@ -219,7 +219,6 @@ def _freeze(
         limit = robot.body.max_speed if robot is not None else None
         suspect.check_magnitudes(rows, None if limit is None else float(limit))
         suspect.check_agreement(rows, kinds)
-        suspect.check_standstill(rows)
         suspect.check_order(rows)
         switchable = [name for name in components if robot is not None and not robot.components[name].always_on]
         check_obstacles(rows, switchable)
@@ -239,6 +238,7 @@ def _freeze(
         if statistics:
             suspect.check_dead_meter(rows, battery, power[battery])
     if statistics and "speed_m_s" in rows.columns:
+        suspect.check_standstill(rows, next(iter(power.values())) if len(power) == 1 else None)
         check_clock(rows, power)
     assert rows.dt is not None
     for name, data in rows.columns.items():

@@ -211,8 +211,11 @@ def check_order(rows: Rows) -> None:
         rows.remark("order", "speed_m_s", told, "left as it is; sort the rows by their time", "error")
 
 
-def check_standstill(rows: Rows) -> None:
-    """Tell a speed or yaw rate whose noise at rest is above the limits of standing still."""
+def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
+    """Tell a speed or yaw rate whose noise at rest is above the limits of standing still.
+
+    `power_w`: what the battery of the motors delivers, which says what is rest where no speed does.
+    """
     number = {name: rows.columns.get(name) for name in ("speed_m_s", "yaw_rate_rad_s")}
     speed, yaw = (
         None if data is None or isinstance(data, Labels) else np.abs(data[:_SAMPLE]) for data in number.values()
@@ -225,7 +228,12 @@ def check_standstill(rows: Rows) -> None:
     changes = int(np.count_nonzero(slow[1:] & slow[:-1] & (still[1:] != still[:-1])))
     count, beyond = int(slow.sum()), int((slow & ~still).sum())
     if changes < max(20, 0.1 * count) or beyond < 0.05 * count:
-        return
+        if power_w is None:
+            return
+        slow = _rest_of_power(speed, turning, power_w[:_SAMPLE])
+        count, beyond = int(slow.sum()), int((slow & ~still).sum())
+        if beyond < max(20, 0.8 * count):
+            return
     name, values, limit, unit = ("speed_m_s", speed, STILL_SPEED_M_S, "m/s")
     if yaw is not None and np.count_nonzero(slow & (yaw >= STILL_YAW_RATE_RAD_S)) > beyond / 2:
         name, values, limit, unit = ("yaw_rate_rad_s", yaw, STILL_YAW_RATE_RAD_S, "rad/s")
@@ -234,6 +242,35 @@ def check_standstill(rows: Rows) -> None:
     action = f"left as it is; a map can set it to zero there: where(abs({name}) < {_round_up(high):g}, 0, {name})"
     at = int(np.argmax(slow & ~still))
     rows.remark("standstill", name, f"{told} and count as driving", action, "warning", at, beyond)
+
+
+_SLOW, _LEVEL = 0.25, 0.1
+"""Parts of the fastest speed, and of the range of the power, within which a stretch may be one of rest (assumed)."""
+_STRETCH = 5
+"""Rows that a stretch of rest lasts at least."""
+
+
+def _rest_of_power(speed: Array, turning: Array, power_w: Array) -> Bools:
+    """Rows of a robot that stands, whatever noise its speed shows: the power lies at its low level and does not follow
+    the speed, which goes up and down as no crawling robot's does."""
+    none = np.zeros(len(speed), dtype=bool)
+    fast = float(np.quantile(speed, 0.99))
+    slow = (speed < _SLOW * fast) & (turning < STILL_YAW_RATE_RAD_S) & np.isfinite(power_w)
+    if slow.sum() < 20 or len(power_w) != len(speed):
+        return none
+    low, high = float(np.quantile(power_w[slow], 0.25)), float(np.nanquantile(power_w, 0.95))
+    rest = slow & (np.abs(power_w - low) < _LEVEL * (high - low))
+    edges = np.flatnonzero(np.diff(np.r_[False, rest, False]))
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - start < _STRETCH:
+            rest[start:end] = False
+    v, p = speed[rest], power_w[rest]
+    if len(v) < 20 or np.std(v) < 0.4 * np.mean(v):
+        return none
+    left = v - v.mean()
+    slope = float(left @ (p - p.mean()) / (left @ left))
+    sd = float(np.std(p - p.mean() - slope * left) / np.sqrt(left @ left))
+    return rest if slope + 3.0 * sd < 0.5 * (high - low) / fast else none
 
 
 def _round_up(value: float) -> float:

@@ -180,6 +180,21 @@ def test_noise_at_rest_that_counts_as_driving_is_told(tmp_path: Path, column: st
     assert 100 < remark.count < 600
 
 
+@pytest.mark.parametrize("crawls", [False, True])
+def test_noise_that_leaves_no_row_at_rest_is_told_by_the_power(tmp_path: Path, crawls: bool) -> None:
+    """A speed that wanders by 0.1 m/s while the robot stands; a robot that crawls as slowly needs power for it."""
+    rng = np.random.default_rng(3)
+    speed = np.repeat([0.0, 1.0, 0.0, 1.6, 0.0, 0.6], 50)
+    noise = np.abs(rng.normal(0.0, 0.1, 300))
+    power = 30.0 + 50.0 * (speed + crawls * noise) + rng.normal(0.0, 1.0, 300)
+    columns = {"time_s": np.arange(300.0), "speed_m_s": speed + noise, "power_robot_w": power}
+    told = [r for r in read(tmp_path, columns).remarks if r.kind == "standstill"]
+    assert bool(told) is not crawls
+    if told:
+        assert 130 < told[0].count < 151
+        assert "where(abs(speed_m_s) < 0.3, 0, speed_m_s)" in told[0].action
+
+
 def test_a_robot_that_stands_is_not_frozen(tmp_path: Path) -> None:
     columns = motion()
     columns["speed_m_s"][100:200] = 0.0
