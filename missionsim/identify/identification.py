@@ -9,17 +9,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from missionsim.identify.data import Candidate, RunData
-from missionsim.identify.design import Source, make_source
+from missionsim.identify.design import make_source
 from missionsim.identify.estimates import Z95, Pair, estimated, pairs
 from missionsim.identify.evidence import smallest_detectable
 from missionsim.identify.findings import Finding, Findings, Judged, Recalibrated, Structure, Unexplained
 from missionsim.identify.forward import Choice
-from missionsim.identify.gram import Constraints, project
+from missionsim.identify.gram import Constraints
 from missionsim.identify.model import Model
 from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import dependences, low_frequency_noise, periodic, runs_apart, wrong_form
 from missionsim.identify.rules import GATES, Question, Remains, demoted, refusal
-from missionsim.identify.settings import AS_MUCH, AT_LEVEL, LEAST_FREE_SD, LEVEL_SHARE, SEVERAL_RUNS, Settings
+from missionsim.identify.settings import SEVERAL_RUNS, Settings
+from missionsim.identify.simpler import factor_told, instead_of_effects, level_difference, parameters_instead
 from missionsim.identify.stepwise import choose, confirmed, forced
 from missionsim.identify.verdict import decide
 
@@ -107,10 +108,14 @@ def _told(
             wrong = [candidates[int(constraints.effect[k])] for k in remains.forms]
             unnamed = tuple(dict.fromkeys(c.effect for c in wrong if not c.levels))
         chosen = tuple(dict.fromkeys(candidates[int(constraints.effect[k])].effect for k in model.chosen))
+        if choice.forward is None:
+            shifted = parameters_instead(model, constraints, candidates, settings)
+            structures = (*shifted.values(), *structures)
+            unnamed = tuple(dict.fromkeys((*unnamed, *shifted)))
         factor = instead_of_effects(model) if set(chosen) - set(unnamed) else None
         if factor is not None:
             named = [name for name in chosen if name not in unnamed]
-            structures, unnamed = (_factor_told(factor, named), *structures), tuple(sorted(chosen))
+            structures, unnamed = (factor_told(factor, named), *structures), tuple(sorted(chosen))
         elif (level := level_difference(model)) is not None:
             averages = (level,)
     # after the refit of shapes, so that rivals meet the effect at its best
@@ -182,14 +187,6 @@ def _unnamed(
         if demoted(question, remains):
             found.append(candidates[int(constraints.effect[column])].effect)
     return tuple(dict.fromkeys(found))
-
-
-def _factor_told(factor: float, effects: Sequence[str]) -> Structure:
-    words = (
-        f"the meter reads {factor:.3g} times what the model gives, whatever the robot does, which explains as much as "
-        f"{' and '.join(effects)} would: check the units of the log, the meter and the robot file"
-    )
-    return Structure("", 0.0, 0.0, abs(factor - 1.0), words)
 
 
 def _judged(
@@ -301,81 +298,3 @@ def _remarks(model: Model, given_runs: int) -> tuple[str, ...]:
     if model.clock.at_edge:
         out.append("the delay or lag of the power meter lies at the edge of what was searched; check the clocks")
     return tuple(out)
-
-
-def may_differ(source: Source) -> bool:
-    """Whether a factor between meter and model can be told at all.
-
-    Not where the energies agree without any fit: a factor that shows only beside effects or a recalibration is the
-    work of these. Nor where base parameters have no prior, as those fitted to these very logs: they follow the meter.
-    """
-    priors = source.layout.prior_sd[: len(source.layout.parameters)]
-    return not np.any(priors >= LEAST_FREE_SD) and abs(plain_ratio(source) - 1.0) > AT_LEVEL
-
-
-def plain_ratio(source: Source) -> float:
-    """Measured energy over that of the file's model as it stands, all runs together."""
-    measured = modelled = 0.0
-    for run in source.runs:
-        seen = np.isfinite(run.measured_w)
-        measured += float(run.dt_s[seen] @ run.measured_w[seen])
-        modelled += float(run.dt_s[seen] @ run.base_w[seen])
-    return measured / modelled if modelled > 0.0 else np.inf
-
-
-def common_factor(model: Model) -> tuple[float, float]:
-    """The factor on the whole model that fits best, and the part of the effects' gain that it alone makes.
-
-    Both are judged with the noise of the model that has the effects, base parameters and differences between runs
-    integrated out, so that a factor within the priors counts for nothing.
-    """
-    design = model.design
-    seen = project(design, model.noise, np.vstack([design.residual, design.base]), ())
-    left, base = np.hstack([seen.rows, seen.pseudo])
-    # a base that recalibration wholly takes up shows no factor
-    size = float(base @ base)
-    if not model.chosen or size <= 0.0:
-        return 1.0, 0.0
-    product = float(left @ base)
-    gain = model.gram.gain(model.chosen)
-    return 1.0 + product / size, 0.5 * product**2 / size / gain if gain > 0.0 else 0.0
-
-
-def instead_of_effects(model: Model) -> float | None:
-    """The factor that explains as much as the effects in the model; None where none does.
-
-    Friction, a standing load and what components draw, each with its own size, imitate a meter that reads 1.5 times too
-    much. A factor says the same with one number.
-    """
-    if not model.chosen or not may_differ(model.source):
-        return None
-    factor, part = common_factor(model)
-    return None if abs(factor - 1.0) < LEVEL_SHARE or part < AS_MUCH else factor
-
-
-def level_difference(model: Model) -> Structure | None:
-    """That model and meter differ by much in all runs, whatever the robot does; None where they do not.
-
-    An unknown offset and gain of the meter in each run are part of the noise model. They are for per cents: wrong
-    units, another robot's file or a large constant load must not hide in them.
-    """
-    if not may_differ(model.source):
-        return None
-    design = model.design
-    # the most probable coefficients, not those that give the measured energy: these would hide the level
-    count = len(design.layout.parameters)
-    value, _ = model.gram.joint(model.chosen, count)
-    error = value @ np.vstack([design.gradient[:count], design.phi[list(model.chosen)]]) - design.residual
-    seconds = design.duration_s
-    errors = np.array([float(error[r] @ seconds[r]) / float(design.y[r] @ seconds[r]) for r in design.runs])
-    if not (np.all(errors > LEVEL_SHARE) or np.all(errors < -LEVEL_SHARE)):
-        return None
-    factor = 1.0 / (1.0 + float(np.median(errors)))
-    # a level that only the fit made is the fit's
-    if (factor - 1.0) * (plain_ratio(model.source) - 1.0) <= 0.0:
-        return None
-    words = (
-        f"the meter reads {factor:.3g} times what the model gives in every run, whatever the robot does: check the "
-        "units of the log and the robot file, or look for a load that is always on"
-    )
-    return Structure("", 0.0, 0.0, float(np.mean(np.abs(errors))), words)

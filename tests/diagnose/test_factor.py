@@ -11,14 +11,8 @@ from missionsim.diagnose import Subject, diagnose, words
 from missionsim.diagnose.diagnosis import examine
 from missionsim.diagnose.split import Split
 from missionsim.identify.design import Source
-from missionsim.identify.identification import (
-    common_factor,
-    instead_of_effects,
-    level_difference,
-    may_differ,
-    plain_ratio,
-)
 from missionsim.identify.settings import Settings
+from missionsim.identify.simpler import common_factor, instead_of_effects, level_difference, may_differ, plain_ratio
 from missionsim.inputs.loading import load_robot
 from missionsim.logs import LogTable
 
@@ -81,3 +75,16 @@ def test_a_level_is_told_only_where_the_plain_energies_differ() -> None:
     assert instead_of_effects(found) is not None
     assert level_difference(replace(empty, source=without_priors(empty.source))) is None
     assert instead_of_effects(replace(found, source=without_priors(found.source))) is None
+
+
+def test_a_parameter_of_the_base_that_is_too_small_is_no_effect_that_imitates_it() -> None:
+    """2 W more while driving: c4 of the file, which no effect is the twin of, and no loss in the copper."""
+    logs = []
+    for seed in range(5):
+        log = drive(seed, seconds=240.0)
+        driving = (np.abs(log.number("speed_m_s")) >= 0.005) | (np.abs(log.number("yaw_rate_rad_s")) >= 0.02)
+        logs.append(replace(log, power_w={"robot": log.power_w["robot"] + 2.0 * driving}))
+    found = examine(Subject.of(load_robot(ROBOT)), Split(tuple(logs), (), ""), "robot", Settings()).found
+    assert found.verdict == "unexplained_structure"
+    assert not found.effects
+    assert "c4 of the robot file is 5" in found.unexplained.structures[0].shape  # 2 of 3.66 W: 55 %

@@ -152,7 +152,7 @@ MUTANTS = [
     ),
     *_of(
         "verdict",
-        "identify/identification.py",
+        "identify/simpler.py",
         ("part < AS_MUCH else factor", "part < 2.0 else factor"),
         ("abs(plain_ratio(source) - 1.0) > AT_LEVEL", "True"),
     ),

@@ -1,0 +1,144 @@
+"""What one number of the base model explains in the place of effects: a factor, a level, or a single parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from missionsim.identify.data import Candidate
+from missionsim.identify.design import Source
+from missionsim.identify.findings import Structure
+from missionsim.identify.gram import Constraints, Gram, project
+from missionsim.identify.model import Model
+from missionsim.identify.settings import AS_MUCH, AT_LEVEL, LEAST_FREE_SD, LEVEL_SHARE, ODDS_NATS, SAME_COLUMN, Settings
+
+
+def may_differ(source: Source) -> bool:
+    """Whether a factor between meter and model can be told at all.
+
+    Not where the energies agree without any fit: a factor that shows only beside effects or a recalibration is the
+    work of these. Nor where base parameters have no prior, as those fitted to these very logs: they follow the meter.
+    """
+    priors = source.layout.prior_sd[: len(source.layout.parameters)]
+    return not np.any(priors >= LEAST_FREE_SD) and abs(plain_ratio(source) - 1.0) > AT_LEVEL
+
+
+def plain_ratio(source: Source) -> float:
+    """Measured energy over that of the file's model as it stands, all runs together."""
+    measured = modelled = 0.0
+    for run in source.runs:
+        seen = np.isfinite(run.measured_w)
+        measured += float(run.dt_s[seen] @ run.measured_w[seen])
+        modelled += float(run.dt_s[seen] @ run.base_w[seen])
+    return measured / modelled if modelled > 0.0 else np.inf
+
+
+def common_factor(model: Model) -> tuple[float, float]:
+    """The factor on the whole model that fits best, and the part of the effects' gain that it alone makes.
+
+    Both are judged with the noise of the model that has the effects, base parameters and differences between runs
+    integrated out, so that a factor within the priors counts for nothing.
+    """
+    design = model.design
+    seen = project(design, model.noise, np.vstack([design.residual, design.base]), ())
+    left, base = np.hstack([seen.rows, seen.pseudo])
+    # a base that recalibration wholly takes up shows no factor
+    size = float(base @ base)
+    if not model.chosen or size <= 0.0:
+        return 1.0, 0.0
+    product = float(left @ base)
+    gain = model.gram.gain(model.chosen)
+    return 1.0 + product / size, 0.5 * product**2 / size / gain if gain > 0.0 else 0.0
+
+
+def instead_of_effects(model: Model) -> float | None:
+    """The factor that explains as much as the effects in the model; None where none does.
+
+    Friction, a standing load and what components draw, each with its own size, imitate a meter that reads 1.5 times too
+    much. A factor says the same with one number.
+    """
+    if not model.chosen or not may_differ(model.source):
+        return None
+    factor, part = common_factor(model)
+    return None if abs(factor - 1.0) < LEVEL_SHARE or part < AS_MUCH else factor
+
+
+def parameters_instead(
+    model: Model, constraints: Constraints, candidates: Sequence[Candidate], settings: Settings
+) -> dict[str, Structure]:
+    """Effects in the model in whose place one base parameter, left free, explains as much; each with what is said.
+
+    Only parameters that no effect is the twin of: a twin is named, or among the rivals.
+    """
+    gram, layout = model.gram, model.design.layout
+    twins = set()
+    for k, column in enumerate(layout.columns):
+        name = candidates[column.candidate].prior
+        if name in layout.parameters:  # what two parameters imitate together is the twin of neither
+            a, b = model.design.phi[k], model.design.gradient[layout.parameters.index(name)]
+            if abs(float(a @ b)) > SAME_COLUMN * float(np.linalg.norm(a) * np.linalg.norm(b)):
+                twins.add(name)
+    told: dict[str, Structure] = {}
+    for number in dict.fromkeys(int(constraints.effect[k]) for k in model.chosen):
+        rest = [k for k in model.chosen if constraints.effect[k] != number]
+        gain = gram.gain(model.chosen) - gram.gain(rest)
+        gain -= float(constraints.grid_nats[next(k for k in model.chosen if k not in rest)])
+        needed = gain - max(ODDS_NATS, settings.noisy_rival_loss * gain)
+        if candidates[number].prior is not None or needed <= 0.0:
+            continue
+        for i, name in enumerate(layout.parameters):
+            if name in twins:
+                continue
+            freedom = gram.prior_precision.copy()
+            freedom[i] = LEAST_FREE_SD**-2.0
+            free = Gram(gram.per_run, freedom)
+            rise = 0.5 * float(gram.conditional(rest)[0, 0] - free.conditional(rest)[0, 0])
+            shift = float(free.joint(rest, len(layout.parameters))[0][i])
+            if rise > needed and abs(shift) > settings.recalibration_limit * layout.prior_sd[i]:
+                effect = candidates[number].effect
+                words = (
+                    f"either {effect}, or {name} of the robot file is {100 * abs(shift):.0f} % too "
+                    f"{'small' if shift > 0.0 else 'large'}: these data cannot tell; calibrate the file first"
+                )
+                share = sum(model.gram.coefficients(model.chosen)[0][[c not in rest for c in model.chosen]])
+                told[effect] = Structure("", 0.0, 0.0, abs(float(share)), words)
+                break
+    return told
+
+
+def level_difference(model: Model) -> Structure | None:
+    """That model and meter differ by much in all runs, whatever the robot does; None where they do not.
+
+    An unknown offset and gain of the meter in each run are part of the noise model. They are for per cents: wrong
+    units, another robot's file or a large constant load must not hide in them.
+    """
+    if not may_differ(model.source):
+        return None
+    design = model.design
+    # the most probable coefficients, not those that give the measured energy: these would hide the level
+    count = len(design.layout.parameters)
+    value, _ = model.gram.joint(model.chosen, count)
+    error = value @ np.vstack([design.gradient[:count], design.phi[list(model.chosen)]]) - design.residual
+    seconds = design.duration_s
+    errors = np.array([float(error[r] @ seconds[r]) / float(design.y[r] @ seconds[r]) for r in design.runs])
+    if not (np.all(errors > LEVEL_SHARE) or np.all(errors < -LEVEL_SHARE)):
+        return None
+    factor = 1.0 / (1.0 + float(np.median(errors)))
+    # a level that only the fit made is the fit's
+    if (factor - 1.0) * (plain_ratio(model.source) - 1.0) <= 0.0:
+        return None
+    words = (
+        f"the meter reads {factor:.3g} times what the model gives in every run, whatever the robot does: check the "
+        "units of the log and the robot file, or look for a load that is always on"
+    )
+    return Structure("", 0.0, 0.0, float(np.mean(np.abs(errors))), words)
+
+
+def factor_told(factor: float, effects: Sequence[str]) -> Structure:
+    """What is said of a factor in the place of effects."""
+    words = (
+        f"the meter reads {factor:.3g} times what the model gives, whatever the robot does, which explains as much as "
+        f"{' and '.join(effects)} would: check the units of the log, the meter and the robot file"
+    )
+    return Structure("", 0.0, 0.0, abs(factor - 1.0), words)
