@@ -102,6 +102,8 @@ class LeftOut:
     better: int
     acting: int
     """Both: runs predicted better, of those in which the law acts."""
+    by_run: tuple[float, ...]
+    """Power error of each run with the law (RMS) [W]."""
 
 
 def left_out(model: Model) -> LeftOut:
@@ -127,4 +129,5 @@ def left_out(model: Model) -> LeftOut:
     told = np.isfinite(energy[0])
     rms, mean = np.sqrt(square.mean(axis=1)), energy[:, told].mean(axis=1) if told.any() else np.zeros(2)
     better = int(np.sum((square[1] < square[0])[acting]))
-    return LeftOut(float(rms[0]), float(rms[1]), float(mean[0]), float(mean[1]), better, int(acting.sum()))
+    runs = tuple(float(x) for x in np.sqrt(square[1]))
+    return LeftOut(float(rms[0]), float(rms[1]), float(mean[0]), float(mean[1]), better, int(acting.sum()), runs)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.glossary import column_of
+from missionsim.identify.proposed import CLOCKS
 from missionsim.physics import Array
 
 MOST_FACTORS = 3
@@ -56,8 +57,9 @@ class Grammar:
 
         With `memory`, only those that `run` cannot simulate, else only those that it can.
         """
-        number = {name: i for i, name in enumerate(dict.fromkeys(f.variable for f in self.factors))}
-        of = np.array([number[f.variable] for f in self.factors], dtype=np.intp)
+        names = ["clock" if f.variable in CLOCKS else f.variable for f in self.factors]  # a law holds one of them
+        number = {name: i for i, name in enumerate(dict.fromkeys(names))}
+        of = np.array([number[name] for name in names], dtype=np.intp)
         plain = np.array([f.simulated for f in self.factors], dtype=bool)
         used = [i for i, f in enumerate(self.factors) if not f.fine and (memory or f.simulated)]
         found = []

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from missionsim.identify.model import Model, log_likelihood
 from missionsim.identify.noise import Noise
+from missionsim.identify.proposed import CLOCKS
 from missionsim.laws.adapter import Ground, Rows32, Sieve
-from missionsim.laws.gates import LEAST_SHARE, LeftOut, left_out
+from missionsim.laws.gates import LEAST_RISE, LEAST_SHARE, LeftOut, left_out
 from missionsim.laws.grammar import Grammar
 from missionsim.physics import Array
 
@@ -42,6 +43,8 @@ HARDLY_WORSE = 1.03
 better, see `missionsim.laws.gates`), and misses the best by no more than this."""
 NEEDED_ERROR = 1.02
 """A law without one of its quantities must predict left-out runs so much worse, or that quantity goes."""
+REPEATS, FEW_RUNS = 1.5, 4
+"""The same must repeat: mean of the logarithm of each run's error, in standard errors, from so many runs on."""
 CLOSE_ERROR = 1.005
 """Of two forms whose left-out errors come this close, likelihood decides."""
 
@@ -111,6 +114,14 @@ def _products(factors: Rows32, forms: NDArray[np.intp]) -> Callable[[slice, slic
         return x
 
     return rows_of
+
+
+def _as_good(plainer: LeftOut, errors: LeftOut, far: bool) -> bool:
+    """Whether left-out runs are predicted about as well by a plainer law; of eight runs a few are better by chance."""
+    if far or len(errors.by_run) < FEW_RUNS or plainer.with_law < NEEDED_ERROR * errors.with_law:
+        return plainer.with_law < NEEDED_ERROR * errors.with_law
+    worse = np.log(np.maximum(plainer.by_run, 1e-300)) - np.log(np.maximum(errors.by_run, 1e-300))
+    return float(np.mean(worse)) < REPEATS * float(np.std(worse, ddof=1)) / math.sqrt(len(worse))
 
 
 def _groups(ground: Ground, every: int) -> NDArray[np.intp]:
@@ -247,17 +258,20 @@ class Search:
         A slow wander looks like a clock within the pieces of a run, and a quantity that hardly varies, or that another
         of them follows, multiplies a law for nothing.
         """
-        limit, best = NEEDED_ERROR * top.errors.with_law, top
+        best, far = top, self.ground.model.squares is not None
         while True:
-            forms = {
-                tuple(i for i in best.form if self.grammar.factors[i].variable != name)
-                for name in self._variables(best.form)
-            }
-            fits = [self.fit(form, top.model.noise) for form in sorted(forms) if form]
-            plainer = min(fits, key=lambda fit: fit.errors.with_law, default=None)
-            if plainer is None or plainer.errors.with_law >= limit:
+            plainer = []
+            for name in sorted(self._variables(best.form)):
+                form = tuple(i for i in best.form if self.grammar.factors[i].variable != name)
+                fit = self.fit(form, top.model.noise) if form else best
+                # what wanders raises the likelihood of a clock, and all that is missing that of any quantity
+                trusted = not far and name not in CLOCKS
+                needed = trusted and top.rise - top.penalty > fit.rise - fit.penalty + LEAST_RISE
+                if form and not needed and _as_good(fit.errors, top.errors, far):
+                    plainer.append(fit)
+            if not plainer:
                 return best
-            best = plainer
+            best = min(plainer, key=lambda fit: fit.errors.with_law)
 
     def _without(self, forms: NDArray[np.intp], variables: set[str]) -> NDArray[np.intp]:
         """Forms that read none of some quantities."""
