@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from missionsim.errors import Fault
-from missionsim.inputs.task import TaskSpec, VisitSpec, speeds_of
+from missionsim.inputs.task import SpeedRange, TaskSpec, VisitSpec, speeds_of
 from missionsim.inputs.tree import Document
 from missionsim.inputs.validation import Checker, Where
 
@@ -128,7 +128,10 @@ class _TaskCheck:
         speeds = speeds_of(given.speeds)
         if speeds is not None and speeds[-1] > top * (1 + 1e-12):
             allowed = f"at most {top:g} m/s (body.max_speed of {self.task.robot.name})"
-            self.check.add((*where, "speeds"), "faster than the robot", f"{speeds[-1]:g} m/s", allowed)
+            each = [] if isinstance(given.speeds, SpeedRange) else [speed.value for speed in given.speeds]
+            raw = self.check.document.node((*where, "speeds")).children
+            at = (each.index(max(each)),) if each and isinstance(raw, list) else () if each else ("to",)
+            self.check.add((*where, "speeds", *at), "faster than the robot", f"{speeds[-1]:g} m/s", allowed)
         known = self.task.robot.schemes
         some = any(c.scheme not in known or known[c.scheme].motion for c in given.schemes or ())
         # beside schemes to drive with, those of the task that stand still are for inspections
@@ -179,7 +182,7 @@ class _TaskCheck:
         task, environment = self.task, self.task.environment
         if environment is None or self.places is None or not (environment.whole and environment.sound):
             return
-        names = {edge.name for edge in environment.edges if edge.name is not None}
+        names = [edge.name for edge in environment.edges if edge.name is not None]
         self.check.keys(("edges",), task.edges, names, "edge")
         if any(name not in self.places for name in (task.start, task.goal)):
             return

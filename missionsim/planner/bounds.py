@@ -146,7 +146,7 @@ class Tour:
         visit = self.site.stops[head].visit
         made = 0.0 if self.values is None or visit is None else float(self.values[visit])
         stands = self.site.standing(head, self.site.order.payload_kg(after))
-        kept = undominated(stands, self.site.shear, np.zeros((len(stands), 0))) if len(stands) > 1 else [0]
+        kept = undominated(stands, self.site.shear, np.zeros((len(stands), 0))).tolist()
         return [(i, self.vector(drive.use + stands[i], made)) for i in kept]
 
     def vector(self, use: Array, made: float = 0.0) -> Array:

@@ -311,23 +311,23 @@ def cost_of(physics: Physics, driven: Sequence[Piece], speeds: Array, rest: NDAr
     return use, np.maximum(peak, np.maximum(use[:, 1:], 0.0))
 
 
-def undominated(use: Array, shear: Array, peak: Array) -> list[int]:
-    """Rows that no other is better than: in time, even where it then has to wait, energies and peaks."""
+def undominated(use: Array, shear: Array, peak: Array, group: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
+    """Rows that no other of their group is better than: in time, even where it then has to wait, energies and peaks."""
     compared = np.concatenate([use - use[:, :1] * shear, peak], axis=1)
-    kept: list[int] = []
-    for i in np.lexsort(compared.T[::-1]).tolist():  # whatever is no better in anything comes later
-        if not (compared[kept] <= compared[i]).all(axis=1).any():
-            kept.append(i)
-    return kept
+    group = np.zeros(len(use), dtype=np.intp) if group is None else group
+    order = np.lexsort((*compared.T[::-1], group))  # whatever is no better in anything comes later
+    compared, group = compared[order], group[order]
+    worse = np.zeros(len(use), dtype=bool)
+    rows, apart = np.arange(1, len(use)), 1
+    while (rows := rows[group[rows] == group[rows - apart]]).size:
+        worse[rows] |= (compared[rows - apart] <= compared[rows]).all(axis=1)
+        apart += 1
+        rows = rows[rows >= apart]
+    return np.asarray(order[~worse])
 
 
 def _undominated(road: Road, shear: Array) -> Road:
     """Without arcs that cost no less than another between the same states."""
-    order = np.lexsort((road.heads, road.tails))
-    ends = np.stack([road.tails, road.heads], axis=1)[order]
-    cuts = np.flatnonzero((np.diff(ends, axis=0) != 0).any(axis=1)) + 1
-    keep: list[int] = []
-    for group in np.split(order, cuts):
-        keep += group[undominated(road.use[group], shear, road.peak[group])].tolist()
-    driven = [road.driven[i] for i in keep]
+    keep = undominated(road.use, shear, road.peak, road.tails * len(road.states) + road.heads)
+    driven = [road.driven[i] for i in keep.tolist()]
     return Road(road.states, road.tails[keep], road.heads[keep], road.use[keep], road.peak[keep], driven, road.index)
