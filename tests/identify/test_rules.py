@@ -13,8 +13,10 @@ from missionsim.identify.data import Candidate
 from missionsim.identify.estimates import rivals
 from missionsim.identify.evidence import evidence_of, nats_needed, predicts_left_out, rests_on_one_run, tails
 from missionsim.identify.findings import Estimate, Finding, Structure
+from missionsim.identify.forward import _Search
 from missionsim.identify.gram import Constraints, Gram
 from missionsim.identify.identification import Identification, fit_effects, identify
+from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.rules import DEMOTIONS, GATES, LAST_GATES, Question, Remains, demoted
 from missionsim.identify.settings import Settings
 from missionsim.identify.verdict import decide
@@ -205,3 +207,16 @@ def test_runs_that_share_a_gain_do_not_differ() -> None:
     found = identify(apart, library(), {})
     assert "run" not in found.unexplained.depends_on
     assert any("meters that differ" in remark for remark in found.remarks)
+
+
+@pytest.mark.parametrize(("p_value", "stays"), [(0.02, True), (0.004, False)])
+def test_worse_energy_of_left_out_runs_at_one_in_a_hundred_in_both_searches(
+    grade: Question, monkeypatch: pytest.MonkeyPatch, p_value: float, stays: bool
+) -> None:
+    """A car of seven trips lost its inertia (85 % of the squared error) at p = 0.04."""
+    monkeypatch.setattr(LeastSquares, "energy_no_worse", lambda *_: p_value)
+    again = replace(grade)  # what was asked is kept
+    assert passed(again)["energy"] is stays
+    model = grade.model
+    search = _Search(LeastSquares.of(model.design), model.source.layout, grade.candidates, Settings())
+    assert search.measured(int(grade.constraints.effect[model.chosen[0]]), model.chosen, ()).passed["energy"] is stays
