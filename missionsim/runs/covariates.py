@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import Any
 
 import numpy as np
 
@@ -143,14 +142,14 @@ def may_be_cause(name: str) -> bool:
     return bool(part) and _WHOLE.isdisjoint(words) and not _NO_CAUSE.search(name)
 
 
-def repeated(runs: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+def repeated(runs: Sequence[Mapping[str, object]]) -> dict[str, str]:
     """Columns beyond the glossary that are a straight line of one in it over all runs (km/h, rpm), and of which.
 
     `runs`: covariates of each run, arrays of shape (n,).
     """
     shared = sorted(set.intersection(*(set(run) for run in runs)))
-    rows = {name for name in shared if all(_is_number(run[name], np.shape(run["time_s"])) for run in runs)}
-    every = 1 + sum(len(run["time_s"]) for run in runs) // _ROWS
+    rows = {name for name in shared if all(_is_number(run[name], np.asarray(run["time_s"]).shape) for run in runs)}
+    every = 1 + sum(np.asarray(run["time_s"]).size for run in runs) // _ROWS
 
     def values(name: str) -> Array:
         return np.concatenate([np.asarray(run[name], dtype=float) for run in runs])[::every]
@@ -169,8 +168,8 @@ def repeated(runs: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     return found
 
 
-def _is_number(value: Any, shape: tuple[int, ...]) -> bool:
-    return not isinstance(value, Labels) and np.shape(value) == shape and np.asarray(value).dtype.kind in "fiub"
+def _is_number(value: object, shape: tuple[int, ...]) -> bool:
+    return not isinstance(value, Labels) and np.asarray(value).shape == shape and np.asarray(value).dtype.kind in "fiub"
 
 
 def _is_quantity(name: str) -> bool:
@@ -185,7 +184,7 @@ def _correlation(a: Array, b: Array) -> float:
     return float(np.corrcoef(a[both], b[both])[0, 1])
 
 
-def remarks_on(runs: Sequence[Mapping[str, Any]]) -> list[str]:
+def remarks_on(runs: Sequence[Mapping[str, object]]) -> list[str]:
     """What to know of columns beyond the glossary: which are left out, and which should have another name."""
     told = [f"{name} is a straight line of {other}: no law reads it" for name, other in repeated(runs).items()]
     for name in sorted(set.intersection(*(set(run) for run in runs))):
