@@ -111,7 +111,7 @@ def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored],
     as_good = [read[form] for form in fits if fits[form].errors.with_law <= limit]
     others = [one for one in near if one.form != lead and set(search.grammar.variables(one.form)) in as_good]
     fitted = search.settled(fits[lead])
-    return [forms[lead], *others][:MOST_LAWS], beside, fitted, gates(fitted)
+    return [forms[lead], *others][:MOST_LAWS], beside, fitted, gates(fitted, clock=bool(read[lead] & CLOCKS))
 
 
 def _one_each(near: Sequence[Scored], grammar: Grammar) -> list[Scored]:

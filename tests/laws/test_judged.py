@@ -24,7 +24,7 @@ def test_a_best_form_whose_sign_is_wrong_among_the_others_does_not_stand_first(
 
     near = [Scored((0,), 50.0, 0.1, 45.0)] + [Scored((1,), 50.0, 0.1, 45.0)] * best_is_near
     search = SimpleNamespace(grammar=grammar, fit=fitted, settled=lambda one: one)
-    monkeypatch.setattr(proposal, "gates", lambda one: one.form)
+    monkeypatch.setattr(proposal, "gates", lambda one, **_: one.form)
     kept, _, chosen, seen = proposal._judged(search, SimpleNamespace(best=fitted((1,)), near=tuple(near)))
     assert kept[0].form == chosen.form == seen == first
 
@@ -65,7 +65,7 @@ def _judged(monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...], errors: tup
 
     near = tuple(Scored((i,), 50.0, 0.1, 45.0 - 0.1 * i) for i in range(len(names)))
     search = SimpleNamespace(grammar=grammar, fit=fitted, settled=lambda one: one)
-    monkeypatch.setattr(proposal, "gates", lambda one: one.form)
+    monkeypatch.setattr(proposal, "gates", lambda one, **_: one.form)
     kept, _, chosen, seen = proposal._judged(search, SimpleNamespace(best=fitted((best,)), near=near))
     assert kept[0].form == chosen.form == seen
     return [names[one.form[0]] for one in kept]
@@ -86,6 +86,17 @@ def test_far_from_right_a_product_of_three_needs_three_runs_in_which_it_acts(
     passed = gates.gates(law).passed
     assert passed.pop("several runs") is held
     assert all(passed.values())
+
+
+@pytest.mark.parametrize(("better", "clock", "held"), [(4, False, True), (5, True, False), (6, True, True)])
+def test_a_clock_must_help_in_three_runs_of_four(
+    monkeypatch: pytest.MonkeyPatch, better: int, clock: bool, held: bool
+) -> None:
+    monkeypatch.setattr(gates, "_robust", lambda *_: (0.1, 0.005))
+    model = SimpleNamespace(squares=None, design=SimpleNamespace(runs=[slice(0, 1)] * 8))
+    errors = SimpleNamespace(without=2.0, with_law=1.0, better=better, acting=8)
+    law = SimpleNamespace(model=model, column=0, errors=errors, rise=80.0, penalty=5.0, form=(0,))
+    assert gates.gates(law, clock=clock).passed["left-out runs"] is held
 
 
 def test_a_run_whose_meter_stood_at_nought_has_no_energy_error() -> None:
