@@ -237,6 +237,7 @@ def _freeze(
         fresh[battery] = mask
         if statistics:
             suspect.check_dead_meter(rows, battery, power[battery])
+            suspect.check_ceiling(rows, battery, power[battery])
     if statistics and "speed_m_s" in rows.columns:
         suspect.check_standstill(rows, next(iter(power.values())) if len(power) == 1 else None)
         check_clock(rows, power)
