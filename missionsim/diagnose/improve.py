@@ -11,9 +11,10 @@ from typing import Any
 from missionsim.diagnose.adopt import write
 from missionsim.diagnose.diagnosis import diagnose_battery, examine
 from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
+from missionsim.diagnose.sentences import base_note
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.subject import NO_PRIOR_SD, Subject, prior_before
-from missionsim.diagnose.waterfall import best_before, noise_floor, unseen_note, worse_note
+from missionsim.diagnose.waterfall import best_before, clearly_better, noise_floor, unseen_note, worse_note
 from missionsim.files import Json
 from missionsim.fit.final import FinalFit
 from missionsim.identify.findings import BatteryDiagnosis, Finding
@@ -80,13 +81,18 @@ class Improved:
         `options`: of the command that this came of, such as ``--holdout later``. Both empty where nothing is better;
         the command alone where the file as it was given is.
         """
-        if not self.worse:
+        before, recalibrated = self.steps[:2]
+        far = not self.added and clearly_better(recalibrated, before)
+        if not (self.worse or far):
             return "", ""
-        best = best_before(self.steps[:-1])
+        best = best_before(self.steps[:-1]) if self.worse else 1
         if best == 0:
             return "The robot file as it was predicts these runs best: leave it as it is.", ""
         given = f"--robot {shlex.quote(robot)} {' '.join(shlex.quote(str(log)) for log in logs)}"
         out = f"--out {shlex.quote(Path(robot).stem + '_better.yaml')}"
+        if far:
+            told = f"Nothing was added; the file is as it was. {base_note(before, recalibrated)}"
+            return told, f"missionsim calibrate {given} {out}"
         if best == 1:
             told = "The same file with its base fitted anew and nothing added predicts these runs better."
             return told, f"missionsim calibrate {given} {out}"

@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from missionsim.diagnose.waterfall import worse_of
+from missionsim.diagnose.waterfall import Errors, Told, clearly_better, worse_of
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.proposed import QUANTITY, Proposal
 
@@ -194,6 +194,24 @@ def _odds(p: float) -> str:
     return f"one case in {10 ** round(math.log10(1.0 / p)):,.0f}" if p < 0.1 else "many cases"
 
 
+def base_note(before: Errors, recalibrated: Errors) -> str:
+    """In words, that the base of a file is off, and what fitting it anew does."""
+    return (
+        f"The base of the robot file is off: fitted anew, the energy error falls from {before.energy_error_pct:.2f} to "
+        f"{recalibrated.energy_error_pct:.2f} %, the power error from {before.power_rmse_w:.3g} to "
+        f"{recalibrated.power_rmse_w:.3g} W."
+    )
+
+
+def _base_off(battery: BatteryDiagnosis) -> tuple[Told, Told] | None:
+    """Errors before and recalibrated, where nothing was found and the base alone is clearly off."""
+    held = battery.heldout
+    if held is None or battery.effects or battery.proposed_laws:
+        return None
+    before, after = (Told(held.energy_error_pct[k], held.power_rmse_w[k]) for k in ("nominal", "recalibrated"))
+    return (before, after) if clearly_better(after, before) else None
+
+
 def errors(battery: BatteryDiagnosis) -> str:
     """What the error on runs that were not used was and is."""
     held = battery.heldout
@@ -210,7 +228,7 @@ def errors(battery: BatteryDiagnosis) -> str:
         if battery.proposed_laws[0].heldout_energy_pct is not None:
             energy = (energy[0], battery.proposed_laws[0].heldout_energy_pct[1])
     if not battery.effects and not battery.proposed_laws:
-        return ""
+        return base_note(*far) if (far := _base_off(battery)) else ""
     alone = held.power_rmse_w["recalibrated"]
     told = f"On runs not used the power error was {power(before)} ({power(alone)} recalibrated) and is"
     if after > before:
@@ -224,7 +242,7 @@ def errors(battery: BatteryDiagnosis) -> str:
 
 
 def next_step(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path], several: bool = False) -> str:
-    """The command to type next; empty where nothing is to be added."""
+    """The command to type next; empty where there is nothing to add or to fit anew."""
     files = " ".join(shlex.quote(str(log)) for log in logs)
     on = f" --battery {battery.battery}" if several else ""
     out = f"{Path(robot).stem}_better.yaml"
@@ -236,6 +254,8 @@ def next_step(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path],
             f"missionsim add-effect --robot {shlex.quote(robot)} --effect {shlex.quote(clear.effect)}{on} {files} "
             f"--out {shlex.quote(out)}"
         )
+    if _base_off(battery):
+        return f"missionsim calibrate --robot {shlex.quote(robot)}{on} {files} --out {shlex.quote(out)}"
     one = battery.proposed_laws[0] if battery.proposed_laws else None
     if not battery.effects and one is not None and one.first.simulated and not one.open:
         twin = one.looks_like

@@ -151,8 +151,16 @@ def noted(battery: BatteryDiagnosis) -> BatteryDiagnosis:
 
 SHOWN_PCT, SHOWN_SHARE = 0.005, 1e-3
 """Differences of energy errors [%], and of power errors as a part, that the printed digits hardly show."""
+FAR_SHARE = 0.05
+"""Part by which a recalibration lowers the power error where the base alone is worth fitting anew (assumed)."""
 CLEAR_SHARE = 0.01
 """Rise of the power error over the better of file and recalibration that is told (assumed)."""
+
+
+def clearly_better(one: Errors, other: Errors) -> bool:
+    """Whether one model's power error is less by more than `FAR_SHARE` and its energy error no greater."""
+    less = one.power_rmse_w < (1.0 - FAR_SHARE) * other.power_rmse_w
+    return less and one.energy_error_pct <= other.energy_error_pct + SHOWN_PCT
 
 
 def best_before(bars: Sequence[Errors]) -> int:

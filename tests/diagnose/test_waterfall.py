@@ -171,3 +171,16 @@ def test_nothing_is_called_complete_while_the_runs_not_used_are_far_off() -> Non
         assert "nothing is left" not in told
     mended = replace(far, heldout=replace(held, energy_error_pct={**held.energy_error_pct, "recalibrated": 1.3}))
     assert "fitted runs do not show" not in words.headline(mended)  # that is a base to be fitted anew
+
+
+def test_a_base_that_is_off_is_told_with_the_command_that_fits_it() -> None:
+    bars = (Step("before", 68.22, 111.0), Step("recalibrated", 0.86, 7.18), Step("noise floor", 0.9, 7.2))
+    told, command = replace(improved(1.0), added=(), steps=bars).advice("my.yaml", ["train"], "--holdout held")
+    assert "from 68.22 to 0.86 %" in told
+    assert command == "missionsim calibrate --robot my.yaml train --out my_better.yaml"
+    energy, rmse = ({"nominal": a, "recalibrated": b, "with_effects": b} for a, b in ((68.22, 0.86), (111.0, 7.18)))
+    quiet = replace(BATTERY, effects=(), verdict="nothing_missing", heldout=HeldOut("the last", ("e",), energy, rmse))
+    assert "from 68.22 to 0.86 %" in sentences.errors(quiet)
+    assert sentences.next_step(quiet, "my.yaml", ["train"]) == command
+    near = (Step("before", 0.9, 7.2), *bars[1:])
+    assert replace(improved(1.0), added=(), steps=near).advice("my.yaml", ["train"]) == ("", "")
