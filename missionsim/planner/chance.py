@@ -18,7 +18,7 @@ from missionsim.physics import Array
 from missionsim.planner.answer import Answer, Leg
 from missionsim.planner.draws import Columns, draws_of, mission_file, slack_of, standard_error, surer, told
 from missionsim.planner.rounds import of_one_kind, plan_rounds
-from missionsim.planner.solve import FEW_LABELS, MOST_LABELS, Watch, solve_site
+from missionsim.planner.solve import FEW_LABELS, MOST_LABELS, WIDE, Watch, solve_site
 from missionsim.planner.tour import Site, make_site
 
 TRIES = 6
@@ -211,7 +211,8 @@ class _Search:
     def _proved(self, tried: _Tried, fresh: dict[str, float], asked: float) -> tuple[Answer, RunResult]:
         """A plan that holds, or a better one within its margins, with the proof."""
         answer = tried.answer
-        if self.site.task.repeat is None and not answer.stopped and answer.gap > SAME:
+        vain = answer.extra.get("assumed") and answer.gap > WIDE
+        if self.site.task.repeat is None and not answer.stopped and answer.gap > SAME and not vain:
             proved = self.plan(tried.margins, f"proof, for what holds in {100 * fresh['value']:.2f} %")
             if proved is not None:
                 said = {key: proved.answer.extra[key] for key in ("assumed",) if key in proved.answer.extra}

@@ -228,6 +228,7 @@ def _search(
         if (
             stopped
             or (soon and best is None)
+            or (vain and best is not None and labels < MOST_LABELS)
             or (exact and (tired or needed <= gap or math.isinf(gap) or (best and not drives.complete)))
         ):
             break

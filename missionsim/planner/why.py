@@ -302,9 +302,9 @@ def alternatives(answer: Answer) -> list[Json]:
     choose = task.choose
     kinds: list[tuple[str, Site]] = []
     schemes = choose.schemes or ()
-    used = {leg.piece.scheme for leg in answer.legs if leg.piece is not None}
+    used = [leg.piece.scheme for leg in answer.legs if leg.piece is not None]
     for scheme in schemes if len(schemes) > 1 else ():
-        if used != {scheme}:
+        if any(one != scheme for one in used):
             kinds.append((f"only scheme {_scheme_name(scheme)}", _site(task, schemes=(scheme,))))
     if any(leg.kind == "charge" for leg in answer.legs):
         kinds.append(("no charging", _site(task, docks="none")))

@@ -464,3 +464,11 @@ def test_a_dock_that_is_reached_with_nothing_is_told(root: Path, capsys: pytest.
         assert run_command([*words, *sets]) == 0
         said = capsys.readouterr().err
         assert ("nothing is left of battery 'drive'" in said) is told, said
+
+
+def test_alternatives_of_schemes_that_name_their_sensors(root: Path, tmp_path: Path) -> None:
+    schemes = "choose.schemes=[mapped, {scheme: seen, sensors: {lidar: 1}}]"
+    words = ["plan", str(root / "missions/planning/inspection.yaml"), "--set", TWO, "--set", schemes, "--alternatives"]
+    assert run_command([*words, "--json", str(tmp_path / "a.json"), "--quiet"]) == 0
+    kinds = {item["kind"] for item in json.loads((tmp_path / "a.json").read_text())["alternatives"]}
+    assert any(kind.startswith("only scheme") for kind in kinds)
