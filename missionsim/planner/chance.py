@@ -270,7 +270,7 @@ class _Search:
             if tried.answer.stopped and best is not None:
                 break
             # in haste somewhat more than needed, so that the first plan within holds
-            needed = self._needed(tried, limits, target) * (1.2 if tried.answer.stopped else 1.0)
+            needed = self._needed(tried, limits, min(target + 0.5 * NEAR, 1.0)) * (1.2 if tried.answer.stopped else 1.0)
             if not needed.any():
                 break
             if any(known is not None and np.allclose(needed, known, rtol=0.02) for known in (low, high, beyond)):
