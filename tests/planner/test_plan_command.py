@@ -402,18 +402,7 @@ def test_with_charges_the_margin_is_as_tight_as_draws_can_tell(root: Path, tmp_p
     assert 0.95 <= sure["probability"]["value"] < 0.965
     assert sure["margins"]["reserve_wh"]["drive"] + sure["margins"]["on_the_way_wh"]["drive"] > 0.0
     target = tmp_path / "draws.json"
-    words = [
-        "montecarlo",
-        str(tmp_path / "mission.yaml"),
-        "--runs",
-        "400",
-        "--seed",
-        "5",
-        "--engine",
-        "simpy",
-        "--sobol",
-        "0",
-    ]
+    words = ["montecarlo", str(tmp_path / "mission.yaml"), "--runs", "4000", "--seed", "5", "--sobol", "0"]
     run_command([*words, "--set", CHARGED[0], "--set", BACK, "--json", str(target), "--quiet"])
     simulated, told = json.loads(target.read_text())["p_feasible"], sure["probability"]
     assert simulated["low"] <= told["high"]
