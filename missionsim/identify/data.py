@@ -9,6 +9,7 @@ from dataclasses import KW_ONLY, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.identify.settings import NEVER_ON_PART
 from missionsim.physics import Array
 
 Refit = Callable[[Mapping[str, float]], Sequence[Array]]
@@ -99,6 +100,10 @@ class Candidate:
     by_clock: bool = False
     plausible: float = math.inf
     never_on: Mapping[str, float] = field(default_factory=dict)
+
+    def may_be(self, size_w: float) -> tuple[str, ...]:
+        """The loads of `never_on` that an effect of a size [W] may be."""
+        return tuple(name for name, watts in self.never_on.items() if NEVER_ON_PART * watts < size_w <= watts)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from missionsim.identify.residual import ramps, steady
 from missionsim.identify.settings import (
     BESIDE_RUN_LEVEL,
     EXTRA_EFFECT_NATS,
-    NEVER_ON_PART,
     NOISY_SLOPE,
     ODDS_NATS,
     RAMP_SYSTEMATIC,
@@ -236,8 +235,7 @@ def estimated(
         size_w = sum(abs(sizes[k]) for k in own) * model.design.layout.mean_power_w
         if size_w <= watts:
             similar = (*similar, *(name for name in loads if name != candidate.effect))
-        never_on = (name for name, w in candidate.never_on.items() if NEVER_ON_PART * w < size_w <= w)
-        similar = (*similar, *(name for name in never_on if name not in (*similar, candidate.effect)))
+        similar = (*similar, *(name for name in candidate.may_be(size_w) if name not in (*similar, candidate.effect)))
         if not similar and evidence[0].p_runs > BESIDE_RUN_LEVEL and cause_is_constant(model, own[0], candidates):
             similar = _larger(number, model, constraints, candidates, sizes)
         leads = {p.b: p.separation_nats for p in alike if p.a == candidate.effect}

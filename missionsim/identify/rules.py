@@ -180,6 +180,9 @@ def _faint_beside_loose(q: Question, remains: Remains) -> bool:
     size = max(s.size_share for s in remains.loose)
     # what is constant in runs does not come and go within them
     within = not between_runs(q.model, q.evidence.column)
+    # told with a load whose switch is stuck, it is a question, and the answer to what comes and goes may be that load
+    if _candidate(q).may_be(abs(q.evidence.share) * q.model.design.layout.mean_power_w):
+        return False
     return (q.evidence.gain < FAINT_NATS and within) or abs(q.evidence.share) < FAINT_SHARE * size
 
 

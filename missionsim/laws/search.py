@@ -121,7 +121,9 @@ def _as_good(plainer: LeftOut, errors: LeftOut, far: bool) -> bool:
     if far or len(errors.by_run) < FEW_RUNS or plainer.with_law < NEEDED_ERROR * errors.with_law:
         return plainer.with_law < NEEDED_ERROR * errors.with_law
     worse = np.log(np.maximum(plainer.by_run, 1e-300)) - np.log(np.maximum(errors.by_run, 1e-300))
-    return float(np.mean(worse)) < REPEATS * float(np.std(worse, ddof=1)) / math.sqrt(len(worse))
+    repeats = float(np.mean(worse)) >= REPEATS * float(np.std(worse, ddof=1)) / math.sqrt(len(worse))
+    # what every run needs is needed, though one needs it most: a payload is constant in runs
+    return not repeats and bool(np.any(worse <= 0.0))
 
 
 def _groups(ground: Ground, every: int) -> NDArray[np.intp]:
