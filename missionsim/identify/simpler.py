@@ -79,29 +79,30 @@ def parameters_instead(
             a, b = model.design.phi[k], model.design.gradient[layout.parameters.index(name)]
             if abs(float(a @ b)) > SAME_COLUMN * float(np.linalg.norm(a) * np.linalg.norm(b)):
                 twins.add(name)
+    freed: dict[int, Gram] = {}
+    for i in (i for i, name in enumerate(layout.parameters) if name not in twins):
+        freedom = gram.prior_precision.copy()
+        freedom[i] = LEAST_FREE_SD**-2.0
+        freed[i] = Gram(gram.per_run, freedom)
     told: dict[str, Structure] = {}
     for number in dict.fromkeys(int(constraints.effect[k]) for k in model.chosen):
-        rest = [k for k in model.chosen if constraints.effect[k] != number]
-        gain = gram.gain(model.chosen) - gram.gain(rest)
-        gain -= float(constraints.grid_nats[next(k for k in model.chosen if k not in rest)])
-        needed = gain - max(ODDS_NATS, settings.noisy_rival_loss * gain)
-        if candidates[number].prior is not None or needed <= 0.0:
+        if candidates[number].prior is not None:
             continue
-        for i, name in enumerate(layout.parameters):
-            if name in twins:
-                continue
-            freedom = gram.prior_precision.copy()
-            freedom[i] = LEAST_FREE_SD**-2.0
-            free = Gram(gram.per_run, freedom)
-            rise = 0.5 * float(gram.conditional(rest)[0, 0] - free.conditional(rest)[0, 0])
+        own = [k for k in model.chosen if constraints.effect[k] == number]
+        rest = [k for k in model.chosen if k not in own]
+        gain = gram.gain(model.chosen) - gram.gain(rest) - float(constraints.grid_nats[own[0]])
+        needed = gain - max(ODDS_NATS, settings.noisy_rival_loss * gain)
+        left = float(gram.conditional(rest)[0, 0])
+        for i, free in freed.items() if needed > 0.0 else ():
+            rise = 0.5 * (left - float(free.conditional(rest)[0, 0]))
             shift = float(free.joint(rest, len(layout.parameters))[0][i])
             if rise > needed and abs(shift) > settings.recalibration_limit * layout.prior_sd[i]:
                 effect = candidates[number].effect
                 words = (
-                    f"either {effect}, or {name} of the robot file is {100 * abs(shift):.0f} % too "
+                    f"either {effect}, or {layout.parameters[i]} of the robot file is {100 * abs(shift):.0f} % too "
                     f"{'small' if shift > 0.0 else 'large'}: these data cannot tell; calibrate the file first"
                 )
-                share = sum(model.gram.coefficients(model.chosen)[0][[c not in rest for c in model.chosen]])
+                share = gram.coefficients(model.chosen)[0][[k in own for k in model.chosen]].sum()
                 told[effect] = Structure("", 0.0, 0.0, abs(float(share)), words)
                 break
     return told

@@ -265,11 +265,13 @@ class Search:
             plainer = []
             for name in sorted(self._variables(best.form)):
                 form = tuple(i for i in best.form if self.grammar.factors[i].variable != name)
-                fit = self.fit(form, top.model.noise) if form else best
+                if not form:
+                    continue
+                fit = self.fit(form, top.model.noise)
                 # what wanders raises the likelihood of a clock, and all that is missing that of any quantity
                 trusted = not far and name not in CLOCKS
                 needed = trusted and top.rise - top.penalty > fit.rise - fit.penalty + LEAST_RISE
-                if form and not needed and _as_good(fit.errors, top.errors, far):
+                if not needed and _as_good(fit.errors, top.errors, far):
                     plainer.append(fit)
             if not plainer:
                 return best
