@@ -87,7 +87,7 @@ def _back_over_the_way(mission: Any, result: Any, battery: str, distance: Array)
     """Energy (J) of driving back what has been driven, with the same settings and the slopes reversed."""
     from dataclasses import replace
 
-    from missionsim.effects.integrate import integrate
+    from missionsim.effects.timeline import integrate
     from missionsim.inputs.power import build_power_model
 
     line = result.timeline

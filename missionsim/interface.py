@@ -308,8 +308,8 @@ def calibrate(robot: PathLike, logs: Logs, *, battery: str | None = None) -> Ans
 def plan(task: PathLike, *, set: Values | None = None, robot: PathLike | None = None) -> Answer[PlanAnswer]:
     """Plan a task: order, way, speed, scheme, charging; see ``missionsim plan``. `Answer.save` writes the mission."""
     from missionsim.inputs.loading import load_task
+    from missionsim.planner.answer import mission_text
     from missionsim.planner.chance import plan_task
-    from missionsim.planner.write import mission_text
 
     found, _ = plan_task(load_task(task, _pairs(set), None if robot is None else str(robot)))
     data = found.summary()

@@ -54,7 +54,7 @@ def plan(
     """
     from missionsim.cli.parse import check_picture
     from missionsim.inputs.loading import load_task
-    from missionsim.planner.write import mission_text
+    from missionsim.planner.answer import mission_text
 
     check_picture(plot)
     check_writable(out, plot, report)

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel
-from missionsim.effects.timeline import Timeline
+from missionsim.effects.timeline import Timeline, integrate
 from missionsim.files import Json
 from missionsim.glossary import STILL_SPEED_M_S
 from missionsim.physics import Array

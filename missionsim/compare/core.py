@@ -15,9 +15,8 @@ import numpy as np
 from missionsim.compare.behaviour import MissionGap, split_behaviour
 from missionsim.compare.comparison import BatteryComparison, Comparison, RunComparison
 from missionsim.compare.where import Accumulator, RunSums, Series, dependences
-from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel
-from missionsim.effects.timeline import Timeline
+from missionsim.effects.timeline import Timeline, integrate
 from missionsim.errors import Fault, InputError
 from missionsim.logs.raw import Remark, merge
 from missionsim.physics import Array

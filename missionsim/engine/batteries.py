@@ -14,9 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel
-from missionsim.effects.timeline import Timeline
+from missionsim.effects.timeline import Timeline, integrate
 from missionsim.engine.curves import Curves, adaptive_runge_kutta, root
 from missionsim.physics import Array, Value
 

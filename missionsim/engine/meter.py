@@ -13,9 +13,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from missionsim.effects.integrate import integrate
 from missionsim.effects.model import PowerModel, TermKey
-from missionsim.effects.timeline import Timeline
+from missionsim.effects.timeline import Timeline, integrate
 from missionsim.engine.batteries import CHARGING, HELD, Battery, Loads
 from missionsim.engine.outcome import J_PER_WH, Alarm
 from missionsim.engine.recorder import Recorder, Row, timeline

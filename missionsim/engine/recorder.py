@@ -141,7 +141,7 @@ def timeline(
 
     `parts`: of each run: its rows, and the legs of its plan and the states of its components (`Recorder.states`), to
     which rows refer by index. `needs`: covariates that the model reads; ``time_s`` is only given where it is one of
-    them. Gives glossary columns and rates, ready for `missionsim.effects.integrate`.
+    them. Gives glossary columns and rates, ready for `missionsim.effects.timeline`.
     """
     flat = chain.from_iterable((r[0], r[1], r[4], r[6], r[7], *r[3][2:]) for rows, _, _ in parts for r in rows)
     start, duration, elapsed, moving_time, starts, speed, accel, lateral, lateral_rate, yaw, yaw_rate, moving = (

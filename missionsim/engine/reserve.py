@@ -13,9 +13,9 @@ from missionsim.engine.meter import Asked, Evaluating
 from missionsim.engine.recorder import Row
 from missionsim.inputs.mission import MissionSpec
 from missionsim.physics import Value
+from missionsim.plan.kinematics import group
 from missionsim.plan.legs import Leg, Limits, OnEdge
 from missionsim.plan.routes import Routes, Way, along
-from missionsim.plan.steps import group
 
 if TYPE_CHECKING:
     from missionsim.engine.world import World

@@ -17,9 +17,8 @@ from missionsim.engine.batteries import Battery, ConstantEnergy
 from missionsim.engine.components import ComponentInfo
 from missionsim.engine.meter import Batch, Evaluating, alone
 from missionsim.engine.outcome import J_PER_WH, Alarm, BatteryResult, DrivenEdge, RunResult, edges_driven
-from missionsim.engine.remarks import doubts, never_on
 from missionsim.engine.reserve import Homing, home_energies
-from missionsim.engine.setup import build_battery, check_covariates, split_values
+from missionsim.engine.setup import build_battery, check_covariates, doubts, never_on, split_values
 from missionsim.engine.world import World
 from missionsim.errors import Fault, InputError
 from missionsim.inputs.battery import BatterySpec
@@ -29,9 +28,9 @@ from missionsim.inputs.segments import DockSegment, RechargeSpec
 from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.build import legs_of, make_plan
+from missionsim.plan.kinematics import group
 from missionsim.plan.legs import Leg, Plan, Step
 from missionsim.plan.routes import routes_of
-from missionsim.plan.steps import group
 
 if TYPE_CHECKING:
     from numpy.random import Generator

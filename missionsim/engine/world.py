@@ -15,8 +15,8 @@ from missionsim.engine.meter import Evaluating, Meter
 from missionsim.engine.outcome import Alarm
 from missionsim.engine.recorder import Recorder
 from missionsim.physics import Value
+from missionsim.plan.kinematics import group
 from missionsim.plan.legs import Gate, Leg, Phase, Plan, Recharge, SegmentInfo, Step
-from missionsim.plan.steps import group
 
 Leave = Callable[[Leg | None, float, bool, str, int], tuple[list[Leg], tuple[Step, ...], bool] | None]
 """``(leg driven last, metres on it, whether the robot stands, battery, segment)`` to legs and steps to a dock, and back

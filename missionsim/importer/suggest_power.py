@@ -11,7 +11,7 @@ import numpy as np
 
 from missionsim.importer.roles import UNITS, Guess, words_of
 from missionsim.labels import Labels
-from missionsim.logs.power import refreshes
+from missionsim.logs.raw import refreshes
 from missionsim.physics import Array
 
 if TYPE_CHECKING:

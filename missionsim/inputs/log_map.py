@@ -10,7 +10,7 @@ from missionsim.expressions import compile_expression
 from missionsim.inputs.base import FileModel, Model, Name, Text, alone
 from missionsim.inputs.tree import Document, dotted
 from missionsim.inputs.values import AnyNumber, Parameter, Period, QuantityOf
-from missionsim.logs.power import MEASURED, measured_batteries
+from missionsim.logs.raw import MEASURED, measured_batteries
 
 Formula = Annotated[
     str,

@@ -10,7 +10,7 @@ import numpy as np
 from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
-from missionsim.logs.power import refreshes
+from missionsim.logs.raw import refreshes
 from missionsim.physics import Array
 from missionsim.physics.meter import Meter, metered
 

@@ -18,8 +18,7 @@ from missionsim.labels import Labels
 from missionsim.logs import suspect
 from missionsim.logs.clean import Rows, fill_missing, order_time
 from missionsim.logs.obstacles import check_clock, check_obstacles
-from missionsim.logs.power import battery_power, measured_batteries, missing_columns
-from missionsim.logs.raw import RawTable, Remark, merge
+from missionsim.logs.raw import RawTable, Remark, battery_power, measured_batteries, merge, missing_columns
 from missionsim.logs.readers import Options, log_suffixes, not_there, table_reader
 from missionsim.logs.times import TimeAxis
 from missionsim.runs.run import Run, row_durations

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from missionsim.glossary import COLUMNS, STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
-from missionsim.logs.power import refreshes
+from missionsim.logs.raw import refreshes
 from missionsim.physics import Array
 
 Bools = NDArray[np.bool_]

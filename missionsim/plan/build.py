@@ -25,10 +25,10 @@ from missionsim.inputs.segments import (
 from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.plan.asked import Asked, failures, stopped_by_obstacles
+from missionsim.plan.kinematics import group, slow_components
 from missionsim.plan.legs import Gate, Kind, Leg, OnEdge, Pace, Plan, SegmentInfo, Settings, remainder, sign
 from missionsim.plan.routes import Way, along, routes_of
 from missionsim.plan.steady import steady_power_w
-from missionsim.plan.steps import group, slow_components
 
 MOST_SEGMENTS = 1_000_000
 Route = tuple[str, str, tuple[int, ...]]

@@ -2,17 +2,21 @@
 
 A *run* is a chain of pieces between two standstills; each piece has a length and a speed limit. The fastest profile
 under the limits is the lowest of three curves over the path (limit, speeding up from behind, braking from ahead), so
-it depends on the limits along the path only, not on how the path is cut into pieces.
+it depends on the limits along the path only, not on how the path is cut into pieces. Legs that are driven in one go make a step.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from missionsim.inputs.robot import RobotSpec
 from missionsim.physics import Array
+from missionsim.plan.legs import Leg, Limits, Odd, Phase, Step, sign
 
 
 @dataclass(frozen=True)
@@ -107,3 +111,148 @@ def phases(distance_m: ArrayLike, limit_m_s: ArrayLike) -> Phases:
         np.stack([limit, limit, limit], axis=-1),
         np.stack([zero, zero, zero], axis=-1),
     )
+
+
+SHORTEST_PHASE_S = 1e-12
+"""Phases below this are rounding residues of the profile and are dropped."""
+
+Breaks = Callable[[Leg, Leg], bool]
+
+
+def continues(before: Leg, after: Leg, odd: Odd) -> bool:
+    """Whether the robot keeps moving from one leg into the next.
+
+    It does on straight pieces and arcs, and on sideways pieces in one direction, with the same payload (loading
+    means standing) and the same kind of profile; but not where it goes back on the edge that it came by.
+    """
+    if before.kind != after.kind or before.kind not in ("roll", "slide"):
+        return False
+    payloads = before.settings.payload_kg, after.settings.payload_kg
+    if before.instant != after.instant or (payloads[0] is not payloads[1] and odd.most(payloads[0] != payloads[1])):
+        return False
+    if before.edge is not None and after.edge is not None and (before.edge.end, before.edge.begin) == after.edge[:2]:
+        return False
+    return before.kind == "roll" or odd.most(before.direction_rad == after.direction_rad)
+
+
+def group(
+    legs: Sequence[Leg], limits: Limits, breaks: Breaks | None = None, odd: Odd | None = None
+) -> tuple[Step, ...]:
+    """Steps of a sequence of legs.
+
+    `breaks`: ``(before, after) -> bool``: further reasons to stop between two legs (a component with a start-up time);
+    `odd`: of a plan of many runs.
+    """
+    odd = Odd() if odd is None else odd
+    spans: list[tuple[int, int]] = []
+    begin = 0
+    for i in range(1, len(legs) + 1):
+        if i < len(legs) and continues(legs[i - 1], legs[i], odd) and not (breaks and breaks(legs[i - 1], legs[i])):
+            continue
+        spans.append((begin, i))
+        begin = i
+    profiles = _profiles(legs, spans, limits)
+    return tuple(Step(legs[low].kind, _step_phases(legs, low, high, profiles.get(low))) for low, high in spans)
+
+
+Profile = list[list[tuple[float, float, float]]]
+"""Of each leg of a span: duration, speed at the start and acceleration of its phases."""
+
+
+def _profiles(legs: Sequence[Leg], spans: Sequence[tuple[int, int]], limits: Limits) -> dict[int, Profile]:
+    """Profiles of the spans that move, by their first leg.
+
+    Spans with the same number of pieces are computed in one call, since a call costs as much for one as for many.
+    """
+    batches: dict[int, list[tuple[int, int]]] = {}
+    found: dict[int, Profile] = {}
+    for low, high in spans:
+        leg = legs[low]
+        if leg.kind not in ("roll", "slide", "turn"):
+            continue
+        if leg.instant or (limits.yaw_accel_rad_s2 if leg.kind == "turn" else limits.accel_m_s2) is None:
+            found[low] = [[(_size(leg) / _limit(leg), _limit(leg), 0.0)] for leg in legs[low:high]]
+        else:
+            batches.setdefault(high - low, []).append((low, high))
+    for members in batches.values():
+        sizes = [[_size(leg) for leg in legs[low:high]] for low, high in members]
+        tops = [[_limit(leg) for leg in legs[low:high]] for low, high in members]
+        distance, limit, rates = _stacked(sizes, tops, [_rates(legs[low], limits) for low, _ in members])
+        made = ramp_phases(distance, limit, rates[..., 0], rates[..., 1])
+        parts = [made.duration_s, made.speed_m_s, made.accel_m_s2]
+        if made.duration_s.ndim == 3:
+            tables: Any = zip(*(part.tolist() for part in parts), strict=True)
+        else:  # runs last, so that each number becomes an array of runs
+            tables = zip(*(np.ascontiguousarray(np.moveaxis(part, 1, -1)) for part in parts), strict=True)
+        for (low, _), table in zip(members, tables, strict=True):
+            found[low] = [list(zip(*rows, strict=True)) for rows in zip(*table, strict=True)]
+    return found
+
+
+def _stacked(*tables: Sequence[Sequence[float]]) -> list[Array]:
+    """Tables of members × numbers as arrays; of many runs, members × runs × numbers."""
+    lengths = [np.size(x) for table in tables for row in table for x in row if isinstance(x, np.ndarray)]
+    if not lengths:
+        return [np.array(table) for table in tables]
+    return [
+        np.stack([np.stack([np.broadcast_to(x, lengths[:1]) for x in row], axis=-1) for row in table])
+        if any(isinstance(x, np.ndarray) for row in table for x in row)
+        else np.array(table)[:, None]
+        for table in tables
+    ]
+
+
+def _rates(leg: Leg, limits: Limits) -> tuple[float, float]:
+    accel = limits.yaw_accel_rad_s2 if leg.kind == "turn" else limits.accel_m_s2
+    assert accel is not None
+    return accel, accel if leg.kind == "turn" or limits.decel_m_s2 is None else limits.decel_m_s2
+
+
+def _size(leg: Leg) -> float:
+    return abs(leg.angle_rad) if leg.kind == "turn" else leg.distance_m
+
+
+def _limit(leg: Leg) -> float:
+    return leg.yaw_rate_rad_s if leg.kind == "turn" else leg.speed_m_s
+
+
+def _step_phases(legs: Sequence[Leg], low: int, high: int, profile: Profile | None) -> tuple[Phase, ...]:
+    """Phases of legs that follow each other without a standstill; at least one for each leg."""
+    if profile is None:
+        return tuple([Phase(legs[i].duration_s, i) for i in range(low, high)])
+    made: list[Phase] = []
+    for i, rows in zip(range(low, high), profile, strict=True):
+        before = len(made)
+        for duration, speed, rate in rows:
+            if duration > SHORTEST_PHASE_S if isinstance(duration, float) else np.any(duration > SHORTEST_PHASE_S):
+                made.append(_phase(legs[i], i, duration, speed, rate))
+        if len(made) == before:
+            made.append(Phase(0.0, i))
+    return tuple(made)
+
+
+def _phase(leg: Leg, index: int, duration_s: float, speed: float, rate: float) -> Phase:
+    if leg.kind == "turn":
+        left = sign(leg.angle_rad)
+        return Phase(duration_s, index, yaw_rad_s=left * speed, yaw_rad_s2=left * rate, moving=True)
+    if leg.kind == "slide":
+        ahead, aside = np.cos(leg.direction_rad), np.sin(leg.direction_rad)
+        if isinstance(leg.direction_rad, float):
+            ahead, aside = float(ahead), float(aside)
+        return Phase(duration_s, index, speed * ahead, rate * ahead, speed * aside, rate * aside, moving=True)
+    bend = leg.curvature_1_m
+    if isinstance(bend, float) and bend == 0.0:
+        return Phase(duration_s, index, speed, rate, moving=True)
+    return Phase(duration_s, index, speed, rate, yaw_rad_s=speed * bend, yaw_rad_s2=rate * bend, moving=True)
+
+
+def slow_components(robot: RobotSpec) -> frozenset[str]:
+    """Components that are not on at once: they, or something they require, take time to start."""
+    table = robot.components
+
+    def slow(name: str) -> bool:
+        spec = table[name]
+        startup = spec.startup is not None and spec.startup.duration.value > 0.0
+        return startup or any(slow(required) for required in spec.requires)
+
+    return frozenset(name for name in table if slow(name))

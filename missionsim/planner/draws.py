@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from missionsim.files import write_text
 from missionsim.physics import Array
-from missionsim.planner.answer import Answer
+from missionsim.planner.answer import Answer, mission_text
 from missionsim.planner.tour import Site
-from missionsim.planner.write import mission_text
 from missionsim.uncertainty.answers import proportion_interval
 from missionsim.uncertainty.batch import Task, compute_block, prepare
 from missionsim.uncertainty.single import simulate_block

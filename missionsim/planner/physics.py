@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from missionsim.effects.integrate import integrate
+from missionsim.effects.timeline import integrate
 from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.recorder import Row, timeline
 from missionsim.engine.simulate import RunSetup

@@ -18,17 +18,16 @@ from missionsim.inputs.examples import shipped_robots
 from missionsim.inputs.loading import Override, load_robot, load_task
 from missionsim.inputs.task import TaskSpec, VisitSpec
 from missionsim.physics import Array
+from missionsim.plan.kinematics import group
 from missionsim.plan.legs import Leg as PlanLeg
 from missionsim.plan.legs import OnEdge
-from missionsim.plan.steps import group
-from missionsim.planner.answer import Answer
+from missionsim.planner.answer import Answer, flow
 from missionsim.planner.chance import as_run
 from missionsim.planner.draws import draws_of, told
 from missionsim.planner.physics import Physics
 from missionsim.planner.solve import solve_site
 from missionsim.planner.tour import Site, make_site
 from missionsim.planner.why import with_ample
-from missionsim.planner.write import flow
 
 SCHEMA = "missionsim.reach/1"
 SEED = 20_270_101

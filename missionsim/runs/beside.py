@@ -20,7 +20,7 @@ from missionsim.labels import Labels
 from missionsim.physics import Array
 from missionsim.runs.covariates import is_switch, may_be_cause
 from missionsim.runs.drive import Driven, drive
-from missionsim.runs.mends import mended
+from missionsim.runs.run import mended
 
 FEWEST, FEWEST_LEVELS = 3, 5
 """Runs that can say what is usual, and whose levels can."""

@@ -12,8 +12,7 @@ from missionsim.labels import Labels
 from missionsim.runs.beside import FEWEST, FEWEST_LEVELS, LOADS, Others, correlation, offsets, runs_beside
 from missionsim.runs.covariates import is_switch, may_be_cause
 from missionsim.runs.drive import Driven, drive
-from missionsim.runs.mends import SPEEDS, divided, larger
-from missionsim.runs.run import Run
+from missionsim.runs.run import SPEEDS, Run, divided, larger
 
 LEVEL = 6.0
 """Measured over modelled energy, against the median of all runs, from which on a run has another unit (assumed)."""

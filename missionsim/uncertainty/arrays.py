@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Columns, Truth
-from missionsim.effects.integrate import SAMPLES
 from missionsim.effects.model import PowerModel, TermKey
+from missionsim.effects.timeline import SAMPLES
 from missionsim.engine.batteries import ConstantEnergy
 from missionsim.engine.outcome import J_PER_WH
 from missionsim.engine.setup import split_values

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Columns, Covariates, Labels, Value
-from missionsim.effects.integrate import RELATIVE_TOLERANCE, SAMPLES, averaged
 from missionsim.effects.model import TermKey
+from missionsim.effects.timeline import RELATIVE_TOLERANCE, SAMPLES, averaged
 from missionsim.physics import Array
 from missionsim.plan.legs import Leg, Phase, Plan
 

@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from missionsim.effects.integrate import integrate
 from missionsim.effects.library import get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.effects.motion_models import get_motion_model
-from missionsim.effects.timeline import Timeline
+from missionsim.effects.timeline import Timeline, integrate
 
 
 def value(number: float) -> ModelParameter:

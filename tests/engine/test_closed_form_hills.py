@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from missionsim.effects.integrate import integrate
-from missionsim.effects.timeline import Timeline
+from missionsim.effects.timeline import Timeline, integrate
 from missionsim.engine.simulate import simulate
 from missionsim.inputs.loading import load_mission, robot_from_text
 from missionsim.inputs.power import build_power_model

@@ -49,7 +49,7 @@ def test_warthog_turning_is_what_speed_cannot_explain(warthog: list[LogTable]) -
 
 
 def test_warthog_slow_topics_are_seen_without_a_map(shared: Path) -> None:
-    from missionsim.logs.power import refreshes
+    from missionsim.logs.raw import refreshes
     from missionsim.logs.read import read_raw
 
     raw = read_raw(shared / "data" / "warthog_drive" / "grass_2024_8_8_16h19s23.csv")

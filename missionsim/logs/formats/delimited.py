@@ -23,8 +23,7 @@ from missionsim.logs.formats.dialect import (
     one_byte_encoding,
     sniff,
 )
-from missionsim.logs.power import measures
-from missionsim.logs.raw import RawTable, Remark, from_arrow, wanted_kind
+from missionsim.logs.raw import RawTable, Remark, from_arrow, measures, wanted_kind
 from missionsim.logs.readers import Options, Reader
 from missionsim.logs.times import is_stamp
 

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from missionsim.errors import InputError
-from missionsim.logs.power import measures
-from missionsim.logs.raw import RawTable, from_arrow
+from missionsim.logs.raw import RawTable, from_arrow, measures
 from missionsim.logs.readers import Options, Reader
 
 
