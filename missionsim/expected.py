@@ -39,12 +39,8 @@ def expected_run(mission: MissionSpec, battery: str) -> ExpectedRun:
     straight between. Without one it is back over the way driven, slopes reversed.
 
     Missions that recharge are refused: whether to go on is decided anew at each dock, by the charge that the charger
-    really gave, so each stretch from dock to dock is a mission of its own.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        For an unknown battery, and for missions that recharge on the way.
+    really gave, so each stretch from dock to dock is a mission of its own. Raises InputError: for an unknown battery,
+    and for missions that recharge on the way.
     """
     from missionsim.engine.simulate import simulate
 

@@ -115,19 +115,9 @@ def compile_expression(
 ) -> Expression:
     """Parse and check a formula.
 
-    Parameters
-    ----------
-    text : str
-        The formula, such as ``"k * abs(yaw_rate_rad_s) * payload_kg"``.
-    names : iterable of str, optional
-        The names it may read; any name when not given.
-    file, line, column, path
-        Where the text stands, for messages.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        With every fault of the formula at once.
+    `text`: the formula, such as ``"k * abs(yaw_rate_rad_s) * payload_kg"``. `names`: the names it may read; any name
+    when not given. `file`, `line`, `column`, `path`: where the text stands, for messages. Raises InputError: with every
+    fault of the formula at once.
     """
     faults: list[Fault] = []
 

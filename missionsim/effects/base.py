@@ -138,12 +138,7 @@ def plugins(kind: type[Declared]) -> dict[str, Declared]:
     """What other packages offer of a kind under the entry point ``missionsim.effects``, by id.
 
     An entry point names an `Effect`, a motion model or a law of a component, or a callable without arguments that
-    returns one.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where an entry point does not load or gives something else.
+    returns one. Raises InputError: where an entry point does not load or gives something else.
     """
     return {one.id: one for one in _loaded() if isinstance(one, kind)}  # type: ignore[attr-defined]
 

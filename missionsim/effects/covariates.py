@@ -72,18 +72,9 @@ def is_moving(cov: Covariates) -> Truth:
 def derive(columns: Covariates, time_s: Array, dt_s: Array) -> Columns:
     """Log columns with what follows from them.
 
-    Parameters
-    ----------
-    columns : mapping
-        Glossary columns of one run, arrays of shape (n,).
-    time_s, dt_s : ndarray, shape (n,)
-        Time of each row and the time it stands for.
-
-    Returns
-    -------
-    dict
-        `columns` with what they lack of ``accel_m_s2``, ``moving_time_s``, ``starts``, ``starts_per_s`` and
-        ``on_time_<component>_s`` for each ``on_<component>``.
+    `columns`: glossary columns of one run, arrays of shape (n,). `time_s`, `dt_s` (shape (n,)): time of each row and
+    the time it stands for. Gives `columns` with what they lack of ``accel_m_s2``, ``moving_time_s``, ``starts``,
+    ``starts_per_s`` and ``on_time_<component>_s`` for each ``on_<component>``.
     """
     cov: Columns = dict(columns)
     if "speed_m_s" in cov:

@@ -245,20 +245,10 @@ def effect_ids() -> tuple[str, ...]:
 def get_effect(id: str, surfaces: tuple[str, ...] = (), battery: str = "<battery>") -> Effect:
     """The effect of an id.
 
-    Parameters
-    ----------
-    id : str
-        ``grade``, ``component_power:kinect``, ``surface_rolling_resistance`` (with `surfaces`),
-        ``surface_rolling_resistance:carpet``, or the name of a plug-in.
-    surfaces : tuple of str
-        The surfaces of a robot's ``surface_rolling_resistance`` or ``surface_turning_scrub``.
-    battery : str
-        The battery that ``battery_resistance`` loads.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        For an id that the library does not hold, with the closest one.
+    `id`: ``grade``, ``component_power:kinect``, ``surface_rolling_resistance`` (with `surfaces`),
+    ``surface_rolling_resistance:carpet``, or the name of a plug-in. `surfaces`: the surfaces of a robot's
+    ``surface_rolling_resistance`` or ``surface_turning_scrub``. `battery`: the battery that ``battery_resistance``
+    loads. Raises InputError: for an id that the library does not hold, with the closest one.
     """
     known = {effect.id: effect for effect in (*_EFFECTS, *_EXECUTION)}
     if id in known:

@@ -180,24 +180,10 @@ class PowerModel:
     ) -> dict[str, dict[TermKey, Value]]:
         """Power of every term in watts.
 
-        Parameters
-        ----------
-        cov : mapping
-            Covariates under glossary names; scalars, ``(intervals,)`` or ``(draws, intervals)``.
-        values : mapping, optional
-            Parameters that differ from the model's, by ``battery/name``; arrays of shape ``(draws, 1)`` broadcast.
-        battery : str, optional
-            Only this battery.
-
-        Returns
-        -------
-        dict
-            Battery → term key → power [W].
-
-        Raises
-        ------
-        missionsim.errors.InputError
-            Where a term needs a covariate that is not there.
+        `cov`: covariates under glossary names; scalars, ``(intervals,)`` or ``(draws, intervals)``. `values`:
+        parameters that differ from the model's, by ``battery/name``; arrays of shape ``(draws, 1)`` broadcast.
+        `battery`: only this battery. Gives battery → term key → power [W]. Raises InputError: where a term needs a
+        covariate that is not there.
         """
         full = self.complete(cov, values)
         wanted = self.batteries if battery is None else (battery,)

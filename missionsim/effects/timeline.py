@@ -213,18 +213,8 @@ def integrate(
 ) -> dict[str, dict[TermKey, Array]]:
     """Energy of each term in each interval.
 
-    Parameters
-    ----------
-    model : PowerModel
-    timeline : Timeline
-        With arrays of shape (n,).
-    values : mapping, optional
-        Parameters that differ from the model's, scalars or of shape (n,).
-
-    Returns
-    -------
-    dict
-        Battery → term key → energy [J], shape (n,). Impulses (starts from rest) are in the interval they begin.
+    `timeline`: with arrays of shape (n,). `values`: parameters that differ from the model's, scalars or of shape (n,).
+    Gives battery → term key → energy [J], shape (n,). Impulses (starts from rest) are in the interval they begin.
     """
     count = len(timeline)
     energies: dict[str, dict[TermKey, Array]] = {}

@@ -34,13 +34,7 @@ class Row(NamedTuple):
 
 
 class Recorder:
-    """Collects rows; the processes of a run report every change to it before they make it.
-
-    Parameters
-    ----------
-    env : simpy.Environment
-    components : sequence of str
-    """
+    """Collects rows; the processes of a run report every change to it before they make it."""
 
     def __init__(self, env: simpy.Environment, components: Sequence[str]) -> None:
         self.env = env

@@ -1,4 +1,4 @@
-"""What a run is set up from: numbers of the files or drawn ones, batteries, covariates that the model reads; what a run makes strange."""
+"""What a run is set up from: numbers, files' or drawn, batteries, covariates; and what in a run is strange."""
 
 from __future__ import annotations
 

@@ -150,24 +150,10 @@ def import_source(
 ) -> list[Run]:
     """Turn sources into checked logs, by a map.
 
-    Parameters
-    ----------
-    source : path-like, or a sequence of them
-        Tables, recordings, folders or patterns of names.
-    spec : MapSpec
-        From `missionsim.inputs.loading.load_map`.
-    left_out : list of Fault, optional
-        Where it is given, a file that cannot be read is left out and its faults are added here; else it refuses all.
-
-    Returns
-    -------
-    list of Run
-        One per run, with remarks that say what was done.
-
-    Raises
-    ------
-    missionsim.errors.InputError
-        All faults of the first source that has any; or of all, where none can be read.
+    `source`: tables, recordings, folders or patterns of names. `spec`: from `missionsim.inputs.loading.load_map`.
+    `left_out`: where it is given, a file that cannot be read is left out and its faults are added here; else it refuses
+    all. Gives runs, with remarks that say what was done. Raises InputError: all faults of the first source that
+    has any; or of all, where none can be read.
     """
     given = [source] if isinstance(source, (str, os.PathLike)) else list(source)
     logs: list[Run] = []
@@ -201,7 +187,7 @@ _LONG_BYTES, _BLOCK_ROWS = 64_000_000, 200_000
 def import_long(path: Path, spec: MapSpec, out: Path) -> LongRun | None:
     """Import a long text table of one run block by block, in bounded memory.
 
-    `out`: Parquet file to write. Gives None where the file is short, or has to be imported as a whole: by
+    `out`: parquet file to write. Gives None where the file is short, or has to be imported as a whole: by
     `import_source`. Checks of units and clocks look at the first block only.
     """
     alone = all(c.lag is None and c.average is None and c.differentiate is None for c in spec.columns.values())

@@ -2,7 +2,7 @@
 
 A *run* is a chain of pieces between two standstills; each piece has a length and a speed limit. The fastest profile
 under the limits is the lowest of three curves over the path (limit, speeding up from behind, braking from ahead), so
-it depends on the limits along the path only, not on how the path is cut into pieces. Legs that are driven in one go make a step.
+it depends on the limits along the path only, not on how the path is cut into pieces. Legs driven in one go are a step.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The plan as it is told: legs in order, energies, charge, what was proved; and as a mission file that `run` executes."""
+"""The plan as it is told: legs, energies, charge, what was proved; and as a mission file that `run` executes."""
 
 from __future__ import annotations
 
@@ -278,12 +278,8 @@ def _leg_json(answer: Answer, leg: Leg) -> dict[str, Any]:
 def mission_text(answer: Answer, target: str | os.PathLike[str] | None) -> str:
     """The YAML text of a mission that does what the plan says.
 
-    Parameters
-    ----------
-    answer : Answer
-        Feasible.
-    target : path-like or None
-        Where it will lie, for the paths of robot and environment; None for the task's own folder.
+    `answer`: feasible. `target`: where it will lie, for the paths of robot and environment; None for the task's own
+    folder.
     """
     task = answer.site.task
     folder = Path(target).absolute().parent if target is not None else task.path.absolute().parent

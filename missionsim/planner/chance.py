@@ -94,20 +94,9 @@ def _in_task(answer: Answer, fault: Fault) -> Fault:
 def plan_task(task: TaskSpec, watch: Watch | None = None) -> tuple[Answer, RunResult | None]:
     """The plan of least objective that holds when it is simulated and, where asked, in so many of fresh draws.
 
-    Where it does not, it is planned within margins on the reserves and the deadline.
-
-    Parameters
-    ----------
-    task : TaskSpec
-    watch : callable, optional
-        Told of the progress; stops the search where it returns True, with the best plan so far.
-
-    Returns
-    -------
-    Answer
-        With ``probability`` (of draws that the margins were not made from) and ``margins`` in `extra` where asked.
-    RunResult or None
-        Of its mission.
+    Where it does not, it is planned within margins on the reserves and the deadline. `watch`: told of the progress;
+    stops the search where it returns True, with the best plan so far. Gives a plan with ``probability`` (of draws that
+    the margins were not made from) and ``margins`` in `extra` where asked, and the run of its mission.
     """
     site = make_site(task if task.repeat is None else of_one_kind(task))
     asked = None if task.within.with_probability is None else task.within.with_probability.value

@@ -64,12 +64,7 @@ class _OnRoad:
 
 
 class Drives:
-    """The drives of one road between some of its states.
-
-    Parameters
-    ----------
-    road : Road
-    """
+    """The drives of one road between some of its states."""
 
     def __init__(self, road: Road) -> None:
         self.road = road

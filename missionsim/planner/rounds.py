@@ -44,18 +44,9 @@ FEW, FAR = 4, 0.05
 class Ways:
     """Arcs of one round: each from where the robot has charged (or sets out) to where it charges next, or to the end.
 
-    All visits between are made on it, in the best order.
-
-    Parameters
-    ----------
-    site : Site
-    weights : ndarray, shape (1 + batteries,)
-        Of seconds and Wh.
-    gap : float
-        Of the arcs between two nodes only those whose weighted use is within this of the least one's.
-    few : int, optional
-        So many heads of each node only, by what a round through them takes least; else all whose rounds are within the
-        gap.
+    All visits between are made on it, in the best order. `weights` (shape (1 + batteries,)): of seconds and Wh. `gap`:
+    of the arcs between two nodes only those whose weighted use is within this of the least one's. `few`: so many heads
+    of each node only, by what a round through them takes least; else all whose rounds are within the gap.
     """
 
     def __init__(self, site: Site, weights: Array, gap: float, few: int | None = None) -> None:

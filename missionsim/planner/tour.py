@@ -128,10 +128,7 @@ class Charger:
 class Site:
     """Everything about a task that does not depend on what is chosen: stops, roads by payload, costs.
 
-    Attributes
-    ----------
-    waiting : ndarray, shape (1 + batteries,)
-        Seconds and Wh of waiting for a second.
+    `waiting` (shape (1 + batteries,)): seconds and Wh of waiting for a second.
     """
 
     task: TaskSpec
@@ -247,10 +244,7 @@ def visit_segment(
 def make_site(task: TaskSpec, order: Order | None = None) -> Site:
     """Stops with their costs; roads are made when they are asked for.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where the task asks for what is not planned: turning at places.
+    Raises InputError: where the task asks for what is not planned: turning at places.
     """
     order = order or Order(task)
     if task.defaults.turn_at_places:

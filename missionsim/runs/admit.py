@@ -33,10 +33,7 @@ MOST = 4000
 def admit(runs: Sequence[Run], model: PowerModel | None = None) -> tuple[list[Run], list[str]]:
     """Runs to learn from, and what was left out and why, one line a run.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where no run is left; with the faults that `validate` tells.
+    Raises InputError: where no run is left; with the faults that `validate` tells.
     """
     kept: list[Run] = []
     told: list[str] = []

@@ -87,10 +87,8 @@ class Driven:
 def drive(model: PowerModel, run: Run, battery: str) -> Driven:
     """Drive one battery's model with a whole run; `assume` and `drive_blocks` for runs that come in blocks.
 
-    Raises
-    ------
-    missionsim.errors.InputError
-        Where the base model of the battery needs a column that the run lacks and that has no plain meaning.
+    Raises InputError: where the base model of the battery needs a column that the run lacks and that has no plain
+    meaning.
     """
     (driven,) = drive_blocks(
         assume(model, filled(run, model.batteries), [battery], source=run.source or run.run), [run]
