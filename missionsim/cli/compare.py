@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
+from missionsim import __version__
 from missionsim.cli.options import TERMINAL, OutFile, OutFolder, Output, RobotFile, tell_left_out
+from missionsim.compare import compare_files
+from missionsim.compare.comparison import thousandfold
 from missionsim.errors import InputError
+from missionsim.exchange.mcap import write_comparison
 from missionsim.files import write_text
+from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.fit.parameters import ModelFit
+from missionsim.fit.refit import refit_robot
+from missionsim.inputs.loading import load_robot
+from missionsim.inputs.power import build_power_model
+from missionsim.logs import describe, read_logs
+from missionsim.report.compare_files import print_comparison, write_figures, write_tables
+from missionsim.report.compare_page import compare_page
 from missionsim.report.terminal import console, show_table
-
-if TYPE_CHECKING:
-    from missionsim.fit.parameters import ModelFit
+from missionsim.runs.admit import admit
 
 
 def compare(
@@ -54,9 +64,6 @@ def compare(
         Write measured and modelled power, residual, watts by term and all columns over time into this MCAP file, with a
         layout for Foxglove and a map for import beside it.
     """
-    from missionsim.compare import compare_files
-    from missionsim.compare.comparison import thousandfold
-
     if tolerance is not None and not tolerance >= 0.0:
         raise InputError.single("the tolerance is a percentage", got=tolerance, allowed="zero or more")
     if report is not None and report.suffix.lower() not in (".html", ".htm"):
@@ -67,27 +74,17 @@ def compare(
         result = compare_files(robot, logs, mission=mission, by=by, on_run=lambda _: bar.advance(task))
     tell_left_out(result.left_out, to)
     if report is not None:
-        from missionsim import __version__
-        from missionsim.report.compare_page import compare_page
-
         footer = f"Made by missionsim {__version__}. "
         footer += "Error is model minus measured throughout; a gap is measured minus model."
         write_text(report, compare_page(result, tolerance_pct=tolerance, footer=footer))
     if out is not None:
-        from missionsim.report.compare_files import write_figures, write_tables
-
         write_tables(result, out)
         write_figures(result, out)
     if mcap is not None:
-        from missionsim.exchange.mcap import write_comparison
-        from missionsim.inputs import load_robot
-
         write_comparison(load_robot(robot), logs, mcap)
     to.emit(result.to_json())
     inside = tolerance is None or result.within(tolerance)
     if text:
-        from missionsim.report.compare_files import print_comparison
-
         terminal = console()
         print_comparison(result, terminal)
         if tolerance is not None:
@@ -139,11 +136,6 @@ def calibrate(
     drive
         differential, skid_steer, mecanum, omni or ackermann.
     """
-    from missionsim.inputs.loading import load_robot
-    from missionsim.inputs.power import build_power_model
-    from missionsim.logs import describe, read_logs
-    from missionsim.runs.admit import admit
-
     if (new is None) == (robot is None):
         raise InputError.single("give either --new NAME with --base, or --robot R", got="both" if new else "neither")
     if new is not None and base is None:
@@ -160,15 +152,11 @@ def calibrate(
     fits: list[ModelFit]
     remarks: list[str]
     if new is not None and base is not None:
-        from missionsim.fit.newrobot import NewRobot, calibrate_new
-
         measured = {name for log in tables for name in log.power_w}
         battery = battery or (measured.pop() if len(measured) == 1 else "robot")
         made = calibrate_new(NewRobot(new, base, battery, mass, capacity, max_speed, drive), tables)
         text, fits, remarks = made.text, [made.fit], list(made.remarks)
     else:
-        from missionsim.fit.refit import refit_robot
-
         again = refit_robot(str(robot), tables, battery)
         text, fits, remarks = again.text, list(again.fits), list(again.remarks)
     remarks = [*describe(tables), *remarks]

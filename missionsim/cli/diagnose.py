@@ -5,20 +5,31 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from missionsim import __version__
 from missionsim.cli.options import TERMINAL, OutFile, Output, RobotFile, Search, tell_left_out
+from missionsim.diagnose import diagnose_files, sentences, words
+from missionsim.diagnose.adopt import NotSignificant, adopt
+from missionsim.diagnose.diagnosis import examine
+from missionsim.diagnose.improve import Improved
+from missionsim.diagnose.improve import improve as run_improve
+from missionsim.diagnose.proposed import called, formula_of, proposed_laws, with_candidate
+from missionsim.diagnose.sentences import worse
+from missionsim.diagnose.split import Split
+from missionsim.diagnose.subject import Subject
+from missionsim.diagnose.waterfall import energy_note, measured_note
+from missionsim.diagnose.words import heldout_line
 from missionsim.errors import InputError
 from missionsim.files import write_text
+from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding
+from missionsim.identify.settings import Settings
+from missionsim.inputs.edit import for_folder, robot_text
+from missionsim.inputs.loading import robot_from_text
+from missionsim.inputs.robot import RobotSpec
+from missionsim.logs import LogTable
+from missionsim.report.diagnosis_page import diagnosis_page, improve_page
 from missionsim.report.terminal import console, show_table
-
-if TYPE_CHECKING:
-    from missionsim.diagnose.improve import Improved
-    from missionsim.diagnose.split import Split
-    from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding
-    from missionsim.identify.settings import Settings
-    from missionsim.inputs.robot import RobotSpec
-    from missionsim.logs import LogTable
 
 
 def diagnose(
@@ -35,9 +46,6 @@ def diagnose(
     report
         Write an interactive page to this HTML file.
     """
-    from missionsim.diagnose import diagnose_files
-    from missionsim.diagnose.sentences import worse
-
     search.check(logs)
     left_out: list[str] = []
     remarks: list[str] = []
@@ -55,9 +63,6 @@ def diagnose(
     tell_left_out(left_out, to)
     to.emit(result.to_json() | {"left_out": left_out})
     if report is not None:
-        from missionsim import __version__
-        from missionsim.report.diagnosis_page import diagnosis_page
-
         footer = f"missionsim {__version__}, missionsim diagnose"
         write_text(report, diagnosis_page(result, footer=footer, robot=search.robot, logs=logs))
     if to.text:
@@ -72,8 +77,6 @@ def diagnose(
 def show(result: Diagnosis, robot: str, logs: Sequence[Path]) -> None:
     """Print a diagnosis: what is missing, how sure, the error, what to type; then the report lines."""
     from rich.table import Table
-
-    from missionsim.diagnose import sentences, words
 
     terminal = console()
     for battery in result.batteries.values():
@@ -126,10 +129,6 @@ def improve(
     report
         Write an interactive page to this HTML file.
     """
-    from missionsim.diagnose.improve import improve as run_improve
-    from missionsim.diagnose.proposed import called
-    from missionsim.inputs.edit import for_folder, robot_text
-
     search.check(logs)
     if not yes and not sys.stdin.isatty():
         raise InputError.single(
@@ -164,8 +163,6 @@ def improve(
     advice = {one.battery: one.advice(search.robot, logs, search.given) for one in done}
     to.emit(_as_json(done, skipped, out, split.how) | {"left_out": left_out})
     if report is not None:
-        from missionsim.report.diagnosis_page import improve_page
-
         write_text(report, improve_page(spec.name, done, advice=advice))
     if to.text:
         _print(done, advice, skipped)
@@ -184,8 +181,6 @@ def _batteries(spec: Any, tables: list[Any]) -> list[str]:
 
 def _ask(finding: Finding, diagnosis: BatteryDiagnosis) -> bool:
     from rich.prompt import Confirm
-
-    from missionsim.diagnose import words
 
     terminal = console(stderr=True)
     terminal.print(words.found_line(finding))
@@ -207,8 +202,6 @@ def _as_json(done: list[Improved], skipped: dict[str, Any], out: Path, how: str)
 
 
 def _print(done: list[Improved], advice: dict[str, tuple[str, str]], skipped: dict[str, Any]) -> None:
-    from missionsim.diagnose.waterfall import energy_note, measured_note
-
     terminal = console()
     for one in done:
         better, command = advice[one.battery]
@@ -266,11 +259,6 @@ def add_effect(
     keep_base
         Leave the base parameters as they are instead of writing the values that were fitted with the effect.
     """
-    from missionsim.diagnose.adopt import NotSignificant, adopt
-    from missionsim.diagnose.words import heldout_line
-    from missionsim.inputs.edit import for_folder, robot_text
-    from missionsim.inputs.loading import robot_from_text
-
     search.check(logs)
     if (effect is None) == (formula is None):
         raise InputError.single(
@@ -326,11 +314,6 @@ def _candidate(
     text: str, spec: RobotSpec, split: Split, battery: str, formula: str, settings: Settings
 ) -> tuple[str, str]:
     """The text of the robot with the formula as a candidate, and its name; a number means one of the forms proposed."""
-    from missionsim.diagnose.diagnosis import examine
-    from missionsim.diagnose.proposed import formula_of, proposed_laws, with_candidate
-    from missionsim.diagnose.split import Split
-    from missionsim.diagnose.subject import Subject
-
     if formula.strip().isdigit():
         seen = examine(Subject.of(spec), Split(split.train, (), split.how), battery, settings)
         formula = formula_of(proposed_laws(seen.found, seen.features.covariates), formula)

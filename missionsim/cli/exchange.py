@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cyclopts import App
 
 from missionsim.cli.options import TERMINAL, OutFile, Output
 from missionsim.errors import InputError
+from missionsim.exchange.formats import import_site as read
+from missionsim.exchange.nav2 import export_costs
+from missionsim.exchange.qgc import plan_of
+from missionsim.exchange.rmf_fleet import NUMBERS, export_fleet, read_fleet
+from missionsim.exchange.site import Site, SiteOptions, write_site
+from missionsim.exchange.vda5050 import order_of
 from missionsim.files import atomic_write, write_text
+from missionsim.inputs.loading import load_mission, load_robot, robot_from_text
 from missionsim.report.terminal import console, show_table
-
-if TYPE_CHECKING:
-    from missionsim.exchange.site import Site
 
 app = App(name="export", help="Write our numbers and missions into the files of other tools.")
 
@@ -54,9 +58,6 @@ def nav2(
     payload
         Carried, kg.
     """
-    from missionsim.exchange.nav2 import export_costs
-    from missionsim.inputs.loading import load_robot
-
     spec = load_robot(robot)
     if battery and battery not in spec.batteries:
         raise InputError.single(f"the robot has no battery '{battery}'", got=battery, allowed=", ".join(spec.batteries))
@@ -93,9 +94,6 @@ def rmf(config: Path, /, *logs: Path, robot: str, out: Path, battery: str = "", 
     battery
         The robot's battery; that of its motion unless given.
     """
-    from missionsim.exchange.rmf_fleet import NUMBERS, export_fleet
-    from missionsim.inputs.loading import load_robot
-
     spec = load_robot(robot)
     found = export_fleet(config, spec, logs, battery)
     _write(out, found.raw)
@@ -145,9 +143,6 @@ def vda5050(
     serial
         Serial number of the robot.
     """
-    from missionsim.exchange.vda5050 import order_of
-    from missionsim.inputs.loading import load_mission
-
     spec = load_mission(mission, robot=robot)
     order, remarks = order_of(spec, version=version, timestamp=timestamp, robot_id=serial)
     title = f"order {order['orderId']}: {len(order['nodes'])} nodes, VDA 5050 {version}"
@@ -171,9 +166,6 @@ def qgc(
     origin
         LATITUDE,LONGITUDE of the map's point 0, 0 in degrees; what the map's notes say unless given.
     """
-    from missionsim.exchange.qgc import plan_of
-    from missionsim.inputs.loading import load_mission
-
     where = None
     if origin is not None:
         try:
@@ -248,10 +240,6 @@ def import_site(
     smooth
         m to each side over which elevations of a track are smoothed (GPX).
     """
-    from missionsim.exchange.formats import import_site as read
-    from missionsim.exchange.site import SiteOptions, write_site
-    from missionsim.inputs.loading import load_robot
-
     if mission is not None and out is None:
         raise InputError.single("--mission needs --out", allowed="--out SITE.yaml --mission MISSION.yaml")
     if not 0.0 <= smooth <= 1e5 or (scale is not None and not 0.0 < scale <= 1e3):
@@ -295,9 +283,6 @@ def import_robot(config: Path, /, *, out: Path | None = None, battery: str = "ro
     battery
         Name of the robot's battery, as logs call it.
     """
-    from missionsim.exchange.rmf_fleet import read_fleet
-    from missionsim.inputs.loading import robot_from_text
-
     fleet = read_fleet(config)
     text = fleet.robot_text(battery)
     name = robot_from_text(text, str(out or config)).name

@@ -6,16 +6,21 @@ import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from missionsim.cli.options import TERMINAL, OutPath, Output
 from missionsim.errors import Fault, InputError, visible
 from missionsim.files import fields_of, write_text
+from missionsim.importer import roles
+from missionsim.importer.mapping import import_long, import_source, provenance
+from missionsim.importer.roles import folded, guess_all
+from missionsim.importer.sources import find_files
+from missionsim.importer.suggest import suggest_map
+from missionsim.inputs import load_robot
+from missionsim.inputs.loading import load_map
+from missionsim.logs import LogTable, describe
+from missionsim.logs.blocks import LongRun, write_log
 from missionsim.report.terminal import console, show_table
-
-if TYPE_CHECKING:
-    from missionsim.logs import LogTable
-    from missionsim.logs.blocks import LongRun
 
 
 def import_(
@@ -67,9 +72,6 @@ def import_(
         return _list(sources, to)
     if out is None:
         raise InputError.single("--out is missing", allowed="--out LOG.parquet, or a folder for several runs")
-    from missionsim.importer.mapping import import_long, import_source, provenance
-    from missionsim.inputs.loading import load_map
-    from missionsim.logs.blocks import write_log
 
     spec = load_map(map_)
     left_out: list[Fault] = []
@@ -165,8 +167,6 @@ def _summary(log: LogTable | LongRun, target: Path) -> dict[str, Any]:
 
 
 def _print(logs: Sequence[LogTable | LongRun], targets: Sequence[Path]) -> None:
-    from missionsim.logs import describe
-
     rows = []
     for log in logs[:20]:
         energies = ", ".join(f"{name} {log.energy_wh(name):.3f}" for name in log.batteries)
@@ -182,13 +182,10 @@ def _print(logs: Sequence[LogTable | LongRun], targets: Sequence[Path]) -> None:
 
 
 def _list(sources: Sequence[Path], to: Output) -> int:
-    from missionsim.importer.roles import fields_of, folded, guess_all
-    from missionsim.importer.sources import find_files
-
     paths = find_files(sources)
     listed = []
     for path in paths[:1] if len(sources) == 1 else paths:
-        fields = fields_of(path)
+        fields = roles.fields_of(path)
         guesses = guess_all(fields)
         shown = sorted(
             (field for field in fields if folded(field) is None),
@@ -224,9 +221,6 @@ def _list(sources: Sequence[Path], to: Output) -> int:
 
 
 def _suggest(sources: Sequence[Path], out: Path | None, robot: str | None, to: Output) -> int:
-    from missionsim.importer.sources import find_files
-    from missionsim.importer.suggest import suggest_map
-
     if out is not None and out.suffix not in (".yaml", ".yml"):
         raise InputError.single("--suggest writes a map", got=str(out), allowed="--out MAP.yaml")
     found = suggest_map(find_files(sources), _battery(robot) if robot is not None else "robot")
@@ -253,7 +247,5 @@ def _suggest(sources: Sequence[Path], out: Path | None, robot: str | None, to: O
 
 def _battery(robot: str) -> str:
     """The battery that a robot drives with."""
-    from missionsim.inputs import load_robot
-
     spec = load_robot(robot)
     return spec.motion.battery if spec.motion is not None else next(iter(spec.batteries))

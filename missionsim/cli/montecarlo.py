@@ -8,17 +8,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from cyclopts import Parameter
 
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFolder, Output
+from missionsim.cli.run import show
 from missionsim.errors import Fault, InputError
 from missionsim.files import install_hint, to_json, write_text
+from missionsim.report.figures_run import write_batch_figures
 from missionsim.report.terminal import console, show_table
-
-if TYPE_CHECKING:
-    from missionsim.uncertainty.batch import Prepared, Task
+from missionsim.results.write import write_results
+from missionsim.uncertainty.batch import Prepared, Task, answer_batch, prepare
+from missionsim.uncertainty.importance import refuse_correlated
+from missionsim.uncertainty.single import simulate_run, unread_values
+from missionsim.uncertainty.store import BlockStore
 
 RESUMABLE = 130
 MOST_RUNS, MOST_WORKERS = 10**9, 1024
@@ -117,9 +121,6 @@ def montecarlo(
     engine
         arrays evaluates many runs at once, simpy runs each; auto takes arrays where the mission allows it.
     """
-    from missionsim.uncertainty.batch import Task, prepare
-    from missionsim.uncertainty.single import unread_values
-
     batch.check()
     chosen = "simpy" if batch.only is not None and engine == "auto" else engine
     task = Task(str(mission), changes.pairs, changes.robot, batch.seed, chosen)
@@ -142,12 +143,8 @@ def montecarlo(
 
 
 def _only(prepared: Prepared, seed: int, run: int, out: Path | None, to: Output) -> int:
-    from missionsim.uncertainty.single import simulate_run
-
     drawn, result, limited = simulate_run(prepared.mission, prepared.model, prepared.sampler, seed, run)
     if out is not None:
-        from missionsim.results.write import write_results
-
         folder = out / f"run_{run:09d}"
         write_results(result, folder)
         write_text(folder / "drawn.json", to_json(drawn))
@@ -159,17 +156,12 @@ def _only(prepared: Prepared, seed: int, run: int, out: Path | None, to: Output)
         show_table(f"Run {run} of seed {seed}: drawn values", ["value", ">drawn", "unit"], rows)
         if limited:
             terminal.print("A drawn speed is above the greatest of the robot or its control scheme and is cut to that.")
-        from missionsim.cli.run import show
 
         show(result)
     return 0 if result.feasible else 1
 
 
 def _batch(task: Task, prepared: Prepared, batch: Batch, out: Path, to: Output) -> int:
-    from missionsim.uncertainty.batch import answer_batch
-    from missionsim.uncertainty.importance import refuse_correlated
-    from missionsim.uncertainty.store import BlockStore
-
     if batch.sobol:
         refuse_correlated(prepared)
     store = BlockStore(out)
@@ -189,8 +181,6 @@ def _batch(task: Task, prepared: Prepared, batch: Batch, out: Path, to: Output) 
                 on_damaged=_tell_damaged,
             )
         if batch.plot:
-            from missionsim.report.figures_run import write_batch_figures
-
             write_batch_figures(store, firsts, tuple(prepared.mission.robot.batteries), out)
     except KeyboardInterrupt:
         kept = "nothing is kept without --out"

@@ -6,17 +6,23 @@ import signal
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, Output
+from missionsim.cli.parse import check_picture
+from missionsim.cli.run import clock
+from missionsim.engine.outcome import RunResult
 from missionsim.errors import InputError
 from missionsim.files import check_writable, write_text
+from missionsim.inputs.loading import load_environment, load_task
+from missionsim.inputs.task import TaskSpec
+from missionsim.planner import reach as planner
+from missionsim.planner import why
+from missionsim.planner.answer import Answer, mission_text
+from missionsim.planner.chance import plan_task
+from missionsim.report.plan_page import plan_page
+from missionsim.report.site_map import map_of_plan, map_of_reach, write_map
 from missionsim.report.terminal import console, show_table, titled
-
-if TYPE_CHECKING:
-    from missionsim.engine.outcome import RunResult
-    from missionsim.inputs.task import TaskSpec
-    from missionsim.planner.answer import Answer
 
 
 def plan(
@@ -52,10 +58,6 @@ def plan(
     report
         Write an interactive page, which opens from disk, to this HTML file.
     """
-    from missionsim.cli.parse import check_picture
-    from missionsim.inputs.loading import load_task
-    from missionsim.planner.answer import mission_text
-
     check_picture(plot)
     check_writable(out, plot, report)
     if seconds is not None and not seconds > 0.0:
@@ -75,12 +77,8 @@ def plan(
         write_text(out, mission_text(answer, out))
         written.append(out)
     if plot is not None:
-        from missionsim.report.site_map import map_of_plan, write_map
-
         written.append(write_map(map_of_plan(answer), plot))
     if report is not None:
-        from missionsim.report.plan_page import plan_page
-
         write_text(report, plan_page(answer, footer=f"missionsim plan {task.name}"))
         written.append(report)
     to.emit(answer.summary())
@@ -93,8 +91,6 @@ def plan(
 
 def _solved(task: TaskSpec, seconds: float | None, to: Output) -> tuple[Answer, RunResult | None]:
     """Search with progress on standard error, and an end to it: after some time, or at Ctrl-C (at once at a second)."""
-    from missionsim.planner.chance import plan_task
-
     began = time.monotonic()
     stop = False
 
@@ -121,8 +117,6 @@ def _solved(task: TaskSpec, seconds: float | None, to: Output) -> tuple[Answer, 
 
 
 def _extend(answer: Answer, with_pareto: bool, with_alternatives: bool) -> None:
-    from missionsim.planner import why
-
     if not answer.feasible and answer.extra.pop("explained", True) and answer.notes:
         would_do = answer.extra.pop("would_do", [])
         told = [f"this would do: {change['text']}" for change in would_do]
@@ -143,8 +137,6 @@ def _extend(answer: Answer, with_pareto: bool, with_alternatives: bool) -> None:
 
 def show(answer: Answer) -> None:
     """Print a plan, at most 100 columns wide."""
-    from missionsim.cli.run import clock
-
     terminal = console()
     task = answer.site.task
     if not answer.feasible:
@@ -215,10 +207,6 @@ def reach(
     plot
         Draw the map into this PNG or SVG file.
     """
-    from missionsim.cli.parse import check_picture
-    from missionsim.inputs.loading import load_environment
-    from missionsim.planner import reach as planner
-
     check_picture(plot)
     check_writable(plot)
     if changes.robot is None:
@@ -240,8 +228,6 @@ def reach(
     answer = planner.summary(task, found, probability)
     answer["warnings"] = [fault.message for fault in warnings.values()]
     if plot is not None:
-        from missionsim.report.site_map import map_of_reach, write_map
-
         write_map(map_of_reach(task.environment, task.start, found, probability), plot)
     to.emit(answer)
     if to.text:
@@ -253,8 +239,6 @@ def reach(
 
 def _show(answer: dict[str, Any]) -> None:
     """Print what can be reached, at most 100 columns wide."""
-    from missionsim.cli.run import clock
-
     terminal = console()
     percent = f"{100 * answer['probability']:g} %"
     how = f" with {answer['robot']} from {answer['from']}, back to {answer['to']}"

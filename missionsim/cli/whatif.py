@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from missionsim.cli.options import AS_FILED, TERMINAL, Changes, OutFile, Output
 from missionsim.cli.run import clock
 from missionsim.errors import InputError
+from missionsim.inputs.overrides import split_assignment
 from missionsim.report.terminal import console, show_table, simple_table, titled
-
-if TYPE_CHECKING:
-    from missionsim.results.whatif import Alternative, WhatIf
+from missionsim.results.whatif import BASELINE, Alternative, WhatIf, from_study, run_alternatives, varied
+from missionsim.results.write import write_table
+from missionsim.uncertainty.batch import Task
+from missionsim.uncertainty.paired import compare_alternatives
 
 
 def whatif(
@@ -52,9 +54,6 @@ def whatif(
     out
         Table as CSV (or Parquet, by its suffix): a row an alternative, battery and term.
     """
-    from missionsim.inputs.overrides import split_assignment
-    from missionsim.results.whatif import BASELINE, Alternative, from_study, run_alternatives, varied
-
     if (vary is None) == (study is None):
         raise InputError.single(
             "whatif needs either --vary or --study",
@@ -84,8 +83,6 @@ def whatif(
         found = run_alternatives(path, alternatives, lambda: bar.advance(task), workers)
     to.warn(found.warnings)
     if out is not None:
-        from missionsim.results.write import write_table
-
         write_table(found.table(), out)
     answer = found.to_json()
     if montecarlo:
@@ -102,9 +99,6 @@ def whatif(
 
 
 def _draw(path: Path, alternatives: Sequence[Alternative], runs: int, seed: int, to: Output) -> dict[str, Any]:
-    from missionsim.uncertainty.batch import Task
-    from missionsim.uncertainty.paired import compare_alternatives
-
     tasks = [Task(str(path), tuple(a.set), a.robot, seed, "auto") for a in alternatives]
     with to.progress() as bar:
         task = bar.add_task("runs", total=runs * len(tasks))
