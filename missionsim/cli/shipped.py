@@ -255,25 +255,17 @@ def reproduce(*robots: str, out: OutFolder | None = None, no_pictures: bool = Fa
 
 def _print(paper: str, items: list[Item]) -> None:
     """One table of a paper, notes numbered under it."""
-    from rich.table import Table
-    from rich.text import Text
-
     from missionsim.published.figures import ABOUT
     from missionsim.published.reproduce import counts, footnotes, number
 
-    table = Table(title=ABOUT[paper].title, title_justify="left", title_style="bold", pad_edge=False)
-    table.box, table.padding = None, (0, 1, 0, 0)
-    widths = {"item": 27, "where": 9, ">published": 9, ">ours": 8, "unit": 6, ">differ.": 8, "status": 24, ">note": 4}
-    for heading, width in widths.items():
-        table.add_column(heading.strip(">"), justify="right" if heading[0] == ">" else "left", max_width=width)
-    colours = {"agrees": "green", "calibrated": "blue", "differs": "red", "paper contradicts itself": "yellow"}
     references, notes = footnotes(items)
+    rows = []
     for item, reference in zip(items, references, strict=True):
-        f, status = item.figure, Text(item.status, colours.get(item.status, "dim"))
-        apart = "" if item.difference is None else f"{item.difference:+.2g}"
-        table.add_row(f.item, f.where, f.printed, number(item.ours), f.unit, apart, status, reference)
+        f, apart = item.figure, "" if item.difference is None else f"{item.difference:+.2g}"
+        rows.append([f.item, f.where, f.printed, number(item.ours), f.unit, apart, item.status, reference])
+    heads = ["item", "where", ">published", ">ours", "unit", ">differ.", "status", ">note"]
+    show_table(ABOUT[paper].title, heads, rows)
     terminal = console()
-    terminal.print(table)
     for index, note in enumerate(notes, start=1):
         terminal.print(f"  {index:3d} {note}", style="dim")
     terminal.print(f"{counts(items)}.\n", style="bold")
@@ -281,23 +273,12 @@ def _print(paper: str, items: list[Item]) -> None:
 
 def _print_side(words: str, rows: list[dict[str, Any]]) -> None:
     """A table beside the figures; wide ones stand on their side, long ones are in the CSV file only."""
-    from rich.table import Table
-
     wide = len(rows[0]) > MOST_COLUMNS
     if len(rows) > (MOST_COLUMNS - 1 if wide else MOST_ROWS):
         return
-    columns = list(rows[0])
-    shown = [[row[column] for column in columns] for row in rows]
-    body = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in line] for line in shown]
+    first, *columns = rows[0]
+    body = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row.values()] for row in rows]
     if wide:
-        body = [[column, *(line[i] for line in body)] for i, column in enumerate(columns)]
-        columns = ["", *(str(i + 1) for i in range(len(rows)))]
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for index, column in enumerate(columns):
-        table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")
-    for line in body:
-        table.add_row(*line)
-    terminal = console()
-    terminal.print(words, style="bold")
-    terminal.print(table)
-    terminal.print()
+        body = [list(line) for line in zip([first, *columns], *body, strict=True)]
+        first, columns = "", [str(i + 1) for i in range(len(rows))]
+    show_table(words, [first, *(f">{column}" for column in columns)], body)

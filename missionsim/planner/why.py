@@ -12,6 +12,7 @@ import numpy as np
 from missionsim.files import Json
 from missionsim.inputs.task import SchemeChoice, TaskSpec
 from missionsim.inputs.values import Parameter
+from missionsim.physics import Array
 from missionsim.planner.answer import Answer
 from missionsim.planner.orders import MOST_FREE, Order
 from missionsim.planner.solve import Watch, solve_site
@@ -38,23 +39,15 @@ def explain(site: Site) -> Json:
     short: list[dict[str, Any]] = []
     changes: list[dict[str, Any]] = []
     if math.isfinite(site.deadline_s):
-        seconds = np.zeros_like(site.weights)
-        seconds[0] = 1.0
-        free = solve_site(replace(site, deadline_s=math.inf, weights=seconds), valued=False)
+        free = solve_site(replace(site, deadline_s=math.inf, weights=_time(site)), valued=False)
         if free.feasible:
             lacking = free.duration_s - site.deadline_s
             ends = np.cumsum([leg.duration_s for leg in free.legs])
             late = free.legs[min(int(np.searchsorted(ends, site.deadline_s, side="right")), len(ends) - 1)]
             short.append({"what": "time", "short_s": lacking, "leg": _name(late), "to": late.place})
-            changes.append(
-                {
-                    "change": "within.deadline",
-                    "to": ENOUGH * free.duration_s,
-                    "unit": "s",
-                    "text": f"a deadline of {_up(free.duration_s, 1):.1f} s ({_up(lacking, 1):.1f} s later)",
-                    "relative": lacking / site.deadline_s,
-                }
-            )
+            text = f"a deadline of {_up(free.duration_s, 1):.1f} s ({_up(lacking, 1):.1f} s later)"
+            share = lacking / site.deadline_s
+            changes.append(_change("within.deadline", ENOUGH * free.duration_s, "s", text, share))
     unserved = {}
     for b, name in enumerate(site.physics.names):
         docks = {stop.place: stop.charger for stop in site.stops if stop.charger is not None}
@@ -73,28 +66,16 @@ def explain(site: Site) -> Json:
         capacity = float(site.physics.capacity_wh[b])
         if needed + reserve <= capacity:
             level, before = 100.0 * (needed + reserve) / capacity, 100.0 * initial / capacity
-            changes.append(
-                {
-                    "change": f"initial_charge.{name}",
-                    "to": min(1.0, ENOUGH * level / 100.0),
-                    "unit": "",
-                    "text": f"'{name}' at {min(100.0, _up(level, 1)):.1f} % at the start in place of {before:.1f} %",
-                    "relative": lacking / capacity,
-                }
-            )
+            text = f"'{name}' at {min(100.0, _up(level, 1)):.1f} % at the start in place of {before:.1f} %"
+            to = min(1.0, ENOUGH * level / 100.0)
+            changes.append(_change(f"initial_charge.{name}", to, "", text, lacking / capacity))
         usable = (initial - reserve) / capacity
         if usable <= 0.0:
             continue
         larger = needed / usable
-        changes.append(
-            {
-                "change": f"robot.batteries.{name}.capacity",
-                "to": ENOUGH * larger,
-                "unit": "Wh",
-                "text": f"a battery '{name}' of {_up(larger, 2):.2f} Wh in place of {capacity:.4g} Wh",
-                "relative": larger / capacity - 1.0,
-            }
-        )
+        text = f"a battery '{name}' of {_up(larger, 2):.2f} Wh in place of {capacity:.4g} Wh"
+        to, key = ENOUGH * larger, f"robot.batteries.{name}.capacity"
+        changes.append(_change(key, to, "Wh", text, larger / capacity - 1.0))
     changes += [*_one_less(site), *_other_changes(site)]
     lines = []
     for item in short:
@@ -105,6 +86,11 @@ def explain(site: Site) -> Json:
     if not short:
         lines += _together(site)
     return _told(short, changes, lines)
+
+
+def _change(key: str, to: object, unit: str, text: str, relative: float) -> dict[str, Any]:
+    """A single change that would do, and how large it is in its own measure."""
+    return {"change": key, "to": to, "unit": unit, "text": text, "relative": relative}
 
 
 def _told(short: list[dict[str, Any]], changes: list[dict[str, Any]], lines: list[str]) -> dict[str, Any]:
@@ -175,6 +161,11 @@ def _name(leg: Any) -> str:
     return f"edge '{leg.piece.name}'" if leg.piece is not None else leg.kind
 
 
+def _time(site: Site) -> Array:
+    """Weights with which time alone counts."""
+    return np.eye(1, len(site.weights))[0]
+
+
 def _up(value: float, digits: int) -> float:
     """Rounded up: what is told must do."""
     return math.ceil(ENOUGH * value * 10.0**digits) / 10.0**digits
@@ -189,17 +180,10 @@ def _lighter(site: Site) -> Iterator[dict[str, Any]]:
     for load in [] if most is None else loads[loads > most].tolist():
         if solve_site(make_site(task, Order(task, order.sequence, most_kg=load))).feasible:
             own, body = task.within.max_payload, task.robot.body.max_payload
-            key = (
-                "robot.body.max_payload" if own is None or (body and body.value <= own.value) else "within.max_payload"
-            )
+            of_robot = own is None or (body is not None and body.value <= own.value)
+            key = "robot.body.max_payload" if of_robot else "within.max_payload"
             text = f"a greatest load of {load:g} kg in place of {most:g} kg ({key})"
-            yield {
-                "change": key,
-                "to": load,
-                "unit": "kg",
-                "text": text,
-                "relative": load / max(most or 0.0, 1e-9) - 1.0,
-            }
+            yield _change(key, load, "kg", text, load / max(most or 0.0, 1e-9) - 1.0)
             break
     more = sorted({-load for load in loads.tolist() if load < 0.0})
     for extra in more:
@@ -210,7 +194,7 @@ def _lighter(site: Site) -> Iterator[dict[str, Any]]:
                 f"{given.value:g} kg on board at the start in place of {order.load_kg:g} kg (defaults: {{payload: …}})"
             )
             relative = extra / max(float(np.abs(loads).max()), 1e-9)
-            yield {"change": "defaults.payload", "to": given.value, "unit": "kg", "text": text, "relative": relative}
+            yield _change("defaults.payload", given.value, "kg", text, relative)
             break
 
 
@@ -223,8 +207,7 @@ def _one_less(site: Site) -> Iterator[dict[str, Any]]:
             continue
         rest = tuple(_without(other, visit.label) for k, other in enumerate(task.visits) if k != i)
         if solve_site(make_site(task.model_copy(update={"visits": rest}))).feasible:
-            text = f"without the visit '{visit.label}'"
-            yield {"change": f"visits.{i}", "to": None, "unit": "", "text": text, "relative": 1.0 / count}
+            yield _change(f"visits.{i}", None, "", f"without the visit '{visit.label}'", 1.0 / count)
 
 
 def _shut_off(task: TaskSpec) -> list[str]:
@@ -249,8 +232,7 @@ def _opened(site: Site) -> Iterator[dict[str, Any]]:
         other._environment = environment.opened(name)
         if not _shut_off(other) and solve_site(make_site(other)).feasible:
             what = "place" if name in environment.places else "edge"
-            text = f"{what} '{name}' open (--set {change}=false)"
-            yield {"change": change, "to": False, "unit": "", "text": text, "relative": 0.4}
+            yield _change(change, False, "", f"{what} '{name}' open (--set {change}=false)", 0.4)
 
 
 def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
@@ -266,14 +248,9 @@ def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
         if answer.feasible:
             number = next((k for k, leg in enumerate(answer.legs) if leg.visit == i), len(answer.legs))
             begins, until = sum(leg.duration_s for leg in answer.legs[:number]), visit.window.until.value
-            later = f"{_up(begins, 1):.1f} s ({_up(begins - until, 1):.1f} s later)"
-            yield {
-                "change": f"visits.{i}.window.until",
-                "to": ENOUGH * begins,
-                "unit": "s",
-                "text": f"a window of '{visit.label}' until {later}",
-                "relative": (begins - until) / max(until, 1.0),
-            }
+            text = f"a window of '{visit.label}' until {_up(begins, 1):.1f} s ({_up(begins - until, 1):.1f} s later)"
+            share = (begins - until) / max(until, 1.0)
+            yield _change(f"visits.{i}.window.until", ENOUGH * begins, "s", text, share)
     chargers = [name for name, place in task.environment.places.items() if place.charger is not None]
     unused = sorted(set(chargers) - set(task.docks))
     if unused and task.docks != tuple(chargers):
@@ -281,13 +258,8 @@ def _other_changes(site: Site) -> Iterator[dict[str, Any]]:
         if answer.feasible:
             minutes = sum(leg.duration_s for leg in answer.legs if leg.kind == "charge") / 60.0
             where = ", ".join(dict.fromkeys(leg.place for leg in answer.legs if leg.kind == "charge"))
-            yield {
-                "change": "choose.docks",
-                "to": "all",
-                "unit": "",
-                "text": f"charging {minutes:.1f} min at {where} (choose: {{docks: all}})",
-                "relative": 0.5,
-            }
+            text = f"charging {minutes:.1f} min at {where} (choose: {{docks: all}})"
+            yield _change("choose.docks", "all", "", text, 0.5)
 
 
 def _without(visit: Any, label: str) -> Any:
@@ -308,12 +280,8 @@ def alternatives(answer: Answer) -> list[Json]:
             kinds.append((f"only scheme {_scheme_name(scheme)}", _site(task, schemes=(scheme,))))
     if any(leg.kind == "charge" for leg in answer.legs):
         kinds.append(("no charging", _site(task, docks="none")))
-    time = np.zeros_like(site.weights)
-    time[0] = 1.0
-    energy = np.ones_like(site.weights)
-    energy[0] = 0.0
-    kinds.append(("least time", replace(site, weights=time)))
-    kinds.append(("least energy", replace(site, weights=energy)))
+    kinds.append(("least time", replace(site, weights=_time(site))))
+    kinds.append(("least energy", replace(site, weights=1.0 - _time(site))))
     found: list[dict[str, Any]] = []
     for name, other in kinds:
         made = solve_site(other)
@@ -348,12 +316,10 @@ def _site(task: TaskSpec, **choices: Any) -> Site:
 
 def pareto(site: Site, points: int = 9, watch: Watch | None = None) -> list[Answer]:
     """The front of energy against time: the least energy within deadlines from the fastest plan's to no matter what."""
-    seconds = np.zeros_like(site.weights)
-    seconds[0] = 1.0
-    energy = site.weights.copy()
-    energy[0] = 0.0
+    seconds = _time(site)
+    energy = site.weights * (1.0 - seconds)
     if not energy.any():
-        energy[1:] = 1.0
+        energy = 1.0 - seconds
     fastest = solve_site(replace(site, weights=seconds), watch)
     cheapest = solve_site(replace(site, weights=energy), watch)
     if not fastest.feasible or not cheapest.feasible:

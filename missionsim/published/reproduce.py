@@ -54,8 +54,6 @@ def reproduce_paper(paper: str) -> list[Item]:
 
 def side_tables(paper: str) -> Tables:
     """Tables beside the figures of a paper, by name."""
-    from missionsim.published.reproduce import TABLES
-
     return {name: TABLES[name]() for name in ABOUT[paper].tables}
 
 

@@ -6,7 +6,6 @@ import csv
 import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -268,45 +267,27 @@ def progress_figure(one: BatteryComparison) -> Figure:
     return figure
 
 
-@dataclass(frozen=True)
-class ErrorMap:
-    """Mean power error on a grid of places."""
-
-    x_m: Array
-    y_m: Array
-    """Both: middles of the cells. Shape (columns,) and (rows,)."""
-    error_w: Array
-    seconds: Array
-    """Both: model minus measured, and the time spent there; NaN where the robot never was. Shape (rows, columns)."""
-    limit_w: float
-    """98th percentile of the magnitude of the error, where colours end."""
-
-
-def error_map(cells: Sequence[PlaceCell]) -> ErrorMap:
-    """The cells of a battery's map as a grid."""
-    width = cells[0].width_m
-    x, y = (np.arange(min(v), max(v) + 0.5 * width, width) for v in ([c.x_m for c in cells], [c.y_m for c in cells]))
-    error, seconds = np.full((2, len(y), len(x)), np.nan)
-    for cell in cells:
-        at = round((cell.y_m - y[0]) / width), round((cell.x_m - x[0]) / width)
-        error[at], seconds[at] = -cell.gap_j / cell.seconds, cell.seconds
-    return ErrorMap(x, y, error, seconds, float(np.nanquantile(np.abs(error), 0.98)) or 1.0)
+def error_grid(cells: Sequence[PlaceCell]) -> tuple[Array, float]:
+    """Mean power error by place, shape (rows, columns), NaN where the robot never was; and its 98th percentile."""
+    places = np.array([(c.y_m, c.x_m) for c in cells])
+    row, column = np.rint((places - places.min(axis=0)) / cells[0].width_m).astype(int).T
+    grid = np.full((row.max() + 1, column.max() + 1), np.nan)
+    grid[row, column] = [-c.gap_j / c.seconds for c in cells]
+    return grid, float(np.nanquantile(np.abs(grid), 0.98)) or 1.0
 
 
 def map_figure(one: BatteryComparison) -> Figure:
     """Mean power error by place."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    found = error_map(one.places)
-    rows, columns = found.error_w.shape
+    grid, limit = error_grid(one.places)
+    rows, columns = grid.shape
     figure = new_figure(7.0, float(np.clip(7.0 * rows / columns, 3.0, 8.0)))
     axes = figure.subplots()
-    edge = 0.5 * one.places[0].width_m
-    extent = (found.x_m[0] - edge, found.x_m[-1] + edge, found.y_m[0] - edge, found.y_m[-1] + edge)
-    colours: dict[str, Any] = {"cmap": LinearSegmentedColormap.from_list("error", DIVERGING), "vmax": found.limit_w}
-    image = axes.imshow(
-        found.error_w, origin="lower", vmin=-found.limit_w, interpolation="nearest", extent=extent, **colours
-    )
+    edge, x, y = 0.5 * one.places[0].width_m, [c.x_m for c in one.places], [c.y_m for c in one.places]
+    extent = (min(x) - edge, max(x) + edge, min(y) - edge, max(y) + edge)
+    colours: dict[str, Any] = {"cmap": LinearSegmentedColormap.from_list("error", DIVERGING), "vmin": -limit}
+    image = axes.imshow(grid, origin="lower", vmax=limit, interpolation="nearest", extent=extent, **colours)
     axes.set_facecolor("#e5e8ec")
     figure.colorbar(image, ax=axes, label="mean error (model − measured), W")
     axes.set_xlabel("x, m")

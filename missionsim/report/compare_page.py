@@ -11,7 +11,7 @@ from missionsim.compare.behaviour import PARTS
 from missionsim.compare.where import in_words
 from missionsim.report import page as web
 from missionsim.report import traces as draw
-from missionsim.report.compare_files import DIVERGING, error_map
+from missionsim.report.compare_files import DIVERGING, error_grid
 from missionsim.report.page import label
 from missionsim.report.terminal import signed
 
@@ -205,14 +205,14 @@ def _progress(one: BatteryComparison) -> list[web.Block]:
 def _map(one: BatteryComparison) -> list[web.Block]:
     if not one.places:
         return []
-    found = error_map(one.places)
     cells = one.places
+    grid, limit = error_grid(cells)
     heat = draw.tiles(
         np.array([c.x_m for c in cells]),
         np.array([c.y_m for c in cells]),
         np.array([-c.gap_j / c.seconds for c in cells]),
         size=cells[0].width_m,
-        limit=found.limit_w,
+        limit=limit,
         colours=DIVERGING,
         bar=draw.axis("error, W"),
         hovertext=[f"{c.value}: {-c.gap_j / c.seconds:.3g} W, {c.seconds:.0f} s" for c in cells],
@@ -227,7 +227,7 @@ def _map(one: BatteryComparison) -> list[web.Block]:
         "Mean power error by place: orange where the model is too high, blue where it is too low; colours end at the "
         "98th percentile."
     )
-    return [web.Chart([heat], layout, caption, int(np.clip(900 * len(found.y_m) / len(found.x_m), 320, 760)))]
+    return [web.Chart([heat], layout, caption, int(np.clip(900 * grid.shape[0] / grid.shape[1], 320, 760)))]
 
 
 def _behaviour(one: BatteryComparison) -> list[web.Block]:

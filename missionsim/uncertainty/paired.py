@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,35 +14,11 @@ from missionsim.uncertainty.answers import LEVEL, proportion_interval
 from missionsim.uncertainty.batch import Task, block_runs, compute_block, prepare
 
 
-@dataclass(frozen=True)
-class PairedDifference:
-    """Difference of an alternative to the baseline, run by run.
-
-    `real`: whether the interval leaves out zero.
-    """
-
-    quantity: str
-    """``energy_<battery>_wh``, ``margin_<battery>_wh``, ``duration_s`` or ``feasible``."""
-    mean: float
-    low: float
-    high: float
-    """All three: mean difference (alternative − baseline) and its 95 % interval."""
-
-    @property
-    def real(self) -> bool:
-        """Whether these runs show a difference at all."""
-        return self.low > 0.0 or self.high < 0.0
-
-    def to_json(self) -> Json:
-        """Numbers and verdict."""
-        return {"quantity": self.quantity, "mean": self.mean, "low": self.low, "high": self.high, "real": self.real}
-
-
-def paired_difference(quantity: str, baseline: Array, other: Array) -> PairedDifference | None:
-    """Mean of the differences of paired runs with a Student interval.
+def paired_difference(quantity: str, baseline: Array, other: Array) -> Json | None:
+    """Mean of the differences (other − baseline) of paired runs with a Student interval, and whether it is `real`.
 
     `baseline`, `other` (shape (n,)): run by run with the same draws; runs that failed in either (NaN) are left out.
-    Gives None with fewer than two pairs.
+    Gives None with fewer than two pairs; the difference is real where the 95 % interval leaves out zero.
     """
     change = np.asarray(other, dtype=float) - np.asarray(baseline, dtype=float)
     change = change[np.isfinite(change)]
@@ -53,7 +28,8 @@ def paired_difference(quantity: str, baseline: Array, other: Array) -> PairedDif
 
     half = float(stdtrit(len(change) - 1, 0.5 + 0.5 * LEVEL)) * float(change.std(ddof=1)) / math.sqrt(len(change))
     mean = float(change.mean())
-    return PairedDifference(quantity, mean, mean - half, mean + half)
+    real = abs(mean) > half
+    return {"quantity": quantity, "mean": mean, "low": mean - half, "high": mean + half, "real": real}
 
 
 def compare_alternatives(
@@ -90,7 +66,7 @@ def compare_alternatives(
         }
         if baseline:
             made = (paired_difference(name, baseline[name], v) for name, v in columns.items() if name in baseline)
-            row["differences"] = [difference.to_json() for difference in made if difference is not None]
+            row["differences"] = [difference for difference in made if difference is not None]
         else:
             baseline = columns
         found.append(row)

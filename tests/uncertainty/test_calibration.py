@@ -80,7 +80,7 @@ def test_intervals_of_differences_hold_the_truth(prepared: Prepared, tmp_path: P
     for seed in range(REPETITIONS):
         found = paired_difference(column, *(blocks(each, seed, 100, column)[column] for each in (prepared, other)))
         assert found is not None
-        held.append(found.low <= large.mean <= found.high)
+        held.append(found["low"] <= large["mean"] <= found["high"])
     assert LEAST <= np.mean(held) <= MOST, np.mean(held)
 
 

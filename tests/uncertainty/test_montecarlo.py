@@ -357,7 +357,7 @@ def test_paired_intervals_cover_the_true_difference() -> None:
         common = rng.normal(size=60)
         found = paired_difference("x", common, common + 0.3 + rng.normal(size=60))
         assert found is not None
-        covered += found.low <= 0.3 <= found.high
+        covered += found["low"] <= 0.3 <= found["high"]
     assert 368 <= covered <= 392
 
 
