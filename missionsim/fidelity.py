@@ -92,15 +92,11 @@ class FidelityModel:
 
     def energy(self, level: Fidelity, speed_m_s: ArrayLike, freq_hz: ArrayLike) -> Array:
         """Energy per metre interpolated in a level's table, J/m."""
+        from scipy.interpolate import RegularGridInterpolator
+
         speeds, clocks, table = self.table(level)
-        speed, clock = np.broadcast_arrays(f64(speed_m_s), f64(freq_hz))
-        i = np.clip(np.searchsorted(speeds, speed) - 1, 0, len(speeds) - 2)
-        j = np.clip(np.searchsorted(clocks, clock) - 1, 0, max(len(clocks) - 2, 0))
-        x = (speed - speeds[i]) / (speeds[i + 1] - speeds[i])
-        y = (clock - clocks[j]) / (clocks[j + 1] - clocks[j])
-        near = table[i, j] * (1 - x) + table[i + 1, j] * x
-        far = table[i, j + 1] * (1 - x) + table[i + 1, j + 1] * x
-        return f64(near * (1 - y) + far * y)
+        between = RegularGridInterpolator((speeds, clocks), table, bounds_error=False, fill_value=None)
+        return f64(between(np.stack(np.broadcast_arrays(f64(speed_m_s), f64(freq_hz)), axis=-1)))
 
     def optimum(self, level: Fidelity) -> Optimum:
         """Best setting on a level's grid that keeps the quality of service."""
@@ -123,19 +119,9 @@ class FidelityModel:
         result = []
         for level in levels:
             seconds = min(self.build_time(level) for _ in range(repeats))
-            mean, most = self.error_pct(level)
-            found = self.optimum(level)
-            result.append(
-                Measured(
-                    level,
-                    self.table(level)[2].size,
-                    seconds,
-                    mean,
-                    most,
-                    found,
-                    100.0 * (found.energy_j_m / best.energy_j_m - 1.0),
-                )
-            )
+            found, points = self.optimum(level), self.table(level)[2].size
+            regret = 100.0 * (found.energy_j_m / best.energy_j_m - 1.0)
+            result.append(Measured(level, points, seconds, *self.error_pct(level), found, regret))
         return result
 
     def build_time(self, level: Fidelity) -> float:

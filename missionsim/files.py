@@ -141,6 +141,17 @@ def needed(package: str, doing: str, file: str = "", extra: str = "logs") -> Mod
         raise InputError.single(told, file=file, allowed=install_hint(extra)) from None
 
 
+@contextlib.contextmanager
+def unreadable(told: str, file: str, allowed: str) -> Iterator[None]:
+    """Whatever another package raises on a broken file becomes an InputError with what it said."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError.single(told, file=file, got=first_line(error), allowed=allowed) from None
+
+
 def first_line(error: Exception, most: int = 200) -> str:
     """What an error of another package says in its first line, or its name."""
     return (str(error) or type(error).__name__).splitlines()[0][:most]

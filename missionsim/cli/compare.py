@@ -89,9 +89,7 @@ def compare(
         print_comparison(result, terminal)
         if tolerance is not None:
             terminal.print(f"\n{'within' if inside else 'OUTSIDE'} the tolerance of ± {tolerance:g} %")
-        for path in (report, out, mcap):
-            if path is not None:
-                terminal.print(f"written: {path}")
+    to.written(report, out, mcap)
     doubtful = any(thousandfold(one.energy_measured_wh, one.energy_model_wh) for one in result.batteries.values())
     return 0 if inside and not doubtful and not result.left_out else 1
 

@@ -71,6 +71,11 @@ class Output:
         for fault in [] if self.quiet else dict.fromkeys(faults):
             print(fault, file=sys.stderr)
 
+    def written(self, *paths: Path | None) -> None:
+        """Say which files were written."""
+        if self.text and (names := ", ".join(str(path) for path in paths if path is not None)):
+            console().print(f"Written: {names}", soft_wrap=True)
+
     @contextmanager
     def progress(self) -> Iterator[Progress]:
         """A progress bar with rate and time left on standard error; hidden where it is no terminal."""

@@ -84,8 +84,7 @@ def plan(
     to.emit(answer.summary())
     if to.text:
         show(answer)
-        if written:
-            console().print(f"Written: {', '.join(map(str, written))}", soft_wrap=True)
+    to.written(*written)
     return 0 if answer.feasible else 1
 
 
@@ -232,8 +231,7 @@ def reach(
     to.emit(answer)
     if to.text:
         _show(answer)
-        if plot is not None:
-            console().print(f"Written: {plot}", soft_wrap=True)
+    to.written(plot)
     return 0 if all(item.sure for item in found) and not answer["unreachable"] else 1
 
 

@@ -71,8 +71,7 @@ def run(
     to.emit(result.summary())
     if to.text:
         show(result)
-        if written:
-            console().print(f"Written: {', '.join(str(path) for path in written)}", soft_wrap=True)
+    to.written(*written)
     return 0 if result.feasible else 1
 
 

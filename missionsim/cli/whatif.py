@@ -93,8 +93,7 @@ def whatif(
         show(found)
         if montecarlo:
             _show_differences(answer["montecarlo"])
-        if out is not None:
-            console().print(f"Written: {out}")
+    to.written(out)
     return 0 if found.runs[0].feasible else 1
 
 

@@ -238,17 +238,12 @@ class _MissionCheck:
         if segment.kind == "turn" and drive == "ackermann":
             self.check.add(where, "an ackermann drive cannot turn on the spot", "turn", "an arc", key=True)
         name = self.mission.scheme_of(segment) or ""
-        if (
-            segment.kind in ("drive", "arc", "turn", "move")
-            and name in robot.schemes
-            and not robot.schemes[name].motion
-        ):
+        moving = segment.kind in ("drive", "arc", "turn", "move")
+        if moving and name in robot.schemes and not robot.schemes[name].motion:
             own = segment.scheme is not None
             given = own or self.mission.defaults.scheme is not None
             at = (*where, "scheme") if own else ("defaults", "scheme") if given else where
-            moves = ", ".join(name for name, item in robot.schemes.items() if item.motion)
-            message = f"control scheme '{name}' stands still"
-            self.check.add(at, message, f"a {segment.kind} segment", moves, key=not given)
+            self.check.stands_still(at, name, robot, f"a {segment.kind} segment", key=not given)
 
     def settings(self, where: Where, settings: Any, segment: Any | None) -> None:
         """Scheme, navigation, sensors, speed, payload, conditions of a segment or of `defaults`."""
@@ -260,9 +255,8 @@ class _MissionCheck:
         if robot is None:
             return
         if settings.scheme is not None:
-            check.known(
-                (*where, "scheme"), settings.scheme, Checker(robot.document).raw_keys("schemes"), "control scheme"
-            )
+            schemes = Checker(robot.document).raw_keys("schemes")
+            check.known((*where, "scheme"), settings.scheme, schemes, "control scheme")
         name = mission.scheme_of(segment) if segment is not None else settings.scheme
         scheme = robot.schemes.get(name or "")
         if settings.navigation is not None:
@@ -279,10 +273,8 @@ class _MissionCheck:
             _, used = scheme.sensor_rules(under)
             if sensor in robot.sensor_names and count > used.get(sensor, 0):
                 text = ", ".join(f"{key} up to {most}" for key, most in used.items()) or "no sensors"
-                message = (
-                    f"control scheme '{name}'{f' with {under}' if under else ''} does not use {count} of '{sensor}'"
-                )
-                check.add(at, message, f"{sensor}: {count}", text)
+                whose = f"control scheme '{name}'" + (f" with {under}" if under else "")
+                check.add(at, f"{whose} does not use {count} of '{sensor}'", f"{sensor}: {count}", text)
         self.limits(where, settings, scheme, name)
 
     def limits(self, where: Where, settings: Any, scheme: Any, name: str | None) -> None:

@@ -61,9 +61,8 @@ class _TaskCheck:
         for index, visit in enumerate(self.task.visits):
             if visit.label in labels:
                 allowed = "a name of its own for each visit of a place"
-                self.check.add(
-                    ("visits", index), f"two visits are called '{visit.label}'", visit.label, allowed, key=True
-                )
+                told = f"two visits are called '{visit.label}'"
+                self.check.add(("visits", index), told, visit.label, allowed, key=True)
             labels.setdefault(visit.label, index)
         for index, visit in enumerate(self.task.visits):
             for key in ("before", "after"):
@@ -150,8 +149,7 @@ class _TaskCheck:
             return
         spec = robot.schemes.get(scheme or "")
         if spec is not None and moving and not spec.motion:
-            moves = ", ".join(name for name, item in robot.schemes.items() if item.motion)
-            check.add(at, f"control scheme '{scheme}' stands still", str(scheme), moves)
+            check.stands_still(at, str(scheme), robot, str(scheme))
         if navigation is not None and spec is not None:
             check.known((*where, "navigation"), navigation, spec.navigation, f"navigation of {scheme}")
         for name, count in (sensors or {}).items():

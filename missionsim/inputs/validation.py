@@ -301,6 +301,11 @@ class Checker:
             return False
         return spec is not None
 
+    def stands_still(self, where: Where, scheme: str, robot: RobotSpec, got: str, *, key: bool = False) -> None:
+        """The fault of a control scheme that drives nowhere, where one that moves is needed."""
+        moves = ", ".join(name for name, item in robot.schemes.items() if item.motion)
+        self.add(where, f"control scheme '{scheme}' stands still", got, moves, key=key)
+
     def given(self, where: Where, key: str) -> bool:
         """Whether a key stands in the file, also with a value that is at fault."""
         children = self.document.node(where).children

@@ -53,6 +53,11 @@ class Remark:
         return Fault(file, self.line, 0, f"{self.message}; {self.action}", path=self.column, severity=severity)
 
 
+def damaged(message: str, count: int = 1, line: int = 0) -> Remark:
+    """The remark on a recording of which a part is missing."""
+    return Remark("damaged", "", message, "what could be read was read", "error", line, count)
+
+
 def merge(remarks: Iterable[Remark]) -> list[Remark]:
     """Join the remarks of several blocks: one for the same check, column, severity and action."""
     joined: dict[tuple[str, ...], Remark] = {}

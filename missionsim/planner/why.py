@@ -163,7 +163,7 @@ def _name(leg: Any) -> str:
 
 def _time(site: Site) -> Array:
     """Weights with which time alone counts."""
-    return np.eye(1, len(site.weights))[0]
+    return np.asarray(np.eye(1, len(site.weights))[0])
 
 
 def _up(value: float, digits: int) -> float:

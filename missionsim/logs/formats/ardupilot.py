@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.errors import InputError
-from missionsim.files import first_line, needed
+from missionsim.files import needed, unreadable
 from missionsim.logs.formats.jsonlines import column
-from missionsim.logs.raw import Remark
+from missionsim.logs.raw import Remark, damaged
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 
 _ENDLESS = re.compile(rb"\xa3\x95\x80.[\x00-\x02]", re.DOTALL)
@@ -38,7 +37,8 @@ def read_ardupilot(path: Path, options: Options) -> Recording:
         for field in options.fields:
             name, _, inner = field.strip().removeprefix("/").rpartition(".")
             wanted[name].add(inner)
-    try:
+    # pymavlink lets struct and index errors of a broken file through
+    with unreadable("the log cannot be read", file, "a whole ArduPilot log"):
         with open(path, "rb") as handle, mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ) as data:
             if _ENDLESS.search(data):
                 raise ValueError("a message has no length")
@@ -49,9 +49,6 @@ def read_ardupilot(path: Path, options: Options) -> Recording:
         ):
             held, counts = _messages(log, wanted, options.most)
             lost = _lost(log)
-    except Exception as error:  # pymavlink lets struct and index errors of a broken file through
-        told, allowed = "the log cannot be read", "a whole ArduPilot log"
-        raise InputError.single(told, file=file, got=first_line(error), allowed=allowed) from None
     topics = []
     for name, (times, rows) in sorted(held.items()):
         fields = dict.fromkeys(field for row in rows for field in row)
@@ -101,8 +98,7 @@ def _remarks(lost: tuple[int, int], said: str) -> list[Remark]:
         return []
     message = f"{lost[0]:,} of {lost[1]:,} bytes belong to no whole message"
     first = said.strip().partition("\n")[0][:80]
-    action = "what could be read was read"
-    return [Remark("damaged", "", message + (f" ({first})" if first else ""), action, "error", 0, 1)]
+    return [damaged(message + (f" ({first})" if first else ""))]
 
 
 READERS = (Reader("ardupilot", "ArduPilot log", (".bin",), (b"\xa3\x95\x80",), recording=read_ardupilot),)

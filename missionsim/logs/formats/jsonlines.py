@@ -13,7 +13,7 @@ import numpy as np
 from missionsim.errors import Fault, InputError
 from missionsim.files import first_line
 from missionsim.labels import Labels
-from missionsim.logs.raw import ColumnData, Remark, numbers_in
+from missionsim.logs.raw import ColumnData, Remark, damaged, numbers_in
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 from missionsim.logs.times import TimeError, read_stamps
 
@@ -45,8 +45,7 @@ def read_json(path: Path, options: Options) -> Recording:
         raise InputError(faults or [Fault(str(path), 1, 1, "no JSON message in it", allowed="one JSON object a line")])
     if faults:
         message = f"{len(faults)} of {lines + len(faults)} lines are no JSON, first line {faults[0].line}"
-        action = "what could be read was read"
-        remarks.append(Remark("damaged", "", message, action, "error", faults[0].line, len(faults)))
+        remarks.append(damaged(message, len(faults), faults[0].line))
     several = {topic for topic, _ in held if sum(topic == other for other, _ in held) > 1}
     topics = []
     for (topic, serial), messages in held.items():
@@ -123,7 +122,7 @@ def _topic(name: str, messages: list[dict[str, Any]], path: Path, options: Optio
         lost = sum(int(now - before) - 1 for before, now in itertools.pairwise(numbers) if 1 < now - before < 1_000_000)
         if lost:
             message = f"{lost} messages of {name} are missing: their numbers (headerId) jump"
-            remarks.append(Remark("damaged", "", message, "what is there was read", "error", 0, lost))
+            remarks.append(damaged(message, lost))
     columns: dict[str, ColumnData] = {}
     for field in dict.fromkeys(field for message in messages for field in message):
         if field != key and options.fields is not None and f"{name}.{field}" not in options.fields:

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.errors import InputError
-from missionsim.files import first_line, needed
+from missionsim.files import first_line, needed, unreadable
 from missionsim.logs.formats.jsonlines import read_json_mcap
 from missionsim.logs.formats.packed import Batch, Held
-from missionsim.logs.raw import Remark
+from missionsim.logs.raw import Remark, damaged
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 from missionsim.physics import Array
 
@@ -43,15 +42,13 @@ def open_bag(path: Path) -> Iterator[AnyReader]:
     bags, types = needed("rosbags.highlevel", "reading bags", file), needed("rosbags.typesys", "reading bags", file)
     if path.is_file() and path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists():
         path = path.parent
-    try:
-        # bags of older ROS 2 carry no message definitions; the common types have not changed since
-        with bags.AnyReader([path], default_typestore=types.get_typestore(types.Stores.ROS2_HUMBLE)) as reader:
-            yield reader
-    except InputError:
-        raise
-    except Exception as error:  # a broken bag raises whatever its parsers and databases meet
-        told, allowed = "the bag cannot be read", "a whole ROS 1, ROS 2 or MCAP bag"
-        raise InputError.single(told, file=file, got=first_line(error), allowed=allowed) from None
+    # bags of older ROS 2 carry no message definitions; the common types have not changed since
+    common, allowed = types.get_typestore(types.Stores.ROS2_HUMBLE), "a whole ROS 1, ROS 2 or MCAP bag"
+    with (
+        unreadable("the bag cannot be read", file, allowed),
+        bags.AnyReader([path], default_typestore=common) as reader,
+    ):
+        yield reader
 
 
 def read_bag(path: Path, options: Options) -> Recording:
@@ -109,7 +106,7 @@ def read_bag(path: Path, options: Options) -> Recording:
         remarks += _damage(expected, seen, broken)
         if not remarks and path.suffix == ".mcap" and not _index_fits(path, found):
             message = "the index at its end does not fit the file: bytes are missing or were put in"
-            remarks.append(Remark("damaged", "", message, DAMAGED, "error", 0, 1))
+            remarks.append(damaged(message))
     times = _times({name: (topic.stamps, topic.received) for name, topic in held.items()}, options.clock, remarks)
     topics = [Topic(name, times[name], topic.columns(), topic.title, topic.count) for name, topic in held.items()]
     return Recording(topics, remarks)
@@ -227,7 +224,7 @@ def _damage(expected: dict[str, int], seen: dict[str, int], broken: list[str]) -
     if broken:
         parts.append(f"{len(broken)} messages cannot be read ({broken[0]})")
     count = sum(lost.values()) + len(broken)
-    return [Remark("damaged", "", f"part of the bag is missing: {', '.join(parts)}", DAMAGED, "error", 0, count)]
+    return [damaged(f"part of the bag is missing: {', '.join(parts)}", count)]
 
 
 _STATISTICS = 11
@@ -254,9 +251,6 @@ def _index_fits(path: Path, messages: int) -> bool:
                 return False
             at += 9 + int.from_bytes(head[1:], "little")
     return at == size - tail
-
-
-DAMAGED = "what could be read was read"
 
 
 def _leaves(message: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:

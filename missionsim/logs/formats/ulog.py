@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.errors import InputError
-from missionsim.files import first_line, needed
-from missionsim.logs.raw import ColumnData, Remark
+from missionsim.files import needed, unreadable
+from missionsim.logs.raw import ColumnData, Remark, damaged
 from missionsim.logs.readers import Options, Reader, Recording, Topic
 
 _HEADER_BYTES = 16
@@ -32,12 +31,9 @@ def read_ulog(path: Path, options: Options) -> Recording:
     matches = [match for field in options.fields or () if (match := _FIELD.match(field.strip()))]
     names = None if options.fields is None else sorted({match["topic"].split("[")[0] for match in matches})
     said = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(said):  # it prints what it finds corrupt
-            log = pyulog.ULog(file, names)
-    except Exception as error:  # pyulog lets struct, index and type errors of a broken file through
-        told, allowed = "the ULog cannot be read", "a whole PX4 ULog"
-        raise InputError.single(told, file=file, got=first_line(error), allowed=allowed) from None
+    # it prints what it finds corrupt, and lets struct, index and type errors of a broken file through
+    with unreadable("the ULog cannot be read", file, "a whole PX4 ULog"), contextlib.redirect_stdout(said):
+        log = pyulog.ULog(file, names)
     wanted = {(match["topic"].removesuffix("[0]"), match["field"]) for match in matches}
     topics: dict[str, Topic] = {}
     for data in sorted(log.data_list, key=lambda item: (item.name, item.multi_id)):
@@ -74,7 +70,7 @@ def _remarks(log: Any, path: Path, said: str) -> list[Remark]:
         share = 100.0 * (size - whole) / size
         where = f"from byte {whole:,} of {size:,} on ({share:.2g} % of the file) its messages are cut or broken"
         message = where if whole != size else f"part of it is corrupt ({said.strip()[:80]})"
-        remarks.append(Remark("damaged", "", message, "what could be read was read", "error", 0, 1))
+        remarks.append(damaged(message))
     if log.dropouts:
         lost = sum(dropout.duration for dropout in log.dropouts) * 1e-3
         message = f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s together"
