@@ -21,8 +21,7 @@ from missionsim.errors import Fault, InputError
 from missionsim.logs.raw import Remark, merge
 from missionsim.physics import Array
 from missionsim.runs.admit import admit
-from missionsim.runs.assume import assume
-from missionsim.runs.drive import drive_blocks
+from missionsim.runs.drive import assume, drive_blocks
 from missionsim.runs.error import cumulative_at, error_curve, error_statistics, progress_grid
 from missionsim.runs.motion import still_of
 from missionsim.runs.run import Run, coarser

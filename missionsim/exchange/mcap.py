@@ -85,8 +85,7 @@ def write_comparison(robot: RobotSpec, logs: Sequence[str | Path], path: str | P
     """
     from missionsim.inputs.power import build_power_model
     from missionsim.logs import read_logs
-    from missionsim.runs.assume import assume
-    from missionsim.runs.drive import drive_blocks
+    from missionsim.runs.drive import assume, drive_blocks
 
     model = build_power_model(robot)
     runs = read_logs(list(logs), robot=robot)

@@ -13,9 +13,8 @@ from missionsim.errors import InputError
 from missionsim.identify.data import RunData
 from missionsim.labels import Labels
 from missionsim.physics import Array
-from missionsim.runs.assume import assume
 from missionsim.runs.covariates import clock_of, is_switch, may_be_cause
-from missionsim.runs.drive import Driven, drive_blocks, filled
+from missionsim.runs.drive import Driven, assume, drive_blocks, filled
 from missionsim.runs.run import Run
 
 MOST_TEXTS = 12
@@ -94,7 +93,7 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
     """Covariates, base power and gradient of every run that measures a battery.
 
     Raises InputError: where no log measures the battery, or the base model needs a column that a log lacks and that has
-    no plain meaning (see `missionsim.runs.assume.assume`).
+    no plain meaning (see `missionsim.runs.drive.assume`).
     """
     tables = [log for log in logs if battery in log.power_w]
     if not tables:

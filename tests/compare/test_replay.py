@@ -10,8 +10,7 @@ import pytest
 from missionsim.effects.library import get_effect
 from missionsim.effects.model import ModelParameter, PowerModel, Term, TermKey
 from missionsim.errors import InputError
-from missionsim.runs.assume import assume
-from missionsim.runs.drive import drive_blocks
+from missionsim.runs.drive import assume, drive_blocks
 from tests.compare.worlds import cut, drive, friction_model, log_of, true_power
 
 

@@ -11,9 +11,8 @@ import pytest
 from missionsim.engine.outcome import RunResult
 from missionsim.engine.simulate import simulate
 from missionsim.errors import InputError
-from missionsim.expected import ExpectedRun
 from missionsim.inputs import load_mission
-from missionsim.online import Forecast, OnlinePredictor
+from missionsim.online import ExpectedRun, Forecast, OnlinePredictor
 
 
 def record(

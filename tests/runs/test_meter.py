@@ -13,8 +13,7 @@ from missionsim.inputs.power import build_power_model
 from missionsim.interface import add_effect, compare, diagnose
 from missionsim.logs import read_logs
 from missionsim.physics.meter import Meter, metered
-from missionsim.runs.assume import assume
-from missionsim.runs.drive import drive, drive_blocks
+from missionsim.runs.drive import assume, drive, drive_blocks
 
 
 def by_small_steps(power_w, edges_s, meter, step_s):
