@@ -76,13 +76,6 @@ def inertial_power(speed_m_s: Value, accel_m_s2: Value, mass_kg: Value, k: Value
     return k * mass_kg * accel_m_s2 * speed_m_s
 
 
-def acceleration_power(
-    speed_m_s: Value, accel_m_s2: Value, mass_kg: Value, k: Value, regeneration: Value = 0.0
-) -> Value:
-    """`inertial_power`, times `regeneration` when braking (library effect `acceleration`)."""
-    return two_sided(inertial_power(speed_m_s, accel_m_s2, mass_kg, k), regeneration)
-
-
 def traction_copper_loss(
     speed_m_s: Value, accel_m_s2: Value, slope_rad: Value, mass_kg: Value, k: Value, rolling: Value
 ) -> Value:

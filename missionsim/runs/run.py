@@ -21,8 +21,6 @@ from missionsim.physics import Array
 from missionsim.runs.covariates import is_switch
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from missionsim.logs.raw import Remark
 
 Bools = NDArray[np.bool_]
@@ -119,14 +117,6 @@ class Run:
             power_w={name: power[keep] for name, power in self.power_w.items()},
             fresh={name: None if fresh is None else fresh[keep] for name, fresh in self.fresh.items()},
             rates={name: rate[keep] for name, rate in self.rates.items()},
-        )
-
-    def to_pandas(self) -> pd.DataFrame:
-        """The columns as a pandas DataFrame, text as strings."""
-        import pandas as pd
-
-        return pd.DataFrame(
-            {name: data.texts() if isinstance(data, Labels) else data.copy() for name, data in self.columns.items()}
         )
 
 
