@@ -130,10 +130,7 @@ def csv_cell(value: T) -> T | str:
 
 
 def needed(package: str, doing: str, file: str = "", extra: str = "logs") -> ModuleType:
-    """A module of an optional package.
-
-    Raises InputError: it is not installed; with the command that installs it.
-    """
+    """A module of an optional package. Raises InputError: it is not installed; with the command that installs it."""
     try:
         return importlib.import_module(package)
     except ImportError:

@@ -45,10 +45,8 @@ _PATTERNS = [(re.compile(f"^{re.sub('<[a-z]+>', '(?P<of>[a-z0-9_]+?)', one.name)
 
 @functools.lru_cache(maxsize=4096)
 def column_of(name: str) -> tuple[Column, str] | None:
-    """The glossary's column for a name, and the battery or component inside it (empty where there is none).
-
-    Returns None for a name that the glossary does not hold (such columns are kept and may be named in a user's effect).
-    """
+    """The glossary's column for a name, and the battery or component inside it (empty where there is none). Returns
+    None for a name that the glossary does not hold (such columns are kept and may be named in a user's effect)."""
     for pattern, column in _PATTERNS:
         match = pattern.match(name)
         if match:

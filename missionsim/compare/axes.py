@@ -92,10 +92,8 @@ class NumberAxis:
         self._sums = _Sums()
 
     def place(self, column: ArrayLike | Labels) -> NDArray[np.int64] | None:
-        """Cell of each row, counted from the lowest of them, shape (n,); -1 for NaN.
-
-        Returns None where no row has a number.
-        """
+        """Cell of each row, counted from the lowest of them, shape (n,); -1 for NaN. Returns None where no row has a
+        number."""
         given: Array = np.asarray(column)
         values = np.abs(given) if self._magnitude else given
         if self._factor != 1.0:
@@ -131,10 +129,8 @@ class NumberAxis:
     def bins(
         self, seconds: str, gap: str, square: str, wanted: int = WANTED_BINS, thin: float = THIN_SHARE
     ) -> list[Bin]:
-        """Bins of a round width, at most `wanted`, in increasing order; empty ones are left out.
-
-        Bins at the ends with less than the share `thin` of the time are joined to their neighbour.
-        """
+        """Bins of a round width, at most `wanted`, in increasing order; empty ones are left out. Bins at the ends with
+        less than the share `thin` of the time are joined to their neighbour."""
         filled = self._sums.cells[self._sums.of(seconds) > 0.0]
         if self._exponent is None or not filled.size:
             return []

@@ -97,9 +97,7 @@ class Effect:
 
     def alone(self, cov: Covariates, p: Parameters) -> Value:
         """Its power beside a drive whose power stands in ``drive_w`` [W]: what it gives back is limited by that need.
-
-        In a model `PowerModel.evaluate` limits all such terms together.
-        """
+        In a model `PowerModel.evaluate` limits all such terms together."""
         power = self.power(cov, p)
         if not self.limits(p):
             return power

@@ -58,10 +58,8 @@ def law_term(component: str, formula: Expression, specs: tuple[ParameterSpec, ..
 
 
 def switchboard_term(name: str, levels: int, components: tuple[str, ...]) -> Effect:
-    """USB switchboard: power by the number of relays that are closed (Jaiem 2021, Table 3).
-
-    One parameter per number of relays; the relays are those of the units that are on.
-    """
+    """USB switchboard: power by the number of relays that are closed (Jaiem 2021, Table 3). One parameter per number of
+    relays; the relays are those of the units that are on."""
     specs = tuple(ParameterSpec(f"relays_{i}", "W", f"with {i} relays closed") for i in range(levels))
 
     def power(cov: Covariates, p: Parameters) -> Any:

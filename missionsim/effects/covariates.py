@@ -95,10 +95,8 @@ def derive(columns: Covariates, time_s: Array, dt_s: Array) -> Columns:
 
 
 def elapsed(active: NDArray[np.bool_], dt_s: Array, *, reset: bool) -> Array:
-    """Time spent active up to the middle of each row [s], shape (n,).
-
-    `active`: shape (n,); `dt_s`: shape (n,); `reset`: whether the clock starts again from zero at each switching on.
-    """
+    """Time spent active up to the middle of each row [s], shape (n,). `active`: shape (n,); `dt_s`: shape (n,);
+    `reset`: whether the clock starts again from zero at each switching on."""
     spent = np.where(active, dt_s, 0.0)
     total = np.cumsum(spent)
     middle = total - 0.5 * spent
@@ -109,10 +107,8 @@ def elapsed(active: NDArray[np.bool_], dt_s: Array, *, reset: bool) -> Array:
 
 
 def acceleration(speed_m_s: Array, time_s: Array, smoothing_s: float | None = None) -> Array:
-    """Rate of a noisy speed: slope of a local least-squares line over a width or three rows [m/s²].
-
-    `speed_m_s`, `time_s`: shape (n,). `smoothing_s`: width; by default that of `smoothing_of`.
-    """
+    """Rate of a noisy speed: slope of a local least-squares line over a width or three rows [m/s²]. `speed_m_s`,
+    `time_s`: shape (n,). `smoothing_s`: width; by default that of `smoothing_of`."""
     count = len(time_s)
     if count < 3:
         return np.gradient(speed_m_s, time_s) if count == 2 and time_s[1] > time_s[0] else np.zeros(count)

@@ -279,9 +279,7 @@ def all_effects(
     battery: str = "<battery>",
 ) -> tuple[Effect, ...]:
     """The whole library for a robot: plain effects, those by surface, component and column of watts, and plug-ins.
-
-    Execution effects are not in it; they need a plan (`execution_effects`).
-    """
+    Execution effects are not in it; they need a plan (`execution_effects`)."""
     return (
         *_EFFECTS,
         battery_resistance(battery),

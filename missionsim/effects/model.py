@@ -300,10 +300,8 @@ class PowerModel:
         return term.limited and asked
 
     def with_values(self, values: Mapping[str, float]) -> PowerModel:
-        """A model with other parameter values, by ``battery/name``.
-
-        Raises InputError: for a name that the model does not have.
-        """
+        """A model with other parameter values, by ``battery/name``. Raises InputError: for a name that the model does
+        not have."""
         known = self.parameters
         for name in values:
             if name not in known:

@@ -36,11 +36,8 @@ class MotionModel:
         return tuple({spec.name: spec for effect in self.terms for spec in effect.parameters}.values())
 
     def build(self, battery: str, parameters: Mapping[str, ModelParameter]) -> list[Term]:
-        """One base term per effect.
-
-        Parameters that the robot file leaves out take their defaults and are held exact; a term whose coefficient is
-        left out and is nought by default is not built.
-        """
+        """One base term per effect. Parameters that the robot file leaves out take their defaults and are held exact; a
+        term whose coefficient is left out and is nought by default is not built."""
         terms = []
         for effect in self.terms:
             if effect.coefficient.name not in parameters and not effect.coefficient.default:
@@ -77,10 +74,7 @@ def motion_model_ids() -> tuple[str, ...]:
 
 
 def get_motion_model(id: str) -> MotionModel:
-    """The motion model of an id.
-
-    Raises InputError: for an unknown id, with the closest one.
-    """
+    """The motion model of an id. Raises InputError: for an unknown id, with the closest one."""
     if id in _own():
         return _read(id)
     others = plugins(MotionModel)

@@ -63,10 +63,8 @@ class Timeline:
         return cov
 
     def changing(self, memory: frozenset[str]) -> NDArray[np.bool_]:
-        """Intervals in which something that matters changes with time, shape (n,).
-
-        `memory`: the clocks (``moving_time_s`` …) that some term of the model reads; the others are ignored.
-        """
+        """Intervals in which something that matters changes with time, shape (n,). `memory`: the clocks
+        (``moving_time_s`` …) that some term of the model reads; the others are ignored."""
         result = np.zeros(len(self), dtype=bool)
         for name in self.rates:
             if name in memory or not _is_clock(name):
@@ -233,10 +231,8 @@ def integrate(
 
 
 def _pieces(index: NDArray[np.intp], duration_s: Array, memory: bool) -> tuple[NDArray[np.intp], Array, Array]:
-    """Pieces to begin with: whole intervals, or 1, 1, 2, 4, 8 … s where a term may fade after the start.
-
-    A quadrature over hours would not see a transient of seconds at their beginning, nor notice that it did not.
-    """
+    """Pieces to begin with: whole intervals, or 1, 1, 2, 4, 8 … s where a term may fade after the start. A quadrature
+    over hours would not see a transient of seconds at their beginning, nor notice that it did not."""
     if not memory:
         return index, np.zeros(index.size), duration_s[index]
     cuts = [

@@ -53,10 +53,8 @@ Evaluating = Generator[Asked, Evaluated, T]
 
 
 def together(model: PowerModel, components: Sequence[str], runs: Sequence[Evaluating[T]]) -> list[T | Exception]:
-    """Results of runs whose questions are answered together; where a run fails, its exception.
-
-    `components`: names, as in the recorders' states.
-    """
+    """Results of runs whose questions are answered together; where a run fails, its exception. `components`: names, as
+    in the recorders' states."""
     found: list[T | Exception] = [RuntimeError("unfinished")] * len(runs)
     answers: dict[int, Evaluated | Exception | None] = dict.fromkeys(range(len(runs)))
     while answers:
@@ -150,10 +148,8 @@ class Meter:
             self.state = {name: float(ends[-1]) for name, ends in states.items()}
 
     def _refuse_nan(self, answer: Evaluated) -> None:
-        """A term that is not a number somewhere lacks a covariate there, or divides by nought.
-
-        Refused before the batteries see it: their equations have no solution that could be stepped along.
-        """
+        """A term that is not a number somewhere lacks a covariate there, or divides by nought. Refused before the
+        batteries see it: their equations have no solution that could be stepped along."""
         line = answer.line
         for battery, terms in answer.energies.items():
             for key, joules in terms.items():
@@ -184,10 +180,8 @@ class Meter:
         return self.batteries[battery].reach(self.state[battery], loads, 0, level, row.duration_s)
 
     def first_alarm(self, reserves: Mapping[str, float], excursions: Sequence[Sequence[float]] = ()) -> Alarm | None:
-        """The first battery to become empty, or to fall to its reserve where `reserves` names a level for it.
-
-        While the robot goes to a dock and charges (begin and end of each excursion, s) no reserve counts, nor before.
-        """
+        """The first battery to become empty, or to fall to its reserve where `reserves` names a level for it. While the
+        robot goes to a dock and charges (begin and end of each excursion, s) no reserve counts, nor before."""
         after = excursions[-1][1] if excursions else 0.0
         found: list[Alarm] = []
         for name, battery in self.batteries.items():

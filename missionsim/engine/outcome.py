@@ -48,11 +48,8 @@ def edges_driven(
     energies: Mapping[str, Mapping[TermKey, Array]],
     charge_wh: Mapping[str, Array],
 ) -> list[DrivenEdge]:
-    """The edges of a run in order; standing on them (obstacles) belongs to them.
-
-    `rows`: of the recorder, as many as `line` has intervals; `line`, `energies`, `charge_wh`: as in
-    `missionsim.engine.outcome.RunResult`.
-    """
+    """The edges of a run in order; standing on them (obstacles) belongs to them. `rows`: of the recorder, as many as
+    `line` has intervals; `line`, `energies`, `charge_wh`: as in `missionsim.engine.outcome.RunResult`."""
     leg_of = np.array([row.leg for row in rows], dtype=np.intp)
     starts = np.flatnonzero(np.append(True, leg_of[1:] != leg_of[:-1])) if len(leg_of) else leg_of
     spans: list[list[int]] = []
@@ -216,10 +213,8 @@ class RunResult:
         return self.was_driven(segment) and not (self.segments[segment].kind == "dock" and end <= before)
 
     def home_energy(self) -> list[dict[str, float | None]]:
-        """Energy in Wh to come home from the end of each segment, by battery; None where no way is known.
-
-        Computed when asked for: a mission has as many ways home as segments.
-        """
+        """Energy in Wh to come home from the end of each segment, by battery; None where no way is known. Computed when
+        asked for: a mission has as many ways home as segments."""
         return self.home() if self.home is not None else [{} for _ in self.segments]
 
     @property

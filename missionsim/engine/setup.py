@@ -100,10 +100,8 @@ def _taper(spec: BatterySpec, number: Callable[[Parameter], float]) -> tuple[tup
 
 
 def check_covariates(plan: Plan, model: PowerModel) -> None:
-    """Refuse a mission that does not say what the robot's effects need to know (temperature, processor load…).
-
-    Raises InputError: with the effect, the column and a segment that lacks it.
-    """
+    """Refuse a mission that does not say what the robot's effects need to know (temperature, processor load…). Raises
+    InputError: with the effect, the column and a segment that lacks it."""
     keys = {column: key for key, column in EXTRAS}
     wanted = {name: term.effect for term in model.terms for name in term.effect.needs if name in keys}
     if not wanted:

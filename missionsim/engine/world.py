@@ -180,10 +180,8 @@ class World:
         return gate.block in self._ended
 
     def _to_dock(self, battery: str) -> list[Step] | None:
-        """Steps to a dock; where the robot goes on also charging there, back, and what is left.
-
-        None where that cannot be; where it was to go on, with the reason.
-        """
+        """Steps to a dock; where the robot goes on also charging there, back, and what is left. None where that cannot
+        be; where it was to go on, with the reason."""
         recorder, legs, at = self.recorder, self.legs, self.recorder.leg
         leg, elapsed = legs[at], recorder.phase_elapsed_s
         done, braking_s, speed = self._stopping(recorder.phase, leg)

@@ -49,10 +49,8 @@ _POSE_SCHEMA = json.loads(Path(__file__).with_name("pose.schema.json").read_text
 
 
 def write_run(result: RunResult, mission: MissionSpec, path: str | Path) -> list[Path]:
-    """Write a simulated run; each interval with its begin and its end: power is the mean of each.
-
-    Gives the MCAP file, the layout and the map.
-    """
+    """Write a simulated run; each interval with its begin and its end: power is the mean of each. Gives the MCAP file,
+    the layout and the map."""
     line = result.timeline
     every = np.arange(len(line))
     index = np.append(np.repeat(every, 2), every[-1:])
@@ -80,9 +78,7 @@ def _ends(first: float, after: Array) -> Array:
 
 def write_comparison(robot: RobotSpec, logs: Sequence[str | Path], path: str | Path) -> list[Path]:
     """Write measured logs beside the model that they drive, row by row; several runs under topics of their own names.
-
-    Gives the MCAP file, the layout and the map.
-    """
+    Gives the MCAP file, the layout and the map."""
     from missionsim.inputs.power import build_power_model
     from missionsim.logs import read_logs
     from missionsim.runs.drive import assume, drive_blocks

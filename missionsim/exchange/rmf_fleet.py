@@ -101,10 +101,7 @@ def _identifier(name: str) -> str:
 
 
 def read_fleet(path: str | Path) -> Fleet:
-    """Read a fleet config.
-
-    Raises InputError: all its faults, with lines.
-    """
+    """Read a fleet config. Raises InputError: all its faults, with lines."""
     document = read_document(path, read_text(path))
     faults = Faults(str(path))
     root = Value(document, faults, document.root)

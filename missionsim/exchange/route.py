@@ -29,10 +29,8 @@ class Stop:
 
 
 def stops_of(mission: MissionSpec) -> tuple[list[Stop], list[str]]:
-    """Places that a mission passes, in order, and what of it has no place in such a list.
-
-    Raises InputError: a mission without an environment, or that leaves the places of its map.
-    """
+    """Places that a mission passes, in order, and what of it has no place in such a list. Raises InputError: a mission
+    without an environment, or that leaves the places of its map."""
     from missionsim.plan.build import make_plan
 
     environment = mission.environment

@@ -70,10 +70,8 @@ def mercator_to_degrees(x: float, y: float) -> tuple[float, float]:
 def nurbs_length(
     points: Sequence[tuple[float, float]], weights: Sequence[float], knots: Sequence[float], degree: int
 ) -> float | None:
-    """Length of a planar NURBS curve, m; None where degree, points and knots do not fit together.
-
-    `points`: length n; `weights`: length n; `knots`: length n + degree + 1.
-    """
+    """Length of a planar NURBS curve, m; None where degree, points and knots do not fit together. `points`: length n;
+    `weights`: length n; `knots`: length n + degree + 1."""
     count = len(points)
     if not 1 <= degree < count or len(knots) != count + degree + 1 or not all(w > 0 for w in weights):
         return None

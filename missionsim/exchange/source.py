@@ -69,11 +69,8 @@ def _encoding(raw: bytes) -> str:
 
 
 def parse_json(text: str, name: str) -> Document:
-    """JSON text as a document whose nodes know their `start` and `end` in it.
-
-    Raises InputError: the first place where the text is not JSON, values nested deeper than 64, or a key that stands
-    twice.
-    """
+    """JSON text as a document whose nodes know their `start` and `end` in it. Raises InputError: the first place where
+    the text is not JSON, values nested deeper than 64, or a key that stands twice."""
     starts = [0, *(match.end() for match in re.finditer("\n", text))]
     depth = 0
 

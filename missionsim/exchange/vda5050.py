@@ -122,10 +122,8 @@ def _layout_edge(edge: Value, site: Site, names: dict[str, str], options: SiteOp
 
 
 def trajectory_length(trajectory: Value, site: Site, degree: int) -> float | None:
-    """Length of a NURBS of LIF or VDA 5050, m; None, and told, where its parts do not fit together.
-
-    `degree` is what holds where none is given.
-    """
+    """Length of a NURBS of LIF or VDA 5050, m; None, and told, where its parts do not fit together. `degree` is what
+    holds where none is given."""
     points, weights = [], []
     for point in trajectory.entries("controlPoints"):
         x, y = point.optional("x"), point.optional("y")

@@ -97,10 +97,8 @@ def _numbered(part: Part, pieces: list[NDArray[np.int64]]) -> list[Part]:
 
 
 def split_at_gaps(name: str, time_s: Array, runs: RunsMap) -> list[tuple[str, NDArray[np.int64], list[Remark]]]:
-    """Pieces of a run between gaps longer than ``runs.gap``; pieces under ``runs.shortest`` are left out and told.
-
-    What was left out is told in the first piece.
-    """
+    """Pieces of a run between gaps longer than ``runs.gap``; pieces under ``runs.shortest`` are left out and told. What
+    was left out is told in the first piece."""
     pieces = [np.arange(len(time_s))]
     if runs.gap is not None:
         pieces = np.split(pieces[0], np.flatnonzero(np.diff(time_s) > float(runs.gap)) + 1)
@@ -116,9 +114,7 @@ def split_at_gaps(name: str, time_s: Array, runs: RunsMap) -> list[tuple[str, ND
 
 def recognised_runs(fields: Mapping[str, Field], time_s: Array | None, times: set[str]) -> dict[str, str]:
     """How several runs in one table are told apart, for a suggested map: by columns, where time restarts, at gaps.
-
-    Gives ``runs`` → its value as YAML; empty for one run.
-    """
+    Gives ``runs`` → its value as YAML; empty for one run."""
     if time_s is None or len(time_s) < 4:
         return {}
     step = np.diff(time_s)

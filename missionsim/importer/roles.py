@@ -147,10 +147,8 @@ class Field:
 
 
 def fields_of(path: Path, reader: Reader | None = None, most: int = 20_000) -> list[Field]:
-    """What a source holds, for listings and suggestions: columns of a table, or fields of the topics of a recording.
-
-    At most `most` rows or messages of a topic are looked at.
-    """
+    """What a source holds, for listings and suggestions: columns of a table, or fields of the topics of a recording. At
+    most `most` rows or messages of a topic are looked at."""
     return list(_fields(path, reader or reader_of(path), most))
 
 

@@ -42,9 +42,7 @@ class Source:
 
 def find_files(given: Sequence[Path]) -> list[Path]:
     """The files that paths stand for: themselves, what matches a pattern, or every readable file of a folder, by name.
-
-    Raises InputError: a folder without anything readable, or no such file.
-    """
+    Raises InputError: a folder without anything readable, or no such file."""
     found: dict[Path, None] = {}
     faults = []
     for path in given:
@@ -268,10 +266,8 @@ def _parts(
 
 
 def stamps_of(raw: RawTable, names: Sequence[str], zone: str | None, unit: str | None) -> Stamps:
-    """Times of a table from one column, or from a date and a time of day.
-
-    Raises InputError: with the reason why these are no times.
-    """
+    """Times of a table from one column, or from a date and a time of day. Raises InputError: with the reason why these
+    are no times."""
     parts = [raw.columns[name] for name in names]
     try:
         if unit is not None and isinstance(parts[0], np.ndarray):

@@ -46,9 +46,7 @@ def unwrap(angle: Array, period: float = 2 * np.pi) -> Array:
 
 def moving_average(values: Array, time_s: Array, over_s: float) -> Array:
     """Mean over a window of `over_s` around each row, of the values joined by straight lines; cut at the ends.
-
-    `values`, `time_s` (shape (n,)): time increasing [s]; `over_s`: length of the window [s].
-    """
+    `values`, `time_s` (shape (n,)): time increasing [s]; `over_s`: length of the window [s]."""
     known = np.isfinite(values)
     if known.sum() < 2:
         return values

@@ -243,10 +243,8 @@ _WORDS = {"slope": re.compile(r"\b(slope_rad|theta)\b"), "payload": re.compile(r
 
 
 def unread(mission: MissionSpec) -> list[Fault]:
-    """Warnings for slopes and payloads that the robot's model does not know, each once, at its first place.
-
-    `mission`: with its robot; without one, or with a faulty one, nothing is said.
-    """
+    """Warnings for slopes and payloads that the robot's model does not know, each once, at its first place. `mission`:
+    with its robot; without one, or with a faulty one, nothing is said."""
     robot = mission.robot
     if robot is None or not (mission.whole and robot.whole and robot.sound):
         return []

@@ -25,10 +25,7 @@ _DIGITS = 7
 
 
 def robot_text(name_or_path: str | os.PathLike[str]) -> str:
-    """Text of a shipped robot's file, or of the file at a path.
-
-    Raises InputError: no such robot.
-    """
+    """Text of a shipped robot's file, or of the file at a path. Raises InputError: no such robot."""
     path = find_robot(str(name_or_path), None)
     if path is None:
         raise InputError(unknown_robot(str(name_or_path)))

@@ -152,10 +152,8 @@ class EnvironmentSpec(FileModel):
         return tuple(name for name, place in self.places.items() if place.charger is not None)
 
     def reached(self, start: str, shut: Container[str | None] = (), *, against: bool = False) -> set[str]:
-        """Places that open ways lead to from a place; `against` their direction, the places that lead to it.
-
-        Edges whose names are in `shut` are left out.
-        """
+        """Places that open ways lead to from a place; `against` their direction, the places that lead to it. Edges
+        whose names are in `shut` are left out."""
         ways: dict[str, set[str]] = {}
         for _, edge, begin, end in self.open_ways():
             if edge.name not in shut:

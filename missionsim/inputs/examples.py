@@ -18,10 +18,8 @@ _ROBOTS = _PACKAGE / "robots"
 
 
 def examples_folder() -> Path:
-    """The folder that holds ``missions``, ``environments`` and ``docs``: of the wheel, or the clone.
-
-    Raises InputError: where missionsim is installed without them.
-    """
+    """The folder that holds ``missions``, ``environments`` and ``docs``: of the wheel, or the clone. Raises InputError:
+    where missionsim is installed without them."""
     for base in (_PACKAGE / "examples", _PACKAGE.parent):
         if (base / "missions" / "pioneer3dx").is_dir():
             return base

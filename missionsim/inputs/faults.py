@@ -32,11 +32,8 @@ _KINDS = {kind: words for words, kinds in _WANTED.items() for kind in kinds.spli
 def to_faults(
     problem: ValidationError, document: Document, model: type[BaseModel], shape: object
 ) -> list[tuple[tuple[str | int, ...], Fault]]:
-    """All errors of one validation, each with its path in the file.
-
-    `document`: where the data came from; `model`: the file's model, for the keys that are allowed; `shape`: the data
-    that was validated.
-    """
+    """All errors of one validation, each with its path in the file. `document`: where the data came from; `model`: the
+    file's model, for the keys that are allowed; `shape`: the data that was validated."""
     result: list[tuple[tuple[str | int, ...], Fault]] = []
     for error in problem.errors(include_url=False):
         kind = error["type"]

@@ -16,10 +16,7 @@ OF_ROBOT = ("body", "batteries", "motion", "components", "links", "switchboards"
 
 
 def split_assignment(text: str) -> tuple[str, str]:
-    """``"defaults.speed=0.5 m/s"`` to its path and value.
-
-    Raises InputError: no ``=`` or an empty path.
-    """
+    """``"defaults.speed=0.5 m/s"`` to its path and value. Raises InputError: no ``=`` or an empty path."""
     path, equals, value = text.partition("=")
     if not equals or not path.strip():
         raise InputError(
@@ -29,10 +26,8 @@ def split_assignment(text: str) -> tuple[str, str]:
 
 
 def route(overrides: Iterable[tuple[str, object]], data: object) -> dict[str, list[tuple[str, object]]]:
-    """Overrides by file: ``""`` (the mission), ``robot``, ``environment``.
-
-    ``robot`` alone replaces the mission's robot; ``robot.x`` goes into the robot's file, and so does ``schemes.x``.
-    """
+    """Overrides by file: ``""`` (the mission), ``robot``, ``environment``. ``robot`` alone replaces the mission's
+    robot; ``robot.x`` goes into the robot's file, and so does ``schemes.x``."""
     result: dict[str, list[tuple[str, object]]] = {"": [], **{root: [] for root in ROOTS}}
     for path, value in overrides:
         first, _, rest = path.partition(".")

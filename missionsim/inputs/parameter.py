@@ -116,10 +116,8 @@ class Distribution:
         return (self._low - mean) / sd, (self._high - mean) / sd
 
     def at_scores(self, scores: Array) -> Array:
-        """Values at standard normal numbers, SI; for kinds that follow from them, without regard to bounds.
-
-        The values take the place of the scores.
-        """
+        """Values at standard normal numbers, SI; for kinds that follow from them, without regard to bounds. The values
+        take the place of the scores."""
         mean, sd = float(self.mean_ or 0.0), float(self.sd_ or 0.0)
         if self.kind == "lognormal" and sd:
             sigma2 = math.log1p((sd / mean) ** 2)

@@ -21,11 +21,8 @@ SCHEMA_FOLDER = Path(__file__).resolve().parent.parent / "schemas"
 
 
 def schema(kind: str, robot: RobotSpec | None = None) -> Schema:
-    """JSON Schema (2020-12) of a kind of file.
-
-    `robot`: whose batteries, components and schemes are the only ones; `kind`: ``robot``, ``environment``, ``mission``,
-    ``study``, ``map`` or ``task``. Raises InputError: unknown kind.
-    """
+    """JSON Schema (2020-12) of a kind of file. `robot`: whose batteries, components and schemes are the only ones;
+    `kind`: ``robot``, ``environment``, ``mission``, ``study``, ``map`` or ``task``. Raises InputError: unknown kind."""
     if kind not in KINDS:
         raise InputError.unknown(f"no schema '{kind}'", kind, KINDS)
     raw = model_of(kind).model_json_schema(by_alias=True)
@@ -88,9 +85,7 @@ Schema = dict[str, Any]
 
 def unit_pattern(dimension: str, percent: bool = False) -> str:
     """Text of a number with a unit of one dimension; what is composed (``kg m/s^2``) is left to the loader.
-
-    `dimension`: key of `units.DIMENSIONS`; empty for any unit. `percent`: whether ``%`` is a unit of it (slopes).
-    """
+    `dimension`: key of `units.DIMENSIONS`; empty for any unit. `percent`: whether ``%`` is a unit of it (slopes)."""
     if not dimension:
         return _NUMBER + r"\s*\S*.*$"
     names = [unit for unit in units.units_of(dimension) if unit]

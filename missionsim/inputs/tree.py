@@ -148,11 +148,8 @@ def as_written(value: object) -> str:
 
 
 def read_document(path: str | Path, *, name: str | None = None) -> Document:
-    """Read one YAML file.
-
-    `path`: the file. `name`: how messages call it; default the path. Raises InputError: missing, too large, not UTF-8,
-    not YAML, duplicate keys, tags, too deep or too many values.
-    """
+    """Read one YAML file. `path`: the file. `name`: how messages call it; default the path. Raises InputError: missing,
+    too large, not UTF-8, not YAML, duplicate keys, tags, too deep or too many values."""
     import hashlib
 
     shown = name or str(path)

@@ -78,10 +78,8 @@ def split(text: str) -> tuple[float, str] | None:
 
 
 def unit_factor(unit: str, dimension: str) -> tuple[float, float]:
-    """Factor and offset to SI (``si = factor * number + offset``) of a unit of the wanted dimension.
-
-    Raises UnitError: unknown unit, or a unit of another dimension.
-    """
+    """Factor and offset to SI (``si = factor * number + offset``) of a unit of the wanted dimension. Raises UnitError:
+    unknown unit, or a unit of another dimension."""
     factor = _FACTORS[dimension].get(unit)
     if factor is not None:
         return factor, 0.0
@@ -119,10 +117,8 @@ def si_factor(unit: str) -> float | None:
 
 
 def parse_any(text: str) -> tuple[float, str]:
-    """Text with any unit to a number in coherent SI units and the unit's name (for parameters of effects).
-
-    Raises UnitError: not a number, or an unknown unit.
-    """
+    """Text with any unit to a number in coherent SI units and the unit's name (for parameters of effects). Raises
+    UnitError: not a number, or an unknown unit."""
     parts = split(text)
     if parts is None:
         raise UnitError("not a number with a unit", repr(text)[:60], "a number, with a unit or without")
@@ -134,10 +130,8 @@ def parse_any(text: str) -> tuple[float, str]:
 
 
 def any_unit(unit: str) -> tuple[float, str]:
-    """Factor to coherent SI of any unit, and the SI unit's name (the unit itself where the factor is 1).
-
-    Raises UnitError: unknown unit, or one with an offset (degC inside a product).
-    """
+    """Factor to coherent SI of any unit, and the SI unit's name (the unit itself where the factor is 1). Raises
+    UnitError: unknown unit, or one with an offset (degC inside a product)."""
     if unit == "%":
         return 0.01, "1"
     name = _DIMENSION_OF.get(unit)
@@ -188,10 +182,8 @@ def _compound(unit: str) -> float | None:
 
 
 def same_dimension(unit: str, other: str) -> bool:
-    """Whether two units, simple or compound, measure the same kind of quantity (``N`` and ``W s/m`` do).
-
-    A unit that cannot be read here counts as the same: reading the number has told that fault already.
-    """
+    """Whether two units, simple or compound, measure the same kind of quantity (``N`` and ``W s/m`` do). A unit that
+    cannot be read here counts as the same: reading the number has told that fault already."""
     if unit == other:
         return True
     first, second = _dimension(unit), _dimension(other)

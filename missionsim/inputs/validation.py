@@ -93,10 +93,8 @@ def view_of(document: Document, shape: object, faulty: Faulty) -> View:
 
 
 def repaired(view: View, problem: ValidationError, tried: dict[Path_, int]) -> object:
-    """What is left after taking out or replacing what `problem` names; None where nothing can be done.
-
-    `view`: what was validated. `tried`: how many stand-ins were tried at a path (of the file); changed.
-    """
+    """What is left after taking out or replacing what `problem` names; None where nothing can be done. `view`: what was
+    validated. `tried`: how many stand-ins were tried at a path (of the file); changed."""
     edits: _Edits = {}
     drops: list[Path_] = []
     for error in problem.errors(include_url=False):
@@ -336,10 +334,8 @@ class Checker:
                 self.add(where, f"parameter '{name}' does not occur in the formula", got=text[:80], warning=True)
 
     def _names(self, where: Where, text: str, parameters: list[str]) -> frozenset[str] | None:
-        """Names that a formula reads, None where it cannot be read.
-
-        Names of further log columns are allowed; one that is nearly a known name gets a warning.
-        """
+        """Names that a formula reads, None where it cannot be read. Names of further log columns are allowed; one that
+        is nearly a known name gets a warning."""
         from missionsim.effects.base_terms import ALIASES
         from missionsim.expressions import compile_expression
         from missionsim.glossary import COLUMNS, column_of

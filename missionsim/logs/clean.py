@@ -68,10 +68,8 @@ class Rows:
 
 
 def order_time(rows: Rows) -> None:
-    """Make time finite, increasing and counted from the start of the run.
-
-    Raises InputError: fewer than two rows; a time that restarts; a unit that is plainly not the second.
-    """
+    """Make time finite, increasing and counted from the start of the run. Raises InputError: fewer than two rows; a
+    time that restarts; a unit that is plainly not the second."""
     file = rows.raw.file
     finite = np.isfinite(rows.time)
     if not finite.all():
@@ -149,11 +147,8 @@ def _gaps(rows: Rows) -> None:
 
 
 def fill_missing(rows: Rows, required: set[str]) -> dict[str, Bools]:
-    """Fill single missing values, hold slower topics, leave out what cannot be filled.
-
-    `required`: columns that the batteries' power comes from. Gives column that was held from a slower topic → rows
-    where it was really written.
-    """
+    """Fill single missing values, hold slower topics, leave out what cannot be filled. `required`: columns that the
+    batteries' power comes from. Gives column that was held from a slower topic → rows where it was really written."""
     held: dict[str, Bools] = {}
     for name in list(rows.columns):
         data = rows.columns[name]

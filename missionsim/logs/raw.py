@@ -114,10 +114,8 @@ def wanted_kind(name: str) -> str:
 def from_arrow(
     table: pa.Table | pa.RecordBatch, file: str, lines: Callable[[int], int], first_row: int = 0
 ) -> RawTable:
-    """Columns of a pyarrow table or record batch, numbers as float64 and text as codes.
-
-    `file`: for messages; `lines`: see `RawTable`; `first_row`: row number of the first row in the file.
-    """
+    """Columns of a pyarrow table or record batch, numbers as float64 and text as codes. `file`: for messages; `lines`:
+    see `RawTable`; `first_row`: row number of the first row in the file."""
     raw = RawTable(file, {}, lines, [], first_row)
     for name in table.schema.names:
         raw.columns[name] = _column(table.column(name), name, raw)

@@ -99,9 +99,7 @@ def read_logs(
 
 def find_logs(paths: Iterable[PathLike] | PathLike) -> list[Path]:
     """The files that a list of files and folders stands for, each once, also where its content has several names.
-
-    Raises InputError: a path that does not exist, or a folder without logs.
-    """
+    Raises InputError: a path that does not exist, or a folder without logs."""
     return list(distinct_logs(paths))
 
 
@@ -156,10 +154,8 @@ def _files(paths: Iterable[PathLike] | PathLike) -> list[Path]:
 
 
 def read_raw(path: PathLike) -> RawTable:
-    """A table as it stands in its file, without checks of its values; the content decides, not the name.
-
-    Raises InputError: the file cannot be read as a table.
-    """
+    """A table as it stands in its file, without checks of its values; the content decides, not the name. Raises
+    InputError: the file cannot be read as a table."""
     reader = table_reader(Path(path))
     assert reader.table is not None
     return reader.table(Path(path), Options(typed=True))
@@ -253,10 +249,8 @@ def _freeze(
 
 
 def check_log(path: PathLike, *, robot: RobotSpec | None = None) -> list[Fault]:
-    """All faults of a log, for ``missionsim validate``: what stops a reading, and what the checks find.
-
-    Their severity is ``error`` where the log is against the contract of the columns, ``warning`` where it is doubtful.
-    """
+    """All faults of a log, for ``missionsim validate``: what stops a reading, and what the checks find. Their severity
+    is ``error`` where the log is against the contract of the columns, ``warning`` where it is doubtful."""
     path = Path(path)
     try:
         remarks = read_log(path, robot=robot).remarks

@@ -120,10 +120,8 @@ def source_suffixes() -> tuple[str, ...]:
 
 
 def reader_of(path: Path) -> Reader:
-    """The reader of a file, by its first bytes and then by its name; text of an unknown name is a table.
-
-    Raises InputError: nothing there, a folder that is no source, a pipe, or a file that is not what its name says.
-    """
+    """The reader of a file, by its first bytes and then by its name; text of an unknown name is a table. Raises
+    InputError: nothing there, a folder that is no source, a pipe, or a file that is not what its name says."""
     if path.is_dir():
         for reader in registry().values():
             if reader.folder and (path / reader.folder).exists():
@@ -159,10 +157,8 @@ def not_there(path: Path) -> Fault:
 
 
 def table_reader(path: Path) -> Reader:
-    """As `reader_of`, for files that have to be a table.
-
-    Raises InputError: a bag or another recording of messages, which needs a map.
-    """
+    """As `reader_of`, for files that have to be a table. Raises InputError: a bag or another recording of messages,
+    which needs a map."""
     reader = reader_of(path)
     if reader.table is None:
         hint = "missionsim import FILE --suggest --out MAP.yaml; then import FILE --map MAP.yaml --out LOG"

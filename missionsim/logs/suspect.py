@@ -230,10 +230,8 @@ def check_order(rows: Rows) -> None:
 
 
 def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
-    """Tell a speed or yaw rate whose noise at rest is above the limits of standing still.
-
-    `power_w`: what the battery of the motors delivers, which says what is rest where no speed does.
-    """
+    """Tell a speed or yaw rate whose noise at rest is above the limits of standing still. `power_w`: what the battery
+    of the motors delivers, which says what is rest where no speed does."""
     number = {name: rows.columns.get(name) for name in ("speed_m_s", "yaw_rate_rad_s")}
     speed, yaw = (
         None if data is None or isinstance(data, Labels) else np.abs(data[:_SAMPLE]) for data in number.values()

@@ -120,10 +120,8 @@ _JUMP_S = 3600.0
 
 
 def close_jumps(time_s: Array, remarks: list[Remark], usual: float | None = None) -> Array:
-    """Times without jumps of the clock: each becomes a short gap, which parts the run for a diagnosis.
-
-    `time_s` (shape (n,)): [s]; `remarks`: what is said is added; `usual`: usual step [s], where it is known.
-    """
+    """Times without jumps of the clock: each becomes a short gap, which parts the run for a diagnosis. `time_s` (shape
+    (n,)): [s]; `remarks`: what is said is added; `usual`: usual step [s], where it is known."""
     step = np.diff(time_s)
     if len(step) < 2:
         return time_s
@@ -153,10 +151,8 @@ class TimeAxis:
         self.end: float | None = None
 
     def apply(self, raw: RawTable) -> None:
-        """Turn the column ``time_s`` of a table into seconds, and remark on what it was.
-
-        Raises InputError: texts that are no time stamps.
-        """
+        """Turn the column ``time_s`` of a table into seconds, and remark on what it was. Raises InputError: texts that
+        are no time stamps."""
         data = raw.columns.get("time_s")
         if data is None or not raw.rows:
             return

@@ -46,10 +46,8 @@ def radio_power(distance_m: Value, k: Value) -> Value:
 def core_power_scale(
     freq_hz: ArrayLike, *, low_hz: ArrayLike, high_hz: ArrayLike, low_v: ArrayLike, high_v: ArrayLike
 ) -> Array:
-    """Dynamic power of a core relative to that at the highest clock: f V² / (f_max V_max²), CMOS switching.
-
-    The supply voltage is a straight line between the ends of the clock range (assumed).
-    """
+    """Dynamic power of a core relative to that at the highest clock: f V² / (f_max V_max²), CMOS switching. The supply
+    voltage is a straight line between the ends of the clock range (assumed)."""
     share = (f64(freq_hz) - f64(low_hz)) / (f64(high_hz) - f64(low_hz))
     voltage = f64(low_v) + (f64(high_v) - f64(low_v)) * np.clip(share, 0.0, 1.0)
     return f64(freq_hz) * voltage**2 / (f64(high_hz) * f64(high_v) ** 2)

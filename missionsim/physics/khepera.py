@@ -19,10 +19,8 @@ def motion_power(
     per_payload_w_kg: ArrayLike,
     constant_w: ArrayLike,
 ) -> Array:
-    """Motion power, W (Eq. 14: C_v v + C_mp m_p + C_I); nought at rest, where the motors are off.
-
-    Units of the printed Eq. 15 are not given; m/s and kg are the only ones in which Table I's 0.8 W can be met.
-    """
+    """Motion power, W (Eq. 14: C_v v + C_mp m_p + C_I); nought at rest, where the motors are off. Units of the printed
+    Eq. 15 are not given; m/s and kg are the only ones in which Table I's 0.8 W can be met."""
     speed = np.abs(f64(speed_m_s))
     moving = f64(per_speed_w_s_m) * speed + f64(per_payload_w_kg) * f64(payload_kg) + f64(constant_w)
     return np.where(speed > 0.0, moving, 0.0)

@@ -17,10 +17,8 @@ from missionsim.physics import Array, Value, f64
 
 
 def rolling_power(speed_m_s: Value, k: Value) -> Value:
-    """Power against a constant friction force, ``k |v|`` (Jaiem 2021, Eq. 6, term C3 v; k in N).
-
-    Also `rolling_friction` and, per surface, `surface_rolling_resistance` of the library of effects.
-    """
+    """Power against a constant friction force, ``k |v|`` (Jaiem 2021, Eq. 6, term C3 v; k in N). Also
+    `rolling_friction` and, per surface, `surface_rolling_resistance` of the library of effects."""
     return k * np.abs(speed_m_s)
 
 
@@ -70,9 +68,7 @@ def two_sided(power_w: Value, regeneration: Value) -> Value:
 
 def inertial_power(speed_m_s: Value, accel_m_s2: Value, mass_kg: Value, k: Value) -> Value:
     """Power into kinetic energy, ``k m a v`` (k without unit: effective over real mass); negative when braking.
-
-    `accel_m_s2` is the rate of the speed itself, so for a robot driving backwards ``a v`` counts, not ``a |v|``.
-    """
+    `accel_m_s2` is the rate of the speed itself, so for a robot driving backwards ``a v`` counts, not ``a |v|``."""
     return k * mass_kg * accel_m_s2 * speed_m_s
 
 
@@ -105,10 +101,8 @@ def grade_force(slope_rad: Value, mass_kg: Value) -> Value:
 
 
 def grade_power(speed_m_s: Value, slope_rad: Value, mass_kg: Value, k: Value) -> Value:
-    """Lifting power ``k m g |v| sin θ``, negative downhill (library effect `grade`; k without unit).
-
-    The slope is the one in the direction of travel, so the speed counts by its magnitude.
-    """
+    """Lifting power ``k m g |v| sin θ``, negative downhill (library effect `grade`; k without unit). The slope is the
+    one in the direction of travel, so the speed counts by its magnitude."""
     return k * grade_force(slope_rad, mass_kg) * np.abs(speed_m_s)
 
 
@@ -218,10 +212,8 @@ def relieved_powers(
 
 
 def optimal_speed(c2: Value, c4: Value, other_w: Value = 0.0) -> Value:
-    """Speed of least energy per metre, ``sqrt((C4 + P_other)/C2)`` in m/s (Jaiem 2021, Eqs. 10 and 11).
-
-    `other_w` is the constant power of what else is on while driving (sensors) [W].
-    """
+    """Speed of least energy per metre, ``sqrt((C4 + P_other)/C2)`` in m/s (Jaiem 2021, Eqs. 10 and 11). `other_w` is
+    the constant power of what else is on while driving (sensors) [W]."""
     return np.sqrt((c4 + other_w) / c2)
 
 

@@ -101,9 +101,7 @@ def ramp_phases(
 
 def phases(distance_m: ArrayLike, limit_m_s: ArrayLike) -> Phases:
     """Phases of a run without a limit of the acceleration, the papers' assumption; shaped as those of `ramp_phases`.
-
-    Each piece at its speed from its first metre to its last, so that only its cruising phase lasts.
-    """
+    Each piece at its speed from its first metre to its last, so that only its cruising phase lasts."""
     distance, limit = np.broadcast_arrays(np.asarray(distance_m, float), np.asarray(limit_m_s, float))
     zero = np.zeros_like(limit)
     return Phases(
@@ -138,11 +136,8 @@ def continues(before: Leg, after: Leg, odd: Odd) -> bool:
 def group(
     legs: Sequence[Leg], limits: Limits, breaks: Breaks | None = None, odd: Odd | None = None
 ) -> tuple[Step, ...]:
-    """Steps of a sequence of legs.
-
-    `breaks`: ``(before, after) -> bool``: further reasons to stop between two legs (a component with a start-up time);
-    `odd`: of a plan of many runs.
-    """
+    """Steps of a sequence of legs. `breaks`: ``(before, after) -> bool``: further reasons to stop between two legs (a
+    component with a start-up time); `odd`: of a plan of many runs."""
     odd = Odd() if odd is None else odd
     spans: list[tuple[int, int]] = []
     begin = 0
@@ -160,10 +155,8 @@ Profile = list[list[tuple[float, float, float]]]
 
 
 def _profiles(legs: Sequence[Leg], spans: Sequence[tuple[int, int]], limits: Limits) -> dict[int, Profile]:
-    """Profiles of the spans that move, by their first leg.
-
-    Spans with the same number of pieces are computed in one call, since a call costs as much for one as for many.
-    """
+    """Profiles of the spans that move, by their first leg. Spans with the same number of pieces are computed in one
+    call, since a call costs as much for one as for many."""
     batches: dict[int, list[tuple[int, int]]] = {}
     found: dict[int, Profile] = {}
     for low, high in spans:

@@ -108,9 +108,7 @@ class Routes:
 
     def away_from(self, way: Way, points: Sequence[tuple[float, float]]) -> list[tuple[float, float, float]]:
         """Pieces of a way and the distance [m] from each to the nearest point (its root mean square over the piece).
-
-        Begin and end are parts of the way; none where the way's ends have no coordinates.
-        """
+        Begin and end are parts of the way; none where the way's ends have no coordinates."""
         a, b = self.position(way.begin), self.position(way.end)
         if a is None or b is None:
             return []
@@ -126,10 +124,8 @@ class Routes:
         return pieces
 
     def shortest(self, begin: str, end: str, cost: Callable[[Way], float] | None = None) -> list[Way] | None:
-        """The ways of the route of least cost (Dijkstra 1959), by default of least length; None where there is none.
-
-        A cost may be negative (downhill with recuperation) as long as no round trip gains anything.
-        """
+        """The ways of the route of least cost (Dijkstra 1959), by default of least length; None where there is none. A
+        cost may be negative (downhill with recuperation) as long as no round trip gains anything."""
         best: dict[str, tuple[float, Way | None]] = {begin: (0.0, None)}
         queue = [(0.0, 0, begin)]
         count = 0

@@ -56,10 +56,8 @@ def covariates_of(settings: Sequence[Settings]) -> Columns:
 
 
 def steady_power_w(robot: RobotSpec, model: PowerModel, legs: Sequence[Leg]) -> dict[str, Array]:
-    """Power of each battery while legs are driven at their speed, shape (legs,), W.
-
-    Without accelerations, activities and what fades with time.
-    """
+    """Power of each battery while legs are driven at their speed, shape (legs,), W. Without accelerations, activities
+    and what fades with time."""
     zero = np.zeros(len(legs))
     settings = [leg.settings for leg in legs]
     cov: dict[str, Any] = dict.fromkeys(("accel_m_s2", "lateral_speed_m_s", "lateral_accel_m_s2", "starts"), zero)

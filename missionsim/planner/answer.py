@@ -276,11 +276,8 @@ def _leg_json(answer: Answer, leg: Leg) -> dict[str, Any]:
 
 
 def mission_text(answer: Answer, target: str | os.PathLike[str] | None) -> str:
-    """The YAML text of a mission that does what the plan says.
-
-    `answer`: feasible. `target`: where it will lie, for the paths of robot and environment; None for the task's own
-    folder.
-    """
+    """The YAML text of a mission that does what the plan says. `answer`: feasible. `target`: where it will lie, for the
+    paths of robot and environment; None for the task's own folder."""
     task = answer.site.task
     folder = Path(target).absolute().parent if target is not None else task.path.absolute().parent
     lines = [

@@ -155,10 +155,8 @@ class Tour:
         return np.array([objective, *use, *([-made] if self.counted else [])])
 
     def rest(self, prices: Array, ahead: Array | None = None, *, straight: bool = False) -> Array:
-        """Least objective from each state and stop to the end, with prices on all resources but the objective.
-
-        With `ahead` by way of a dock, these prices on top as far as there; `straight` by way of none.
-        """
+        """Least objective from each state and stop to the end, with prices on all resources but the objective. With
+        `ahead` by way of a dock, these prices on top as far as there; `straight` by way of none."""
         weights, worth = self.priced(prices)
         more = None if ahead is None else weights + ahead[: len(weights)]
         return rest_of(self.site, weights, worth, more, straight=straight)
@@ -171,10 +169,8 @@ class Tour:
 
 
 def matrix(site: Site, payload_kg: float, weights: Array, *, straight: bool = False) -> Array:
-    """Least weighted seconds and Wh of driving from each stop to each, without what is done there.
-
-    To stand at a dock on the way may take less than to roll through; with `straight` that is left out.
-    """
+    """Least weighted seconds and Wh of driving from each stop to each, without what is done there. To stand at a dock
+    on the way may take less than to roll through; with `straight` that is left out."""
     road = site.road(payload_kg)
     out, into = site.nodes[payload_kg]
     found = road.distances(weights, out)[:, into]

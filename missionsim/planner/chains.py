@@ -18,10 +18,8 @@ T = TypeVar("T", bound=np.generic)
 
 
 def _shares(first: Array, step: Array, limit: Array) -> tuple[Array, Array]:
-    """From and up to which share each piece of chains keeps to limits; none of it where the first is greater.
-
-    `first`, `step`, `limit`: resources in the first axis.
-    """
+    """From and up to which share each piece of chains keeps to limits; none of it where the first is greater. `first`,
+    `step`, `limit`: resources in the first axis."""
     room = limit - first
     with np.errstate(divide="ignore", invalid="ignore"):
         share = room / step
@@ -37,9 +35,7 @@ def most_of_least(first: Array, last: Array) -> Array:
 
 def least_of_most(first: Array, last: Array) -> Array:
     """The least between two points of the greatest of values that go straight from one to the other, shape (...).
-
-    `first`, `last` (shape (..., values)). It is that of two of the values (Helly), at an end or where they cross.
-    """
+    `first`, `last` (shape (..., values)). It is that of two of the values (Helly), at an end or where they cross."""
     found = most_of_least(first, last)
     with np.errstate(divide="ignore", invalid="ignore"):
         step = last - first

@@ -274,9 +274,7 @@ class _Search:
 
     def _needed(self, tried: _Tried, limits: NDArray[np.bool_], target: float) -> Array:
         """The least margins, alike in share for all limits that matter, within which a share of the draws would be.
-
-        `limits`: which matter; those that some draw of this plan breaks are added.
-        """
+        `limits`: which matter; those that some draw of this plan breaks are added."""
         slack = slack_of(self.site, self.columns)
         one = tried.run.batteries
         nominal = {f"margin_{n}_wh": b.charge_left_wh - b.reserve_required_wh for n, b in one.items()}

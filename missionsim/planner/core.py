@@ -46,10 +46,8 @@ class Refill(Protocol):
         """Whether a way through the node has to do it: else it has no reason to stop there."""
 
     def options(self, x: Array) -> list[Array]:
-        """Ways to refill from a vector: each a chain of vectors, shape (points, resources).
-
-        Between the points of a chain everything between them may be had; a chain of one point is a level.
-        """
+        """Ways to refill from a vector: each a chain of vectors, shape (points, resources). Between the points of a
+        chain everything between them may be had; a chain of one point is a level."""
 
 
 class Network(Protocol):
@@ -119,10 +117,8 @@ class Bounds:
         return points if self.shear is None else points - np.minimum(points[:, [self.clock]], self.until) * self.shear
 
     def of(self, nodes: int | NDArray[np.intp], chains: Array, *, closely: bool = True) -> Array:
-        """Lower bounds of the objective by way of any point of chains at nodes, shape (n,).
-
-        `chains` (shape (points, n, resources)); without `closely` somewhat lower ones, sooner.
-        """
+        """Lower bounds of the objective by way of any point of chains at nodes, shape (n,). `chains` (shape (points, n,
+        resources)); without `closely` somewhat lower ones, sooner."""
         values = chains @ self.weights.T + self.rest[nodes] - self.offset
         apart = self.apart or 0
         groups = [slice(0, apart), slice(apart, None)] if apart else [slice(None)]
@@ -243,9 +239,7 @@ def quick(
     width: int = 60,
 ) -> Outcome:
     """A good way to a goal without proof: step by step the labels of least bound, so many of them (beam search).
-
-    Parameters as those of `search`.
-    """
+    Parameters as those of `search`."""
     outcome = Outcome(objective=best)
     room = bounds.room
     layer = list(starts)
@@ -301,9 +295,7 @@ def expand(
     network: Network, label: Label, bounds: Bounds, room: Array
 ) -> tuple[list[tuple[float, Label]], Array, Callable[[int], Label]]:
     """What follows from a label: refilled, each with its bound; the bounds by way of arcs, and what makes their labels.
-
-    Labels that may have to wait or to be cut are not ready yet.
-    """
+    Labels that may have to wait or to be cut are not ready yet."""
     refilled: list[tuple[float, Label]] = []
     node, points = label.node, label.points
     refill = network.refill(node)

@@ -36,10 +36,8 @@ def mission_file(answer: Answer) -> Iterator[str]:
 
 
 def draws_of(answer: Answer, seed: int, runs: int = RUNS) -> Columns:
-    """Columns of many runs of a plan's mission, each with values drawn.
-
-    Where they are evaluated as arrays, what a battery would lack in a run that empties it is known too.
-    """
+    """Columns of many runs of a plan's mission, each with values drawn. Where they are evaluated as arrays, what a
+    battery would lack in a run that empties it is known too."""
     site = answer.site
     with mission_file(answer) as path:
         task = Task(path, site.task.elsewhere, None, seed, "auto")

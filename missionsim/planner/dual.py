@@ -174,9 +174,7 @@ def _lasts(tour: Tour, label: Label) -> bool:
 
 def prices_ahead(tour: Tour, prices: Array) -> list[Array]:
     """Prices on the charge until the next dock, on top of others: some that raise the bound at the start, most last.
-
-    Each battery must last until that dock. Sought one battery after the other (coordinate ascent).
-    """
+    Each battery must last until that dock. Sought one battery after the other (coordinate ascent)."""
     site = tour.site
     most = site.usable_wh
     room = most - tour.first[2 : 2 + len(most)]

@@ -28,9 +28,7 @@ LATE = 1e3
 
 def solve_large(site: Site, solve: Callable[[Site], Answer]) -> Answer:
     """The plan of an order that local search finds (moves of up to three visits, and reversals; Or 1976, Croes 1958).
-
-    `solve`: site with a given order → its best plan.
-    """
+    `solve`: site with a given order → its best plan."""
     found = orders(site, matrix(site, site.order.load_kg, site.weights))
     best = Answer(site, False)
     valued = any(visit.value is not None for visit in site.task.visits)

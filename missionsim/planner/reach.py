@@ -56,10 +56,8 @@ class Reached:
 def reach_task(
     environment: Path, robot: str, begin: str, overrides: Sequence[Override] = (), end: str | None = None
 ) -> TaskSpec:
-    """The task of going out from a place and coming back to it (or to another).
-
-    `robot`: shipped robot or robot file; `overrides`: on the task: ``within.reserve``, ``choose.speeds``, ``robot.…``.
-    """
+    """The task of going out from a place and coming back to it (or to another). `robot`: shipped robot or robot file;
+    `overrides`: on the task: ``within.reserve``, ``choose.speeds``, ``robot.…``."""
     spec = load_robot(robot)
     moving = [name for name, scheme in spec.schemes.items() if scheme.motion]
     data = {

@@ -118,10 +118,8 @@ class Fronts:
 
 
 def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True, labels: int = MOST_LABELS) -> Answer:
-    """The best plan of a site; where visits may be left out, first (if `valued`) as much value as can be.
-
-    `labels`: after so many a search that has a plan gives up its proof.
-    """
+    """The best plan of a site; where visits may be left out, first (if `valued`) as much value as can be. `labels`:
+    after so many a search that has a plan gives up its proof."""
     if site.order.sequence is None and len(site.task.visits) > MOST_FREE:
         return solve_large(site, lambda one: solve_site(one, watch, labels=labels))
     _solve = partial(_search, watch=watch, labels=labels)
@@ -150,10 +148,8 @@ def solve_site(site: Site, watch: Watch | None = None, *, valued: bool = True, l
 def _search(
     site: Site, network: Callable[..., Tour], watch: Watch | None, labels: int, *, soon: bool = False
 ) -> Answer:
-    """The plan of least objective of a network of stops, whose drives are still to be chosen.
-
-    `soon`: none unless one is found among few drives.
-    """
+    """The plan of least objective of a network of stops, whose drives are still to be chosen. `soon`: none unless one
+    is found among few drives."""
     tour = network(site, Fronts(site))
     prices = best_prices(tour)
     ends = in_time(site)

@@ -242,10 +242,8 @@ def visit_segment(
 
 
 def make_site(task: TaskSpec, order: Order | None = None) -> Site:
-    """Stops with their costs; roads are made when they are asked for.
-
-    Raises InputError: where the task asks for what is not planned: turning at places.
-    """
+    """Stops with their costs; roads are made when they are asked for. Raises InputError: where the task asks for what
+    is not planned: turning at places."""
     order = order or Order(task)
     if task.defaults.turn_at_places:
         raise _refused(task, "turning at places is not planned", "turn_at_places: false", "defaults", "turn_at_places")

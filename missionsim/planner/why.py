@@ -125,10 +125,8 @@ def _together(site: Site) -> list[str]:
 
 
 def with_ample(site: Site, battery: int, *, every: bool = False) -> Answer | None:
-    """The plan that takes least of a battery that holds as much as one likes; None where there is none.
-
-    With `every` all batteries hold as much as one likes.
-    """
+    """The plan that takes least of a battery that holds as much as one likes; None where there is none. With `every`
+    all batteries hold as much as one likes."""
     physics = site.physics
     kept = physics.capacity_wh, physics.initial_wh, physics.reserve_wh
     weights = np.zeros_like(site.weights)

@@ -182,10 +182,7 @@ def judge(figure: Figure, ours: Ours | None) -> Item:
 
 
 def judge_all(paper: str, ours: Mapping[str, Ours]) -> list[Item]:
-    """Every figure of a paper beside ours.
-
-    Raises KeyError: where ours holds a key that the paper's data does not.
-    """
+    """Every figure of a paper beside ours. Raises KeyError: where ours holds a key that the paper's data does not."""
     figures = load_figures(paper)
     unknown = set(ours) - set(figures)
     if unknown:

@@ -96,10 +96,8 @@ def _accuracy(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
 
 
 def direction_power(angles_rad: Array, friction_ratio: float | None = None) -> Array:
-    """Power (W) of the robot at its greatest speed in directions from straight ahead.
-
-    `friction_ratio`: roller over wheel friction; that of the robot file if not given.
-    """
+    """Power (W) of the robot at its greatest speed in directions from straight ahead. `friction_ratio`: roller over
+    wheel friction; that of the robot file if not given."""
     robot = shipped_robot("mecanum4")
     model = build_power_model(robot)
     values: dict[str, Any] = {}
@@ -159,10 +157,8 @@ def _inputs() -> Iterator[tuple[str, Ours]]:
 
 
 def identifiability(figures: Mapping[str, Figure]) -> list[dict[str, float | str]]:
-    """Fits with different speed profiles of the start: what the data say about each parameter.
-
-    Gives one row a fit, first the robot file's; the mass runs from one end of its range to the other at equal error.
-    """
+    """Fits with different speed profiles of the start: what the data say about each parameter. Gives one row a fit,
+    first the robot file's; the mass runs from one end of its range to the other at equal error."""
     rows: list[dict[str, float | str]] = []
     top = figures["time.max"].value
     for profile, duration in (("linear", top), ("minimum_jerk", top), ("minimum_jerk", top + 0.02)):

@@ -173,10 +173,8 @@ def corridor_energy(experiment: str, velocity: str) -> float:
 
 
 def runs_of_table5(figures: Mapping[str, Figure]) -> dict[tuple[str, str], tuple[float, float]]:
-    """Predicted (simulated) and measured energy (Wh) of the twelve runs; the two interchanged values are put right.
-
-    The paper cuts digits, so half of the last one is added to a measured value.
-    """
+    """Predicted (simulated) and measured energy (Wh) of the twelve runs; the two interchanged values are put right. The
+    paper cuts digits, so half of the last one is added to a measured value."""
     result = {}
     for key, figure in figures.items():
         if key.startswith("table5.") and key.endswith(".experiment"):

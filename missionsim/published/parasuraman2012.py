@@ -59,10 +59,8 @@ def crossing_energy(speed_m_s: float, radio: str | None) -> float:
 
 
 def identified_components(noise_w: float = 0.0, seed: int = 0) -> dict[str, float]:
-    """Component powers (W per unit) found by the sequence of operations from a record of the simulated robot.
-
-    The record has the paper's 20 Hz; with `noise_w` it is measured with white noise of that standard deviation.
-    """
+    """Component powers (W per unit) found by the sequence of operations from a record of the simulated robot. The
+    record has the paper's 20 Hz; with `noise_w` it is measured with white noise of that standard deviation."""
     result = run(IDENTIFY)
     robot = shipped_robot("khepera3")
     rate = load_figures(PAPER)["sampling.rate"].value

@@ -42,10 +42,8 @@ class ErrorCurve:
 
 
 def error_curve(battery: str, plan: str = PLAN, driven: str = DRIVEN) -> ErrorCurve:
-    """The curve of one battery from two simulations.
-
-    Both runs have the same segments and hold their speed within one, so equal progress is an equal share of a segment.
-    """
+    """The curve of one battery from two simulations. Both runs have the same segments and hold their speed within one,
+    so equal progress is an equal share of a segment."""
     durations, energies = zip(
         *((_durations(name), run(name).by_segment_wh(battery)) for name in (plan, driven)), strict=True
     )
@@ -132,10 +130,8 @@ class Causes:
 
 
 def behaviour_draws(causes: Causes, draws: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Path stretch and speed ratio of each segment of the patrol, drawn from their causes.
-
-    Gives an array of shape (draws, segments): stretch (≥ 1) and speed over speed asked; 1 in the stops.
-    """
+    """Path stretch and speed ratio of each segment of the patrol, drawn from their causes. Gives an array of shape
+    (draws, segments): stretch (≥ 1) and speed over speed asked; 1 in the stops."""
     spec = mission(DRIVEN)
     stretch = np.ones((draws, len(spec.segments)))
     ratio = np.ones_like(stretch)
@@ -173,10 +169,8 @@ def _lengths() -> Array:
 
 
 def uncertain_statistics(causes: Causes, draws: int, seed: int) -> dict[str, dict[str, Array]]:
-    """The four error statistics of each battery for drawn behaviours, shape (draws,) each.
-
-    Every draw is the patrol of the plan with other stretches and speeds; powers come from the robot's power model.
-    """
+    """The four error statistics of each battery for drawn behaviours, shape (draws,) each. Every draw is the patrol of
+    the plan with other stretches and speeds; powers come from the robot's power model."""
     from missionsim.inputs.power import build_power_model
 
     rng = np.random.default_rng(seed)

@@ -35,10 +35,8 @@ COLUMNS = ("item", "where", "published", "ours", "unit", "difference", "toleranc
 
 
 def papers_of(robots: Sequence[str]) -> list[str]:
-    """Papers of the named robots (all if none); a paper's own name counts too.
-
-    Raises InputError: for a name without a paper.
-    """
+    """Papers of the named robots (all if none); a paper's own name counts too. Raises InputError: for a name without a
+    paper."""
     known = {**PAPERS, **{paper: paper for paper in PAPERS.values()}}
     for name in robots:
         if name not in known:

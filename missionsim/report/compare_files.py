@@ -133,10 +133,8 @@ BEHAVIOUR = ("scheme", "path_stretch", "speed_tracking", "dwell_s", "planned_m",
 
 
 def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write ``runs.csv``, ``where.csv``, ``terms.csv`` and, with a mission, ``behaviour.csv``.
-
-    `folder`: made where it is not there. Gives the files written.
-    """
+    """Write ``runs.csv``, ``where.csv``, ``terms.csv`` and, with a mission, ``behaviour.csv``. `folder`: made where it
+    is not there. Gives the files written."""
     batteries = list(comparison.batteries.values())
     tables: dict[str, tuple[Sequence[str], list[Sequence[object]]]] = {
         "runs": (RUNS, [(b.battery, *attrgetter(*RUNS)(run)) for b in batteries for run in b.runs]),

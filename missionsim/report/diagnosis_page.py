@@ -27,10 +27,8 @@ MOST_ALIKE = 14
 
 
 def diagnosis_page(diagnosis: Diagnosis, *, footer: str = "", robot: str = "", logs: Sequence[str | Path] = ()) -> str:
-    """The page as HTML.
-
-    `footer`: how it was made (version, command); `robot`, `logs`: as they were given, for the command to type next.
-    """
+    """The page as HTML. `footer`: how it was made (version, command); `robot`, `logs`: as they were given, for the
+    command to type next."""
     runs = max((len(b.runs) for b in diagnosis.batteries.values()), default=0)
     return web.page(
         f"{diagnosis.robot}: which effect is missing",
@@ -319,10 +317,8 @@ def _percent(value: float | None) -> float | None:
 def improve_page(
     robot: str, done: Sequence[Improved], *, advice: Mapping[str, tuple[str, str]] | None = None, footer: str = ""
 ) -> str:
-    """The page as HTML.
-
-    `done`: one a battery; `advice`: by battery what predicts better, and its command; `footer`: how it was made.
-    """
+    """The page as HTML. `done`: one a battery; `advice`: by battery what predicts better, and its command; `footer`:
+    how it was made."""
     sections: list[Section] = []
     for one in done:
         prefix = f"Battery {one.battery}: " if len(done) > 1 else ""

@@ -200,10 +200,7 @@ _BANDS = ((0.01, 0.99, 0.15), (0.05, 0.95, 0.25), (0.25, 0.75, 0.40))
 
 
 def write_batch_figures(store: BlockStore, firsts: list[int], batteries: tuple[str, ...], folder: Path) -> list[Path]:
-    """Draw ``energy_histogram.png`` and ``charge_fan.png``.
-
-    `firsts`: blocks that count. Gives the files written.
-    """
+    """Draw ``energy_histogram.png`` and ``charge_fan.png``. `firsts`: blocks that count. Gives the files written."""
     histogram, fan = (new_figure(4.6 * len(batteries), 3.4) for _ in range(2))
     axes = np.atleast_1d(histogram.subplots(1, len(batteries)))
     for axis, name in zip(axes, batteries, strict=True):

@@ -9,10 +9,8 @@ from missionsim.report.traces import axis
 
 
 def plan_page(answer: Answer, *, footer: str = "") -> str:
-    """The page as HTML, which opens from disk.
-
-    `answer`: with ``why`` in `extra` where it is not feasible; `footer`: how it was made.
-    """
+    """The page as HTML, which opens from disk. `answer`: with ``why`` in `extra` where it is not feasible; `footer`:
+    how it was made."""
     task = answer.site.task
     title = f"{task.name} with {task.robot.name}"
     if not answer.feasible:

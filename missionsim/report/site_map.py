@@ -318,10 +318,8 @@ def _line(line: Points, style: Mapping[str, Any], name: str, text: str, known: b
 
 
 def layout(environment: EnvironmentSpec) -> tuple[dict[str, tuple[float, float]], dict[int, Points]]:
-    """Where places are drawn [m], and the line of each edge from its begin, shape (points, 2).
-
-    Places without coordinates are laid out by the lengths of their edges (Kamada and Kawai 1989); parallel edges bow.
-    """
+    """Where places are drawn [m], and the line of each edge from its begin, shape (points, 2). Places without
+    coordinates are laid out by the lengths of their edges (Kamada and Kawai 1989); parallel edges bow."""
     where = {name: spec.position for name, spec in environment.places.items()}
     if any(at is None for at in where.values()):
         import networkx

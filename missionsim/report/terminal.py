@@ -15,10 +15,8 @@ if TYPE_CHECKING:
 
 
 def console(stderr: bool = False) -> Console:
-    """A terminal for tables and text; at most 100 columns, and 100 where the output is not a terminal.
-
-    Text is shown as it is: brackets of a name are no markup, colons no emoji, escape sequences no commands.
-    """
+    """A terminal for tables and text; at most 100 columns, and 100 where the output is not a terminal. Text is shown as
+    it is: brackets of a name are no markup, colons no emoji, escape sequences no commands."""
     from rich.console import Console
 
     class Plain(Console):

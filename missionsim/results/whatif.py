@@ -135,10 +135,8 @@ def _given(battery: BatteryResult | None, names: str) -> Json:
 
 
 def varied(vary: Iterable[tuple[str, Sequence[object]]], base: Sequence[tuple[str, object]] = ()) -> list[Alternative]:
-    """Every combination of varied values, each on top of what the baseline sets.
-
-    `base`: what the baseline sets. Raises InputError: for more combinations than `MOST_ALTERNATIVES`.
-    """
+    """Every combination of varied values, each on top of what the baseline sets. `base`: what the baseline sets. Raises
+    InputError: for more combinations than `MOST_ALTERNATIVES`."""
     pairs = list(vary)
     count = math.prod(len(values) for _, values in pairs)
     if count > MOST_ALTERNATIVES:
@@ -220,10 +218,8 @@ def _run_part(mission: str | os.PathLike[str], alternatives: Sequence[Alternativ
 
 
 def _try(mission: str | os.PathLike[str], alternative: Alternative, models: dict[int, PowerModel]) -> _Tried:
-    """Result (its totals by segment), faults and warnings of an alternative; `models` are of robots without change.
-
-    A robot that no alternative changes is remembered, so that its identity stays its own.
-    """
+    """Result (its totals by segment), faults and warnings of an alternative; `models` are of robots without change. A
+    robot that no alternative changes is remembered, so that its identity stays its own."""
     try:
         spec = load_mission(mission, list(alternative.set), alternative.robot)
         model = models.get(id(spec.robot)) or build_power_model(spec.robot)

@@ -209,10 +209,8 @@ def write_table(table: Table, path: str | Path) -> Path:
 
 
 def provenance(mission: MissionSpec, command: Sequence[str] = ()) -> Json:
-    """Where a result comes from: files with their hashes, what the command line set, versions, command line.
-
-    `command`: the command line, if there was one.
-    """
+    """Where a result comes from: files with their hashes, what the command line set, versions, command line. `command`:
+    the command line, if there was one."""
     from missionsim import __version__
 
     files = {"mission": mission, "robot": mission.robot, "environment": mission.environment}

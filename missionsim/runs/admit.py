@@ -31,10 +31,8 @@ MOST = 4000
 
 
 def admit(runs: Sequence[Run], model: PowerModel | None = None) -> tuple[list[Run], list[str]]:
-    """Runs to learn from, and what was left out and why, one line a run.
-
-    Raises InputError: where no run is left; with the faults that `validate` tells.
-    """
+    """Runs to learn from, and what was left out and why, one line a run. Raises InputError: where no run is left; with
+    the faults that `validate` tells."""
     kept: list[Run] = []
     told: list[str] = []
     refused = [remark.column for run in runs for remark in _errors(run) if remark.kind in ("range", "unit")]

@@ -131,10 +131,8 @@ _ROWS = 20_000
 
 
 def may_be_cause(name: str) -> bool:
-    """Whether power may depend on a column; what is measured of the load follows it and is never its cause.
-
-    Power and current of a part that is none of battery and drive (``arm_power``, ``gripper_current_a``) may be one.
-    """
+    """Whether power may depend on a column; what is measured of the load follows it and is never its cause. Power and
+    current of a part that is none of battery and drive (``arm_power``, ``gripper_current_a``) may be one."""
     words = re.sub(r"\d+", "", name).split("_")
     if not _ELECTRICAL.intersection(words):
         return not _NO_CAUSE.search(name)
@@ -144,9 +142,7 @@ def may_be_cause(name: str) -> bool:
 
 def repeated(runs: Sequence[Mapping[str, object]]) -> dict[str, str]:
     """Columns beyond the glossary that are a straight line of one in it over all runs (km/h, rpm), and of which.
-
-    `runs`: covariates of each run, arrays of shape (n,).
-    """
+    `runs`: covariates of each run, arrays of shape (n,)."""
     shared = sorted(set.intersection(*(set(run) for run in runs)))
     rows = {name for name in shared if all(_is_number(run[name], np.asarray(run["time_s"]).shape) for run in runs)}
     every = 1 + sum(np.asarray(run["time_s"]).size for run in runs) // _ROWS

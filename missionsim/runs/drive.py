@@ -199,11 +199,8 @@ class Driven:
 
 
 def drive(model: PowerModel, run: Run, battery: str) -> Driven:
-    """Drive one battery's model with a whole run; `assume` and `drive_blocks` for runs that come in blocks.
-
-    Raises InputError: where the base model of the battery needs a column that the run lacks and that has no plain
-    meaning.
-    """
+    """Drive one battery's model with a whole run; `assume` and `drive_blocks` for runs that come in blocks. Raises
+    InputError: where the base model of the battery needs a column that the run lacks and that has no plain meaning."""
     (driven,) = drive_blocks(
         assume(model, filled(run, model.batteries), [battery], source=run.source or run.run), [run]
     )
@@ -272,9 +269,7 @@ def _shown(run: Run, battery: str, row_w: Array, meter: Meter, before: Driven | 
 
 def filled(run: Run, batteries: Sequence[str], remarks: list[str] | None = None) -> Columns:
     """Covariates of a run without gaps: filled from their neighbours, left out where more than `MOST_MISSING` is gone.
-
-    Both are said in `remarks`.
-    """
+    Both are said in `remarks`."""
     found: dict[str, Any] = {}
     for name, values in run.covariates(batteries).items():
         known = None if isinstance(values, Labels) else np.isfinite(values)

@@ -105,9 +105,7 @@ class Errors:
 
 def errors_of(model: PowerModel, runs: Iterable[Run], battery: str) -> Errors:
     """Errors of a model on runs that measured a battery; what a run lacks is assumed as `missionsim.runs.drive` says.
-
-    Raises InputError: where a run cannot drive the base model.
-    """
+    Raises InputError: where a run cannot drive the base model."""
     found = []
     for run in runs:
         driven = drive(model, run, battery)
@@ -153,10 +151,8 @@ def cumulative_at(progress: Array, energy: Array, grid: Array) -> Array:
 
 
 def error_curve(measured: Array, predicted: Array, relative_to: str = "measured") -> Array:
-    """Relative error ``100 (predicted − measured) / reference`` of two cumulative energies [%], shape (n,).
-
-    NaN where the reference is not positive.
-    """
+    """Relative error ``100 (predicted − measured) / reference`` of two cumulative energies [%], shape (n,). NaN where
+    the reference is not positive."""
     reference = measured if relative_to == "measured" else predicted
     positive = reference > 0.0
     safe = np.where(positive, reference, 1.0)

@@ -35,9 +35,7 @@ STEEP_RAD, STEEPER = 0.3, 12.0
 
 def odd_runs(runs: Sequence[Run], model: PowerModel) -> dict[str, str]:
     """Runs that are not as the others, and why, in words; none where most are, for then it is the model that is odd.
-
-    Power that has nothing to do with the motion, or does long after it, is told of any number of runs.
-    """
+    Power that has nothing to do with the motion, or does long after it, is told of any number of runs."""
     found, apart = _units(runs), dict[str, str]()
     for battery in model.batteries:
         own = [run for run in runs if battery in run.power_w and run.run not in found]

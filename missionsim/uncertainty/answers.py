@@ -65,10 +65,7 @@ MARGIN_TOLERANCE_WH = 1e-6
 
 
 def proportion_interval(good: int, total: int, level: float = LEVEL) -> tuple[float, float]:
-    """Wilson score interval of a proportion (Wilson 1927).
-
-    Gives low and high end; (0, 1) without any run.
-    """
+    """Wilson score interval of a proportion (Wilson 1927). Gives low and high end; (0, 1) without any run."""
     if total == 0:
         return 0.0, 1.0
     from scipy.special import ndtri
@@ -83,10 +80,8 @@ def proportion_interval(good: int, total: int, level: float = LEVEL) -> tuple[fl
 
 
 def quantile_ranks(count: int, q: float, level: float = LEVEL) -> tuple[int, int]:
-    """Ranks, from 0, of the order statistics that bound a quantile (David and Nagaraja 2003, section 7.1).
-
-    Gives −1 and `count` where the sample is too small to bound the quantile on that side.
-    """
+    """Ranks, from 0, of the order statistics that bound a quantile (David and Nagaraja 2003, section 7.1). Gives −1 and
+    `count` where the sample is too small to bound the quantile on that side."""
     # the functions themselves: the distributions around them (scipy.stats) take a second to import
     from scipy.special import bdtr, bdtrik
 

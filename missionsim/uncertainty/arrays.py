@@ -95,10 +95,7 @@ class ArrayMission:
         return sum(len(step.phases) for step in self.plan.steps)
 
     def evaluate(self, draws: Draws, count: int) -> tuple[dict[str, NDArray[np.generic]], NDArray[np.bool_]]:
-        """Columns at given draws, and the runs that need SimPy.
-
-        `draws`: value name → ndarray of shape (count,).
-        """
+        """Columns at given draws, and the runs that need SimPy. `draws`: value name → ndarray of shape (count,)."""
         columns, again = self._empty(count), np.zeros(count, dtype=bool)
         together = max(1, MOST_NUMBERS // self.intervals)
         for low in range(0, count, together):
@@ -232,11 +229,8 @@ class ArrayMission:
         return frozenset(name for term in terms for name in (*term.effect.needs, *term.effect.memory))
 
     def covariates(self, intervals: Intervals, part: slice, duration: Array, knots: Array) -> tuple[Columns, Columns]:
-        """Covariates at the start of each interval and their change per second.
-
-        `part`: the runs; `duration`: shape (runs, intervals); `knots` (shape (intervals + 1, runs)): instants between
-        the intervals.
-        """
+        """Covariates at the start of each interval and their change per second. `part`: the runs; `duration`: shape
+        (runs, intervals); `knots` (shape (intervals + 1, runs)): instants between the intervals."""
         cov, rates = intervals.covariates(part)
         names = list(self.mission.robot.components)
         for i, name in enumerate(names):
@@ -260,11 +254,8 @@ class ArrayMission:
 
     @functools.cached_property
     def _fixed(self) -> tuple[dict[str, Any], dict[tuple[str, str], float], list[tuple[str, str]], Array]:
-        """Powers that no draw changes.
-
-        Of each battery, by leg or one number for all; of the components that have the same on all legs; the components
-        that do not, and theirs as columns.
-        """
+        """Powers that no draw changes. Of each battery, by leg or one number for all; of the components that have the
+        same on all legs; the components that do not, and theirs as columns."""
         total: dict[str, Any] = {name: np.zeros(len(self.parts)) for name in self.model.batteries}
         even, changing = {}, []
         for key, watts in self.fixed.items():
@@ -314,10 +305,8 @@ class ArrayMission:
         parts: Mapping[tuple[str, str], Array],
         part_of: NDArray[np.intp],
     ) -> tuple[dict[str, Array], Any]:
-        """Energy by battery and interval, shape (runs, intervals), in J; by component it is added to `parts`.
-
-        Also how far the energy of each run may be off [J]: far, where a term has a kink inside an interval.
-        """
+        """Energy by battery and interval, shape (runs, intervals), in J; by component it is added to `parts`. Also how
+        far the energy of each run may be off [J]: far, where a term has a kink inside an interval."""
         doubt: Any = 0.0
         total, even, changing, powers = self._fixed
         total = {name: watts if isinstance(watts, float) else watts[part_of] for name, watts in total.items()}

@@ -83,11 +83,8 @@ def block_runs(prepared: Prepared) -> int:
 
 
 def prepare(task: Task) -> Prepared:
-    """Load what a task needs; a worker keeps it for all its blocks, until a file is another.
-
-    Raises InputError: where files have faults, the nominal mission cannot be planned, or `arrays` is asked but
-    impossible.
-    """
+    """Load what a task needs; a worker keeps it for all its blocks, until a file is another. Raises InputError: where
+    files have faults, the nominal mission cannot be planned, or `arrays` is asked but impossible."""
     made = _prepared(task)
     if made.files != tuple(_state_of(path) for path, *_ in made.files):
         _prepared.cache_clear()

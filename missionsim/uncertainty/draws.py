@@ -74,10 +74,8 @@ class Streams:
 
 
 def run_generator(seed: int, name: str, run: int) -> Generator:
-    """A generator of its own for one run, for what needs an unknown number of draws (arrivals, retries).
-
-    Counter-based (Philox, Salmon et al. 2011), keyed by seed and name; 2^128 numbers lie between neighbouring runs.
-    """
+    """A generator of its own for one run, for what needs an unknown number of draws (arrivals, retries). Counter-based
+    (Philox, Salmon et al. 2011), keyed by seed and name; 2^128 numbers lie between neighbouring runs."""
     key = int.from_bytes(_digest(16, seed, name), "little")
     return Generator(Philox(key=key, counter=[0, 0, run, 1]))
 
@@ -107,10 +105,8 @@ class Sampler:
     cholesky)."""
 
     def draw(self, seed: int, first: int, count: int) -> Draws:
-        """Values of the runs ``first … first + count − 1``.
-
-        Gives name → ndarray of shape (count,), SI. The same for any block and whatever else is uncertain.
-        """
+        """Values of the runs ``first … first + count − 1``. Gives name → ndarray of shape (count,), SI. The same for
+        any block and whatever else is uncertain."""
         streams = Streams(seed)
         correlated = self._correlated(
             {name: streams.normals(name, first, count) for group in self.groups for name in group[0]}
@@ -150,10 +146,8 @@ class Sampler:
 
 
 def _from_scores(law: Distribution, streams: Streams, name: str, first: int, count: int) -> Array:
-    """Draws from normal scores; where bounds cut a score off, a fresh number of the run takes its place.
-
-    A score inside the bounds has the truncated distribution already, and so has the fresh one: their mixture too.
-    """
+    """Draws from normal scores; where bounds cut a score off, a fresh number of the run takes its place. A score inside
+    the bounds has the truncated distribution already, and so has the fresh one: their mixture too."""
     scores = streams.normals(name, first, count)
     low, high = law.score_bounds
     outside = np.zeros(0, dtype=np.intp)
@@ -166,10 +160,8 @@ def _from_scores(law: Distribution, streams: Streams, name: str, first: int, cou
 
 
 def make_sampler(mission: MissionSpec) -> Sampler:
-    """The sampler of a mission, its robot and its environment.
-
-    Raises InputError: where correlations name a value that is not uncertain, or cannot hold together.
-    """
+    """The sampler of a mission, its robot and its environment. Raises InputError: where correlations name a value that
+    is not uncertain, or cannot hold together."""
     found: list[UncertainValue] = []
     for prefix, part in (("", mission), ("robot.", mission.robot), ("environment.", mission.environment)):
         if part is not None:

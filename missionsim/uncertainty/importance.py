@@ -130,10 +130,8 @@ def _indices(prepared: Prepared, seed: int, samples: int, values: int) -> tuple[
 
 
 def _ratio(parts: Array, variances: Array) -> Array:
-    """Ratio of sums over designs with its interval by the jackknife.
-
-    `parts`: shape (designs, values, batteries); `variances`: shape (designs, batteries).
-    """
+    """Ratio of sums over designs with its interval by the jackknife. `parts`: shape (designs, values, batteries);
+    `variances`: shape (designs, batteries)."""
     from scipy.special import stdtrit
 
     whole = np.where(variances.sum(axis=0) > 0.0, variances.sum(axis=0), np.inf)

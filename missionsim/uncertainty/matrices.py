@@ -28,10 +28,8 @@ PROGRESS_POINTS = 21
 
 
 def table(numbers: Sequence[float | Array]) -> Array:
-    """Numbers of intervals, each a float or an array of all runs.
-
-    Gives an array of shape (intervals, runs), or (intervals,) where none of them is an array.
-    """
+    """Numbers of intervals, each a float or an array of all runs. Gives an array of shape (intervals, runs), or
+    (intervals,) where none of them is an array."""
     if not any(isinstance(number, np.ndarray) for number in numbers):
         return np.array(numbers, dtype=float)
     rows = np.empty((len(numbers), max(np.size(number) for number in numbers)))

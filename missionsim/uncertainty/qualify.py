@@ -28,10 +28,7 @@ _MOST_AGAIN = 0.9
 
 
 def compile_arrays(mission: MissionSpec, model: PowerModel, sampler: Sampler) -> ArrayMission | str:
-    """Compile a mission for evaluation as arrays.
-
-    Gives the compiled mission, or in words why its runs need SimPy.
-    """
+    """Compile a mission for evaluation as arrays. Gives the compiled mission, or in words why its runs need SimPy."""
     try:
         plan = make_plan(mission)
         reason = _obstacle(mission, model, plan)

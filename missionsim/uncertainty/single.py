@@ -27,10 +27,8 @@ MOST_TOGETHER, ROWS_TOGETHER = 256, 30_000
 def simulate_run(
     mission: MissionSpec, model: PowerModel, sampler: Sampler, seed: int, run: int, *, trace: bool = True
 ) -> tuple[dict[str, float], RunResult, bool]:
-    """Run number `run` of a batch alone, with SimPy.
-
-    Gives the drawn values by name, the result, and whether a drawn speed was cut to what the robot can do.
-    """
+    """Run number `run` of a batch alone, with SimPy. Gives the drawn values by name, the result, and whether a drawn
+    speed was cut to what the robot can do."""
     drawn = {name: float(values[0]) for name, values in sampler.draw(seed, run, 1).items()}
     plan = _plan(mission, model, drawn, seed, run)
     result = simulate(mission, values=drawn, plan=plan, model=model, trace=trace)

@@ -36,10 +36,8 @@ class BlockStore:
         return self.path(first).is_file()
 
     def drop_damaged(self, count_of: Callable[[int], int]) -> list[int]:
-        """Delete blocks that cannot be read or have not as many runs as they should; their first runs.
-
-        `count_of`: first run of a block → its number of runs.
-        """
+        """Delete blocks that cannot be read or have not as many runs as they should; their first runs. `count_of`:
+        first run of a block → its number of runs."""
         damaged = []
         for first in self.firsts():
             try:
@@ -124,10 +122,8 @@ class BlockStore:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep the folder for this process alone; a lock that a killed process held is free.
-
-        Raises InputError: where another process writes a batch here.
-        """
+        """Keep the folder for this process alone; a lock that a killed process held is free. Raises InputError: where
+        another process writes a batch here."""
         try:
             import fcntl
         except ImportError:  # no such locks here
@@ -153,10 +149,8 @@ class BlockStore:
                     self.folder.rmdir()
 
     def begin(self, identity: Mapping[str, object], *, resume: bool) -> None:
-        """Make the folder for a batch, or take up an interrupted one.
-
-        Raises InputError: where the folder holds a batch and `resume` was not asked, or a different batch.
-        """
+        """Make the folder for a batch, or take up an interrupted one. Raises InputError: where the folder holds a batch
+        and `resume` was not asked, or a different batch."""
         path = self.folder / BATCH_FILE
         if path.is_file():
             if not resume:

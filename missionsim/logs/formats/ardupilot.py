@@ -25,9 +25,7 @@ _CLOCKS = (("TimeUS", 1e-6), ("TimeMS", 1e-3))
 
 def read_ardupilot(path: Path, options: Options) -> Recording:
     """Fields of a dataflash log (``BAT.Volt``, of a second instance ``BAT[1].Volt``), at the times since the boot.
-
-    Raises InputError: pymavlink is not installed, or an unreadable file.
-    """
+    Raises InputError: pymavlink is not installed, or an unreadable file."""
     file, said = str(path), io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):  # it prints what it finds corrupt
         reader = needed("pymavlink.DFReader", "reading ArduPilot logs", file)

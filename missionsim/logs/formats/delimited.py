@@ -76,10 +76,8 @@ def read_csv(path: Path, options: Options) -> RawTable:
 def iter_csv(
     path: Path, rows: int, columns: Sequence[str] | None = None, options: Options | None = None
 ) -> Iterator[RawTable]:
-    """Read a text table in blocks of at least `rows` rows (the last may be shorter), in bounded memory.
-
-    With `columns` the batteries' are read as well; with `options` what they say.
-    """
+    """Read a text table in blocks of at least `rows` rows (the last may be shorter), in bounded memory. With `columns`
+    the batteries' are read as well; with `options` what they say."""
     import pyarrow as pa
 
     options = options or Options(typed=True, wants=lambda name: columns is None or name in columns or measures(name))

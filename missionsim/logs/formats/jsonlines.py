@@ -165,9 +165,7 @@ READERS = (
 
 def read_json_mcap(path: Path, options: Options) -> Recording | None:
     """Fields of JSON messages as ``/topic.key.inner[0]``, at the times of the log; None where messages are no JSON.
-
-    Raises InputError: a damaged file.
-    """
+    Raises InputError: a damaged file."""
     try:
         from mcap.reader import make_reader
     except ImportError:

@@ -26,10 +26,8 @@ def _open(path: Path, file: str) -> Iterator[Any]:
 
 
 def read_parquet(path: Path, options: Options) -> RawTable:
-    """Read a whole Parquet file, or the columns that are wanted.
-
-    Raises InputError: not a Parquet file, cut short, or with a column twice.
-    """
+    """Read a whole Parquet file, or the columns that are wanted. Raises InputError: not a Parquet file, cut short, or
+    with a column twice."""
     file = str(path)
     with _open(path, file) as handle:
         names = handle.schema_arrow.names
@@ -40,10 +38,8 @@ def read_parquet(path: Path, options: Options) -> RawTable:
 
 
 def iter_parquet(path: Path, rows: int, columns: Sequence[str] | None = None) -> Iterator[RawTable]:
-    """Read a Parquet file in blocks of at most `rows` rows, in bounded memory.
-
-    With `columns`, the batteries' columns are read as well.
-    """
+    """Read a Parquet file in blocks of at most `rows` rows, in bounded memory. With `columns`, the batteries' columns
+    are read as well."""
     file = str(path)
     with _open(path, file) as handle:
         names = handle.schema_arrow.names

@@ -34,10 +34,8 @@ _Get = Callable[[Any], Any]
 
 @contextlib.contextmanager
 def open_bag(path: Path) -> Iterator[AnyReader]:
-    """A rosbags reader of a ROS 1 bag, a ROS 2 bag (its folder, or a file in it), or a lone MCAP file.
-
-    Raises InputError: rosbags is not installed, or it cannot read the bag.
-    """
+    """A rosbags reader of a ROS 1 bag, a ROS 2 bag (its folder, or a file in it), or a lone MCAP file. Raises
+    InputError: rosbags is not installed, or it cannot read the bag."""
     file = str(path)
     bags, types = needed("rosbags.highlevel", "reading bags", file), needed("rosbags.typesys", "reading bags", file)
     if path.is_file() and path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists():

@@ -22,10 +22,8 @@ _FIELD = re.compile(r"(?P<topic>[A-Za-z0-9_]+(?:\[\d+\])?)\.(?P<field>[A-Za-z0-9
 
 
 def read_ulog(path: Path, options: Options) -> Recording:
-    """Fields of a ULog (``topic.field``, ``topic[1].field[0]``), each topic at its ``timestamp`` (microseconds).
-
-    Raises InputError: pyulog is not installed, or an unreadable file.
-    """
+    """Fields of a ULog (``topic.field``, ``topic[1].field[0]``), each topic at its ``timestamp`` (microseconds). Raises
+    InputError: pyulog is not installed, or an unreadable file."""
     file = str(path)
     pyulog = needed("pyulog", "reading ULog", file)
     matches = [match for field in options.fields or () if (match := _FIELD.match(field.strip()))]
