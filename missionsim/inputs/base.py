@@ -146,3 +146,12 @@ class FileModel(Model):
     def document(self) -> Document:
         """What it was read from, for the positions in messages."""
         return self._document
+
+
+class DescribedFile(FileModel):
+    """A file with a name, and what it says to people."""
+
+    name: Name
+    title: Text = ""
+    notes: Text = ""
+    sources: dict[Identifier, Text] = Field(default_factory=dict)

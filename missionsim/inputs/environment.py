@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from missionsim.errors import Fault
 from missionsim.inputs import values
-from missionsim.inputs.base import FileModel, Identifier, Model, Name, Text, wrong
+from missionsim.inputs.base import DescribedFile, Identifier, Model, Name, Text, wrong
 from missionsim.inputs.tree import Document
 from missionsim.inputs.validation import Checker
 from missionsim.inputs.values import Parameter
@@ -87,14 +87,10 @@ class AccessPointSpec(Model):
     y: values.Coordinate
 
 
-class EnvironmentSpec(FileModel):
+class EnvironmentSpec(DescribedFile):
     """An environment file."""
 
     kind: Literal["environment"]
-    name: Name
-    title: Text = ""
-    notes: Text = ""
-    sources: dict[Identifier, Text] = Field(default_factory=dict)
     places: Annotated[dict[Name, PlaceSpec], Field(min_length=1, max_length=20_000)]
     edges: Annotated[tuple[EdgeSpec, ...], Field(max_length=50_000)] = ()
     ambient: AmbientSpec = AmbientSpec.model_construct()

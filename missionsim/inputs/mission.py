@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, TypeVar, cast, overload
 
 from pydantic import BeforeValidator, Discriminator, Field, JsonValue, PrivateAttr, Tag, model_validator
 
-from missionsim.inputs.base import Count, FileModel, Identifier, Model, Name, Text, alone, wrong
+from missionsim.inputs.base import Count, DescribedFile, FileModel, Identifier, Model, Name, Text, alone, wrong
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.robot import BehaviourSpec, RobotSpec
 from missionsim.inputs.segments import DefaultSpec, Segment, SegmentSpec
@@ -104,30 +104,18 @@ class CorrelationSpec(Model):
     rho: Annotated[float, Field(strict=False, gt=-1.0, lt=1.0)]
 
 
-class MissionSpec(FileModel):
-    """A mission file; `robot` and `environment` are the loaded ones."""
+class RobotAtSite(DescribedFile):
+    """What a mission and a task begin with; `robot` and `environment` are the loaded ones."""
 
-    kind: Literal["mission"]
-    name: Name
-    title: Text = ""
-    notes: Text = ""
-    sources: dict[Identifier, Text] = Field(default_factory=dict)
     robot_ref: Annotated[Text, Field(min_length=1)] = Field(alias="robot")
     environment_ref: Annotated[Text, Field(min_length=1)] | None = Field(default=None, alias="environment")
     start: Name | None = None
     start_heading: Angle | None = None
     initial_charge: dict[Identifier, Fraction] = Field(default_factory=dict)
     defaults: DefaultSpec = DefaultSpec.model_construct()
-    policy: PolicySpec = PolicySpec.model_construct()
-    segments: Annotated[tuple[Segment, ...], Field(min_length=1)]
-    activities: tuple[ActivitySpec, ...] = ()
-    behaviour: MissionBehaviour = MissionBehaviour.model_construct()
-    correlations: tuple[CorrelationSpec, ...] = ()
 
     _robot: Any = PrivateAttr(default=None)
     _environment: Any = PrivateAttr(default=None)
-    _overrides: tuple[tuple[str, str], ...] = PrivateAttr(default=())
-    _remembered: dict[Any, Any] = PrivateAttr(default_factory=dict)
 
     @property
     def robot(self) -> RobotSpec:
@@ -140,6 +128,20 @@ class MissionSpec(FileModel):
         """The environment, loaded, or None."""
         environment: EnvironmentSpec | None = (self.__pydantic_private__ or {})["_environment"]
         return environment
+
+
+class MissionSpec(RobotAtSite):
+    """A mission file."""
+
+    kind: Literal["mission"]
+    policy: PolicySpec = PolicySpec.model_construct()
+    segments: Annotated[tuple[Segment, ...], Field(min_length=1)]
+    activities: tuple[ActivitySpec, ...] = ()
+    behaviour: MissionBehaviour = MissionBehaviour.model_construct()
+    correlations: tuple[CorrelationSpec, ...] = ()
+
+    _overrides: tuple[tuple[str, str], ...] = PrivateAttr(default=())
+    _remembered: dict[Any, Any] = PrivateAttr(default_factory=dict)
 
     @property
     def overrides(self) -> tuple[tuple[str, str], ...]:

@@ -9,8 +9,8 @@ from missionsim.errors import Fault, did_you_mean
 from missionsim.glossary import COLUMNS, column_of
 from missionsim.inputs import values
 from missionsim.inputs.base import (
+    DescribedFile,
     Expression,
-    FileModel,
     Identifier,
     Model,
     Name,
@@ -268,14 +268,11 @@ class EffectSpec(Model):
         return self
 
 
-class RobotSpec(FileModel):
+class RobotSpec(DescribedFile):
     """A robot file."""
 
     kind: Literal["robot"]
     name: Identifier
-    title: Text = ""
-    notes: Text = ""
-    sources: dict[Identifier, Text] = Field(default_factory=dict)
     body: BodySpec
     batteries: Annotated[dict[Identifier, BatterySpec], Field(min_length=1, max_length=100)]
     motion: MotionSpec | None = None

@@ -6,12 +6,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, PrivateAttr, Tag, model_validator
 
-from missionsim.inputs.base import FileModel, Identifier, Model, Name, Sensors, Text, alone, as_list, wrong
+from missionsim.inputs.base import Identifier, Model, Name, Sensors, Text, alone, as_list, wrong
 from missionsim.inputs.environment import EnvironmentSpec
-from missionsim.inputs.mission import Reserve, reserve_of
-from missionsim.inputs.robot import RobotSpec
-from missionsim.inputs.segments import DefaultSpec
-from missionsim.inputs.values import Angle, Duration, Fraction, Mass, Parameter, Period, Share, Speed
+from missionsim.inputs.mission import Reserve, RobotAtSite, reserve_of
+from missionsim.inputs.values import Duration, Fraction, Mass, Parameter, Period, Share, Speed
 
 Weight = Annotated[float, Field(strict=False, ge=0.0, le=1e6)]
 Places = Annotated[tuple[Name, ...], BeforeValidator(lambda raw: [raw] if isinstance(raw, (str, int)) else raw)]
@@ -203,21 +201,13 @@ class RepeatSpec(Model):
         return self
 
 
-class TaskSpec(FileModel):
-    """A task file; `robot` and `environment` are the loaded ones."""
+class TaskSpec(RobotAtSite):
+    """A task file."""
 
     kind: Literal["task"]
-    name: Name
-    title: Text = ""
-    notes: Text = ""
-    sources: dict[Identifier, Text] = Field(default_factory=dict)
-    robot_ref: Annotated[Text, Field(min_length=1)] = Field(alias="robot")
     environment_ref: Annotated[Text, Field(min_length=1)] = Field(alias="environment")
     start: Name
     end: Name | None = None
-    initial_charge: dict[Identifier, Fraction] = Field(default_factory=dict)
-    start_heading: Angle | None = None
-    defaults: DefaultSpec = DefaultSpec.model_construct()
     visits: Annotated[tuple[VisitSpec, ...], Field(min_length=1, max_length=200)]
     order: Literal["any", "given"] = "any"
     choose: ChooseSpec = ChooseSpec.model_construct()
@@ -228,20 +218,12 @@ class TaskSpec(FileModel):
     )
     repeat: RepeatSpec | None = None
 
-    _robot: Any = PrivateAttr(default=None)
-    _environment: Any = PrivateAttr(default=None)
     _elsewhere: tuple[tuple[str, str], ...] = PrivateAttr(default=())
 
     @property
     def elsewhere(self) -> tuple[tuple[str, str], ...]:
         """What the command line set in the files of robot and environment, (path, text): a mission needs it as well."""
         return self._elsewhere
-
-    @property
-    def robot(self) -> RobotSpec:
-        """The robot, loaded."""
-        robot: RobotSpec = self._robot
-        return robot
 
     @property
     def environment(self) -> EnvironmentSpec:
