@@ -26,7 +26,7 @@ from missionsim.identify.align import Clock
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding, HeldOut, RunSeries, Where
 from missionsim.identify.identification import Identification, identify
 from missionsim.identify.proposed import Proposal
-from missionsim.identify.settings import ALPHA, MOST_PASSES, SAME_SIZE, Settings
+from missionsim.identify.settings import ALPHA, LEAST_FREE_SD, MOST_PASSES, SAME_SIZE, Settings
 from missionsim.identify.verdict import decide
 from missionsim.laws.proposal import plain
 from missionsim.logs import describe
@@ -185,6 +185,12 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
         )
     try:
         found = identify(features.runs, features.candidates, features.prior_sd, settings)
+        if found.choice.forward is not None and min(features.prior_sd.values(), default=np.inf) < LEAST_FREE_SD:
+            # what the file says of its base is refuted: held near it, the base would leave its part to the effects
+            subject = subject.unknown()
+            free = priors_of(subject, features, split.train)
+            features = replace(features, prior_sd=free, given_sd=features.prior_sd)
+            found = identify(features.runs, features.candidates, features.prior_sd, settings)
         if sum(features.steady.get(one.parameter, 0.0) * one.shift for one in found.recalibration) < 0.0:
             # a component that may be on draws something; where less is drawn than modelled, it is no reason
             features = replace(features, steady={})

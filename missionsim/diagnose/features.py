@@ -66,6 +66,8 @@ class Features:
     steady: Mapping[str, float] = field(default_factory=dict)
     """Relative changes of base parameters that together make the constant load of components of which nothing tells
     whether they were on."""
+    given_sd: Mapping[str, float] = field(default_factory=dict)
+    """What the file says of `prior_sd`, where the logs refute it."""
 
 
 def make_features(

@@ -207,7 +207,7 @@ class Models:
                     parameter=name,
                     shift=shift,
                     shift_sd=sd,
-                    shift_in_prior_sd=shift / self.features.prior_sd[name],
+                    shift_in_prior_sd=shift / (self.features.given_sd or self.features.prior_sd)[name],
                     value=new.value,
                     sd=new.sd,
                     unit=own.unit,

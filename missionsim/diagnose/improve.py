@@ -123,6 +123,8 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     start = Subject.of(robot_from_text(text))
     priors = _own_priors(start, battery, split.train)
     seen = examine(start, split, battery, settings)
+    if seen.features.given_sd:  # refuted
+        priors = dict.fromkeys(priors, NO_PRIOR_SD)
     models = seen.models
     first = last = diagnose_battery(start, split, battery, None, settings, seen=seen)
     given = text
@@ -145,6 +147,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         again = Subject.of(made, priors={**_fitted_priors(made, battery), **priors})
         return new, diagnose_battery(again, split, battery, None, settings, clock=models.clock)
 
+    library, by_law, laws = (given, models), set[str](), 0
     taken: list[Finding] = []
     declined: list[str] = []
     for _ in range(MOST_ROUNDS):
@@ -157,16 +160,18 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
                 new.append(effect)
             else:
                 declined.append(effect.effect)
-        if not new:
-            break
-        taken, fitted = together([*taken, *new])
-        text, last = settled(taken, fitted)
-    for _ in range(MOST_LAWS):
-        refused = {*declined, *nothing}
+        if new:
+            # a law that was found without them has another form beside them: it is looked for again
+            (given, models), laws = library, 0
+            taken = [effect for effect in taken if effect.effect not in by_law]
+            taken, fitted = together([*taken, *new])
+            text, last = settled(taken, fitted)
+            continue
         offered = (p for p in last.proposed_laws if p.first.simulated and not p.open)
-        law = next((p for p in offered if p.first.formula not in refused), None)
-        if law is None:
+        law = next((p for p in offered if p.first.formula not in {*declined, *nothing}), None)
+        if law is None or laws == MOST_LAWS:
             break
+        laws += 1
         if not ask(as_finding(law), last):
             declined.append(law.first.formula)
             continue
@@ -180,6 +185,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
             models = before
             continue
         given, taken = changed, found
+        by_law.add(name)
         text, last = settled(taken, fitted)
     heldout = [log for log in split.heldout if battery in log.power_w]
     powers = {"before": start.model, "recalibrated": models.fit(()).model}

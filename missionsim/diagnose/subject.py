@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -72,6 +72,12 @@ class Subject:
             limits,
             priors,
         )
+
+
+    def unknown(self) -> Subject:
+        """The robot as one of whose base nothing is known beside the logs."""
+        priors = {t.name_of(n): NO_PRIOR_SD for t in self.model.terms if t.base for n in t.parameters}
+        return replace(self, priors=priors)
 
 
 def priors_of(subject: Subject, features: Features, logs: Sequence[Run]) -> dict[str, float]:

@@ -151,8 +151,8 @@ def _fit(
             ends = np.sort([[low[n] / start[n] - 1.0, high[n] / start[n] - 1.0] for n in names], axis=1)
         shift, cov = _solve(system, done, sd, ends, energy=not keep_base)
         values = {n: start[n] * (1.0 + float(s)) for n, s in zip(names, shift, strict=True)}
-        # rounding must not take what an effect gives back at its bound beyond it
-        values |= {n: min(max(values[n], low[n]), high[n]) for n in {*added, "regeneration"} & set(names)}
+        # rounding must not take what lies at its bound beyond it
+        values = {n: min(max(value, low[n]), high[n]) for n, value in values.items()}
         values |= {n: 0.0 for n in added & set(names) if abs(values[n]) < STILL * abs(start[n])}
         model = model.with_values({f"{battery}/{n}": v for n, v in values.items()})
         sds = np.sqrt(np.maximum(np.diag(cov), 0.0))

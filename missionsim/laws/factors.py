@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ LAGS_S = (5.0, 30.0)
 WARM_S = (30.0, 120.0)
 VARIES = 1e-9
 TEMPERATURE = re.compile(r"^temp_|_temp(erature)?(_|$)|_deg_?[cf]$")
+WIDTHS = {0.2: (0.5, 0.75), 0.1: (), 0.4: ()}
+"""Widths of a resonance in parts of a fast drive's speed, with the quantiles of speed that enter the first pass."""
 NOISE_PART = 0.1
 """A quantity that falls below zero by less than this part of its highest value is noise about zero."""
 SYMBOLS = {
@@ -50,7 +53,7 @@ class _Builder:
     def __init__(self, covariates: Sequence[Mapping[str, Any]]) -> None:
         self.runs = covariates
         self.factors: list[Factor] = []
-        self.values: list[list[Array]] = []
+        self.values: list[Callable[[], Sequence[Array]]] = []
 
     def has(self, name: str) -> bool:
         return all(name in run for run in self.runs)
@@ -63,7 +66,7 @@ class _Builder:
         size = max((float(np.max(np.abs(v), initial=0.0)) for v in clean), default=0.0)
         if (size > 0.0 and any(float(np.ptp(v)) > VARIES * size for v in clean)) or _differs(clean, size):
             self.factors.append(factor)
-            self.values.append(clean)
+            self.values.append(lambda: clean)
 
     def family(
         self,
@@ -78,12 +81,20 @@ class _Builder:
         first = {min(numbers, key=lambda n: abs(n - c)) for c in coarse} if numbers else set()
         for n in numbers:
             one = factor(f"{n:g}")
-            kind = f"{one.variable} {factor('#').text}"
-            self.add(replace(one, kind=kind, fine=n not in first), [form(v, n) for v in x])
+            one = replace(one, kind=one.kind or f"{one.variable} {factor('#').text}", numbers=(n, *one.numbers))
+            if n in first:
+                self.add(one, [form(v, n) for v in x])
+            else:  # most of these are never looked at
+                self.factors.append(replace(one, fine=True))
+                self.values.append(partial(_family, form, x, n))
 
     def quantiles(self, values: Sequence[Array], *parts: float) -> list[float]:
         every = np.concatenate([v[v > 0.0] for v in values])
         return [_round(float(q)) for q in np.quantile(every, parts)] if len(every) else [0.0 for _ in parts]
+
+
+def _family(form: Callable[[Array, float], Array], x: Sequence[Array], n: float) -> list[Array]:
+    return [np.nan_to_num(form(v, n), nan=0.0, posinf=0.0, neginf=0.0) for v in x]
 
 
 def _may_enter(name: str) -> bool:
@@ -150,14 +161,7 @@ def make_grammar(covariates: Sequence[Covariates], skip: Set[str] = frozenset(),
         ):
             further += 1
             (_about_thresholds if TEMPERATURE.search(name) else _further)(b, name)
-    count = len(b.factors)
-    runs = tuple(
-        np.ascontiguousarray(np.vstack([b.values[i][j] for i in range(count)]))
-        if count
-        else np.zeros((0, len(run["time_s"])))
-        for j, run in enumerate(covariates)
-    )
-    return Grammar(tuple(b.factors), runs)
+    return Grammar(tuple(b.factors), tuple(b.values))
 
 
 def _powers(
@@ -167,10 +171,10 @@ def _powers(
     kind = f"{name} {text}**#"
     for power in powers:
         shown = symbol if power == 1 else f"{symbol}{'⁰¹²³'[power]}"
-        one = Factor(name, text if power == 1 else f"{text}**{power}", shown, power - 1, kind=kind)
+        one = Factor(name, text if power == 1 else f"{text}**{power}", shown, power - 1, kind=kind, numbers=(power,))
         b.add(one, [v**power for v in x])
     for part in (0.5, 0.7, 1.5) if fine else ():
-        between = Factor(name, f"{text}**{part:g}", f"{symbol}^{part:g}", 2, kind=kind, fine=True)
+        between = Factor(name, f"{text}**{part:g}", f"{symbol}^{part:g}", 2, kind=kind, numbers=(part,), fine=True)
         b.add(between, [np.abs(v) ** part for v in x])
 
 
@@ -214,19 +218,34 @@ def _speeds(b: _Builder, name: str) -> None:
         shapes,
         (0.5 * low,),
     )
-    width = _round(0.2 * high)
-    b.family(
-        lambda n: Factor(name, f"exp(-(({text} - {n}) / {width:g})**2)", f"bump(v at {n})", 3),
-        lambda x, n: np.exp(-(((x - n) / width) ** 2)),
-        v,
-        levels,
-        (middle, high),
-    )
+    for part, first in WIDTHS.items():
+        _bumps(b, name, v, _round(part * high), levels, b.quantiles(driven, *first))
     late = {tau: [_lagged(x, run["time_s"], tau) for x, run in zip(v, b.runs, strict=True)] for tau in LAGS_S}
     for tau, slow in late.items():
         symbol = f"(v lagged {tau:g} s − v)₊"
         memory = Factor(f"{name} memory", f"max(lag({text}, {tau:g}) - {text}, 0)", symbol, 3, simulated=False)
         b.add(memory, [np.maximum(a - x, 0.0) for a, x in zip(slow, v, strict=True)])
+
+
+def _bumps(
+    b: _Builder, name: str, x: Sequence[Array], width: float, levels: Sequence[float], coarse: Sequence[float]
+) -> None:
+    """A resonance of one width at speeds that lie close beside each other."""
+    fine = np.arange(levels[0], levels[-1], 0.25 * width)
+    b.family(
+        lambda n: Factor(
+            name,
+            f"exp(-((abs({name}) - {n}) / {width:g})**2)",
+            f"bump(v at {n})",
+            3,
+            kind=f"{name} bump",
+            numbers=(width,),
+        ),
+        lambda v, n: np.exp(-(((v - n) / width) ** 2)),
+        x,
+        [*levels, *fine],
+        coarse,
+    )
 
 
 def _turning(b: _Builder) -> None:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from itertools import combinations
 
@@ -21,6 +21,8 @@ from missionsim.identify.proposed import CLOCKS
 from missionsim.physics import Array
 
 MOST_FACTORS = 3
+NEIGHBOURS = (0, 1, 2, 4, 8, 16)
+"""Numbers beside that of a factor that are tried next, by their place from the nearest on."""
 
 
 @dataclass(frozen=True)
@@ -39,18 +41,35 @@ class Factor:
     """Whether power may be negative with it (braking, descending)."""
     simulated: bool = True
     """Whether `run` can evaluate it; a first-order memory of a signal is no state of the engine yet."""
+    _: KW_ONLY
     kind: str = ""
-    """Factors of one kind differ in a number only (a threshold, a time constant)."""
+    """Factors of one kind differ in their numbers only (a threshold, a time constant)."""
+    numbers: tuple[float, ...] = ()
     fine: bool = False
     """One of the numbers between those that the first pass tries."""
 
 
 @dataclass(frozen=True)
 class Grammar:
-    """All factors that the logs allow, and their values in each run at its raw rate, arrays (factors, rows)."""
+    """All factors that the logs allow, and what gives the values of each in every run at its raw rate."""
 
     factors: tuple[Factor, ...]
-    values: tuple[Array, ...]
+    values: tuple[Callable[[], Sequence[Array]], ...]
+
+    def products(self, forms: Sequence[Sequence[int]]) -> list[Array]:
+        """Power of forms for a coefficient of 1 in each run at its raw rate, arrays (forms, rows)."""
+        factors = [[self._values(i) for i in form] for form in forms]
+        runs = range(len(factors[0][0]))
+        return [np.array([np.prod([rows[j] for rows in form], axis=0) for form in factors]) for j in runs]
+
+    def _values(self, index: int) -> Sequence[Array]:
+        if index not in self._made:
+            self._made[index] = self.values[index]()
+        return self._made[index]
+
+    @cached_property
+    def _made(self) -> dict[int, Sequence[Array]]:
+        return {}
 
     def forms(self, memory: bool = False) -> list[NDArray[np.intp]]:
         """Every product by its number of factors: arrays of shape (forms, 1), (forms, 2), (forms, 3).
@@ -73,13 +92,20 @@ class Grammar:
         return found
 
     def bent(self, form: Sequence[int]) -> list[tuple[int, ...]]:
-        """The same form with another number in one of its factors."""
+        """The same form with another number near by in one of its factors."""
         found = []
         for at, i in enumerate(form):
-            kind = self.factors[i].kind
-            for j in self.kinds.get(kind, ()) if kind else ():
-                if j != i:
-                    found.append((*form[:at], j, *form[at + 1 :]))
+            own = self.factors[i]
+            for place, number in enumerate(own.numbers):
+                others = []
+                for j in self.kinds.get(own.kind, ()):
+                    apart = [k for k, n in enumerate(self.factors[j].numbers) if n != own.numbers[k]]
+                    if apart == [place]:
+                        others.append((abs(self.factors[j].numbers[place] - number), j))
+                found += [
+                    (*form[:at], j, *form[at + 1 :])
+                    for _, j in (sorted(others)[n] for n in NEIGHBOURS if n < len(others))
+                ]
         return found
 
     @cached_property

@@ -29,7 +29,7 @@ MOST_KEPT = 5_000_000
 AT_ONCE = 16
 SHORTLIST = 1500
 SEEDS = 3
-BENDS = 2
+BENDS = 4
 BENT = 6
 """Best forms whose numbers are varied, and how often."""
 EXACT = 40
@@ -152,7 +152,7 @@ class Search:
     def rows(self) -> Array:
         """Factors of the first pass at the analysis rate, shape (factors, n), of mean size 1; the others are 0."""
         first = [i for i, factor in enumerate(self.grammar.factors) if not factor.fine]
-        rows = self.ground.averaged([values[first] for values in self.grammar.values])
+        rows = self.ground.averaged(self.grammar.products([[i] for i in first]))
         out = np.zeros((len(self.grammar.factors), rows.shape[1]))
         out[first] = rows / np.maximum(np.mean(np.abs(rows), axis=1, keepdims=True), 1e-300)
         return out
@@ -187,8 +187,7 @@ class Search:
 
     def on_time(self, fitted: Fitted) -> Search:
         """The same search at the clock that a law asks for; itself where that is hardly better."""
-        raw = [np.prod(values[list(fitted.form)], axis=0)[None, :] for values in self.grammar.values]
-        ground = self.ground.on_time(raw, fitted.model)
+        ground = self.ground.on_time(self.grammar.products([fitted.form]), fitted.model)
         return self if ground is self.ground else Search(ground, self.grammar, self.memory)
 
     def columns(self, forms: Sequence[Sequence[int]]) -> Array:
@@ -199,8 +198,7 @@ class Search:
             missing = list(dict.fromkeys(tuple(form) for form in forms))
         for begin in range(0, len(missing), AT_ONCE):
             some = missing[begin : begin + AT_ONCE]
-            raw = [np.vstack([np.prod(values[list(form)], axis=0) for form in some]) for values in self.grammar.values]
-            self._averaged.update(zip(some, self.ground.averaged(raw), strict=True))
+            self._averaged.update(zip(some, self.ground.averaged(self.grammar.products(some)), strict=True))
         return np.array([self._averaged[tuple(form)] for form in forms])
 
     def fit(self, form: tuple[int, ...], start: Noise | None = None, beside: Sequence[Fitted] = ()) -> Fitted:

@@ -248,6 +248,25 @@ def test_scrub_that_differs_by_floor_is_added_after_scrub() -> None:
     assert more["k_carpet"].value == pytest.approx(8.0, rel=0.2)
 
 
+def test_what_a_law_had_hidden_is_added_and_the_law_is_looked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    logs = []
+    for seed in range(5):
+        log = with_payload(drive(seed, seconds=300.0), 2.0 * (seed % 2))
+        power = log.power_w[BATTERY] + 14.0 * np.maximum(np.abs(log.columns["yaw_rate_rad_s"]) - 0.5, 0.0)
+        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
+    text, split = robot_text("pioneer3dx"), Split(tuple(logs[:4]), (logs[4],), "the last")
+
+    def hidden(*args: Any, **named: Any) -> BatteryDiagnosis:
+        """As if what the law draws drowned the payload."""
+        found = diagnose_battery(*args, **named)
+        return found if named.get("seen") is None else replace(found, effects=())
+
+    monkeypatch.setattr("missionsim.diagnose.improve.diagnose_battery", hidden)
+    done = improve(text, split, BATTERY, Settings(), lambda *_: True)
+    assert done.added[:2] == ("payload", "law_turning")
+    assert done.steps[-2].power_rmse_w < 0.4 * done.steps[1].power_rmse_w
+
+
 def test_an_effect_that_comes_to_nothing_beside_the_next_one_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
     logs = [with_payload(drive(seed, seconds=240.0, scrub_w_s_rad=6.0), 2.0 * (seed % 2)) for seed in range(4)]
     text, split = robot_text("pioneer3dx"), Split(tuple(logs), (), "")

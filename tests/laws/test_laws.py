@@ -68,7 +68,7 @@ def test_every_factor_is_what_its_text_says(grammar: Grammar) -> None:
     for i, factor in enumerate(grammar.factors):
         if factor.simulated:
             np.testing.assert_allclose(
-                grammar.values[0][i], evaluate(f"k * {factor.text}", cov, 200), rtol=1e-9, err_msg=factor.text
+                grammar.products([[i]])[0][0], evaluate(f"k * {factor.text}", cov, 200), rtol=1e-9, err_msg=factor.text
             )
 
 
