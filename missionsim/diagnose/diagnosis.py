@@ -16,22 +16,28 @@ from missionsim.diagnose.heldout import KINDS, Models
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
 from missionsim.diagnose.proposed import as_finding as as_law
-from missionsim.diagnose.proposed import depends_on, of_motion, proposed_laws, with_law, without_stand_ins
+from missionsim.diagnose.proposed import (
+    beside_law,
+    depends_on,
+    of_motion,
+    proposed_laws,
+    something_else,
+    with_law,
+    without_stand_ins,
+)
 from missionsim.diagnose.split import Split, choose_split, lacking, read_runs, stretches, with_same_causes
 from missionsim.diagnose.subject import Subject, priors_of
 from missionsim.diagnose.waterfall import noted
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.identify.align import Clock
-from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, Finding, HeldOut, RunSeries, Where
+from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, HeldOut, Recalibrated, RunSeries, Structure, Where
 from missionsim.identify.identification import Identification, identify
 from missionsim.identify.proposed import Proposal
 from missionsim.identify.settings import ALPHA, LEAST_FREE_SD, MOST_PASSES, SAME_SIZE, Settings
 from missionsim.identify.verdict import decide
-from missionsim.laws.proposal import plain
 from missionsim.logs import describe
 from missionsim.runs.admit import unchanging
-from missionsim.runs.covariates import logged_name
 
 if TYPE_CHECKING:
     from missionsim.effects.timeline import Timeline
@@ -166,6 +172,7 @@ class Examined:
     held: tuple[Run, ...]
 
 
+MOST_SHIFTS = 4
 NOTHING_LEFT = "comes to nothing beside the others once all are fitted together"
 
 
@@ -214,6 +221,13 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
         remarks.append(f"{run}: no {', '.join(columns)}, which an effect found depends on; not tested on it")
     models = Models(subject.model, battery, features, tuple(train), clock or found.choice.model.clock, settings)
     return Examined(replace(features, remarks=(*features.remarks, *remarks)), found, models, tuple(held))
+
+
+def _refuted(base: Sequence[Recalibrated]) -> Structure:
+    """What the file says of its base, against what the logs say."""
+    shifts = ", ".join(f"{one.parameter} {one.shift_pct:+.3g} %" for one in base[:MOST_SHIFTS])
+    told = f"the base of the robot file is far from right, in other units perhaps, and was fitted anew: {shifts}"
+    return Structure("", 0.0, 0.0, 0.0, told)
 
 
 def _features(subject: Subject, runs: Sequence[Run], battery: str) -> Features:
@@ -294,25 +308,26 @@ def diagnose_battery(
         driven = execution_effects(timeline, logs, battery, settings.alpha)
     execution = tuple(as_finding(one) for one in driven if one.found)
     left, averages = found.unexplained, found.averages
-    if found.factor is None and not averages:
-        over = leftover(found, features.covariates)
-        structure = None if over is None else over.structure(found.mean_power_w)
-        if structure is not None and structure.covariate not in left.depends_on:
-            averages = (structure,)
-            left = replace(
-                left,
-                depends_on=(*left.depends_on, *filter(None, (structure.covariate,))),
-                shape="; ".join(filter(None, (left.shape, structure.shape))),
-                structures=(*left.structures, structure),
-            )
+    more = [_refuted(models.recalibrated(fitted))] if features.given_sd else []
+    if found.factor is None and not averages and (over := leftover(found, features.covariates)) is not None:
+        structure = over.structure(found.mean_power_w)
+        more += [structure] if structure.covariate not in left.depends_on else []
+    if more:
+        averages = (*averages, *more)
+        left = replace(
+            left,
+            depends_on=(*left.depends_on, *(s.covariate for s in more if s.covariate)),
+            shape="; ".join(filter(None, (left.shape, *(s.shape for s in more)))),
+            structures=(*left.structures, *more),
+        )
     untestable = dict(features.untestable)
     if timeline is not None:
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
     remarks = [*describe([*split.train, *split.heldout]), *features.remarks, *found.remarks, *seen_once(driven)]
     remains = [s for s in found.unexplained.structures if s not in found.averages]
-    law = _something_else(proposed, effects, features)
+    law = something_else(proposed, effects, features)
     if law:
-        effects = tuple(replace(e, remark=_beside_law(e, proposed, features)) for e in effects)
+        effects = tuple(replace(e, remark=beside_law(e, proposed, features)) for e in effects)
     if proposed:
         left = depends_on(proposed, left)
     bench = Bench(subject.model, features, found.choice, site_of(features.covariates, subject.limits), settings)
@@ -358,22 +373,6 @@ def _within_rows(models: Models, power: PowerModel, series: Sequence[RunSeries])
 
 def _renamed(log: Run, taken: set[str]) -> Run:
     return replace(log, run=f"held-out {log.run}") if log.run in taken else log
-
-
-def _something_else(laws: Sequence[Proposal], effects: Sequence[Finding], features: Features) -> bool:
-    """Whether a proposed law reads quantities that no single named effect reads; else it is the form of that effect,
-    told beside it."""
-    known = [{logged_name(name) for name in features.effects[effect.effect].needs} for effect in effects]
-    return any(not any({logged_name(v) for v in law.first.variables} <= own for own in known) for law in laws)
-
-
-def _beside_law(effect: Finding, laws: Sequence[Proposal], features: Features) -> str:
-    """In words, that a law of another form reads what an effect goes by, which may then stand for a part of it."""
-    goes_by = {logged_name(c.covariate) for c in features.candidates if c.effect == effect.effect}
-    shared = [name for law in laws for name in law.first.variables if name in goes_by]
-    if not shared:
-        return effect.remark
-    return f"a law of {plain(shared[0])} explains beside it what that effect cannot"
 
 
 def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:

@@ -56,12 +56,15 @@ class Improved:
     _: KW_ONLY
     stopped: str
     """Why it ended, in words."""
+    base_alone: bool = False
+    """Whether nothing was added, but the base fitted anew, since held-out runs are predicted clearly better so."""
 
     def to_json(self) -> Json:
         """As ``missionsim improve --json`` has a battery."""
         return {
             "added": list(self.added),
             "declined": list(self.declined),
+            "base_alone": self.base_alone,
             "stopped": self.stopped,
             "on_heldout_runs": self.heldout,
             "steps": [asdict(step) for step in self.steps],
@@ -91,8 +94,10 @@ class Improved:
         given = f"--robot {shlex.quote(robot)} {' '.join(shlex.quote(str(log)) for log in logs)}"
         out = f"--out {shlex.quote(Path(robot).stem + '_better.yaml')}"
         if far:
-            told = f"Nothing was added; the file is as it was. {base_note(before, recalibrated)}"
-            return told, f"missionsim calibrate {given} {out}"
+            note = base_note(before, recalibrated)
+            if self.base_alone:
+                return f"No effect was added. {note} The file that is written has that base.", ""
+            return f"Nothing was added; the file is as it was. {note}", f"missionsim calibrate {given} {out}"
         if best == 1:
             told = "The same file with its base fitted anew and nothing added predicts these runs better."
             return told, f"missionsim calibrate {given} {out}"
@@ -199,6 +204,9 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     floor_pct, floor_w = noise_floor(last)
     # where much is unexplained the noise holds a part of it, and a model that errs by less shows that
     steps.append(Step("noise floor", floor_pct, min(floor_w, steps[-1].power_rmse_w)))
+    base_alone = bool(heldout) and not taken and clearly_better(steps[1], steps[0])
+    if base_alone:
+        text, _ = write(given, robot_from_text(given), models, (), models.fit(()), split)
     return Improved(
         battery,
         text,
@@ -209,6 +217,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         first,
         last,
         stopped=_why(last, declined, sorted(nothing)),
+        base_alone=base_alone,
     )
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+from missionsim.diagnose.features import Features
 from missionsim.diagnose.heldout import Models
 from missionsim.effects.base import ParameterSpec
 from missionsim.effects.base_terms import expression_term
@@ -16,7 +17,8 @@ from missionsim.identify.findings import Estimate, Finding, Judged, Unexplained
 from missionsim.identify.identification import Identification
 from missionsim.identify.proposed import Proposal
 from missionsim.laws.grammar import unit_of
-from missionsim.laws.proposal import Z95, propose
+from missionsim.laws.proposal import Z95, plain, propose
+from missionsim.runs.covariates import logged_name
 from missionsim.runs.run import Run
 
 _SHORT = {
@@ -182,3 +184,19 @@ def as_finding(law: Proposal) -> Finding:
         heldout_rmse_before_w=before,
         heldout_rmse_after_w=after,
     )
+
+
+def something_else(laws: Sequence[Proposal], effects: Sequence[Finding], features: Features) -> bool:
+    """Whether a proposed law reads quantities that no single named effect reads; else it is the form of that effect,
+    told beside it."""
+    known = [{logged_name(name) for name in features.effects[effect.effect].needs} for effect in effects]
+    return any(not any({logged_name(v) for v in law.first.variables} <= own for own in known) for law in laws)
+
+
+def beside_law(effect: Finding, laws: Sequence[Proposal], features: Features) -> str:
+    """In words, that a law of another form reads what an effect goes by, which may then stand for a part of it."""
+    goes_by = {logged_name(c.covariate) for c in features.candidates if c.effect == effect.effect}
+    shared = [name for law in laws for name in law.first.variables if name in goes_by]
+    if not shared:
+        return effect.remark
+    return f"a law of {plain(shared[0])} explains beside it what that effect cannot"

@@ -73,7 +73,6 @@ class Subject:
             priors,
         )
 
-
     def unknown(self) -> Subject:
         """The robot as one of whose base nothing is known beside the logs."""
         priors = {t.name_of(n): NO_PRIOR_SD for t in self.model.terms if t.base for n in t.parameters}

@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
 from missionsim.identify.data import Candidate
 from missionsim.identify.evidence import (
     Evidence,
@@ -47,6 +49,12 @@ class Question:
         # the misfit of another effect goes either way, whatever sign physics gives
         beside = len(self.model.chosen) > 1
         return float(tails(self.constraints, self.settings, beside)[self.evidence.column])
+
+    @property
+    def whole_share(self) -> float:
+        """Share of the energy of the effect with all of its levels."""
+        own = self.constraints.effect[list(self.model.chosen)] == self.constraints.effect[self.evidence.column]
+        return float(np.abs(self.model.gram.coefficients(self.model.chosen)[0][own]).sum())
 
     @cached_property
     def left_out(self) -> tuple[bool, float]:
@@ -183,7 +191,7 @@ def _faint_beside_loose(q: Question, remains: Remains) -> bool:
     # told with a load whose switch is stuck, it is a question, and the answer to what comes and goes may be that load
     if _candidate(q).may_be(abs(q.evidence.share) * q.model.design.layout.mean_power_w):
         return False
-    return (q.evidence.gain < FAINT_NATS and within) or abs(q.evidence.share) < FAINT_SHARE * size
+    return (q.evidence.gain < FAINT_NATS and within) or q.whole_share < FAINT_SHARE * size
 
 
 def _shadow(q: Question, remains: Remains) -> bool:

@@ -248,6 +248,40 @@ def test_scrub_that_differs_by_floor_is_added_after_scrub() -> None:
     assert more["k_carpet"].value == pytest.approx(8.0, rel=0.2)
 
 
+def test_a_base_that_its_logs_refute_leaves_nothing_of_its_energy_to_an_effect() -> None:
+    """The file has half of the power; inertia beside it is found with its size and alone."""
+    text, logs = robot_text("pioneer3dx"), []
+    for seed in range(3):
+        log = drive(seed, seconds=300.0)
+        speed = log.columns["speed_m_s"]
+        power = 2.0 * log.power_w[BATTERY] + 160.0 * np.maximum(speed * np.gradient(speed, log.time_s), 0.0)
+        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
+    done = improve(text, Split(tuple(logs[:2]), (logs[2],), "the last"), BATTERY, Settings(), lambda *_: True)
+    assert done.added == ("acceleration",)
+    (found,) = done.first.effects
+    mass = robot_from_text(text).body.mass.value
+    assert found.parameters["k"].value * mass == pytest.approx(160.0, rel=0.2)
+    assert done.steps[-2].energy_error_pct < 2.0
+    assert "the base of the robot file is far from right" in done.first.unexplained.shape
+    base = robot_from_text(done.text).motion.parameters
+    assert base["c3"].value == pytest.approx(2.0 * 9.79, rel=0.15)
+
+
+def test_the_base_alone_is_fitted_anew_where_held_out_runs_are_predicted_better_so() -> None:
+    logs = [drive(seed, seconds=300.0) for seed in range(5)]
+    text = robot_text("pioneer3dx").replace("{value: 9.79,", "{value: 7.4,")
+    assert text != robot_text("pioneer3dx")
+    for held in (1, 0):
+        split = Split(tuple(logs[: 5 - held]), tuple(logs[5 - held :]), "the last")
+        done = improve(text, split, BATTERY, Settings(), lambda *_: False)
+        assert done.added == ()
+        assert done.base_alone is bool(held)
+        assert (robot_from_text(done.text).motion.parameters["c3"].value == 7.4) is not bool(held)
+        told, command = done.advice("my.yaml", ["train"])
+        assert ("The file that is written has that base" in told) is bool(held)
+        assert ("calibrate" in command) is not bool(held)
+
+
 def test_what_a_law_had_hidden_is_added_and_the_law_is_looked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
     logs = []
     for seed in range(5):
