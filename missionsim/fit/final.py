@@ -123,7 +123,7 @@ def _fit(
     keep_base: bool,
 ) -> tuple[FinalFit, _System | None]:
     """The fit to means over one period, and its rows."""
-    battery, runs, linear = ready.battery, [driven.run for driven in ready.runs], False
+    battery, linear = ready.battery, False
     added = {t.name_of(n) for t in model.of(battery) if not t.base for n in t.parameters}
     shapes = {
         t.name_of(s.name) for t in model.of(battery) if not t.base for s in t.effect.shape if s.name in t.parameters
@@ -133,9 +133,10 @@ def _fit(
     start = {n: p.value for n, p in model.parameters_of(battery).items()}
     low, high = _bounds(model, battery)
     nought: dict[str, Value] = {}
+    whole: _System | None = None
     for round_ in range(ROUNDS):
         if not linear:
-            whole = _System.of(ready, clock, settings)
+            whole = _System.of(ready, clock, settings) if whole is None else whole.at(ready, settings)
             names = [
                 n for n in whole.names if n not in still and start[n] != 0.0 and not (keep_base and n not in added)
             ]
@@ -166,7 +167,7 @@ def _fit(
         if linear:
             system, done = system.moved(powers), shift
         else:
-            ready = prepare(model, runs, battery)
+            ready = ready.at(model)
     return FinalFit(model, nought | told, alike), system
 
 
@@ -238,16 +239,22 @@ class _System:
         clock = clock.in_all(len(source.runs))
         design = source.design(clock)
         names = list(design.layout.parameters)
-        raw_x, raw_y = np.zeros(len(names)), 0.0
-        for run in data:
-            dt = np.where(np.isfinite(run.measured_w), run.dt_s, 0.0)
-            raw_x += np.array([float(dt @ run.gradient[n]) for n in names])
-            raw_y += _energy(run, run.base_w)
         x = np.asarray(design.gradient[: len(names)]).T
         left, seconds = design.y - design.base, design.duration_s
-        return cls(
-            names, x, left, seconds, _clusters(design), raw_x, raw_y, design.y, runs=data, source=source, clock=clock
-        )
+        raw = _energies(data, names)
+        return cls(names, x, left, seconds, _clusters(design), *raw, design.y, runs=data, source=source, clock=clock)
+
+    def at(self, ready: Prepared, settings: Settings) -> _System:
+        """The rows at other values of the parameters in any model."""
+        data = ready.data()
+        if any(run.measured_w is not was.measured_w for run, was in zip(data, self.runs, strict=True)):
+            return _System.of(ready, self.clock, settings)  # other rows have no value now
+        kept = [data[i] for i in self.source.kept]
+        names = [name for name in data[0].gradient if any(np.any(run.gradient[name]) for run in kept)]
+        raw = [np.vstack([run.base_w, *(run.gradient[name] for name in names)]) for run in kept]
+        rows, (energy_x, energy_y) = self.source.averaged(raw, self.clock), _energies(data, names)
+        y = self.measured_w - rows[0]
+        return replace(self, names=names, x=rows[1:].T, y=y, energy_x=energy_x, energy_y=energy_y, runs=data)
 
     def of_columns(self, names: list[str], scale: Sequence[float]) -> _System:
         """The columns of some parameters, each times a number."""
@@ -272,6 +279,13 @@ class _System:
         return replace(self, y=self.measured_w - base_w, energy_y=float(sum(energy)))
 
 
+def _energies(runs: Sequence[RunData], names: Sequence[str]) -> tuple[Array, float]:
+    """Energy of all rows that were measured by parameter, and what the base leaves of the measured one [J]."""
+    seconds = [np.where(np.isfinite(run.measured_w), run.dt_s, 0.0) for run in runs]
+    x = [[float(dt @ run.gradient[n]) for n in names] for run, dt in zip(runs, seconds, strict=True)]
+    return np.sum(x, axis=0), float(sum(_energy(run, run.base_w) for run in runs))
+
+
 def _energy(run: RunData, power: Array) -> float:
     """What a power leaves of the measured energy, over all rows that were measured [J]."""
     seen = np.isfinite(run.measured_w)
@@ -294,8 +308,6 @@ def _solve(system: _System, done: Array, sd: Array, ends: Array, *, energy: bool
     how much the clustered variance of the estimates exceeds that of white noise. The energy of all rows enters as one
     observation without error.
     """
-    from scipy.optimize import lsq_linear
-
     x, y = system.x, system.y + system.x @ done
     weight = system.seconds / np.mean(system.seconds)
     normal = (x * weight[:, None]).T @ x
@@ -312,8 +324,12 @@ def _solve(system: _System, done: Array, sd: Array, ends: Array, *, energy: bool
             right.append(np.array([heavy * (system.energy_y + system.energy_x @ done)]))
         # the triangle of the rows has the same least squares, and few of them
         triangle = np.asarray(np.linalg.qr(np.column_stack([np.vstack(rows), np.concatenate(right)]), mode="r"))
-        solved = lsq_linear(triangle[:, :-1], triangle[:, -1], (ends[:, 0] - 1e-12, ends[:, 1] + 1e-12))
-        shift = np.asarray(solved.x)
+        shift = np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=-1)[0]
+        low, high = ends[:, 0] - 1e-12, ends[:, 1] + 1e-12
+        if not np.all((shift >= low) & (shift <= high)):
+            from scipy.optimize import lsq_linear  # which takes a tenth of a second to import
+
+            shift = np.asarray(lsq_linear(triangle[:, :-1], triangle[:, -1], (low, high)).x)
         noise = _noise(x, y, weight, shift)
         bread = np.linalg.pinv(normal / (noise**2 * d) + prior)
         numbers, cluster = np.unique(system.cluster, return_inverse=True)

@@ -65,6 +65,13 @@ class Prepared:
         """Power of a model with the same terms and other values in each run [W]."""
         return [run.at(model).row_w(self.battery) for run in self.runs]
 
+    def at(self, model: PowerModel) -> Prepared:
+        """The same rows driven by a model with the same terms and other values."""
+        runs = tuple(run.at(model) for run in self.runs)
+        base_w = tuple(np.ascontiguousarray(run.row_w(self.battery)) for run in runs)
+        parameters, gradients = model.parameters_of(self.battery), tuple(_gradients(runs, self.battery))
+        return replace(self, runs=runs, base_w=base_w, gradients=gradients, parameters=parameters)
+
     def data(self, columns: Sequence[Mapping[str, Array]] | None = None) -> tuple[RunData, ...]:
         """The runs as the identification reads them, with candidate columns where given."""
         own: Sequence[Mapping[str, Array]] = columns if columns is not None else [{} for _ in self.runs]
@@ -109,12 +116,6 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
         runs += drive_blocks(plan, [log])
     remarks += [note if len(of) == len(tables) else f"{_named(of)}: {note}" for note, of in told.items()]
     gradients = _gradients(runs, battery)
-    # a term that one run cannot drive has no power there
-    every = dict.fromkeys(name for slopes in gradients for name in slopes)
-    gradients = [
-        {name: slopes.get(name, np.zeros(len(run.time_s))) for name in every}
-        for run, slopes in zip(runs, gradients, strict=True)
-    ]
     names = _shared_names(runs, remarks)
     unknown, unknown_w = _unknown(model, runs, battery, remarks)
     return Prepared(
@@ -140,7 +141,13 @@ def _gradients(runs: Sequence[Driven], battery: str) -> list[dict[str, Array]]:
     )
     few = len(runs) > 1 and sum(len(run.time_s) for run in runs) < FEW_ROWS * len(runs)
     if not (few and alike) or any(texts & set(term.effect.needs) for term in first.model.terms):
-        return [run.gradient(battery) for run in runs]
+        gradients = [run.gradient(battery) for run in runs]
+        # a term that one run cannot drive has no power there
+        every = dict.fromkeys(name for slopes in gradients for name in slopes)
+        return [
+            {name: slopes.get(name, np.zeros(len(run.time_s))) for name in every}
+            for run, slopes in zip(runs, gradients, strict=True)
+        ]
     whole = {
         name: np.concatenate([np.broadcast_to(np.asarray(run.covariates[name]), run.time_s.shape) for run in runs])
         for name in first.covariates.keys() - texts
