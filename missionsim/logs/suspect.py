@@ -343,12 +343,12 @@ def _hung(data: Array, time: Array) -> tuple[int, int, Bools] | None:
     if len(starts) < 10:
         return None
     lengths = np.diff(np.r_[starts, len(data)])
-    if float(np.median(lengths)) > 1:
+    if 2 * np.count_nonzero(lengths > 1) >= len(lengths):
         return None
     longest = int(np.argmax(np.where(data[starts] == 0.0, 0, lengths)))
     first = int(starts[longest])
     last = first + int(lengths[longest]) - 1
-    second = float(np.partition(lengths, -2)[-2])
+    second = int(np.max(np.delete(lengths, np.argmax(lengths))))  # partial sorts of like numbers are slow
     if lengths[longest] < max(20, _HUNG * second) or time[last] - time[first] < 5.0 or data[first] == 0.0:
         return None
     fresh = np.ones(len(data), dtype=bool)
