@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,9 @@ SHARED = Path(os.environ.get("MISSIONSIM_SHARED", ROOT.parent / "shared"))
 # one thread a process: the suite shares its cores, and sums repeat to the last bit
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
-# processes that tests start keep bytecode, as a user's do
+# the next run need not rewrite all assertions; processes that tests start keep bytecode too, as a user's do
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 
 @pytest.fixture(scope="session")

@@ -119,7 +119,7 @@ def read_call(arguments: Sequence[str], plain: bool = True) -> Call | None:
         Whether plain calls go without the whole parser.
     """
     word = next(iter(arguments), "")
-    if plain and word in COMMANDS and (call := plain_call(word, arguments[1:], COMMANDS[word][0])) is not None:
+    if plain and word in COMMANDS and (call := plain_call(arguments[1:], COMMANDS[word][0])) is not None:
         return call
     for before, after in itertools.pairwise([*arguments, "-"]):
         # as a path, nothing would be the present folder

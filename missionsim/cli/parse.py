@@ -21,9 +21,6 @@ from missionsim.files import is_device
 if TYPE_CHECKING:
     from cyclopts import App
 
-PLAIN = ("run", "validate")
-"""Commands that take less time than the parser takes to load."""
-
 
 @dataclass(frozen=True)
 class Call:
@@ -67,15 +64,18 @@ def _dashed(name: str) -> str:
     return "--" + name.strip("_").replace("_", "-")
 
 
-def plain_call(command: str, words: Sequence[str], target: str) -> Call | None:
+def plain_call(words: Sequence[str], target: str) -> Call | None:
     """A plain call; None for whatever is not plain, which is left to the whole parser.
 
     Plain is a command with its files, options that take one value, and flags. Help, figures, faults on the command line
-    and anything unusual are not.
+    and anything unusual are not. The parser takes longer to load, and to open each command's options, than many
+    commands take.
     """
-    if command not in PLAIN:
-        return None
     function = load(target)
+    signature = inspect.signature(function)
+    first = next(iter(signature.parameters.values()), None)
+    if first is None or first.annotation != "Path" or first.kind is first.KEYWORD_ONLY:
+        return None
     known = options_of(function)
     files: list[str] = []
     given: dict[str, dict[str, object]] = {}
@@ -102,13 +102,17 @@ def plain_call(command: str, words: Sequence[str], target: str) -> Call | None:
             taken.setdefault(option.field, []).append(value)  # type: ignore[attr-defined]
         else:
             taken[option.field] = bool in types or (Path(value) if Path in types else value)
-    first = next(iter(inspect.signature(function).parameters.values()))
     several = first.kind is first.VAR_POSITIONAL
     if not files or not all(files) or (len(files) > 1 and not several) or first.name in given:
         return None
     groups = {option.parameter: option.group for option in known.values()}
-    made = {name: (group(**told) if (group := groups[name]) else told[name]) for name, told in given.items()}
-    return Call(function, tuple(Path(file) for file in files), made)
+    paths = tuple(Path(file) for file in files)
+    try:
+        made = {name: (group(**told) if (group := groups[name]) else told[name]) for name, told in given.items()}
+        signature.bind(*paths, **made)
+    except TypeError:
+        return None  # something that must be given is not
+    return Call(function, paths, made)
 
 
 def _types(hint: object) -> tuple[object, ...]:

@@ -25,9 +25,8 @@ def schema(kind: str, robot: RobotSpec | None = None) -> Schema:
     `kind`: ``robot``, ``environment``, ``mission``, ``study``, ``map`` or ``task``. Raises InputError: unknown kind."""
     if kind not in KINDS:
         raise InputError.unknown(f"no schema '{kind}'", kind, KINDS)
-    raw = model_of(kind).model_json_schema(by_alias=True)
     shared: dict[str, Any] = {}
-    body = _tidy(raw, shared)
+    body = _tidy(_raw(kind), shared)
     definitions = {**body.pop("$defs", {}), **shared}
     for definition in definitions.values():
         _unwrap_segment(definition)
@@ -39,6 +38,12 @@ def schema(kind: str, robot: RobotSpec | None = None) -> Schema:
         add_names(definitions, body, robot)
     head = {"$schema": DIALECT, "title": f"missionsim {kind} file"}
     return {**head, **body, "$defs": dict(sorted(definitions.items()))}
+
+
+@functools.cache
+def _raw(kind: str) -> Schema:
+    """The schema as Pydantic makes it, which takes longer than the rest; not to be changed."""
+    return model_of(kind).model_json_schema(by_alias=True)
 
 
 def schema_text(kind: str, robot: RobotSpec | None = None) -> str:

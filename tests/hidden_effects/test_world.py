@@ -23,7 +23,7 @@ from .score import Task, score_task
 from .study import ALL_CASES
 from .world import experiment, make, write
 
-POWER_CASES = [name for name in ALL_CASES if name.endswith("-5pct") or name.startswith(("two-", "outside-"))]
+POWER_CASES = [name for name in ALL_CASES if name.endswith("-5pct") or name.startswith(("two-g", "outside-"))]
 HERE = Path(__file__).parent
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -133,11 +135,39 @@ def test_plain_calls_are_read_as_the_parser_reads_them(
         ["effects", "--json", "-"],
         ["run", "--mission", PATROL],
         ["validate", PATROL, "-h"],
+        ["diagnose", "logs"],
+        ["diagnose", "logs", "--battery", "robot"],
+        ["improve", "logs", "--robot", "pioneer3dx"],
+        ["compare", "logs", "--robot", "pioneer3dx", "--tolerance", "1"],
     ],
 )
 def test_what_is_not_plain_is_left_to_the_parser(words: list[str]) -> None:
-    command = next(iter(words), "")
-    assert plain_call(command, words[1:], COMMANDS.get(command, ("",))[0]) is None
+    assert not words or words[0] not in COMMANDS or plain_call(words[1:], COMMANDS[words[0]][0]) is None
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "diagnose --robot pioneer3dx logs more --holdout a,b --holdout=c --no-align --report page.html",
+        "add-effect --robot=pioneer3dx logs --effect grade --out a.yaml --force --battery robot",
+        "improve logs --yes --robot pioneer3dx --out improved.yaml --without grade --without payload --json -",
+        "compare logs --robot pioneer3dx --mission m.yaml --out there",
+        "calibrate --new cart --base c1*v+c0 logs --out cart.yaml --mass '20 kg'",
+        "plan task.yaml --set within.reserve=30 --robot pioneer3dx --pareto --out made.yaml",
+        "reach site.yaml --robot pioneer3dx --from hall --json -",
+        "import bag --map map.yaml --out logs --quiet",
+    ],
+)
+def test_a_plain_call_is_that_of_the_parser(line: str) -> None:
+    words = shlex.split(line)
+    plain, whole = plain_call(words[1:], COMMANDS[words[0]][0]), read_call(words, plain=False)
+    assert plain is not None
+    assert whole is not None
+    assert plain.function is whole.function
+    bound = [inspect.signature(one.function).bind(*one.arguments, **one.options) for one in (plain, whole)]
+    for one in bound:
+        one.apply_defaults()
+    assert bound[0].arguments == bound[1].arguments
 
 
 @pytest.mark.parametrize(

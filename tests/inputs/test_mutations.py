@@ -121,7 +121,7 @@ def judge(folder: Path, text: str) -> None:
 
 
 MUTATIONS = settings(
-    max_examples=250,
+    max_examples=100,
     deadline=None,
     database=None,
     derandomize=True,

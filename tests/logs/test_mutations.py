@@ -130,10 +130,10 @@ def trials(kind: str, folder: Path, count: int, seed: int) -> Iterator[tuple[str
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_damaged_files(tmp_path: Path, kind: str) -> None:
-    found = collections.Counter(trials(kind, tmp_path / "here", 24, 1))
+    found = collections.Counter(trials(kind, tmp_path / "here", 16, 1))
     print(kind, dict(found))
     assert not [key for key in found if key[1] == "SHORT"], found
-    assert sum(count for (_, what), count in found.items() if what in ("refused", "told")) > 5
+    assert sum(count for (_, what), count in found.items() if what in ("refused", "told")) > 3
 
 
 @pytest.mark.study
