@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,8 @@ SCRUB = 3.0
 """Watts per rad/s that the robot draws and its file does not know."""
 
 
-def run(*arguments: str) -> int:
-    return run_command(arguments)
+def run(line: str) -> int:
+    return run_command(shlex.split(line))
 
 
 def write(log: LogTable, folder: Path) -> None:
@@ -49,17 +50,8 @@ def diagnosis(folders: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
     page = out.with_suffix(".html")
     assert (
         run(
-            "diagnose",
-            "--robot",
-            "pioneer3dx",
-            str(folders["train"]),
-            "--holdout",
-            str(folders["held"]),
-            "--json",
-            str(out),
-            "--report",
-            str(page),
-            "--quiet",
+            f"diagnose --robot pioneer3dx {folders['train']} --holdout {folders['held']} --json {out} "
+            f"--report {page} --quiet"
         )
         == 0
     )
@@ -114,7 +106,7 @@ def test_heldout_error_falls(diagnosis: dict[str, Any]) -> None:
 
 
 def test_nothing_hidden_nothing_named(folders: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("diagnose", "--robot", "pioneer3dx", str(folders["clean"])) == 0
+    assert run(f"diagnose --robot pioneer3dx {folders['clean']}") == 0
     told = capsys.readouterr().out
     assert "no evidence of anything missing above the detection limits" in " ".join(told.split())
     for heading in ("CLOCK", "NOISE", "NOT SEEN", "REMAINS", "HELD-OUT"):
@@ -123,26 +115,13 @@ def test_nothing_hidden_nothing_named(folders: dict[str, Path], capsys: pytest.C
 
 def compare(robot: str, logs: Path, tmp_path: Path) -> dict[str, Any]:
     out = tmp_path / "compare.json"
-    assert run("compare", "--robot", robot, str(logs), "--json", str(out), "--quiet") == 0
+    assert run(f"compare --robot {robot} {logs} --json {out} --quiet") == 0
     return dict(json.loads(out.read_text(encoding="utf-8"))["batteries"]["robot"])
 
 
 def test_add_effect_lowers_the_error_on_runs_that_were_not_used(folders: dict[str, Path], tmp_path: Path) -> None:
     robot = tmp_path / "better.yaml"
-    assert (
-        run(
-            "add-effect",
-            "--robot",
-            "pioneer3dx",
-            "--effect",
-            "turning_scrub",
-            str(folders["train"]),
-            "--out",
-            str(robot),
-            "--quiet",
-        )
-        == 0
-    )
+    assert run(f"add-effect --robot pioneer3dx --effect turning_scrub {folders['train']} --out {robot} --quiet") == 0
     text = robot.read_text(encoding="utf-8")
     assert "# Pioneer 3DX with a laptop" in text  # comments are kept
     assert "effect: turning_scrub" in text
@@ -151,27 +130,15 @@ def test_add_effect_lowers_the_error_on_runs_that_were_not_used(folders: dict[st
     before = compare("pioneer3dx", folders["held"], tmp_path)
     after = compare(str(robot), folders["held"], tmp_path)
     assert after["power_rmse_w"] < 0.8 * before["power_rmse_w"]
-    assert run("validate", str(robot), "--quiet") == 0
+    assert run(f"validate {robot} --quiet") == 0
     # what the file holds is not proposed again, and not added twice
     out = tmp_path / "again.json"
-    assert (
-        run("diagnose", "--robot", str(robot), str(folders["held"]), "--holdout", "none", "--json", str(out), "--quiet")
-        == 0
-    )
+    assert run(f"diagnose --robot {robot} {folders['held']} --holdout none --json {out} --quiet") == 0
     again = json.loads(out.read_text(encoding="utf-8"))["batteries"]["robot"]
     assert "turning_scrub" not in {c["effect"] for c in again["candidates"]}
     assert again["effects"] == []
     assert (
-        run(
-            "add-effect",
-            "--robot",
-            str(robot),
-            "--effect",
-            "turning_scrub",
-            str(folders["train"]),
-            "--out",
-            str(tmp_path / "twice.yaml"),
-        )
+        run(f"add-effect --robot {robot} --effect turning_scrub {folders['train']} --out {tmp_path / 'twice.yaml'}")
         == 2
     )
     assert not (tmp_path / "twice.yaml").exists()
@@ -181,20 +148,11 @@ def test_add_effect_refuses_what_the_data_do_not_support(
     folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot = tmp_path / "no.yaml"
-    command = [
-        "add-effect",
-        "--robot",
-        "pioneer3dx",
-        "--effect",
-        "aerodynamic_drag",
-        str(folders["clean"]),
-        "--out",
-        str(robot),
-    ]
-    assert run(*command) == 1
+    command = f"add-effect --robot pioneer3dx --effect aerodynamic_drag {folders['clean']} --out {robot}"
+    assert run(command) == 1
     assert "aerodynamic_drag is not supported by these logs" in capsys.readouterr().err
     assert not robot.exists()
-    assert run(*command, "--force", "--quiet") in (0, 2)  # 2 where the sign came out as physics forbids
+    assert run(f"{command} --force --quiet") in (0, 2)  # 2 where the sign came out as physics forbids
     if robot.exists():
         assert "forced: true" in robot.read_text(encoding="utf-8")
 
@@ -210,19 +168,7 @@ def test_add_effect_refuses_what_the_data_do_not_support(
 def test_add_effect_faults(
     folders: dict[str, Path], tmp_path: Path, effect: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert (
-        run(
-            "add-effect",
-            "--robot",
-            "pioneer3dx",
-            "--effect",
-            effect,
-            str(folders["train"]),
-            "--out",
-            str(tmp_path / "x.yaml"),
-        )
-        == 2
-    )
+    assert run(f"add-effect --robot pioneer3dx --effect {effect} {folders['train']} --out {tmp_path / 'x.yaml'}") == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "x.yaml").exists()
 
@@ -231,20 +177,8 @@ def test_improve_goes_to_the_noise_floor(folders: dict[str, Path], tmp_path: Pat
     robot, out, page = (tmp_path / name for name in ("i.yaml", "i.json", "i.html"))
     assert (
         run(
-            "improve",
-            "--robot",
-            "pioneer3dx",
-            str(folders["train"]),
-            "--holdout",
-            str(folders["held"]),
-            "--yes",
-            "--out",
-            str(robot),
-            "--json",
-            str(out),
-            "--report",
-            str(page),
-            "--quiet",
+            f"improve --robot pioneer3dx {folders['train']} --holdout {folders['held']} --yes --out {robot} "
+            f"--json {out} --report {page} --quiet"
         )
         == 0
     )
@@ -260,8 +194,8 @@ def test_improve_goes_to_the_noise_floor(folders: dict[str, Path], tmp_path: Pat
 
 def test_improve_adds_nothing_where_nothing_is_missing(folders: dict[str, Path], tmp_path: Path) -> None:
     robot, out, page = (tmp_path / name for name in ("n.yaml", "n.json", "n.html"))
-    given = ("--yes", "--out", str(robot), "--json", str(out), "--report", str(page), "--quiet")
-    assert run("improve", "--robot", "pioneer3dx", str(folders["clean"]), *given) == 0
+    given = f"--yes --out {robot} --json {out} --report {page} --quiet"
+    assert run(f"improve --robot pioneer3dx {folders['clean']} {given}") == 0
     battery = json.loads(out.read_text(encoding="utf-8"))["batteries"]["robot"]
     assert battery["added"] == []
     assert battery["worse"] is None
@@ -273,8 +207,8 @@ def test_improve_adds_nothing_where_nothing_is_missing(folders: dict[str, Path],
 def test_improve_leaves_out_what_it_is_told_to(
     folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    given = ("--yes", "--without", "turning_scrub", "--without", "grade", "--out", str(tmp_path / "w.yaml"))
-    run("improve", "--robot", "pioneer3dx", str(folders["train"]), *given, "--json", str(tmp_path / "w.json"))
+    given = f"--yes --without turning_scrub --without grade --out {tmp_path}/w.yaml --json {tmp_path}/w.json"
+    run(f"improve --robot pioneer3dx {folders['train']} {given}")
     battery = json.loads((tmp_path / "w.json").read_text(encoding="utf-8"))["batteries"]["robot"]
     assert "turning_scrub" not in battery["added"]
     assert "turning_scrub" in battery["declined"]
@@ -291,7 +225,7 @@ def test_improve_asks_on_a_terminal_only(
             return False
 
     monkeypatch.setattr("sys.stdin", Silent())
-    assert run("improve", "--robot", "pioneer3dx", str(folders["train"]), "--out", str(tmp_path / "i.yaml")) == 2
+    assert run(f"improve --robot pioneer3dx {folders['train']} --out {tmp_path / 'i.yaml'}") == 2
     assert "--yes" in capsys.readouterr().err
     assert not (tmp_path / "i.yaml").exists()
 
@@ -300,19 +234,8 @@ def test_calibrate_finds_the_base_of_a_new_robot(folders: dict[str, Path], tmp_p
     robot, out = tmp_path / "new.yaml", tmp_path / "new.json"
     assert (
         run(
-            "calibrate",
-            "--new",
-            "rover",
-            "--base",
-            "c2*v**2 + c3*v + c4",
-            str(folders["clean"]),
-            "--out",
-            str(robot),
-            "--json",
-            str(out),
-            "--mass",
-            "25 kg",
-            "--quiet",
+            f"calibrate --new rover --base 'c2*v**2 + c3*v + c4' {folders['clean']} --out {robot} --json "
+            f"{out} --mass '25 kg' --quiet"
         )
         == 0
     )
@@ -325,7 +248,7 @@ def test_calibrate_finds_the_base_of_a_new_robot(folders: dict[str, Path], tmp_p
         assert p[name]["sd"] < 0.12 * value
     assert fitted["explained_variance"] > 0.95
     assert compare(str(robot), folders["clean"], tmp_path)["energy_error_pct"] == pytest.approx(0.0, abs=0.5)
-    assert run("validate", str(robot), "--quiet") == 0
+    assert run(f"validate {robot} --quiet") == 0
 
 
 def test_calibrate_takes_the_only_battery_that_is_measured(tmp_path: Path) -> None:
@@ -333,24 +256,14 @@ def test_calibrate_takes_the_only_battery_that_is_measured(tmp_path: Path) -> No
     columns = {("power_main_w" if n == "power_robot_w" else n): c for n, c in log.columns.items()}
     write(replace(log, columns=columns), tmp_path / "logs")
     robot = tmp_path / "new.yaml"
-    command = [
-        "calibrate",
-        "--new",
-        "rover",
-        "--base",
-        "c2*v**2 + c3*v + c4",
-        str(tmp_path / "logs"),
-        "--out",
-        str(robot),
-        "--quiet",
-    ]
-    assert run(*command) == 0
+    base = "c2*v**2 + c3*v + c4"
+    assert run(f"calibrate --new rover --base '{base}' {tmp_path}/logs --out {robot} --quiet") == 0
     assert "battery: main" in robot.read_text(encoding="utf-8")
 
 
 def test_calibrate_refits_a_robot_and_keeps_its_comments(folders: dict[str, Path], tmp_path: Path) -> None:
     robot = tmp_path / "again.yaml"
-    assert run("calibrate", "--robot", "pioneer3dx", str(folders["clean"]), "--out", str(robot), "--quiet") == 0
+    assert run(f"calibrate --robot pioneer3dx {folders['clean']} --out {robot} --quiet") == 0
     text = robot.read_text(encoding="utf-8")
     assert "# Pioneer 3DX with a laptop" in text
     assert "source: calibration" in text
@@ -360,18 +273,18 @@ def test_calibrate_refits_a_robot_and_keeps_its_comments(folders: dict[str, Path
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--new", "a"], "--new needs --base"),
-        (["--base", "c*v"], "give either --new NAME with --base, or --robot R"),
-        (["--new", "a", "--base", "c*q(v)"], "unknown function 'q'"),
-        (["--new", "a", "--base", "c*theta + d"], "which not every log has"),
-        (["--new", "a", "--base", "c*v + d*v"], "cannot tell some parameters of --base apart"),
+        ("--new a", "--new needs --base"),
+        ("--base c*v", "give either --new NAME with --base, or --robot R"),
+        ("--new a --base 'c*q(v)'", "unknown function 'q'"),
+        ("--new a --base 'c*theta + d'", "which not every log has"),
+        ("--new a --base 'c*v + d*v'", "cannot tell some parameters of --base apart"),
     ],
 )
 def test_calibrate_faults(
-    folders: dict[str, Path], tmp_path: Path, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+    folders: dict[str, Path], tmp_path: Path, arguments: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "x.yaml"
-    assert run("calibrate", *arguments, str(folders["clean"]), "--out", str(out)) == 2
+    assert run(f"calibrate {arguments} {folders['clean']} --out {out}") == 2
     assert message in capsys.readouterr().err
     assert not out.exists()
 
@@ -385,26 +298,13 @@ def test_a_user_s_own_candidate_is_tested_and_adopted(folders: dict[str, Path], 
     mine = tmp_path / "mine.yaml"
     mine.write_text(text, encoding="utf-8")
     out = tmp_path / "d.json"
-    assert run("diagnose", "--robot", str(mine), str(folders["train"]), "--json", str(out), "--quiet") == 0
+    assert run(f"diagnose --robot {mine} {folders['train']} --json {out} --quiet") == 0
     battery = json.loads(out.read_text(encoding="utf-8"))["batteries"]["robot"]
     first = battery["effects"][0]
     assert {first["effect"], *first["indistinguishable_from"]} >= {"my_turning", "turning_scrub"}
     assert battery["verdict"] == "ambiguous"
     better = tmp_path / "better.yaml"
-    assert (
-        run(
-            "add-effect",
-            "--robot",
-            str(mine),
-            "--effect",
-            "my_turning",
-            str(folders["train"]),
-            "--out",
-            str(better),
-            "--quiet",
-        )
-        == 0
-    )
+    assert run(f"add-effect --robot {mine} --effect my_turning {folders['train']} --out {better} --quiet") == 0
     written = better.read_text(encoding="utf-8")
     assert "candidate" not in written
     assert "cannot_be_told_from: [turning_scrub]" in written
@@ -416,7 +316,7 @@ def test_a_rate_of_false_alarms_that_is_none_is_refused(
     folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     logs, out = str(folders["clean"]), tmp_path / "robot.yaml"
-    assert run("diagnose", "--robot", "pioneer3dx", logs, "--alpha", "2") == 2
-    assert run("improve", "--robot", "pioneer3dx", logs, "--out", str(out), "--yes", "--alpha", "0") == 2
+    assert run(f"diagnose --robot pioneer3dx {logs} --alpha 2") == 2
+    assert run(f"improve --robot pioneer3dx {logs} --out {out} --yes --alpha 0") == 2
     assert capsys.readouterr().err.count("--alpha is a probability") == 2
     assert not out.exists()
