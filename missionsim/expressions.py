@@ -62,9 +62,9 @@ class Place(NamedTuple):
         """An error here."""
         return Fault(self.file, self.line, self.column, message, self.path, got, allowed, hint)
 
-    def warning(self, message: str, *, got: str = "", allowed: str = "", hint: str = "") -> Fault:
+    def warning(self, message: str, *, got: str = "", allowed: str = "") -> Fault:
         """A warning here."""
-        return replace(self.fault(message, got=got, allowed=allowed, hint=hint), severity="warning")
+        return replace(self.fault(message, got=got, allowed=allowed), severity="warning")
 
 
 @dataclass(frozen=True)

@@ -129,13 +129,13 @@ def csv_cell(value: T) -> T | str:
     return value
 
 
-def needed(package: str, doing: str, file: str = "", extra: str = "logs") -> ModuleType:
+def needed(package: str, doing: str, file: str = "") -> ModuleType:
     """A module of an optional package. Raises InputError: it is not installed; with the command that installs it."""
     try:
         return importlib.import_module(package)
     except ImportError:
         told = f"{doing} needs the package {package.partition('.')[0]}"
-        raise InputError.single(told, file=file, allowed=install_hint(extra)) from None
+        raise InputError.single(told, file=file, allowed=install_hint("logs")) from None
 
 
 @contextlib.contextmanager

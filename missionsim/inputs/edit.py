@@ -114,9 +114,9 @@ class Editing:
         return buffer.getvalue()
 
 
-def for_folder(text: str, folder: str | os.PathLike[str], kind: str = "robot") -> str:
-    """The text with its editor line leading from `folder` to the installed schema."""
-    target = SCHEMA_FOLDER / f"{kind}.schema.json"
+def for_folder(text: str, folder: str | os.PathLike[str]) -> str:
+    """The text of a robot file with its editor line leading from `folder` to the installed schema."""
+    target = SCHEMA_FOLDER / "robot.schema.json"
     try:
         relative = os.path.relpath(target, Path(folder).resolve())
     except ValueError:  # another drive

@@ -35,7 +35,7 @@ def mission_file(answer: Answer) -> Iterator[str]:
         yield str(path)
 
 
-def draws_of(answer: Answer, seed: int, runs: int = RUNS) -> Columns:
+def draws_of(answer: Answer, seed: int) -> Columns:
     """Columns of many runs of a plan's mission, each with values drawn. Where they are evaluated as arrays, what a
     battery would lack in a run that empties it is known too."""
     site = answer.site
@@ -43,9 +43,9 @@ def draws_of(answer: Answer, seed: int, runs: int = RUNS) -> Columns:
         task = Task(path, site.task.elsewhere, None, seed, "auto")
         prepared = prepare(task)
         if prepared.arrays is None:
-            return compute_block(task, 0, min(runs, FEW_RUNS))
-        drawn = prepared.sampler.draw(seed, 0, runs)
-        columns, again = prepared.arrays.evaluate(drawn, runs)
+            return compute_block(task, 0, FEW_RUNS)
+        drawn = prepared.sampler.draw(seed, 0, RUNS)
+        columns, again = prepared.arrays.evaluate(drawn, RUNS)
         lowest = np.array([_lowest(columns, name) for name in site.physics.names])
         empty = (lowest < -SAME * site.physics.capacity_wh[:, None]).any(axis=0)
         columns["feasible"][empty] = False

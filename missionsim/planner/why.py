@@ -15,7 +15,7 @@ from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer
 from missionsim.planner.orders import MOST_FREE, Order
-from missionsim.planner.solve import Watch, solve_site
+from missionsim.planner.solve import solve_site
 from missionsim.planner.tour import Site, make_site
 
 AMPLE_WH = 1e5
@@ -312,19 +312,19 @@ def _site(task: TaskSpec, **choices: Any) -> Site:
     return make_site(task.model_copy(update={"choose": task.choose.model_copy(update=choices)}))
 
 
-def pareto(site: Site, points: int = 9, watch: Watch | None = None) -> list[Answer]:
+def pareto(site: Site, points: int = 9) -> list[Answer]:
     """The front of energy against time: the least energy within deadlines from the fastest plan's to no matter what."""
     seconds = _time(site)
     energy = site.weights * (1.0 - seconds)
     if not energy.any():
         energy = 1.0 - seconds
-    fastest = solve_site(replace(site, weights=seconds), watch)
-    cheapest = solve_site(replace(site, weights=energy), watch)
+    fastest = solve_site(replace(site, weights=seconds))
+    cheapest = solve_site(replace(site, weights=energy))
     if not fastest.feasible or not cheapest.feasible:
         return []
     found: list[Answer] = []
     for deadline in np.linspace(fastest.duration_s, cheapest.duration_s, max(2, points)):
-        made = solve_site(replace(site, weights=energy, deadline_s=float(deadline) * (1.0 + 1e-12)), watch)
+        made = solve_site(replace(site, weights=energy, deadline_s=float(deadline) * (1.0 + 1e-12)))
         if made.feasible and (not found or made.duration_s > found[-1].duration_s * (1 + 1e-9)):
             found.append(made)
     return found

@@ -256,7 +256,7 @@ def _draw_places(axes: Axes, site: SiteMap, where: Mapping[str, tuple[float, flo
             axes.plot(*at, marker="x", markersize=13, color="#222222", zorder=6, linestyle="none")
 
 
-def site_chart(site: SiteMap, height: int = 560) -> Chart:
+def site_chart(site: SiteMap) -> Chart:
     """The map as an interactive chart."""
     where, curves = layout(site.environment)
     size = float(np.ptp(np.array(list(where.values())), axis=0).max())
@@ -307,7 +307,7 @@ def site_chart(site: SiteMap, height: int = 560) -> Chart:
         "The site: edges by surface, the route by energy per metre, visits in their order; the charge stands at each "
         "place under the pointer."
     )
-    return Chart(traces, layout_, caption, height)
+    return Chart(traces, layout_, caption, 560)
 
 
 def _line(line: Points, style: Mapping[str, Any], name: str, text: str, known: bool) -> dict[str, Any]:

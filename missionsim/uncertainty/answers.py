@@ -64,13 +64,13 @@ IMPORTANCE_NUMBERS = 8_000_000
 MARGIN_TOLERANCE_WH = 1e-6
 
 
-def proportion_interval(good: int, total: int, level: float = LEVEL) -> tuple[float, float]:
+def proportion_interval(good: int, total: int) -> tuple[float, float]:
     """Wilson score interval of a proportion (Wilson 1927). Gives low and high end; (0, 1) without any run."""
     if total == 0:
         return 0.0, 1.0
     from scipy.special import ndtri
 
-    z = float(ndtri(0.5 + 0.5 * level))
+    z = float(ndtri(0.5 + 0.5 * LEVEL))
     p = good / total
     middle = (p + z * z / (2 * total)) / (1 + z * z / total)
     half = z / (1 + z * z / total) * math.sqrt(p * (1 - p) / total + z * z / (4 * total * total))
@@ -79,7 +79,7 @@ def proportion_interval(good: int, total: int, level: float = LEVEL) -> tuple[fl
     return max(0.0, low), min(1.0, high)
 
 
-def quantile_ranks(count: int, q: float, level: float = LEVEL) -> tuple[int, int]:
+def quantile_ranks(count: int, q: float) -> tuple[int, int]:
     """Ranks, from 0, of the order statistics that bound a quantile (David and Nagaraja 2003, section 7.1). Gives −1 and
     `count` where the sample is too small to bound the quantile on that side."""
     # the functions themselves: the distributions around them (scipy.stats) take a second to import
@@ -90,7 +90,7 @@ def quantile_ranks(count: int, q: float, level: float = LEVEL) -> tuple[int, int
         least = math.ceil(float(bdtrik(p, count, q)))
         return least - 1 if least and bdtr(least - 1, count, q) >= p else least
 
-    tail = 0.5 * (1.0 - level)
+    tail = 0.5 * (1.0 - LEVEL)
     return rank(tail) - 1, rank(1.0 - tail)
 
 
