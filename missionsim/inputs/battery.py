@@ -3,7 +3,7 @@
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from missionsim.inputs import units, values
 from missionsim.inputs.base import Model, alone, check_rising, wrong
@@ -52,8 +52,7 @@ class EquivalentCircuit(Model):
     ageing: values.Efficiency = Parameter(1.0)
     cut_off: values.Voltage | None = None
 
-    @model_validator(mode="after")
-    def _increasing(self) -> "EquivalentCircuit":
+    def _check(self) -> None:
         charges = [point[0].value for point in self.open_circuit_voltage]
         voltages = [point[1].value for point in self.open_circuit_voltage]
         check_rising(charges, "states of charge must increase", "0 … 1 in order", "open_circuit_voltage")
@@ -65,7 +64,6 @@ class EquivalentCircuit(Model):
             raise wrong(
                 "cut-off above the full battery's voltage", self.cut_off.value, f"below {voltages[-1]:g} V", "cut_off"
             )
-        return self
 
 
 BatteryModel = Annotated[
@@ -80,11 +78,9 @@ class TaperSpec(Model):
     from_: values.Fraction = Field(alias="from")
     end_power: values.Efficiency
 
-    @model_validator(mode="after")
-    def _below_full(self) -> "TaperSpec":
+    def _check(self) -> None:
         if self.from_.value >= 1.0:
             raise wrong("a taper that begins when the battery is full", "100 %", "from: 80 %", "from")
-        return self
 
 
 Lateness = Annotated[Parameter, QuantityOf("duration", -60.0, 60.0)]
@@ -108,12 +104,10 @@ class TemperatureSpec(Model):
     capacity: Curve | None = None
     resistance: Curve | None = None
 
-    @model_validator(mode="after")
-    def _rising(self) -> "TemperatureSpec":
+    def _check(self) -> None:
         for key in ("capacity", "resistance"):
             degrees = [point[0].value for point in getattr(self, key) or ()]
             check_rising(degrees, "temperatures must increase", "[[0 degC, 80 %], [25 degC, 100 %]]", key)
-        return self
 
 
 class BatterySpec(Model):
@@ -130,13 +124,11 @@ class BatterySpec(Model):
     over_temperature: TemperatureSpec | None = None
     meter: MeterSpec | None = None
 
-    @model_validator(mode="after")
-    def _voltage_known(self) -> "BatterySpec":
+    def _check(self) -> None:
         if self.nominal_voltage is None and self.capacity.unit == "C":
             raise wrong(
                 "a capacity in Ah needs nominal_voltage", "no nominal_voltage", "nominal_voltage: 14.8 V", "capacity"
             )
-        return self
 
     @property
     def capacity_j(self) -> float:

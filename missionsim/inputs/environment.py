@@ -7,7 +7,7 @@ import math
 from collections.abc import Container, Iterator
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from missionsim.errors import Fault
 from missionsim.inputs import values
@@ -42,11 +42,9 @@ class PlaceSpec(Model):
     closed: bool = False
     title: Text = ""
 
-    @model_validator(mode="after")
-    def _both(self) -> PlaceSpec:
+    def _check(self) -> None:
         if (self.x is None) != (self.y is None):
             raise wrong("a place has both coordinates or none", "x" if self.x else "y", "x: 0 m, y: 0 m")
-        return self
 
     @property
     def position(self) -> tuple[float, float] | None:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, PlainValidator, StringConstraints, model_validator
+from pydantic import BeforeValidator, Field, PlainValidator, StringConstraints
 
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import compile_expression
@@ -76,14 +76,12 @@ class ColumnMap(Model):
     travel: Formula | None = None
     hold: bool | None = None
 
-    @model_validator(mode="after")
-    def _one_way(self) -> "ColumnMap":
+    def _check(self) -> None:
         ways = [way for way in _WAYS if getattr(self, way) is not None]
         if len(ways) != 1:
             raise ValueError(f"a column needs exactly one of {', '.join(_WAYS)}, not {' and '.join(ways) or 'none'}")
         if (self.lookup is None) != (not self.values):
             raise ValueError("'lookup' and 'values' go together")
-        return self
 
     def formulas(self) -> Iterable[tuple[str | int, str]]:
         """Every formula of the column, with the key it stands under."""

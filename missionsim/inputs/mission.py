@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Annotated, Any, Literal, TypeVar, cast, overload
 
-from pydantic import BeforeValidator, Discriminator, Field, JsonValue, PrivateAttr, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, JsonValue, PrivateAttr, Tag
 
 from missionsim.inputs.base import Count, DescribedFile, FileModel, Identifier, Model, Name, Text, alone, wrong
 from missionsim.inputs.environment import EnvironmentSpec
@@ -22,11 +22,9 @@ class AnchorSpec(Model):
     time: Duration | None = None
     segment: Name | None = None
 
-    @model_validator(mode="after")
-    def _one(self) -> "AnchorSpec":
+    def _check(self) -> None:
         if sum(item is not None for item in (self.place, self.time, self.segment)) != 1:
             raise wrong("a moment is one of place, time, segment", "none or several", "{place: V1}")
-        return self
 
 
 Anchor = Annotated[AnchorSpec, BeforeValidator(alone("place", str, int), json_schema_input_type=str | AnchorSpec)]
@@ -43,8 +41,7 @@ class ActivitySpec(Model):
     every: Period | None = None
     duration: Period | None = None
 
-    @model_validator(mode="after")
-    def _bursts(self) -> "ActivitySpec":
+    def _check(self) -> None:
         if self.every is not None and self.duration is None:
             raise wrong("bursts need a duration", "every without duration", "every: 60 s, duration: 2 s")
         if self.duration is not None and self.until is not None and self.every is None:
@@ -52,7 +49,6 @@ class ActivitySpec(Model):
         if self.every is not None and self.duration is not None and self.duration.value > self.every.value:
             got, allowed = f"{self.duration.value:g} s", f"at most {self.every.value:g} s"
             raise wrong("bursts longer than their period", got, allowed, "duration")
-        return self
 
 
 def _one_or_each(raw: Any) -> str:
@@ -78,14 +74,12 @@ class PolicySpec(Model):
     dock: Name | None = None
     recharge_until: Fraction | None = None
 
-    @model_validator(mode="after")
-    def _dock(self) -> "PolicySpec":
+    def _check(self) -> None:
         if self.on_empty == "return_to_dock" and self.dock is None:
             raise wrong("return_to_dock needs a dock", "no dock", "dock: <place with a charger>")
         if self.recharge_until is not None and self.on_empty != "recharge_and_continue":
             allowed = "on_empty: recharge_and_continue"
             raise wrong("recharge_until has no effect", f"on_empty: {self.on_empty}", allowed, "recharge_until")
-        return self
 
 
 T = TypeVar("T")
@@ -249,9 +243,7 @@ class StudySpec(FileModel):
     alternatives: dict[Name, AlternativeSpec] = Field(default_factory=dict)
     vary: dict[Text, Annotated[tuple[JsonValue, ...], Field(min_length=1)]] = Field(default_factory=dict)
 
-    @model_validator(mode="after")
-    def _some(self) -> "StudySpec":
+    def _check(self) -> None:
         if not self.alternatives and not self.vary:
             allowed = "alternatives: {slow: {set: {defaults.speed: 0.3 m/s}}}"
             raise wrong("a study needs alternatives or vary", "neither", allowed)
-        return self

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, JsonValue, model_validator
+from pydantic import AfterValidator, Field, JsonValue
 
 from missionsim.errors import Fault, did_you_mean
 from missionsim.glossary import COLUMNS, column_of
@@ -105,12 +105,10 @@ class ProcessorRow(Model):
     source: Text = ""
     status: Literal["", "published", "fitted", "assumed", "measured"] = ""
 
-    @model_validator(mode="after")
-    def _tell_power(self) -> "ProcessorRow":
+    def _check(self) -> None:
         """Status and source of the row belong to its power."""
         told = replace(self.power, status=self.power.status or self.status, source=self.power.source or self.source)
         self.__dict__["power"] = told
-        return self
 
 
 class SensorRules(Model):
@@ -199,15 +197,13 @@ class MotionSpec(Model):
     parameters: dict[ParameterName, values.AnyNumber] = Field(default_factory=dict)
     options: dict[Identifier, JsonValue] = Field(default_factory=dict)
 
-    @model_validator(mode="after")
-    def _expression(self) -> "MotionSpec":
+    def _check(self) -> None:
         if self.model == "expression" and self.power is None:
             raise wrong("motion model 'expression' needs 'power'", "no power", 'power: "c3*v + c4"')
         if self.model != "expression" and self.power is not None:
             raise wrong(
                 "'power' belongs to motion model 'expression'", f"model: {self.model}", "model: expression", "power"
             )
-        return self
 
 
 def _ranges(origin: dict[str, JsonValue]) -> dict[str, JsonValue]:
@@ -261,11 +257,9 @@ class EffectSpec(Model):
         'effect: grade, or name: my_term with power: "k * …"',
     )
 
-    @model_validator(mode="after")
-    def _named(self) -> "EffectSpec":
-        if self.effect is None and self.name is None:
+    def _check(self) -> None:
+        if self.effect is None and self.power is not None and self.name is None:
             raise wrong("an effect of your own needs a name", "no name", "name: my_term")
-        return self
 
 
 class RobotSpec(DescribedFile):

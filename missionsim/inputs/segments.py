@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, GetJsonSchemaHandler, WrapValidator, model_validator
+from pydantic import Field, GetJsonSchemaHandler, WrapValidator
 from pydantic_core import PydanticCustomError, core_schema
 
 from missionsim.errors import did_you_mean
@@ -60,8 +60,7 @@ class DriveSegment(SegmentSpec):
     slope: values.Slope | None = None
     heading: values.Angle | None = None
 
-    @model_validator(mode="after")
-    def _one(self) -> "DriveSegment":
+    def _check(self) -> None:
         given = [key for key in ("to", "along", "distance") if getattr(self, key) is not None]
         if len(given) != 1:
             raise wrong("a drive needs one of to, along, distance", " and ".join(given) or "none of them", "to: V1")
@@ -71,7 +70,6 @@ class DriveSegment(SegmentSpec):
                 raise wrong(message, given[0], allowed, key)
         if self.via and self.to is None:
             raise wrong("via belongs to a drive with to", given[0], "to: V1, via: [A]", "via")
-        return self
 
 
 class ArcSegment(SegmentSpec):
@@ -135,14 +133,12 @@ class DockSegment(SegmentSpec):
     recharge: RechargeSpec = RechargeSpec.model_construct(until=Parameter(1.0), batteries=())
     if_below: values.Fraction | None = None
 
-    @model_validator(mode="after")
-    def _useful(self) -> "DockSegment":
+    def _check(self) -> None:
         until = self.recharge.until
         if self.if_below is not None and until is not None and self.if_below.value > until.value:
             allowed = f"at most {100 * until.value:g} %"
             got = f"{100 * self.if_below.value:g} %"
             raise wrong("charges to less than what it asks for", got, allowed, "if_below")
-        return self
 
 
 class RepeatSegment(Model):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, PrivateAttr, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, PrivateAttr, Tag
 
 from missionsim.inputs.base import Identifier, Model, Name, Sensors, Text, alone, as_list, wrong
 from missionsim.inputs.environment import EnvironmentSpec
@@ -21,8 +21,7 @@ class WindowSpec(Model):
     from_: Duration = Field(default=Parameter(0.0, unit="s"), alias="from")
     until: Duration | None = None
 
-    @model_validator(mode="after")
-    def _order(self) -> WindowSpec:
+    def _check(self) -> None:
         if self.until is not None and self.until.value < self.from_.value:
             raise wrong(
                 "a window that ends before it begins",
@@ -30,7 +29,6 @@ class WindowSpec(Model):
                 f"{self.from_.value:g} s or more",
                 "until",
             )
-        return self
 
 
 class SchemeChoice(Model):
@@ -63,15 +61,13 @@ class VisitSpec(Model):
     window: WindowSpec | None = None
     value: Weight | None = None
 
-    @model_validator(mode="after")
-    def _one(self) -> VisitSpec:
+    def _check(self) -> None:
         if self.inspect is not None and self.wait is not None:
             raise wrong("a visit inspects or waits", "both", "inspect: 30 s, or wait: 30 s", "wait")
         own = [key for key in ("scheme", "navigation", "sensors") if getattr(self, key) is not None]
         if self.schemes is not None and own:
             allowed = "scheme for one that is required, schemes for those to choose from"
             raise wrong("a visit's scheme is given or chosen", f"{own[0]} and schemes", allowed, own[0])
-        return self
 
     @property
     def label(self) -> str:
@@ -86,13 +82,11 @@ class SpeedRange(Model):
     to: Speed
     steps: Annotated[int, Field(strict=True, ge=2, le=100)] = 5
 
-    @model_validator(mode="after")
-    def _rising(self) -> SpeedRange:
+    def _check(self) -> None:
         if self.to.value <= self.from_.value:
             raise wrong(
                 "a range of speeds must rise", f"{self.to.value:g} m/s", f"above {self.from_.value:g} m/s", "to"
             )
-        return self
 
     def speeds(self) -> tuple[float, ...]:
         """The speeds, m/s."""
@@ -168,12 +162,10 @@ class LeastSpec(Model):
     ] = 0.0
     time: Weight = 0.0
 
-    @model_validator(mode="after")
-    def _some(self) -> LeastSpec:
+    def _check(self) -> None:
         weights = list(self.energy.values()) if isinstance(self.energy, dict) else [self.energy]
         if not any([*weights, self.time]):
             raise wrong("nothing to make least", "weights of 0", "energy, time, or {energy: 1, time: 0.01}")
-        return self
 
 
 def _least(raw: Any) -> Any:
@@ -194,11 +186,9 @@ class RepeatSpec(Model):
     every: Period | None = None
     until: Period | None = None
 
-    @model_validator(mode="after")
-    def _ends(self) -> RepeatSpec:
+    def _check(self) -> None:
         if self.rounds == "as_often_as_possible" and self.until is None:
             raise wrong("as often as possible needs an end", "no until", "until: 8 h")
-        return self
 
 
 class TaskSpec(RobotAtSite):
