@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import html
 import os
+import tempfile
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -179,8 +181,6 @@ def monte_carlo(
     sobol: int | None = None,
 ) -> Answer[Mapping[str, object]]:
     """Draw the uncertain values many times; see ``missionsim montecarlo``. The table has one row a run."""
-    import tempfile
-
     from missionsim.uncertainty.batch import Task, answer_batch
     from missionsim.uncertainty.store import BlockStore
 
@@ -360,8 +360,6 @@ def _runs(robot: PathLike, logs: Logs) -> tuple[RobotSpec, list[Run]]:
 
 def _warn(left_out: Sequence[str], stacklevel: int = 3) -> None:
     """Tell of runs that were left out, as the commands do."""
-    import warnings
-
     for line in left_out:
         warnings.warn(f"left out {line}", stacklevel=stacklevel)
 

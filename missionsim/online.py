@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from missionsim.effects.timeline import integrate
 from missionsim.errors import InputError
 from missionsim.glossary import STILL_SPEED_M_S
 from missionsim.inputs.mission import reserve_of
@@ -91,9 +92,6 @@ def _homes_of_segments(mission: Any, result: Any, battery: str, homes: list[dict
 
 def _back_over_the_way(mission: Any, result: Any, battery: str, distance: Array) -> Array:
     """Energy (J) of driving back what has been driven, with the same settings and the slopes reversed."""
-    from dataclasses import replace
-
-    from missionsim.effects.timeline import integrate
     from missionsim.inputs.power import build_power_model
 
     line = result.timeline

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
 import signal
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from multiprocessing.connection import wait
 
 
 def process_pool(workers: int) -> ProcessPoolExecutor:
     """A pool of fresh processes that leave Ctrl-C to this one and end when it does, however it ends."""
-    import multiprocessing
-
     context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker)
 
@@ -25,9 +25,6 @@ def _begin_worker() -> None:
 
 def _end_with_parent() -> None:
     """A killed parent closes no pool: its workers would wait for ever for work, and hold its pipes."""
-    import multiprocessing
-    from multiprocessing.connection import wait
-
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])

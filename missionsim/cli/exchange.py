@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -181,8 +182,6 @@ def qgc(
 
 
 def _mission(data: dict[str, Any], title: str, remarks: Sequence[str], out: Path, to: Output) -> int:
-    import json
-
     _write(out, (json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode())
     to.emit({"schema": "missionsim.export/1", "out": str(out), "told": list(remarks)})
     if to.text:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -212,8 +213,6 @@ def _executor(address: str | None) -> Iterator[Any]:
         raise InputError.single(
             "--scheduler needs the extra 'dask'", got="no package 'distributed'", allowed=install_hint("dask")
         ) from None
-    import logging
-
     for name in [*logging.root.manager.loggerDict, "asyncio"]:
         if name.startswith(("distributed", "tornado", "asyncio")):  # what matters is told here
             logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -46,8 +47,6 @@ def run(
         Also write power, watts by term, charge, scheme, components and pose over time into this MCAP file, with a
         layout for Foxglove and a map for import beside it.
     """
-    from dataclasses import replace
-
     from missionsim.engine.simulate import simulate
     from missionsim.inputs.loading import load_mission
     from missionsim.results.write import provenance, write_results

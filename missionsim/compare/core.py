@@ -18,7 +18,9 @@ from missionsim.compare.where import Accumulator, RunSums, Series, dependences
 from missionsim.effects.model import PowerModel
 from missionsim.effects.timeline import Timeline, integrate
 from missionsim.errors import Fault, InputError
+from missionsim.logs import find_logs, iter_blocks, read_logs
 from missionsim.logs.raw import Remark, merge
+from missionsim.logs.read import distinct_logs, same_content
 from missionsim.physics import Array
 from missionsim.runs.admit import admit
 from missionsim.runs.drive import assume, drive_blocks
@@ -185,7 +187,6 @@ def compare_files(
     """
     from missionsim.inputs import load_mission, load_robot
     from missionsim.inputs.power import build_power_model
-    from missionsim.logs import find_logs
 
     logs = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)
     loading: list[Callable[[], Any]] = [
@@ -234,9 +235,6 @@ def _runs(
     logs: Sequence[Run | PathLike], robot: Any, refused: list[str]
 ) -> list[tuple[str, Run, Callable[[], Iterator[Run]]]]:
     """Source of each run, the run or the start of a long one, and its blocks; faults of small files all at once."""
-    from missionsim.logs import iter_blocks, read_logs
-    from missionsim.logs.read import distinct_logs, same_content
-
     paths = [item for item in logs if not isinstance(item, Run)]
     tables = [item for item in logs if isinstance(item, Run)]
     files = distinct_logs(paths) if paths or not logs else {}

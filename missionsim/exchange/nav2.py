@@ -16,6 +16,7 @@ import numpy as np
 
 from missionsim.exchange.site import Site, SiteOptions, flow, says_charger, scalar
 from missionsim.exchange.source import Faults, Value, encoding_of, parse_json, read_text
+from missionsim.inputs.loading import mission_from_text
 from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.tree import Node
 from missionsim.physics import Array
@@ -229,7 +230,6 @@ def steady_power(
     Under the robot's first control scheme that moves. `drives`: slope [rad] and speed [m/s] of each. Gives arrays of
     shape (len(drives),) [W]. Raises InputError: what the robot cannot do.
     """
-    from missionsim.inputs.loading import mission_from_text
     from missionsim.inputs.power import build_power_model
     from missionsim.plan.build import make_plan
     from missionsim.plan.steady import steady_power_w

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from missionsim.effects.covariates import acceleration
 from missionsim.errors import InputError
 from missionsim.exchange.site import Remark, clean, flow, scalar
 from missionsim.exchange.source import Faults, Value, encoding_of, read_document, read_text
@@ -211,7 +212,6 @@ def _fit_to_logs(fleet: Fleet, logs: Sequence[Path], battery: str, remarks: list
     """Least squares of power over all rows, none below zero; the tool's watts only where logs say when it was on."""
     from scipy.optimize import nnls
 
-    from missionsim.effects.covariates import acceleration
     from missionsim.logs import read_logs
 
     blocks, targets = [], []

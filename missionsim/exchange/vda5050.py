@@ -12,6 +12,7 @@ by the name of the station at it.
 from __future__ import annotations
 
 import math
+from datetime import UTC, datetime
 from itertools import pairwise
 from typing import Any
 
@@ -286,8 +287,6 @@ def order_of(
     `version`: of VDA 5050: ``2.0.0``, ``2.1.0`` or ``3.0.0``. `timestamp`: ISO 8601 in UTC,
     ``2026-01-01T00:00:00.000Z``; now where empty. `robot_id`: serial number; the manufacturer is the robot's name.
     """
-    from datetime import UTC, datetime
-
     from missionsim.exchange.route import stops_of
 
     if version not in VERSIONS:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from missionsim.errors import Fault
 from missionsim.inputs.environment import EnvironmentSpec
 from missionsim.inputs.mission import CorrelationSpec, MissionSpec
@@ -369,8 +371,6 @@ class _MissionCheck:
 
 def _possible(correlations: Sequence[CorrelationSpec]) -> bool:
     """Whether the matrix of all correlations is positive definite."""
-    import numpy as np
-
     place = {path: i for i, path in enumerate(dict.fromkeys(path for item in correlations for path in item.between))}
     matrix = np.eye(len(place))
     for item in correlations:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -151,8 +151,6 @@ def _allowed_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]
 
 
 def _below(kind: Any, item: str | int) -> list[Any]:
-    from typing import get_args, get_origin, get_type_hints
-
     result: list[Any] = []
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         for name, field in kind.model_fields.items():
@@ -179,8 +177,6 @@ def _below(kind: Any, item: str | int) -> list[Any]:
 
 
 def _models(kind: Any) -> list[type[BaseModel]]:
-    from typing import get_args
-
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return [kind]
     return [model for argument in get_args(kind) for model in _models(argument)]

@@ -6,6 +6,7 @@ built here with an explicit stack, because a recursive composer crashes the inte
 
 from __future__ import annotations
 
+import hashlib
 import io
 import re
 from collections.abc import Sequence
@@ -150,8 +151,6 @@ def as_written(value: object) -> str:
 def read_document(path: str | Path, *, name: str | None = None) -> Document:
     """Read one YAML file. `path`: the file. `name`: how messages call it; default the path. Raises InputError: missing,
     too large, not UTF-8, not YAML, duplicate keys, tags, too deep or too many values."""
-    import hashlib
-
     shown = name or str(path)
     raw = read_bytes(path, shown, MAX_BYTES)
     document = parse_document(decoded(raw, "utf-8-sig", shown), name=shown)

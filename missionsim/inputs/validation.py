@@ -10,6 +10,8 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.expressions import compile_expression
+from missionsim.glossary import COLUMNS, column_of
 from missionsim.inputs.base import FileModel, Model
 from missionsim.inputs.faults import exists, file_path, follows_from_entries, to_faults
 from missionsim.inputs.parameter import Parameter
@@ -337,8 +339,6 @@ class Checker:
         """Names that a formula reads, None where it cannot be read. Names of further log columns are allowed; one that
         is nearly a known name gets a warning."""
         from missionsim.effects.base_terms import ALIASES
-        from missionsim.expressions import compile_expression
-        from missionsim.glossary import COLUMNS, column_of
 
         try:
             expression = compile_expression(text, **self.document.place(where)._asdict())

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.errors import did_you_mean
 from missionsim.glossary import COLUMNS, STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
@@ -36,8 +37,6 @@ _RATIOS = {
 
 def check_names(rows: Rows, known_batteries: tuple[str, ...] = (), known_components: tuple[str, ...] = ()) -> None:
     """Tell names that nearly are a glossary name, and batteries or components that the robot does not have."""
-    from missionsim.errors import did_you_mean
-
     plain, own = [column.name for column in COLUMNS if "<" not in column.name], "kept as a column of its own"
     for name in rows.columns:
         found = column_of(name)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from missionsim.files import fields_of
+from missionsim.inputs import load_mission, load_robot
 from missionsim.inputs.examples import examples_folder
 from missionsim.inputs.tree import read_document
 
@@ -196,16 +197,12 @@ Overrides = tuple[tuple[str, str], ...]
 @functools.cache
 def shipped_robot(name: str) -> RobotSpec:
     """A shipped robot."""
-    from missionsim.inputs import load_robot
-
     return load_robot(name)
 
 
 @functools.lru_cache(maxsize=256)
 def mission(name: str, overrides: Overrides = ()) -> MissionSpec:
     """A shipped mission by ``robot/name``, with values set as on the command line."""
-    from missionsim.inputs import load_mission
-
     return load_mission(examples_folder() / "missions" / f"{name}.yaml", overrides=overrides)
 
 

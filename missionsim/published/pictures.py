@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from missionsim.files import atomic_write
-from missionsim.physics import Array
+from missionsim.inputs.power import build_power_model
+from missionsim.physics import Array, electrical
 from missionsim.published import hou2019, parasuraman2012, patrol, rover2025
 from missionsim.published.figures import ABOUT, load_figures, run, shipped_robot
 
@@ -57,8 +58,6 @@ def _pair(figure: Figure) -> tuple[Axes, Axes]:
 
 
 def _power_velocity(figure: Figure) -> None:
-    from missionsim.inputs.power import build_power_model
-
     robot = shipped_robot("pioneer3dx")
     model = build_power_model(robot)
     speed = np.linspace(0.05, 1.2, 116)
@@ -79,8 +78,6 @@ def _power_velocity(figure: Figure) -> None:
 
 
 def _sonar(figure: Figure) -> None:
-    from missionsim.physics import electrical
-
     law = shipped_robot("pioneer3dx").components["sonar"].loads[0].law
     assert law is not None
     rate = np.linspace(0.0, 40.0, 81)

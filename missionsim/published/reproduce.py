@@ -15,6 +15,8 @@ import numpy as np
 
 from missionsim.errors import InputError
 from missionsim.files import write_text
+from missionsim.inputs.power import build_power_model
+from missionsim.physics import motion
 from missionsim.published import hou2019, jaiem2021, parasuraman2012, patrol, rover2025
 from missionsim.published.figures import (
     ABOUT,
@@ -178,9 +180,6 @@ SEED, DRAWS = 20210426, 2000
 
 def optimal_velocities() -> Rows:
     """Speed of least robot energy per metre for each set of sensors (Jaiem 2021, Eq. 11)."""
-    from missionsim.inputs.power import build_power_model
-    from missionsim.physics import motion
-
     robot = shipped_robot("pioneer3dx")
     model = build_power_model(robot)
     c2, c4 = (model.parameters[f"robot/{name}"].value for name in ("c2", "c4"))

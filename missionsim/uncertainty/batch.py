@@ -25,11 +25,11 @@ from missionsim.inputs.loading import load_mission
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
 from missionsim.plan.build import make_plan
-from missionsim.uncertainty.answers import proportion_interval
+from missionsim.uncertainty.answers import proportion_interval, summarise
 from missionsim.uncertainty.arrays import ArrayMission
 from missionsim.uncertainty.draws import Sampler, make_sampler, run_generator
 from missionsim.uncertainty.qualify import compile_arrays
-from missionsim.uncertainty.single import simulate_block
+from missionsim.uncertainty.single import left_to_chance, simulate_block, unread_values
 from missionsim.uncertainty.store import BlockStore
 from missionsim.workers import interrupts_held, process_pool
 
@@ -210,9 +210,7 @@ def answer_batch(
 
 def _answer(task: Task, store: BlockStore, firsts: list[int], sobol: int | None) -> Json:
     """All that the batch says, as JSON has it."""
-    from missionsim.uncertainty.answers import summarise
     from missionsim.uncertainty.importance import affordable_samples, sobol_importance
-    from missionsim.uncertainty.single import left_to_chance, unread_values
 
     prepared = prepare(task)
     answer: Json = {
