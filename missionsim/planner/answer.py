@@ -285,10 +285,10 @@ def mission_text(answer: Answer, target: str | os.PathLike[str] | None) -> str:
         f"# {_summary(answer)}",
         *(f"# Planned with --set {path}={value!r}: run it with the same." for path, value in task.elsewhere),
         "kind: mission",
-        f"name: {_text(task.name + '_plan')}",
-        f"robot: {_text(_reference(task.robot_ref, task.robot.path, folder))}",
-        f"environment: {_text(os.path.relpath(task.environment.path.absolute(), folder))}",
-        f"start: {_text(task.start)}",
+        f"name: {flow(task.name + '_plan')}",
+        f"robot: {flow(_reference(task.robot_ref, task.robot.path, folder))}",
+        f"environment: {flow(os.path.relpath(task.environment.path.absolute(), folder))}",
+        f"start: {flow(task.start)}",
     ]
     if task.start_heading is not None:
         lines.append(f"start_heading: {task.start_heading.value!r}")
@@ -355,10 +355,6 @@ def _charges(leg: Leg) -> str:
 
 def _reference(given: str, path: Path, folder: Path) -> str:
     return given if given in shipped_robots() else os.path.relpath(path.absolute(), folder)
-
-
-def _text(value: str) -> str:
-    return json.dumps(value, ensure_ascii=False)
 
 
 def flow(value: object) -> str:
