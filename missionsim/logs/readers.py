@@ -10,11 +10,9 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, field
-from importlib import import_module
 from pathlib import Path
 
 from missionsim.errors import Fault, InputError, did_you_mean
-from missionsim.logs import formats
 from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.physics import Array
 
@@ -92,7 +90,10 @@ class Reader:
 def registry() -> dict[str, Reader]:
     """Every format, by name; the built-in ones first."""
     import pkgutil
+    from importlib import import_module
     from importlib.metadata import entry_points
+
+    from missionsim.logs import formats
 
     found: dict[str, Reader] = {}
     for module in pkgutil.iter_modules(formats.__path__):

@@ -83,7 +83,7 @@ def test_ctrl_c_while_summing_up_leaves_a_resumable_batch(
 
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
-        patch.setattr("missionsim.uncertainty.answers.summarise", interrupt)
+        patch.setattr("missionsim.uncertainty.batch.summarise", interrupt)
         assert batch(mission, out) == 130
     assert "--resume" in capsys.readouterr().err
     assert batch(mission, out, "--resume") == 0
