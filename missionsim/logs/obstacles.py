@@ -163,8 +163,7 @@ def clock_delay(
     if best <= 0.2:
         return None
     smooth = [
-        _explained(power, np.diff([metered(row, grid, Meter(-0.5 * step, tau)) for row in causes], axis=1), 0)
-        for tau in _SMOOTHINGS_S
+        _explained(power, np.diff(metered(causes, grid, Meter(-0.5 * step, tau)), axis=1), 0) for tau in _SMOOTHINGS_S
     ]
     values = [0.0 if one is None else float(one[0]) for one in smooth]
     at = int(np.argmax(values))

@@ -24,7 +24,7 @@ def metered(power_w: Array, time_s: Array, meter: Meter) -> Array:
 
     Parameters
     ----------
-    power_w : ndarray, shape (n,)
+    power_w : ndarray, shape (..., n)
         Held from half-way between the rows to half-way [W]; before the first and after the last row as in them.
     time_s : ndarray, shape (n,)
         Increasing [s].
@@ -32,29 +32,30 @@ def metered(power_w: Array, time_s: Array, meter: Meter) -> Array:
 
     Returns
     -------
-    ndarray, shape (n,)
+    ndarray, shape (..., n)
         ``lag dy/dt + y = p(t − delay)`` in closed form [W]; what began and ended within the rows keeps its energy.
     """
-    if len(power_w) < 2 or meter == Meter():
+    if len(time_s) < 2 or meter == Meter():
         return power_w
     lag_s = meter.lag_s
     middle = 0.5 * (time_s[1:] + time_s[:-1])
     edges = np.concatenate([[2.0 * time_s[0] - middle[0]], middle, [2.0 * time_s[-1] - middle[-1]]])
     length = np.diff(edges)
     late = edges - meter.delay_s
-    row = np.clip(np.searchsorted(edges, late, side="right") - 1, 0, len(power_w) - 1)
+    row = np.clip(np.searchsorted(edges, late, side="right") - 1, 0, len(time_s) - 1)
     inside = late - edges[row]
-    energy, behind = power_w * length, np.zeros(len(power_w))
+    energy, behind = power_w * length, np.zeros_like(power_w)
     if lag_s > 0.0:
         keep = np.exp(-length / lag_s)
-        at_edge, memory, reach = np.concatenate([power_w[:1], power_w * (1.0 - keep)]), np.append(0.0, keep), 1
+        at_edge, memory, reach = np.append(power_w[..., :1], power_w * (1.0 - keep), axis=-1), np.append(0.0, keep), 1
         while memory.max() > FORGOTTEN:  # y[n+1] = keep[n] y[n] + ..., over 1, 2, 4, 8 … rows
-            at_edge[reach:] += memory[reach:] * at_edge[:-reach]
+            at_edge[..., reach:] += memory[reach:] * at_edge[..., :-reach]
             memory[reach:] *= memory[:-reach]
             reach *= 2
-        behind = (at_edge[:-1] - power_w) * lag_s
+        behind = (at_edge[..., :-1] - power_w) * lag_s
         energy += behind * (1.0 - keep)
-    whole = np.concatenate([[0.0], np.cumsum(energy)])[row] + power_w[row] * inside
+    whole = np.append(np.zeros_like(energy[..., :1]), np.cumsum(energy, axis=-1), axis=-1).take(row, axis=-1)
+    whole += power_w.take(row, axis=-1) * inside
     if lag_s > 0.0:
-        whole -= behind[row] * np.expm1(-np.maximum(inside, 0.0) / lag_s)
+        whole -= behind.take(row, axis=-1) * np.expm1(-np.maximum(inside, 0.0) / lag_s)
     return np.asarray(np.diff(whole) / length)
