@@ -21,7 +21,7 @@ from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.settings import Settings
 
 MOST_ROUNDS = 8
-MOST_LAWS = 2
+MOST_LAWS = 4
 """Proposed laws that are offered once the library has nothing more to add."""
 
 Ask = Callable[[Finding, BatteryDiagnosis], bool]
@@ -185,7 +185,9 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         kept = [effect for effect in taken if effect.effect not in law.instead_of]
         found, fitted = together([*kept, replace(as_finding(law), effect=name)], surest=len(kept))
         k = next(one for one in found if one.effect == name).parameters["k"]
-        if k.low <= 0.0 <= k.high:
+        # its size was found beside everything that is seen: without what these data cannot tell, it may be another
+        unsure = any(effect.indistinguishable_from for effect in last.effects)
+        if k.low <= 0.0 <= k.high or (unsure and max(k.low, law.first.low) > min(k.high, law.first.high)):
             nothing.add(law.first.formula)
             models = before
             continue

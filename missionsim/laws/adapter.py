@@ -71,8 +71,7 @@ class Ground:
         """The ground without some of the effects found."""
         held = tuple((name, own) for name, own in self.held if name not in effects)
         inside = tuple(k for k in self.chosen if any(k in own for _, own in held))
-        noise = fit_noise(self.design, inside, self.model.noise, thorough=False)
-        return replace(self, model=replace(self.model, chosen=inside, noise=noise), held=held)
+        return replace(self, model=_refitted(self.model, self.design, inside, self.model.noise), held=held)
 
     def plain(self, noise: Noise) -> Noise:
         """A noise whose weights were not read off the residual: where an unknown law acts, rows look like outliers."""
@@ -95,13 +94,8 @@ class Ground:
         """
         design = self.extended(watts)
         chosen = tuple(range(len(design.phi)))
-        if self.model.squares is not None:
-            squares = LeastSquares.of(design)
-            noise = bounded_noise(design, squares, chosen)
-            return Model(self.model.source, chosen, self.model.clock, design, noise, squares)
         guess = start if start is not None or other is None else self.plain(other)
-        noise = fit_noise(design, chosen, guess, thorough=start is None)
-        return Model(self.model.source, chosen, self.model.clock, design, noise)
+        return _refitted(self.model, design, chosen, guess, thorough=start is None)
 
     def at_noise(self, design: Design, noise: Noise) -> Model:
         """An extended design as a model at a noise that was not fitted with it."""
@@ -132,13 +126,8 @@ class Ground:
         if best[0] < first + CLOCK_NATS:
             return self
         clock = replace(was, delay_s=best[1], lag_s=best[2])
-        design = source.design(clock)
-        squares = None if self.model.squares is None else LeastSquares.of(design)
-        if squares is None:
-            noise = fit_noise(design, self.chosen, self.model.noise, thorough=False)
-        else:
-            noise = bounded_noise(design, squares, self.chosen)
-        return replace(self, model=replace(self.model, clock=clock, design=design, noise=noise, squares=squares))
+        model = _refitted(self.model, source.design(clock), self.chosen, self.model.noise)
+        return replace(self, model=replace(model, clock=clock))
 
     def extended(self, watts: Array) -> Design:
         """The design with the columns of the effects found and the law, in shares of energy; the law comes last."""
@@ -147,6 +136,18 @@ class Ground:
         columns = (*(layout.columns[k] for k in self.chosen), Column(-1, 0, "law", mean))
         phi = np.vstack([self.design.phi[list(self.chosen)], watts * (layout.mean_power_w / max(mean, 1e-300))])
         return replace(self.design, layout=replace(layout, columns=columns), phi=phi)
+
+
+def _refitted(
+    model: Model, design: Design, chosen: tuple[int, ...], guess: Noise | None, thorough: bool = False
+) -> Model:
+    """The model with other columns and noise of its own, which stays bounded where the base is far from right."""
+    if model.squares is None:
+        noise = fit_noise(design, chosen, guess, thorough=thorough)
+        return replace(model, chosen=chosen, design=design, noise=noise)
+    squares = model.squares if design is model.design else LeastSquares.of(design)
+    noise = bounded_noise(design, squares, chosen)
+    return replace(model, chosen=chosen, design=design, noise=noise, squares=squares)
 
 
 def ground_of(found: Identification, covariates: Sequence[Covariates]) -> Ground:
@@ -163,7 +164,7 @@ def ground_of(found: Identification, covariates: Sequence[Covariates]) -> Ground
     inside = tuple(k for k in model.chosen if any(k in own for _, own in held))
     model = spread(model)
     if inside != model.chosen:
-        model = replace(model, chosen=inside, noise=fit_noise(model.design, inside, model.noise, thorough=False))
+        model = _refitted(model, model.design, inside, model.noise)
     return Ground(model, tuple(covariates[i] for i in model.source.kept), held)
 
 
