@@ -28,6 +28,8 @@ VARIES = 1e-9
 TEMPERATURE = re.compile(r"^temp_|_temp(erature)?(_|$)|_deg_?[cf]$")
 WIDTHS = {0.2: (0.5, 0.75), 0.1: (), 0.4: ()}
 """Widths of a resonance in parts of a fast drive's speed, with the quantiles of speed that enter the first pass."""
+EVENLY = 15
+"""Thresholds between the lowest and the highest value that the runs hold."""
 NOISE_PART = 0.1
 """A quantity that falls below zero by less than this part of its highest value is noise about zero."""
 SYMBOLS = {
@@ -129,16 +131,19 @@ def make_grammar(covariates: Sequence[Covariates], skip: Set[str] = frozenset(),
         m = b.raw("payload_kg")
         _powers(b, "payload_kg", "payload_kg", "payload", m, (1, 2), fine=True)
         b.add(Factor("payload_kg", "(payload_kg > 0)", "[payload > 0]", 1), [x > 0.0 for x in m])
+        _beyond(b, "payload_kg", b.quantiles(m, 0.5))
     for name in ("temp_ambient_c", "temp_motor_c"):
         _about_thresholds(b, name)
     if b.has("cpu_load"):
         load = b.raw("cpu_load")
         b.add(Factor("cpu_load", "cpu_load", "load"), load)
         b.add(Factor("cpu_load", "cpu_load**2", "load²", 1), [x**2 for x in load])
-        b.add(Factor("cpu_load", "max(cpu_load - 0.5, 0)", "(load − 0.5)₊", 2), [np.maximum(x - 0.5, 0) for x in load])
+        _beyond(b, "cpu_load", (0.5,))
     for name, powers in (("cpu_freq_hz", (1, 3)), ("access_point_distance_m", (1, 2)), ("time_s", (1,))):
         if b.has(name) and (clocks or name != "time_s"):
             _powers(b, name, name, SYMBOLS[name], b.raw(name), powers)
+    if b.has("access_point_distance_m"):
+        _beyond(b, "access_point_distance_m", b.quantiles(b.raw("access_point_distance_m"), 0.5))
     if clocks and b.has("moving_time_s"):
         clock = b.raw("moving_time_s")
         for tau in (60.0, 240.0):
@@ -195,6 +200,10 @@ def _speeds(b: _Builder, name: str) -> None:
     gate = _round(0.05 * top)
     b.add(Factor(name, f"({text} > {gate:g})", "[driving]", 1), [x > gate for x in v])
     b.add(Factor(name, f"({text} <= {gate:g})", "[not driving]", 1), [x <= gate for x in v])
+    back = [-x for x in b.raw(name)]
+    if max(float(np.quantile(x, 0.99)) for x in back) > gate > 0.0:
+        b.add(Factor(name, f"max(-{name}, 0)", "v₋", 1), [np.maximum(x, 0.0) for x in back])
+        b.add(Factor(name, f"({name} < -{gate:g})", "[backward]", 1), [x > gate for x in back])
     driven = [np.where(x > gate, x, 0.0) for x in v]
     levels = b.quantiles(driven, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
     low, middle, high = b.quantiles(driven, 0.25, 0.5, 0.75)
@@ -292,33 +301,38 @@ def _signed(b: _Builder, name: str) -> None:
 
 def _about_thresholds(b: _Builder, name: str) -> None:
     """Parts above and below values that the runs hold; a temperature in degC has no zero of its own."""
-    if not b.has(name):
-        return
-    x, symbol = b.raw(name), SYMBOLS.get(name, name)
+    if b.has(name):
+        every = np.concatenate(b.raw(name))
+        low, high, last = (float(q) for q in np.quantile(every, (0.35, 0.65, 0.99)))
+        _beyond(b, name, (low, high))
+        _beyond(b, name, (low, high, last), above=False)
+
+
+def _beyond(b: _Builder, name: str, coarse: Sequence[float], above: bool = True) -> None:
+    """Parts of a quantity above values that the runs hold, or below them, which bend into what is switched on there."""
+    symbol, kind, sign = SYMBOLS.get(name, name), f"{name} above {above}", 1.0 if above else -1.0
+    x = b.raw(name)
     every = np.concatenate(x)
-    inside = [float(q) for q in np.quantile(every, np.linspace(0.1, 0.9, 9))]
-    low, high = (float(q) for q in np.quantile(every, (0.35, 0.65)))
+    # where most of the rows lie, and out to where few do
     first, last = (float(q) for q in np.quantile(every, (0.01, 0.99)))
-    b.family(
-        lambda n: Factor(name, f"max({name} - {n}, 0)", f"({symbol} − {n})₊", 1),
-        lambda a, n: np.maximum(a - n, 0.0),
-        x,
-        [first, *inside],
-        (low, high),
-    )
-    b.family(
-        lambda n: Factor(name, f"max({n} - {name}, 0)", f"({n} − {symbol})₊", 1),
-        lambda a, n: np.maximum(n - a, 0.0),
-        x,
-        [*inside, last],
-        (low, high, last),
-    )
+    levels = [*np.quantile(every, np.linspace(0.1, 0.9, 9)), *np.linspace(first, last, EVENLY)]
+
+    def ramp(n: str) -> Factor:
+        text, told = (f"{name} - {n}", f"{symbol} − {n}") if above else (f"{n} - {name}", f"{n} − {symbol}")
+        return Factor(name, f"max({text}, 0)", f"({told})₊", 1, kind=kind, numbers=(0.0,))
+
+    def step(n: str) -> Factor:
+        than = ">" if above else "<"
+        return Factor(name, f"({name} {than} {n})", f"[{symbol} {than} {n}]", 1, kind=kind, numbers=(1.0,))
+
+    b.family(ramp, lambda a, n: np.maximum(sign * (a - n), 0.0), x, levels, coarse)
+    b.family(step, lambda a, n: (sign * (a - n) > 0.0).astype(float), x, levels, ())
 
 
 def _further(b: _Builder, name: str) -> None:
     """A numeric column that the glossary does not hold: itself, and its parts above and below the middle."""
     x = b.raw(name)
-    middle = _round(float(np.median(np.concatenate(x))))
+    middle = float(np.median(np.concatenate(x)))
     low = min(float(np.min(a, initial=0.0)) for a in x)
     if low > -NOISE_PART * max(float(np.max(a, initial=0.0)) for a in x):
         text = name if low >= 0.0 else f"max({name}, 0)"  # noise about zero has no powers
@@ -326,14 +340,8 @@ def _further(b: _Builder, name: str) -> None:
     else:
         b.add(Factor(name, name, name), x)
         b.add(Factor(name, f"abs({name})", f"|{name}|", 1), [np.abs(a) for a in x])
-    b.add(
-        Factor(name, f"max({name} - {middle:g}, 0)", f"({name} − {middle:g})₊", 1),
-        [np.maximum(a - middle, 0) for a in x],
-    )
-    b.add(
-        Factor(name, f"max({middle:g} - {name}, 0)", f"({middle:g} − {name})₊", 1),
-        [np.maximum(middle - a, 0) for a in x],
-    )
+    _beyond(b, name, (middle,))
+    _beyond(b, name, (middle,), above=False)
 
 
 def _switched(b: _Builder, name: str, clocks: bool) -> None:

@@ -7,9 +7,11 @@ evaluated at the raw rate and averaged like every other column.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -318,11 +320,27 @@ class Search:
         for _ in range(BENDS):
             known = self._exactly(top, ranked)
             ranked = [one.form for one in known]
-            more = [form for one in ranked[:BENT] for form in self.grammar.bent(one)]
+            more = [
+                form
+                for one in dict.fromkeys([*ranked[:BENT], *self._unlike(ranked)])
+                for form in self.grammar.bent(one)
+            ]
             if set(more) <= set(ranked):
                 break
             ranked += more
         return self._exactly(top, ranked)
+
+    def _unlike(self, ranked: Sequence[tuple[int, ...]]) -> list[tuple[int, ...]]:
+        """The best forms that differ in more than a threshold or a time constant."""
+        shapes = Counter[tuple[Any, ...]]()
+        kept = []
+        for form in ranked:
+            factors = [self.grammar.factors[i] for i in form]
+            shape = tuple((f.kind, *f.numbers[1:]) if f.kind else (f.text,) for f in factors)
+            shapes[shape] += 1
+            if shapes[shape] == 1:
+                kept.append(form)
+        return kept[:BENT]
 
     def _exactly(self, top: Fitted, some: Sequence[tuple[int, ...]]) -> list[Scored]:
         forms = list(dict.fromkeys([top.form, *some]))
