@@ -32,7 +32,7 @@ from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
 from missionsim.identify.align import Clock
 from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, HeldOut, Recalibrated, RunSeries, Structure, Where
-from missionsim.identify.identification import Identification, identify
+from missionsim.identify.identification import Identification, identify, refutes
 from missionsim.identify.proposed import Proposal
 from missionsim.identify.settings import ALPHA, LEAST_FREE_SD, MOST_PASSES, SAME_SIZE, Settings
 from missionsim.identify.verdict import decide
@@ -193,11 +193,11 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
     try:
         found = identify(features.runs, features.candidates, features.prior_sd, settings)
         if found.choice.forward is not None and min(features.prior_sd.values(), default=np.inf) < LEAST_FREE_SD:
-            # what the file says of its base is refuted: held near it, the base would leave its part to the effects
-            subject = subject.unknown()
-            free = priors_of(subject, features, split.train)
-            features = replace(features, prior_sd=free, given_sd=features.prior_sd)
-            found = identify(features.runs, features.candidates, features.prior_sd, settings)
+            free = priors_of(subject.unknown(), features, split.train)
+            other = identify(features.runs, features.candidates, free, settings)
+            if refutes(other, found):  # held near the file, the base would leave its part to the effects
+                subject, found = subject.unknown(), other
+                features = replace(features, prior_sd=free, given_sd=features.prior_sd)
         if sum(features.steady.get(one.parameter, 0.0) * one.shift for one in found.recalibration) < 0.0:
             # a component that may be on draws something; where less is drawn than modelled, it is no reason
             features = replace(features, steady={})

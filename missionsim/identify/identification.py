@@ -85,6 +85,17 @@ def fit_effects(
     return _told(forced(source, candidates, effects, settings), candidates, settings, len(runs), given=True)
 
 
+def refutes(free: Identification, held: Identification) -> bool:
+    """Whether left-out runs refute what the file says of its base: far better predicted without it, or as well without
+    an effect that is a base parameter's twin."""
+    near, far = free.choice.forward, held.choice.forward
+    if near is None or far is None:
+        return near is None
+    chosen = {held.choice.model.source.layout.columns[k].candidate for k in far.chosen}
+    part = 1.0 if any(held.library[number].prior is not None for number in chosen) else HALVED
+    return near.error_w2 < part * far.error_w2
+
+
 def _told(
     choice: Choice, candidates: Sequence[Candidate], settings: Settings, given_runs: int, given: bool = False
 ) -> Identification:
