@@ -19,7 +19,7 @@ from missionsim.identify.model import Model
 from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import dependences, low_frequency_noise, periodic, runs_apart, wrong_form
 from missionsim.identify.rules import GATES, Question, Remains, demoted, refusal
-from missionsim.identify.settings import SEVERAL_RUNS, Settings
+from missionsim.identify.settings import HALVED, SEVERAL_RUNS, Settings
 from missionsim.identify.simpler import factor_told, instead_of_effects, level_difference, parameters_instead
 from missionsim.identify.stepwise import choose, confirmed, forced
 from missionsim.identify.verdict import decide
