@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, asdict, dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from missionsim.diagnose.adopt import write
 from missionsim.diagnose.diagnosis import diagnose_battery, examine
 from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.sentences import base_note
-from missionsim.diagnose.split import Split
+from missionsim.diagnose.split import Split, lacking
 from missionsim.diagnose.subject import NO_PRIOR_SD, Subject, prior_before
 from missionsim.diagnose.waterfall import best_before, clearly_better, noise_floor, unseen_note, worse_note
 from missionsim.files import Json
@@ -56,6 +56,8 @@ class Improved:
     _: KW_ONLY
     stopped: str
     """Why it ended, in words."""
+    untested: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """Held-out runs that the steps leave out, and the columns that they lack, on which what was added depends."""
     base_alone: bool = False
     """Whether nothing was added, but the base fitted anew, since held-out runs are predicted clearly better so."""
 
@@ -67,6 +69,7 @@ class Improved:
             "base_alone": self.base_alone,
             "stopped": self.stopped,
             "on_heldout_runs": self.heldout,
+            "untested": {run: list(columns) for run, columns in self.untested.items()},
             "steps": [asdict(step) for step in self.steps],
             "worse": self.worse or None,
             "first": self.first.to_json(),
@@ -194,7 +197,10 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         given, taken = changed, found
         by_law.add(name)
         text, last = settled(taken, fitted)
+    added = [term.effect for term in Subject.of(robot_from_text(text)).model.of(battery) if not term.base]
     heldout = [log for log in split.heldout if battery in log.power_w]
+    untested = lacking(heldout, added, start.model.batteries, models.runs)
+    heldout = [log for log in heldout if log.run not in untested]
     powers = {"before": start.model, "recalibrated": models.fit(()).model}
     # as add-effect writes one of several: its size as it was found beside the others, the base fitted again
     powers |= {f"+ {e.effect}": models.fit(taken[: i + 1], fixed=True).model for i, e in enumerate(taken[:-1])}
@@ -218,7 +224,8 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         bool(heldout),
         first,
         last,
-        stopped=_why(last, declined, sorted(nothing)),
+        stopped=_why(last, declined, sorted(nothing), tested=not untested),
+        untested=untested,
         base_alone=base_alone,
     )
 
@@ -238,7 +245,7 @@ def _fitted_priors(robot: Any, battery: str) -> dict[str, float]:
     return {term.name_of(name): NO_PRIOR_SD for term in model.of(battery) if not term.base for name in term.parameters}
 
 
-def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str] = ()) -> str:
+def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str] = (), *, tested: bool = True) -> str:
     unsure = [e for e in last.effects if e.indistinguishable_from]
     if unsure:
         names = " or ".join((unsure[0].effect, *unsure[0].indistinguishable_from))
@@ -253,7 +260,7 @@ def _why(last: BatteryDiagnosis, declined: Sequence[str], nothing: Sequence[str]
         return f"something remains that the library does not contain: {last.unexplained.shape}."
     if declined:
         return f"declined: {', '.join(declined)}."
-    if unseen := unseen_note(last):
+    if tested and (unseen := unseen_note(last)):
         return f"{unseen}."
     if nothing:
         return f"{', '.join(nothing)}: seen, but of a size that cannot be told from none beside the rest; not added."

@@ -210,7 +210,8 @@ def worse_of(held: HeldOut) -> str:
 
 def measured_note(done: Improved) -> str:
     """How the errors of the steps were measured."""
+    untested = "".join(f" {run}: no {', '.join(names)}; not tested on it." for run, names in done.untested.items())
     return (
         "Measured as missionsim compare does: rows as logged, the model as late as the meter of its file; energy "
-        "errors are means over runs of the magnitude."
+        f"errors are means over runs of the magnitude.{untested}"
     )

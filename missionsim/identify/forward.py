@@ -99,7 +99,7 @@ class Forward:
             share=float(trial.shares[place]),
             share_sd=sd,
             p_robust=trial.p_value,
-            p_runs=trial.p_value,
+            p_runs=trial.p_value if int(self.squares.run.max()) else np.nan,  # parts of one run are no runs
             passed=dict(trial.passed),
         )
 

@@ -17,6 +17,7 @@ from missionsim.diagnose.improve import improve
 from missionsim.diagnose.sentences import sure
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.subject import Subject
+from missionsim.diagnose.waterfall import measured_note
 from missionsim.effects.library import get_effect
 from missionsim.effects.model import ModelParameter, Term, TermKey
 from missionsim.fit.final import final_fit
@@ -265,6 +266,33 @@ def test_a_base_that_its_logs_refute_leaves_nothing_of_its_energy_to_an_effect()
     assert "the base of the robot file is far from right" in done.first.unexplained.shape
     base = robot_from_text(done.text).motion.parameters
     assert base["c3"].value == pytest.approx(2.0 * 9.79, rel=0.15)
+
+
+def test_held_out_runs_without_the_column_of_what_was_added_do_not_test_it() -> None:
+    logs = [with_payload(drive(seed, seconds=240.0), 2.0 * (seed % 2)) for seed in range(6)]
+    blind = replace(logs[4], columns={n: x for n, x in logs[4].columns.items() if n != "payload_kg"})
+    for held, tested in (((logs[5], blind), True), ((blind,), False)):
+        split = Split(tuple(logs[:4]), held, "the last")
+        done = improve(robot_text("pioneer3dx"), split, BATTERY, Settings(), lambda *_: True)
+        assert done.added == ("payload",)
+        assert done.untested == {blind.run: ["payload_kg"]}
+        assert done.heldout is tested
+        assert done.worse == ""
+        assert "no payload_kg; not tested on it" in measured_note(done)
+        assert "the fitted runs do not show" not in done.stopped
+
+
+def test_one_run_repeats_nothing() -> None:
+    log = drive(1, seconds=400.0)
+    speed = log.columns["speed_m_s"]
+    power = log.power_w[BATTERY] + 300.0 * speed * np.gradient(speed, log.time_s)
+    log = replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power})
+    made = calibrate_new(NewRobot("own", BASE, mass="25 kg"), [log])
+    subject = Subject.of(robot_from_text(made.text))
+    named = diagnose_battery(subject, Split((log,), (), ""), BATTERY, None, Settings(), laws=False)
+    assert [effect.effect for effect in named.effects] == ["acceleration"]
+    assert "repeated" not in named.effects[0].level
+    assert "each run" not in sure(named)
 
 
 def test_the_base_alone_is_fitted_anew_where_held_out_runs_are_predicted_better_so() -> None:
