@@ -93,7 +93,7 @@ def check_clock(rows: Rows, power: dict[str, Array]) -> None:
             continue
         gain = found.correlation**2 - found.correlation_at_zero**2
         smoother = found.correlation_smoothed**2 - found.correlation**2
-        if found.smoothing_s >= max(1.0, 2.0 * found.resolution_s) and smoother > _SMOOTHED and found.correlation > 0.4:
+        if found.smoothing_s >= max(1.0, 2.0 * found.resolution_s) and smoother > _SMOOTHED:
             told = f"power follows the motion as if it were smoothed over about {found.smoothing_s:g} s "
             told += f"(correlation {found.correlation_smoothed:.2f}, {found.correlation:.2f} without)"
             action = "left as it is; short effects such as starts cannot be seen in it: log the meter's raw values"
@@ -106,8 +106,8 @@ def check_clock(rows: Rows, power: dict[str, Array]) -> None:
             rows.remark("clock", f"power_{battery}_w", told, action, "note")
 
 
-_CLEAR, _GAIN, _SMOOTHED = 0.5, 0.08, 0.08
-"""Least correlation, and least further share of the variance that a shift or a smoothing has to explain to be told.
+_CLEAR, _FOLLOWS, _GAIN, _SMOOTHED = 0.5, 0.4, 0.08, 0.08
+"""Least correlation to tell a shift, and to look for a smoothing; least further share of the variance each explains.
 Chosen on the measured logs of a car, two robots and a simulated one: no shift is told where the clocks agree."""
 
 
@@ -124,7 +124,7 @@ class ClockEstimate:
     """Step of the log that limits the estimate [s]."""
     smoothing_s: float = 0.0
     """Time constant of a first-order low pass of the motion that explains power better than any delay; 0 where none
-    does [s]."""
+    does [s], or where power hardly follows the motion."""
     correlation_smoothed: float = 0.0
     """At that time constant."""
 
@@ -162,19 +162,14 @@ def clock_delay(
     best = float(explained[top])
     if best <= 0.2:
         return None
-    smooth = [
-        _explained(power, np.diff(metered(causes, grid, Meter(-0.5 * step, tau)), axis=1), 0) for tau in _SMOOTHINGS_S
-    ]
-    values = [0.0 if one is None else float(one[0]) for one in smooth]
-    at = int(np.argmax(values))
-    better = values[at] > best
+    smoothed = 0.0, 0.0
+    for tau in _SMOOTHINGS_S if best > _FOLLOWS else ():
+        shown = metered(causes, grid, Meter(-0.5 * step, tau))
+        if (one := _explained(power, np.diff(shown, axis=1), 0)) is not None and one[0] > smoothed[1]:
+            smoothed = tau, float(one[0])
+    smoothing_s, correlation = smoothed if smoothed[1] > best else (0.0, smoothed[1])
     return ClockEstimate(
-        float((lags[top] + offset) * step),
-        best,
-        float(explained[most]),
-        step,
-        _SMOOTHINGS_S[at] if better else 0.0,
-        values[at],
+        float((lags[top] + offset) * step), best, float(explained[most]), step, smoothing_s, correlation
     )
 
 
