@@ -12,6 +12,7 @@ def main() -> None:
     # our matrices are small: threads of the linear algebra cost more than they give, and sums repeat to the last bit
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # none is wanted, and to look for one takes long
 
     # what start-up makes lives until the end: looking through it for garbage again and again costs a tenth of it
     gc.set_threshold(50_000, 20, 20)
