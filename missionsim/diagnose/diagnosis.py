@@ -192,7 +192,7 @@ def examine(subject: Subject, split: Split, battery: str, settings: Settings, cl
         )
     try:
         found = identify(features.runs, features.candidates, features.prior_sd, settings)
-        if found.choice.forward is not None and min(features.prior_sd.values(), default=np.inf) < LEAST_FREE_SD:
+        if found.base_doubtful(settings) and min(features.prior_sd.values(), default=np.inf) < LEAST_FREE_SD:
             free = priors_of(subject.unknown(), features, split.train)
             other = identify(features.runs, features.candidates, free, settings)
             if refutes(other, found):  # held near the file, the base would leave its part to the effects
@@ -287,7 +287,8 @@ def diagnose_battery(
         made = as_law(first)
         effects = with_law(models, made.effect, made.effect).needed_beside(made, effects)
     effects = models.of_all_braking(effects)
-    effects, fitted = models.certain(effects)
+    # a base that is known from these logs alone may take all of an effect
+    effects, fitted = models.certain(effects, spared=0 if features.given_sd else 1)
     kept = {effect.effect for effect in effects}
     candidates = tuple(
         c if c.effect in kept or not c.accepted else replace(c, accepted=False, open=True, reason=NOTHING_LEFT)

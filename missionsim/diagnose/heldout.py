@@ -124,12 +124,13 @@ class Models:
         ]
         return float(np.average([e.power_rmse_w**2 for e in errors], weights=[e.total.seconds for e in errors]))
 
-    def certain(self, effects: Sequence[Finding]) -> tuple[tuple[Finding, ...], FinalFit]:
-        """The effects with the coefficients of the last fit, and that fit; what came to nothing in it goes again."""
+    def certain(self, effects: Sequence[Finding], spared: int = 1) -> tuple[tuple[Finding, ...], FinalFit]:
+        """The effects with the coefficients of the last fit, and that fit; what came to nothing in it goes again, but
+        for the first `spared`."""
         while True:
             fitted = self.fit(effects)
             told = self.told(effects, fitted)
-            nothing = [one for one in told[1:] if one.share_low <= 0.0 <= one.share_high and not self.lowers(one)]
+            nothing = [one for one in told[spared:] if one.share_low <= 0.0 <= one.share_high and not self.lowers(one)]
             if not nothing:
                 return told, fitted
             least = min(nothing, key=lambda one: abs(one.energy_share)).effect

@@ -210,7 +210,7 @@ def _bounds(model: PowerModel, battery: str) -> tuple[dict[str, float], dict[str
                     low[short], 0.0
                 )  # what is drawn at rest or by a component may be unknown, not negative
             free = not term.base and term.effect.sign == 0
-            if free or (parameter.value < 0.0 and low[short] >= 0.0):
+            if free or (term.base and parameter.value < 0.0 and low[short] >= 0.0):
                 low[short] = -np.inf
     return low, high
 

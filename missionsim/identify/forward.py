@@ -79,11 +79,6 @@ class Forward:
     rivals: dict[int, tuple[int, ...]]
     """Effect number -> effects that left-out runs do not tell from it."""
 
-    @property
-    def error_w2(self) -> float:
-        """Mean squared error of the left-out folds [W2]."""
-        return self.squares.leave_out(self.chosen).total / float(self.squares.seconds.sum())
-
     def evidence(self, column: int) -> Evidence:
         """What speaks for a column, in the words of the gates."""
         trial = next(t for t in self.trials.values() if column in t.columns)

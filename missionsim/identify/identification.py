@@ -16,6 +16,7 @@ from missionsim.identify.findings import Finding, Findings, Judged, Recalibrated
 from missionsim.identify.forward import Choice
 from missionsim.identify.gram import Constraints
 from missionsim.identify.model import Model
+from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import dependences, low_frequency_noise, periodic, runs_apart, wrong_form
 from missionsim.identify.rules import GATES, Question, Remains, demoted, refusal
@@ -41,6 +42,17 @@ class Identification(Findings):
     """The one factor on the whole model that took the place of all effects."""
     averages: tuple[Structure, ...] = ()
     """A level by which all runs differ."""
+
+    @property
+    def error_w2(self) -> float:
+        """Mean squared error of left-out runs under least squares [W2]."""
+        squares = LeastSquares.of(self.choice.model.design)
+        return squares.leave_out(self.choice.model.chosen).total / float(squares.seconds.sum())
+
+    def base_doubtful(self, settings: Settings) -> bool:
+        """Whether the base is far from right, or further off than what is known of it allows."""
+        beyond = (abs(one.shift_in_prior_sd) > settings.recalibration_limit for one in self.recalibration)
+        return self.choice.forward is not None or any(beyond)
 
 
 def identify(
@@ -87,13 +99,11 @@ def fit_effects(
 
 def refutes(free: Identification, held: Identification) -> bool:
     """Whether left-out runs refute what the file says of its base: far better predicted without it, or as well without
-    an effect that is a base parameter's twin."""
-    near, far = free.choice.forward, held.choice.forward
-    if near is None or far is None:
-        return near is None
-    chosen = {held.choice.model.source.layout.columns[k].candidate for k in far.chosen}
-    part = 1.0 if any(held.library[number].prior is not None for number in chosen) else HALVED
-    return near.error_w2 < part * far.error_w2
+    an effect that is a base parameter's twin where that base is far from right."""
+    chosen = {held.choice.model.source.layout.columns[k].candidate for k in held.choice.model.chosen}
+    far = held.choice.forward is not None
+    twin = far and any(held.library[number].prior is not None for number in chosen)
+    return free.error_w2 < (1.0 if twin else HALVED) * held.error_w2
 
 
 def _told(
