@@ -103,6 +103,8 @@ def refutes(free: Identification, held: Identification) -> bool:
     chosen = {held.choice.model.source.layout.columns[k].candidate for k in held.choice.model.chosen}
     far = held.choice.forward is not None
     twin = far and any(held.library[number].prior is not None for number in chosen)
+    if not free.effects and (held.factor is not None or held.averages):
+        return False  # one factor on all says as much
     return free.error_w2 < (1.0 if twin else HALVED) * held.error_w2
 
 

@@ -187,7 +187,8 @@ def _faint_beside_loose(q: Question, remains: Remains) -> bool:
     # a line has no size of its own; low-frequency noise has
     size = max(s.size_share for s in remains.loose)
     # what is constant in runs does not come and go within them
-    within = not between_runs(q.model, q.evidence.column)
+    column = q.evidence.column
+    within = not (between_runs(q.model, column) or cause_is_constant(q.model, column, q.candidates))
     # told with a load whose switch is stuck, it is a question, and the answer to what comes and goes may be that load
     if _candidate(q).may_be(abs(q.evidence.share) * q.model.design.layout.mean_power_w):
         return False

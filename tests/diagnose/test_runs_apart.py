@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from missionsim.diagnose import Subject
+from missionsim.diagnose import diagnose as diagnose_runs
+from missionsim.inputs.loading import load_robot
 from missionsim.interface import diagnose
+from missionsim.labels import Labels
+from missionsim.logs import LogTable
+
+from .logs import drive
 
 ROBOT = """kind: robot
 name: own
@@ -55,3 +64,40 @@ def test_meters_that_differ_are_no_missing_effect(
     told = " ".join(found.remarks)
     assert ("in all that they draw, at rest too" in told) == (motion_sd == 0.0)
     assert ("what the same motion costs" in found.unexplained.shape) == (motion_sd > 0.0)
+
+
+FLOORS = ("tile", "carpet", "snow", "ice", "grass")
+
+
+def on_floors(newtons: Sequence[float], seed: int, gain: float = 0.0) -> list[LogTable]:
+    """Nine drives, each on one floor: a force of the floor, or a random part more of all that is drawn in motion."""
+    rng = np.random.default_rng(seed)
+    logs = []
+    for i in range(9):
+        log = drive(100 * seed + i, seconds=200.0)
+        speed = log.columns["speed_m_s"]
+        more = newtons[i % 5] * speed + gain * rng.normal() * (log.power_w["robot"] - 5.0) * (speed > 0.0)
+        power = log.power_w["robot"] + more
+        columns = {**log.columns, "surface": Labels.of([FLOORS[i % 5]] * log.rows), "power_robot_w": power}
+        logs.append(replace(log, columns=columns, power_w={"robot": power}))
+    return logs
+
+
+def test_every_floor_has_its_level_where_the_floors_explain_how_the_runs_differ() -> None:
+    newtons = (0.5, 2.0, 6.0, 0.0, 3.5)
+    found = diagnose_runs(Subject.of(load_robot("pioneer3dx")), on_floors(newtons, 1), holdout="none").batteries[
+        "robot"
+    ]
+    (floor,) = found.effects
+    assert floor.effect == "surface_rolling_resistance"
+    assert floor.indistinguishable_from == ()
+    for name, force in zip(FLOORS, newtons, strict=True):
+        if force > 1.0:
+            assert floor.parameters[f"k_{name}"].value == pytest.approx(force, abs=0.8)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_runs_that_differ_by_chance_do_not_differ_by_floor(seed: int) -> None:
+    logs = on_floors((0.0,) * 5, seed, gain=0.06)
+    found = diagnose_runs(Subject.of(load_robot("pioneer3dx")), logs, holdout="none").batteries["robot"]
+    assert not any(effect.effect.startswith("surface") for effect in found.effects)

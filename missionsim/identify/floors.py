@@ -1,0 +1,78 @@
+"""Levels of a label that is constant in every run, such as the floor: all at once, with the runs as the sample.
+
+One level at a time has to lead the differences between all other runs, which a random effect of the run takes as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from missionsim.identify.data import Candidate
+from missionsim.identify.evidence import cause_is_constant, evidence_of
+from missionsim.identify.forward import Choice
+from missionsim.identify.gram import Constraints
+from missionsim.identify.model import fit_model
+from missionsim.identify.rules import GATES, weigh
+from missionsim.identify.settings import Settings
+from missionsim.physics import Array
+
+
+def with_levels(
+    choice: Choice, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings
+) -> Choice:
+    """The choice with every level of a label by which the runs differ, and without effects that its first levels, or
+    what stood in for them, had let in."""
+    for number in dict.fromkeys(int(constraints.effect[k]) for k in np.flatnonzero(constraints.joint)):
+        own = [int(k) for k in np.flatnonzero(constraints.effect == number)]
+        model = choice.model
+        rest = tuple(k for k in model.chosen if k not in own)
+        p_value = _between(choice, own, rest) if cause_is_constant(model, own[0], candidates) else 1.0
+        if not p_value < settings.alpha or set(own) <= set(model.chosen):
+            continue
+        while own:
+            model = fit_model(model.source, (*rest, *own), model, thorough=False)
+            shares = model.gram.coefficients(model.chosen)[0]
+            # the floor that costs least is the one that the base was fitted on
+            least = int(np.argmin(shares[len(rest) :]))
+            if shares[len(rest) + least] > 0.0:
+                break
+            own.pop(least)
+        evidence = {}
+        for k in own:
+            seen = evidence_of(model, k, constraints, settings)
+            passed = dict.fromkeys((gate.name for gate in GATES), True)
+            evidence[k] = replace(seen, p_robust=p_value, p_runs=p_value, passed=passed)
+        evidence |= {k: weigh(model, k, constraints, candidates, settings) for k in rest}
+        failed = [k for k in rest if not evidence[k].accepted]
+        if failed:
+            model = fit_model(model.source, tuple(k for k in model.chosen if k not in failed), model, thorough=False)
+        refused = {**choice.refused, **{k: evidence.pop(k) for k in failed}}
+        choice = replace(choice, model=model, evidence=evidence, refused=refused)
+    return choice
+
+
+def _between(choice: Choice, own: Sequence[int], rest: Sequence[int]) -> float:
+    """F test, runs being the sample: p-value of the differences between levels against those between their runs."""
+    from scipy.special import fdtrc
+
+    model = choice.model
+    design = model.design
+    values = model.gram.coefficients(rest)[0]
+    left = design.residual - values @ design.phi[list(rest)] if rest else design.residual
+    levels = np.array([int(np.argmax([np.abs(design.phi[k, rows]).sum() for k in own])) for rows in design.runs])
+    # what each run alone would have its level draw
+    wants = np.array([_size(left[rows], design.phi[own[i], rows]) for rows, i in zip(design.runs, levels, strict=True)])
+    groups = [wants[levels == i] for i in np.unique(levels)]
+    within, freedom = sum(float(np.sum((g - g.mean()) ** 2)) for g in groups), len(wants) - len(groups)
+    between = sum(len(g) * float(g.mean() - wants.mean()) ** 2 for g in groups)
+    if len(groups) < 2 or freedom < 1:
+        return 1.0
+    return float(fdtrc(len(groups) - 1, freedom, between / (len(groups) - 1) / max(within / freedom, 1e-300)))
+
+
+def _size(left: Array, column: Array) -> float:
+    x = column - column.mean()
+    return float(x @ left) / max(float(x @ x), 1e-300)
