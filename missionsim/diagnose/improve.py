@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from pathlib import Path
@@ -137,7 +138,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     first = last = diagnose_battery(start, split, battery, None, settings, seen=seen)
     given = text
 
-    nothing: set[str] = set()
+    nothing = Counter[str]()
 
     def together(effects: list[Finding], surest: int = 0) -> tuple[list[Finding], FinalFit]:
         """Effects and base fitted together, from the file as it was given, so that no round moves one on from where
@@ -159,7 +160,8 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     taken: list[Finding] = []
     declined: list[str] = []
     for _ in range(MOST_ROUNDS):
-        known = {*nothing, *(effect.effect for effect in taken)}
+        # what came to nothing beside some may be something beside others
+        known = {*(name for name, times in nothing.items() if times > 1), *(effect.effect for effect in taken)}
         new = []
         for effect in last.effects:
             if effect.indistinguishable_from or effect.effect in (*declined, *known):
@@ -191,7 +193,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         # its size was found beside everything that is seen: without what these data cannot tell, it may be another
         unsure = any(effect.indistinguishable_from for effect in last.effects)
         if k.low <= 0.0 <= k.high or (unsure and max(k.low, law.first.low) > min(k.high, law.first.high)):
-            nothing.add(law.first.formula)
+            nothing[law.first.formula] += 1
             models = before
             continue
         given, taken = changed, found

@@ -14,9 +14,9 @@ from missionsim.identify.data import Candidate
 from missionsim.identify.evidence import cause_is_constant, evidence_of
 from missionsim.identify.forward import Choice
 from missionsim.identify.gram import Constraints
-from missionsim.identify.model import fit_model
+from missionsim.identify.model import fit_model, log_likelihood
 from missionsim.identify.rules import GATES, weigh
-from missionsim.identify.settings import Settings
+from missionsim.identify.settings import HALVED, Settings
 from missionsim.physics import Array
 
 
@@ -32,14 +32,23 @@ def with_levels(
         p_value = _between(choice, own, rest) if cause_is_constant(model, own[0], candidates) else 1.0
         if not p_value < settings.alpha or set(own) <= set(model.chosen):
             continue
-        while own:
-            model = fit_model(model.source, (*rest, *own), model, thorough=False)
-            shares = model.gram.coefficients(model.chosen)[0]
-            # the floor that costs least is the one that the base was fitted on
-            least = int(np.argmin(shares[len(rest) :]))
-            if shares[len(rest) + least] > 0.0:
+        # a noise that had taken the floors for runs that differ may keep them
+        fits = [fit_model(model.source, (*rest, *own), start, thorough=start is None) for start in (model, None)]
+        model = max(fits, key=log_likelihood)
+        if model.noise.motion_gain > HALVED * choice.model.noise.motion_gain:
+            continue  # runs differ as before: something else differs with the floors
+        common = 0.5 * settings.recalibration_limit**2
+        while len(own) > 1:
+            shares = model.gram.coefficients(model.chosen)[0][len(rest) :]
+            # the floor that costs least is that of the base, where recalibration takes what all floors have in common
+            least = own[int(np.argmin(shares))]
+            others = tuple(k for k in model.chosen if k != least)
+            if shares.min() > 0.0 and model.gram.gain(model.chosen) - model.gram.gain(others) > common:
                 break
-            own.pop(least)
+            own.remove(least)
+            model = fit_model(model.source, others, model, thorough=False)
+            if shares.min() > 0.0:
+                break
         evidence = {}
         for k in own:
             seen = evidence_of(model, k, constraints, settings)
