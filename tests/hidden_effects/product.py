@@ -29,6 +29,20 @@ def diagnose(train: Path, heldout: Path, robot: str, mission: Path | None = None
     return outcome(report, time.perf_counter() - start), report
 
 
+def improved(train: Path, heldout: Path, robot: str) -> tuple[float, float]:
+    """Mean energy error of the held-out runs [%] and their power error [W] after everything that `improve` adds."""
+    from missionsim.diagnose.improve import improve
+    from missionsim.diagnose.split import choose_split
+    from missionsim.identify.settings import Settings
+    from missionsim.inputs.edit import robot_text
+    from missionsim.logs import read_logs
+
+    split = choose_split(read_logs([train]), [heldout])
+    done = improve(robot_text(robot_argument(robot)), split, "robot", Settings(), lambda finding, diagnosis: True)
+    last = done.steps[-2]
+    return last.energy_error_pct, last.power_rmse_w
+
+
 def outcome(report: dict[str, Any], seconds: float) -> Outcome:
     """The contract's diagnosis JSON as an outcome (battery ``robot``)."""
     battery = report["batteries"]["robot"]
@@ -44,8 +58,6 @@ def outcome(report: dict[str, Any], seconds: float) -> Outcome:
     energy = (held.get("energy_error_pct") or {}).get("with_effects", float("nan"))
     rmse = (held.get("power_rmse_w") or {}).get("with_effects", float("nan"))
     law = (battery["proposed_laws"] or [{}])[0]
-    if law.get("heldout_rmse_w") and law.get("heldout_energy_error_pct"):  # what `improve` adds next
-        energy, rmse = (law[key]["after"] for key in ("heldout_energy_error_pct", "heldout_rmse_w"))
     return Outcome(
         NAME,
         tuple(names),

@@ -83,6 +83,8 @@ def _product_row(task: Task, folder: Path, robot: str, answer: dict[str, Any], w
     try:
         outcome, report = product.diagnose(folder / "train", folder / "heldout", robot, given)
         row = judge(task.case, task.seed, answer, outcome)
+        if answer.get("outside"):  # laws come one after the other, and effects between them
+            row["energy_error_pct"], row["rmse_w"] = product.improved(folder / "train", folder / "heldout", robot)
         if world is not None and row["honest"] is not None and len(outcome.names) > 0:
             row |= _experiment(task, world, folder, robot, answer, report)
     except Exception as error:  # the study goes on, and the table shows the failure
