@@ -76,6 +76,11 @@ class Models:
             kept += [term.name_of(name) for term in terms for name in term.parameters]
         return final_fit(model, runs, self.battery, priors, self.clock, self.settings, fixed=kept, keep_base=keep_base)
 
+    def unheld(self) -> Models:
+        """The same with a base that takes what it can, where something is seen that these data cannot name."""
+        free = dict.fromkeys(self.features.prior_sd, FREE_SD)
+        return replace(self, features=replace(self.features, prior_sd=free), _fits={})
+
     def lowers(self, effect: Finding) -> str:
         """The base parameter that an effect takes something off, so that there is no effect to add; else empty."""
         twin = next((c.prior for c in self.features.candidates if c.effect == effect.effect), None)
@@ -99,7 +104,7 @@ class Models:
         relief = Estimate(1.0, 1.0, 1.0, "1")
         new = [replace(e, parameters={**e.parameters, "relief": relief}) if e in back else e for e in effects]
         cold = [effect for effect in new if effect.effect != "copper_loss"]
-        errors = [self._of_other_half(some) for some in (effects, new, cold)]
+        errors = [self.of_other_half(some) for some in (effects, new, cold)]
         if min(errors[1:]) > errors[0]:
             return tuple(effects)
         return tuple(cold if errors[2] <= errors[1] * (1.0 + CLEARLY) else new)
@@ -107,15 +112,15 @@ class Models:
     def needed_beside(self, law: Finding, effects: Sequence[Finding]) -> tuple[Finding, ...]:
         """The effects without which left-out runs are predicted clearly worse, a law being there as well."""
         kept = list(effects)
-        error = self._of_other_half([*kept, law])
+        error = self.of_other_half([*kept, law])
         for effect in effects:
             rest = [one for one in kept if one is not effect]
-            without = self._of_other_half([*rest, law])
+            without = self.of_other_half([*rest, law])
             if without <= error * (1.0 + CLEARLY):
                 kept, error = rest, without
         return tuple(kept)
 
-    def _of_other_half(self, effects: Sequence[Finding]) -> float:
+    def of_other_half(self, effects: Sequence[Finding]) -> float:
         """Mean square error of half of the runs, predicted from a fit to the other; of one run, of its fit [W2]."""
         halves = [self.runs[::2], self.runs[1::2]] if len(self.runs) > 1 else [self.runs]
         other = halves[::-1]

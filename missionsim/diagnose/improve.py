@@ -11,13 +11,14 @@ from typing import Any
 
 from missionsim.diagnose.adopt import write
 from missionsim.diagnose.diagnosis import diagnose_battery, examine
+from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.sentences import base_note
 from missionsim.diagnose.split import Split, lacking
 from missionsim.diagnose.subject import NO_PRIOR_SD, Subject, prior_before
 from missionsim.diagnose.waterfall import best_before, clearly_better, noise_floor, unseen_note, worse_note
 from missionsim.files import Json
-from missionsim.fit.final import FinalFit
+from missionsim.fit.final import CLEARLY, FinalFit
 from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.settings import Settings
 
@@ -88,7 +89,7 @@ class Improved:
         `options`: of the command that this came of, such as ``--holdout later``. Both empty where nothing is better;
         the command alone where the file as it was given is.
         """
-        before, recalibrated = self.steps[:2]
+        before, recalibrated = self.steps[0], self.steps[-2 if self.base_alone else 1]
         far = not self.added and clearly_better(recalibrated, before)
         if not (self.worse or far):
             return "", ""
@@ -140,11 +141,18 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
 
     nothing = Counter[str]()
 
+    def believed() -> Models:
+        """What is seen and cannot be named is not added; the base has to take its part, not what is added."""
+        unsure = any(effect.indistinguishable_from for effect in last.effects)
+        free = models.unheld() if unsure else models
+        better = free.of_other_half(()) < (1.0 - CLEARLY) * models.of_other_half(()) if unsure else False
+        return free if better else models
+
     def together(effects: list[Finding], surest: int = 0) -> tuple[list[Finding], FinalFit]:
         """Effects and base fitted together, from the file as it was given, so that no round moves one on from where
         another left it. What comes to nothing beside the others goes, but never the surest."""
         names = [effect.effect for effect in effects]
-        told, fitted = models.certain([effects[surest], *effects[:surest], *effects[surest + 1 :]])
+        told, fitted = believed().certain([effects[surest], *effects[:surest], *effects[surest + 1 :]])
         nothing.update({*names} - {effect.effect for effect in told})
         return sorted(told, key=lambda effect: names.index(effect.effect)), fitted
 
@@ -204,6 +212,9 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     untested = lacking(heldout, added, start.model.batteries, models.runs)
     heldout = [log for log in heldout if log.run not in untested]
     powers = {"before": start.model, "recalibrated": models.fit(()).model}
+    last_models = believed()
+    if heldout and not taken and last_models is not models:
+        powers["base without priors"] = last_models.fit(()).model
     # as add-effect writes one of several: its size as it was found beside the others, the base fitted again
     powers |= {f"+ {e.effect}": models.fit(taken[: i + 1], fixed=True).model for i, e in enumerate(taken[:-1])}
     if taken:
@@ -214,9 +225,9 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     floor_pct, floor_w = noise_floor(last)
     # where much is unexplained the noise holds a part of it, and a model that errs by less shows that
     steps.append(Step("noise floor", floor_pct, min(floor_w, steps[-1].power_rmse_w)))
-    base_alone = bool(heldout) and not taken and clearly_better(steps[1], steps[0])
+    base_alone = bool(heldout) and not taken and clearly_better(steps[-2], steps[0])
     if base_alone:
-        text, _ = write(given, robot_from_text(given), models, (), models.fit(()), split)
+        text, _ = write(given, robot_from_text(given), models, (), last_models.fit(()), split)
     return Improved(
         battery,
         text,

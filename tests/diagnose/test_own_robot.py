@@ -268,6 +268,29 @@ def test_a_base_that_its_logs_refute_leaves_nothing_of_its_energy_to_an_effect()
     assert base["c3"].value == pytest.approx(2.0 * 9.79, rel=0.15)
 
 
+def test_what_cannot_be_named_is_left_to_a_free_base(monkeypatch: pytest.MonkeyPatch) -> None:
+    logs = []
+    for seed in range(5):
+        log = drive(seed, seconds=240.0)
+        power = log.power_w[BATTERY] + 20.0 * log.columns["speed_m_s"] ** 3
+        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
+    split = Split(tuple(logs[:4]), (logs[4],), "the last")
+
+    def unsure(*args: Any, **named: Any) -> BatteryDiagnosis:
+        """As if what is named could not be told from something else."""
+        found = diagnose_battery(*args, **named)
+        effects = tuple(replace(e, indistinguishable_from=("viscous_friction",)) for e in found.effects)
+        return replace(found, effects=effects, proposed_laws=())
+
+    monkeypatch.setattr("missionsim.diagnose.improve.diagnose_battery", unsure)
+    done = improve(robot_text("pioneer3dx"), split, BATTERY, Settings(), lambda *_: True)
+    assert done.added == ()
+    steps = {step.name: step.power_rmse_w for step in done.steps}
+    assert steps["base without priors"] < 0.7 * steps["recalibrated"]
+    assert done.base_alone
+    assert robot_from_text(done.text).motion.parameters["c2"].value > 1.5 * 6.25
+
+
 def test_held_out_runs_without_the_column_of_what_was_added_do_not_test_it() -> None:
     logs = [with_payload(drive(seed, seconds=240.0), 2.0 * (seed % 2)) for seed in range(6)]
     blind = replace(logs[4], columns={n: x for n, x in logs[4].columns.items() if n != "payload_kg"})
