@@ -61,6 +61,10 @@ def _next_step(
     for trial in trials:
         fitted = fit_model(source, trial, model, thorough=False)
         weighed = {c: weigh(fitted, c, constraints, candidates, settings) for c in trial}
+        if {gate for e in weighed.values() for gate, passed in e.passed.items() if not passed} == {"practical"}:
+            # at the clock and noise of the model without it, most of it may have been taken for either
+            fitted = fit_model(source, trial)
+            weighed = {c: weigh(fitted, c, constraints, candidates, settings) for c in trial}
         if all(e.accepted for e in weighed.values()):
             options.append((log_likelihood(fitted) - before, Choice(fitted, found.empty, weighed)))
         else:
