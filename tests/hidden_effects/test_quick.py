@@ -59,6 +59,10 @@ def test_a_known_load_that_draws_more_is_not_called_its_warming_up():
     assert row("component_power-kinect-2pct", 0)["named"] == "component_power:kinect"
 
 
+def test_surges_that_the_clock_without_them_had_smeared_are_named():
+    assert row("start_surge-2pct", 1)["named"] == "start_surge"
+
+
 @pytest.mark.study
 def test_two_effects_are_both_named():
     result = row("two-turning_scrub-surface_rolling_resistance")
