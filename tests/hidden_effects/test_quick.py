@@ -60,7 +60,7 @@ def test_a_known_load_that_draws_more_is_not_called_its_warming_up():
 
 
 def test_surges_that_the_clock_without_them_had_smeared_are_named():
-    assert row("start_surge-2pct", 1)["named"] == "start_surge"
+    assert row("start_surge-2pct", 1010)["named"] == "start_surge"
 
 
 @pytest.mark.study
