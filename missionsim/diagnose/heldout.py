@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -76,6 +77,7 @@ class Models:
             kept += [term.name_of(name) for term in terms for name in term.parameters]
         return final_fit(model, runs, self.battery, priors, self.clock, self.settings, fixed=kept, keep_base=keep_base)
 
+    @cached_property
     def unheld(self) -> Models:
         """The same with a base that takes what it can, where something is seen that these data cannot name."""
         free = dict.fromkeys(self.features.prior_sd, FREE_SD)

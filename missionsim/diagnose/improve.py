@@ -144,9 +144,8 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     def believed() -> Models:
         """What is seen and cannot be named is not added; the base has to take its part, not what is added."""
         unsure = any(effect.indistinguishable_from for effect in last.effects)
-        free = models.unheld() if unsure else models
-        better = free.of_other_half(()) < (1.0 - CLEARLY) * models.of_other_half(()) if unsure else False
-        return free if better else models
+        better = unsure and models.unheld.of_other_half(()) < (1.0 - CLEARLY) * models.of_other_half(())
+        return models.unheld if better else models
 
     def together(effects: list[Finding], surest: int = 0) -> tuple[list[Finding], FinalFit]:
         """Effects and base fitted together, from the file as it was given, so that no round moves one on from where

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -88,7 +88,7 @@ class _Builder:
                 self.add(one, [form(v, n) for v in x])
             else:  # most of these are never looked at
                 self.factors.append(replace(one, fine=True))
-                self.values.append(partial(_family, form, x, n))
+                self.values.append(cache(partial(_family, form, x, n)))
 
     def quantiles(self, values: Sequence[Array], *parts: float) -> list[float]:
         every = np.concatenate([v[v > 0.0] for v in values])

@@ -58,18 +58,9 @@ class Grammar:
 
     def products(self, forms: Sequence[Sequence[int]]) -> list[Array]:
         """Power of forms for a coefficient of 1 in each run at its raw rate, arrays (forms, rows)."""
-        factors = [[self._values(i) for i in form] for form in forms]
+        factors = [[self.values[i]() for i in form] for form in forms]
         runs = range(len(factors[0][0]))
         return [np.array([np.prod([rows[j] for rows in form], axis=0) for form in factors]) for j in runs]
-
-    def _values(self, index: int) -> Sequence[Array]:
-        if index not in self._made:
-            self._made[index] = self.values[index]()
-        return self._made[index]
-
-    @cached_property
-    def _made(self) -> dict[int, Sequence[Array]]:
-        return {}
 
     def forms(self, memory: bool = False) -> list[NDArray[np.intp]]:
         """Every product by its number of factors: arrays of shape (forms, 1), (forms, 2), (forms, 3).

@@ -7,7 +7,6 @@ evaluated at the raw rate and averaged like every other column.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -332,15 +331,11 @@ class Search:
 
     def _unlike(self, ranked: Sequence[tuple[int, ...]]) -> list[tuple[int, ...]]:
         """The best forms that differ in more than a threshold or a time constant."""
-        shapes = Counter[tuple[Any, ...]]()
-        kept = []
+        first: dict[tuple[Any, ...], tuple[int, ...]] = {}
         for form in ranked:
             factors = [self.grammar.factors[i] for i in form]
-            shape = tuple((f.kind, *f.numbers[1:]) if f.kind else (f.text,) for f in factors)
-            shapes[shape] += 1
-            if shapes[shape] == 1:
-                kept.append(form)
-        return kept[:BENT]
+            first.setdefault(tuple((f.kind, *f.numbers[1:]) if f.kind else (f.text,) for f in factors), form)
+        return list(first.values())[:BENT]
 
     def _exactly(self, top: Fitted, some: Sequence[tuple[int, ...]]) -> list[Scored]:
         forms = list(dict.fromkeys([top.form, *some]))
