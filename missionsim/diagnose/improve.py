@@ -20,7 +20,7 @@ from missionsim.diagnose.waterfall import best_before, clearly_better, noise_flo
 from missionsim.files import Json
 from missionsim.fit.final import CLEARLY, FinalFit
 from missionsim.identify.findings import BatteryDiagnosis, Finding
-from missionsim.identify.settings import Settings
+from missionsim.identify.settings import CLOCK_SD_S2, Settings
 
 MOST_ROUNDS = 8
 MOST_LAWS = 4
@@ -163,10 +163,22 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         again = Subject.of(made, priors={**_fitted_priors(made, battery), **priors})
         return new, diagnose_battery(again, split, battery, None, settings, clock=models.clock)
 
+    def clocked() -> Models | None:
+        """Where what was added lets the clock be seen better, and left-out runs say so: the models at that clock."""
+        new, old = last.clock, models.clock
+        if new is None or max(abs(new.delay_s - old.delay_s), abs(new.lag_s - old.lag_s)) < CLOCK_SD_S2:
+            return None
+        later = replace(models, clock=new.in_all(len(models.runs)), _fits={})
+        return later if later.of_other_half(taken) < (1.0 - CLEARLY) * models.of_other_half(taken) else None
+
     library, by_law, laws = (given, models), set[str](), 0
     taken: list[Finding] = []
     declined: list[str] = []
     for _ in range(MOST_ROUNDS):
+        if taken and (later := clocked()) is not None:
+            library, models = (library[0], replace(library[1], clock=later.clock, _fits={})), later
+            taken, fitted = together(taken)
+            text, last = settled(taken, fitted)
         # what came to nothing beside some may be something beside others
         known = {*(name for name, times in nothing.items() if times > 1), *(effect.effect for effect in taken)}
         new = []

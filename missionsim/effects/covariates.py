@@ -20,12 +20,11 @@ Covariates = Mapping[str, Any]
 """Glossary name → `Value`, or a str / `Labels` for text columns."""
 Columns = dict[str, Any]
 """The same, made for one use."""
-SMOOTHING_S = (0.5, 1.0, 1.5, 2.0)
-"""Widths over which a speed is smoothed before it is differentiated: the least that its noise allows."""
+WIDTHS_S = (0.5, 1.0, 1.5, 2.0)
+"""Widths over which a speed may be smoothed before it is differentiated [s], three rows at least."""
+BORNE_OUT = 2.0
+"""Standard deviations of their difference within which a slope bears out another."""
 _OF_WHEELS = re.compile(r"(^|_)wheels?_(.*_)?(rad_s|m_s)$")
-QUIET = 0.15
-"""Part of the robot's acceleration that noise may make up: what is beyond counts as speeding up, max(a, 0), all the
-time."""
 
 
 def is_text(value: object) -> bool:
@@ -106,47 +105,44 @@ def elapsed(active: NDArray[np.bool_], dt_s: Array, *, reset: bool) -> Array:
     return np.where(active, middle - np.maximum.accumulate(before), 0.0)
 
 
-def acceleration(speed_m_s: Array, time_s: Array, smoothing_s: float | None = None) -> Array:
-    """Rate of a noisy speed: slope of a local least-squares line over a width or three rows [m/s²]. `speed_m_s`,
-    `time_s`: shape (n,). `smoothing_s`: width; by default that of `smoothing_of`."""
+def acceleration(speed_m_s: Array, time_s: Array, noise_m_s: float | None = None) -> Array:
+    """Rate of a noisy speed [m/s²]: slope of a local least-squares line, over the longest of `WIDTHS_S` that the slopes
+    over all shorter ones bear out within the noise (intersection of confidence intervals: Goldenshluger and Nemirovski
+    1997), so that a cruise is smoothed and a jolt is not.
+
+    `speed_m_s`, `time_s`: shape (n,). `noise_m_s`: standard deviation of the speed; by default that of `speed_noise`.
+    """
     count = len(time_s)
     if count < 3:
         return np.gradient(speed_m_s, time_s) if count == 2 and time_s[1] > time_s[0] else np.zeros(count)
-    width = smoothing_of(speed_m_s, time_s) if smoothing_s is None else smoothing_s
-    step = float(np.median(np.diff(time_s)))
-    reach = max(1, round(0.5 * width / max(step, 1e-6)))
-    first = np.maximum(np.arange(count) - reach, 0)
-    last = np.minimum(np.arange(count) + reach + 1, count)
+    noise = speed_noise(speed_m_s) if noise_m_s is None else noise_m_s
+    step = max(float(np.median(np.diff(time_s))), 1e-6)
     clock = time_s - time_s[0]
     middle = float(np.mean(clock))
     sums = [
         np.concatenate([[0.0], np.cumsum(x)])
         for x in (clock - middle, speed_m_s, (clock - middle) ** 2, (clock - middle) * speed_m_s)
     ]
-    st, sv, stt, stv = (s[last] - s[first] for s in sums)
-    number = last - first
-    spread = stt - st * st / number
-    return np.asarray(np.where(spread > 0.0, (stv - st * sv / number) / np.where(spread > 0.0, spread, 1.0), 0.0))
+    slope, borne_out = np.zeros(count), np.ones(count, dtype=bool)
+    shorter: list[tuple[Array, float]] = []
+    for reach in dict.fromkeys(max(1, round(0.5 * width / step)) for width in WIDTHS_S):
+        first = np.maximum(np.arange(count) - reach, 0)
+        last = np.minimum(np.arange(count) + reach + 1, count)
+        st, sv, stt, stv = (s[last] - s[first] for s in sums)
+        number = last - first
+        spread = stt - st * st / number
+        new = np.where(spread > 0.0, (stv - st * sv / number) / np.where(spread > 0.0, spread, 1.0), 0.0)
+        rows = 2 * reach + 1
+        square = 12.0 / (rows * (rows**2 - 1.0)) * (noise / step) ** 2
+        for other, its in shorter:
+            # the longer line is the efficient one: the variance of a difference is that of variances (Hausman 1978)
+            borne_out &= np.abs(new - other) <= BORNE_OUT * np.sqrt(its - square)
+        slope = np.where(borne_out, new, slope) if shorter else new
+        shorter.append((new, square))
+    return np.asarray(slope)
 
 
-def smoothing_of(speed_m_s: Array, time_s: Array) -> float:
-    """The least of `SMOOTHING_S` over which a line leaves little of the noise of a speed in its rate [s].
-
-    The noise is that of second differences, whose median a robot's own changes of speed do not reach; its part in the
-    slope of a line over n rows is σ sqrt(12 / (n (n² − 1))) per row.
-    """
-    if len(time_s) < 50:
-        return SMOOTHING_S[0]
-    step = max(float(np.median(np.diff(time_s))), 1e-6)
-    bend = np.abs(np.diff(speed_m_s, 2))
-    noise = float(np.median(bend)) / (0.6745 * np.sqrt(6.0))
-    if not noise > 0.0:
-        return SMOOTHING_S[0]
-
-    def left(width_s: float) -> float:
-        rows = 2 * max(1, round(0.5 * width_s / step)) + 1
-        return float(noise * np.sqrt(12.0 / (rows * (rows**2 - 1.0))) / step)
-
-    seen = acceleration(speed_m_s, time_s, SMOOTHING_S[-1])
-    own = float(np.sqrt(max(float(np.mean(seen**2)) - left(SMOOTHING_S[-1]) ** 2, 0.0)))
-    return next((width for width in SMOOTHING_S if left(width) <= QUIET * own), SMOOTHING_S[-1])
+def speed_noise(speed_m_s: Array) -> float:
+    """Standard deviation of the noise of a speed [m/s], from second differences: a robot's own changes do not reach
+    their median."""
+    return float(np.median(np.abs(np.diff(speed_m_s, 2)))) / (0.6745 * np.sqrt(6.0)) if len(speed_m_s) >= 50 else 0.0

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import SMOOTHING_S, Columns, acceleration, derive, is_moving, smoothing_of
+from missionsim.effects.covariates import WIDTHS_S, Columns, acceleration, derive, is_moving, speed_noise
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.errors import InputError
 from missionsim.labels import Labels
@@ -293,7 +293,7 @@ class _Carry:
     def __init__(self, plan: Assumed) -> None:
         self._plan = plan
         self._start_s: float | None = None
-        self._smoothing_s = 0.0
+        self._noise_m_s: float | None = None
         self._clocks: dict[str, float] = {}
         self._on: dict[str, bool] = {}
         self._moving = True
@@ -305,8 +305,8 @@ class _Carry:
         columns = filled(block, self._plan.model.batteries)
         if "speed_m_s" in columns and "accel_m_s2" not in columns:
             speed = np.asarray(columns["speed_m_s"], dtype=float)
-            self._smoothing_s = self._smoothing_s or smoothing_of(speed, block.time_s)
-            columns["accel_m_s2"] = _acceleration(block, before, after, self._smoothing_s)
+            self._noise_m_s = speed_noise(speed) if self._noise_m_s is None else self._noise_m_s
+            columns["accel_m_s2"] = _acceleration(block, before, after, self._noise_m_s)
         for name, value in self._plan.assumed.items():
             columns.setdefault(name, np.full(block.time_s.shape, value))
         for name, units in self._plan.switched.items():
@@ -354,14 +354,14 @@ def _moves(cov: Mapping[str, Any], row: int) -> bool:
     return bool(is_moving({name: np.asarray(cov[name])[row] for name in motion if name in cov}))
 
 
-def _acceleration(block: Run, before: Run | None, after: Run | None, smoothing_s: float) -> Array:
-    rows = 2 * max(2, int(SMOOTHING_S[-1] / max(float(np.median(block.dt_s)), 1e-6)) + 1)
+def _acceleration(block: Run, before: Run | None, after: Run | None, noise_m_s: float) -> Array:
+    rows = 2 * max(2, int(WIDTHS_S[-1] / max(float(np.median(block.dt_s)), 1e-6)) + 1)
     tables = [(before, slice(-rows, None)), (block, slice(None)), (after, slice(0, rows))]
     parts = [(table.time_s[cut], table.columns["speed_m_s"][cut]) for table, cut in tables if table is not None]
     time_s = np.concatenate([part[0] for part in parts])
     speed_m_s = np.concatenate([np.asarray(part[1], dtype=float) for part in parts])
     skipped = 0 if before is None else len(before.time_s[-rows:])
-    return acceleration(speed_m_s, time_s, smoothing_s)[skipped : skipped + len(block.time_s)]
+    return acceleration(speed_m_s, time_s, noise_m_s)[skipped : skipped + len(block.time_s)]
 
 
 def _with_neighbours(blocks: Iterable[Run]) -> Iterator[tuple[Run, Run | None, Run | None]]:
