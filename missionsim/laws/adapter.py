@@ -130,11 +130,16 @@ class Ground:
         return replace(self, model=replace(model, clock=clock))
 
     def extended(self, watts: Array) -> Design:
-        """The design with the columns of the effects found and the law, in shares of energy; the law comes last."""
-        layout = self.design.layout
-        mean = float(np.average(np.abs(watts), weights=self.design.duration_s))
-        columns = (*(layout.columns[k] for k in self.chosen), Column(-1, 0, "law", mean))
-        phi = np.vstack([self.design.phi[list(self.chosen)], watts * (layout.mean_power_w / max(mean, 1e-300))])
+        """The design with the columns of the effects found and the law, in shares of energy; the law comes last, one
+        column or several, shape (n,) or (k, n)."""
+        layout, rows = self.design.layout, np.atleast_2d(watts)
+        means = np.average(np.abs(rows), axis=1, weights=self.design.duration_s)
+        columns = (
+            *(layout.columns[k] for k in self.chosen),
+            *(Column(-1, i, "law", float(m)) for i, m in enumerate(means)),
+        )
+        share = (layout.mean_power_w / np.maximum(means, 1e-300))[:, None]
+        phi = np.vstack([self.design.phi[list(self.chosen)], rows * share])
         return replace(self.design, layout=replace(layout, columns=columns), phi=phi)
 
 

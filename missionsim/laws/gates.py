@@ -109,8 +109,8 @@ class LeftOut:
     """Power error of each run with the law (RMS) [W]."""
 
 
-def left_out(model: Model) -> LeftOut:
-    """Each run predicted from the others, without the last column of a model and with it."""
+def left_out(model: Model, last: int = 1) -> LeftOut:
+    """Each run predicted from the others, without the last columns of a model and with them."""
     design, gram = model.design, model.gram
     count = len(design.runs)
     q = len(design.layout.parameters)
@@ -120,14 +120,14 @@ def left_out(model: Model) -> LeftOut:
         part = Gram(gram.per_run[kept], gram.prior_precision)
         seconds = design.duration_s[rows]
         measured = float(np.sum(design.y[rows] * seconds))
-        for i, chosen in enumerate((model.chosen[:-1], model.chosen)):
+        for i, chosen in enumerate((model.chosen[:-last], model.chosen)):
             value, _ = part.joint(chosen, q)
             power = value[:q] @ design.gradient[:q, rows] + value[q:] @ design.phi[list(chosen)][:, rows]
             error = design.base[rows] + power - design.y[rows]
             square[i, j] = np.average(error**2, weights=seconds)
             if measured:  # a run, or a piece of one, in which a drive's meter stood at nought has no energy error
                 energy[i, j] = 100.0 * abs(float(np.sum(error * seconds)) / measured)
-        size[j] = float(np.sum(design.phi[-1, rows] ** 2))
+        size[j] = float(np.sum(design.phi[-last:, rows] ** 2))
     acting = size > ACTS * max(float(size.sum()), 1e-300)
     told = np.isfinite(energy[0])
     rms, mean = np.sqrt(square.mean(axis=1)), energy[:, told].mean(axis=1) if told.any() else np.zeros(2)

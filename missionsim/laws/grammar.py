@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from itertools import combinations
@@ -61,6 +61,20 @@ class Grammar:
         factors = [[self.values[i]() for i in form] for form in forms]
         runs = range(len(factors[0][0]))
         return [np.array([np.prod([rows[j] for rows in form], axis=0) for form in factors]) for j in runs]
+
+    def with_levels(self, name: str, parts: Mapping[int, float]) -> Grammar:
+        """The grammar with one factor more: levels of a label, each its part of the highest."""
+        told = [(f"{part:.2g}", self.factors[i]) for i, part in parts.items()]
+        text = " + ".join(f"{part} * {factor.text}" for part, factor in told)
+        symbol = " + ".join(f"{part}·{factor.symbol}" for part, factor in told)
+        sizes = [(float(part), self.values[i]) for (part, _), i in zip(told, parts, strict=True)]
+
+        def values() -> list[Array]:
+            runs = zip(*(made() for _, made in sizes), strict=True)
+            return [np.sum([size * x for (size, _), x in zip(sizes, run, strict=True)], axis=0) for run in runs]
+
+        new = Factor(name, f"({text})", f"({symbol})", 1, fine=True)
+        return Grammar((*self.factors, new), (*self.values, values))
 
     def forms(self, memory: bool = False) -> list[NDArray[np.intp]]:
         """Every product by its number of factors: arrays of shape (forms, 1), (forms, 2), (forms, 3).

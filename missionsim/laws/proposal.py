@@ -130,6 +130,7 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identificati
     on_time = search.on_time(done.best)
     if on_time is not search:
         search, done = on_time, on_time.best() or done
+    search, done = search.by_levels(done.best) or (search, done)
     near, beside, fitted, seen = _judged(search, done)
     was = seen.errors
     instead = _replaced(fitted, search.ground) if seen.all_passed else ()
@@ -139,10 +140,11 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identificati
         again = search.best()
         if again is None:
             return None
+        search, again = search.by_levels(again.best) or (search, again)
         near, beside, fitted, seen = _judged(search, again)
     if not seen.all_passed:
         return None
-    ground = search.ground
+    ground, grammar = search.ground, search.grammar
     laws = tuple(_law(one, near[0], grammar, fitted, seen, search) for one in near)
     sets = [set(law.variables) for law in laws]
     certain = tuple(v for v in laws[0].variables if all(v in s for s in sets))

@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.effects.covariates import is_text
 from missionsim.identify.model import Model, log_likelihood
 from missionsim.identify.noise import Noise
 from missionsim.identify.proposed import CLOCKS
 from missionsim.laws.adapter import Ground, Rows32, Sieve
 from missionsim.laws.gates import LEAST_RISE, LEAST_SHARE, LeftOut, left_out
-from missionsim.laws.grammar import Grammar
+from missionsim.laws.grammar import MOST_FACTORS, Grammar
 from missionsim.physics import Array
 
 MOST_ROWS = 6000
@@ -38,6 +39,9 @@ ABSORBED = 0.93
 NEARLY = 0.7
 """Forms below this part of the least share are not worth a fit."""
 SAME = 0.98
+LEVELS_BETTER, LEVEL_NATS, LEAST_LEVEL = 0.97, 4.0, 0.05
+"""Levels of a label's own lower the error of left-out runs to this part at least, and raise the likelihood by so much
+each; less than this part of the highest is none."""
 HELPS = 0.995
 HARDLY_WORSE = 1.03
 """At a glance a law lowers the error of left-out runs to this part at least (with a noise of its own it must do far
@@ -249,6 +253,37 @@ class Search:
             top, listed = plain, [self._without(forms, needless) for forms in listed]
             near = self._near(top, listed)
         return Searched(top, tuple(near), self.tried) if near else None
+
+    def by_levels(self, fitted: Fitted) -> tuple[Search, Searched] | None:
+        """A law with a level of its own for each text of a label, where runs that are left out are predicted clearly
+        better with the levels that the others give."""
+        labels = dict.fromkeys(
+            f.variable for f in self.grammar.factors if is_text(self.ground.covariates[0].get(f.variable))
+        )
+        for name in labels:
+            rest = tuple(i for i in fitted.form if self.grammar.factors[i].variable != name)
+            levels = [i for i, factor in enumerate(self.grammar.factors) if factor.variable == name]
+            if not rest or len(rest) == MOST_FACTORS or len(levels) < 2:
+                continue
+            rows = self.columns([(*rest, i) for i in levels])
+            design = self.ground.extended(rows)
+            model = self.ground.at_noise(design, fitted.model.noise)
+            every = range(len(self.ground.chosen), len(design.phi))
+            size = [model.gram.coefficients(model.chosen)[0][k] * design.layout.unit(k) for k in every]
+            kept = [i for i, k in zip(levels, size, strict=True) if k > LEAST_LEVEL * max(size)]
+            if len(kept) < 2 or max(size) <= 0.0:
+                continue
+            error = left_out(model, len(levels)).with_law
+            if error > LEVELS_BETTER * fitted.errors.with_law:
+                continue
+            parts = {i: k / max(size) for i, k in zip(levels, size, strict=True) if i in kept}
+            search = Search(self.ground, self.grammar.with_levels(name, parts), self.memory)
+            form = (*rest, len(self.grammar.factors))
+            best = search.fit(form, fitted.model.noise)
+            if best.rise < fitted.rise + LEVEL_NATS * len(kept):
+                continue
+            return search, Searched(best, tuple(search._near(best, search._sized([form]))), search.tried)
+        return None
 
     def _variables(self, form: Sequence[int]) -> set[str]:
         return {self.grammar.factors[i].variable for i in form}
