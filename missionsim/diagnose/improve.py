@@ -171,14 +171,19 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         later = replace(models, clock=new.in_all(len(models.runs)), _fits={})
         return later if later.of_other_half(taken) < (1.0 - CLEARLY) * models.of_other_half(taken) else None
 
-    library, by_law, laws = (given, models), set[str](), 0
+    library, by_law, laws, again = (given, models), set[str](), 0, False
     taken: list[Finding] = []
     declined: list[str] = []
-    for _ in range(MOST_ROUNDS):
+    states = []
+    for turn in range(MOST_ROUNDS + 1):
         if taken and (later := clocked()) is not None:
             library, models = (library[0], replace(library[1], clock=later.clock, _fits={})), later
             taken, fitted = together(taken)
             text, last = settled(taken, fitted)
+        if taken:
+            states.append((models.of_other_half(taken), (text, last, taken, given, models)))
+        if turn == MOST_ROUNDS:
+            break
         # what came to nothing beside some may be something beside others
         known = {*(name for name, times in nothing.items() if times > 1), *(effect.effect for effect in taken)}
         new = []
@@ -190,9 +195,9 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
             else:
                 declined.append(effect.effect)
         if new:
-            # a law that was found without them has another form beside them: it is looked for again
-            (given, models), laws = library, 0
-            taken = [effect for effect in taken if effect.effect not in by_law]
+            if not again:  # a law that was found without them has another form beside them: it is looked for once more
+                (given, models), laws, again = library, 0, bool(by_law)
+                taken = [effect for effect in taken if effect.effect not in by_law]
             taken, fitted = together([*taken, *new])
             text, last = settled(taken, fitted)
             continue
@@ -218,6 +223,9 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         given, taken = changed, found
         by_law.add(name)
         text, last = settled(taken, fitted)
+    if states and min(error for error, _ in states) < (1.0 - CLEARLY) * states[-1][0]:
+        # what came later, or was looked for once more, predicts other runs less well
+        text, last, taken, given, models = min(states, key=lambda state: state[0])[1]
     added = [term.effect for term in Subject.of(robot_from_text(text)).model.of(battery) if not term.base]
     heldout = [log for log in split.heldout if battery in log.power_w]
     untested = lacking(heldout, added, start.model.batteries, models.runs)

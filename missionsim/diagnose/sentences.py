@@ -137,9 +137,11 @@ def _aspect(name: str, formula: str, beside: bool) -> str:
     if name.startswith("on_"):
         part = name[3:].replace("_", " ")
         return f"while the {part} is on" if beside else f"the {part}"
-    level = re.search(rf"\({name} == '([^']*)'\)", formula)
-    if level:
-        return f"on {level.group(1)}" if name == "surface" else f"in {name} {level.group(1)}"
+    levels = re.findall(rf"\({name} == '([^']*)'\)", formula)
+    if len(levels) > 1:
+        return f"on {_listed(levels)}, each its own measure," if name == "surface" else f"by {name}"
+    if levels:
+        return f"on {levels[0]}" if name == "surface" else f"in {name} {levels[0]}"
     if name in ("time_s", "moving_time_s"):
         fades = "exp(-moving_time_s" in formula
         return ("at first" if fades else "the longer the run lasts") if beside else "the time since the start"

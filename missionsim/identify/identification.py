@@ -300,7 +300,7 @@ def unexplained(
     made = sum((s.size_share * model.design.layout.mean_power_w) ** 2 for s in structures)
     share = min(1.0, made / max(variance, 1e-300))
     on = tuple(dict.fromkeys(s.covariate for s in structures if s.covariate)) if depends else ()
-    told = "; ".join(s.shape for s in (*averages, *structures))
+    told = "; ".join(dict.fromkeys(s.shape for s in (*averages, *structures)))  # of a label one for each level
     return Unexplained(float(share), on, told, (*averages, *structures))
 
 

@@ -209,7 +209,7 @@ def dependences(model: Model, settings: Settings, chosen: Sequence[int]) -> list
 
 def _words(name: str, times: str, knots: Array, curve: Array) -> str:
     what = f"residual varies with {name}" + (f" (times {times})" if times else "")
-    if len(curve) != len(knots):
+    if len(curve) != len(knots) or known(name).text:
         return what
     top, bottom = int(np.argmax(curve)), int(np.argmin(curve))
     return f"{what}: lowest at {knots[bottom]:.3g}, highest at {knots[top]:.3g}"

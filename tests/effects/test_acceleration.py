@@ -1,0 +1,58 @@
+"""The rate of a noisy speed: cruises are smoothed, jolts are not, and two logs of one robot are read alike."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from missionsim.effects.covariates import acceleration, speed_noise
+
+STEP_S = 0.2
+
+
+def ride(seed: int, noise_m_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time, logged speed and true acceleration: cruises of half a minute and changes of speed within a second."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(0.0, 600.0, STEP_S)
+    rate = np.zeros(len(time_s))
+    going = False
+    for start in range(100, len(time_s) - 200, 150):
+        rate[start : start + 5] = -2.0 if going else 2.0
+        going = not going
+    speed = np.cumsum(rate) * STEP_S + 3.0
+    return time_s, speed + rng.normal(0.0, noise_m_s, len(time_s)), np.gradient(speed, time_s)
+
+
+def over_rows(speed: np.ndarray, rows: int) -> np.ndarray:
+    """Slope over a fixed number of rows."""
+    x = (np.arange(rows) - rows // 2) * STEP_S
+    return np.convolve(speed, x[::-1] / (x @ x), mode="same")
+
+
+@pytest.mark.parametrize("noise_m_s", [0.01, 0.02, 0.04])
+def test_it_follows_jolts_and_smooths_cruises(noise_m_s: float) -> None:
+    time_s, speed, truth = ride(1, noise_m_s)
+    inner = slice(20, -20)
+    found = acceleration(speed, time_s)[inner]
+    jolt = truth[inner] != 0.0
+
+    def error(one: np.ndarray, rows: np.ndarray) -> float:
+        return float(np.sqrt(np.mean((one - truth[inner])[rows] ** 2)))
+
+    narrow, wide = over_rows(speed, 3)[inner], over_rows(speed, 11)[inner]
+    assert error(found, ~jolt) < 0.7 * error(narrow, ~jolt)
+    assert error(found, jolt) < 0.5 * error(wide, jolt)
+
+
+def test_noisier_logs_of_one_robot_keep_the_size_of_a_jolt() -> None:
+    sizes = []
+    for seed, noise_m_s in enumerate((0.005, 0.014, 0.022)):
+        time_s, speed, truth = ride(seed, noise_m_s)
+        found = acceleration(speed, time_s)
+        sizes.append(float(found @ truth / (truth @ truth)))
+    assert np.ptp(sizes) < 0.05 * np.mean(sizes)
+
+
+def test_the_noise_is_that_of_the_speed_and_not_of_its_changes() -> None:
+    _, speed, _ = ride(2, 0.02)
+    assert speed_noise(speed) == pytest.approx(0.02, rel=0.1)
