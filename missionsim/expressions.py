@@ -1,7 +1,8 @@
 """Safe arithmetic expressions over named numbers: parsed, checked, compiled to closures, never evaluated as Python.
 
 Only what a formula needs is allowed: numbers, names, ``+ - * / // % **``, comparisons, ``and``/``or``/``not``, a
-conditional ``a if c else b``, the functions of `FUNCTIONS`, and comparison of a text column with a quoted word.
+conditional ``a if c else b``, the functions of `FUNCTIONS`, comparison of a text column with a quoted word, and
+``lag(x, tau)``, a first-order lag whose past whoever evaluates the formula gives (`REMEMBERED`).
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ _OF_NUMPY = (
 )
 FUNCTIONS: dict[str, Callable[..., Any]] = {name: getattr(np, name) for name in f"{_OF_NUMPY} tan tanh where".split()}
 FUNCTIONS |= {"max": np.maximum, "min": np.minimum}
-_ARGUMENTS = {"arctan2": 2, "clip": 3, "hypot": 2, "max": 2, "maximum": 2, "min": 2, "minimum": 2, "where": 3}
+_ARGUMENTS = {"arctan2": 2, "clip": 3, "hypot": 2, "lag": 2, "max": 2, "maximum": 2, "min": 2, "minimum": 2, "where": 3}
+_KNOWN = {*FUNCTIONS, "lag"}
 CONSTANTS: dict[str, float] = {"pi": float(np.pi)}
 _MAX_LENGTH = 2000
 _MAX_NODES = 400
@@ -48,6 +50,8 @@ _COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.NotEq: lambda a, b: np.logical_not(_equal(a, b)),
 }
 _Node = Callable[[Mapping[str, Any]], Any]
+REMEMBERED = "lag()"
+"""Among the values of a formula: ``(text of the lag, x, tau) -> lag of x``. Without it x is settled: it is its lag."""
 
 
 class Place(NamedTuple):
@@ -67,6 +71,20 @@ class Place(NamedTuple):
         return replace(self.fault(message, got=got, allowed=allowed), severity="warning")
 
 
+class Lag(NamedTuple):
+    """A ``lag(x, tau)`` in a formula."""
+
+    text: str
+    names: frozenset[str]
+    """Names that x reads."""
+    parameter: str
+    """Name of tau; empty for a number."""
+    signal: _Node
+    tau: _Node
+    """Both: x and tau as functions of the formula's values."""
+    place: Place
+
+
 @dataclass(frozen=True)
 class Expression:
     """A checked formula."""
@@ -75,6 +93,7 @@ class Expression:
     """The text as written."""
     names: frozenset[str]
     """Names it reads."""
+    lags: tuple[Lag, ...] = field(repr=False, compare=False)
     _run: _Node = field(repr=False, compare=False)
     place: Place = field(default=Place(), repr=False, compare=False)
     """Where it was written, for messages."""
@@ -142,9 +161,40 @@ def compile_expression(
     allowed = None if names is None else frozenset(names)
     found: set[str] = set()
     run = _compile(tree.body, allowed, found, fault)
+    place = Place(file, line, column, path)
+    lags = [_lag(node, place, fault) for node in ast.walk(tree) if _is_lag(node)]
     if faults:
         raise InputError(faults)
-    return Expression(text.strip(), frozenset(found), run, Place(file, line, column, path))
+    return Expression(text.strip(), frozenset(found), tuple(lags), run, place)
+
+
+def _is_lag(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and ast.unparse(node.func) == "lag" and len(node.args) == _ARGUMENTS["lag"]
+
+
+def _lag(node: Any, place: Place, fault: Callable[..., None]) -> Lag:
+    x, tau = node.args
+    names: set[str] = set()
+    signal = _compile(x, None, names, lambda *_: None)
+    if any(isinstance(inner, ast.Call) and ast.unparse(inner.func) == "lag" for inner in ast.walk(x)):
+        fault("a lag of a lag", node, ast.unparse(node), "one lag(x, tau), in which x holds no other")
+    elif not names:
+        fault("lag of something that is constant", node, ast.unparse(node), "a lag of columns: lag(abs(speed_m_s), 8)")
+    try:
+        number = float(ast.literal_eval(tau))
+    except (ValueError, TypeError):
+        number = 1.0 if isinstance(tau, ast.Name) and tau.id not in CONSTANTS else math.nan
+    if not 0.0 < number < math.inf:
+        fault("lag has no such time constant", tau, ast.unparse(tau), "a positive number in s, or a parameter in s")
+    at = place._replace(column=place.column + node.col_offset if place.column else 0)
+    return Lag(
+        ast.unparse(node),
+        frozenset(names),
+        tau.id if isinstance(tau, ast.Name) else "",
+        signal,
+        _compile(tau, None, set(), lambda *_: None),
+        at,
+    )
 
 
 def _compile(node: ast.AST, allowed: frozenset[str] | None, found: set[str], fault: Callable[..., None]) -> _Node:
@@ -191,12 +241,12 @@ def _compile(node: ast.AST, allowed: frozenset[str] | None, found: set[str], fau
             c, a, b = recurse(test), recurse(body), recurse(orelse)
             return lambda v: np.where(c(v), a(v), b(v))
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
-            return _call(node, name, args, [recurse(arg) for arg in args], fault)
+            return _call(node, name, args, [recurse(arg) for arg in args], allowed, fault)
     fault(
         "this is not allowed in a formula",
         node,
         ast.unparse(node)[:60],
-        "numbers, names, + - * / // % **, comparisons, and/or/not, 'a if c else b', " + ", ".join(sorted(FUNCTIONS)),
+        "numbers, names, + - * / // % **, comparisons, and/or/not, 'a if c else b', " + ", ".join(sorted(_KNOWN)),
     )
     return lambda _: np.nan
 
@@ -213,23 +263,34 @@ def _name(
             node,
             name,
             ", ".join(sorted(allowed)) or "no names",
-            did_you_mean(name, allowed | FUNCTIONS.keys()),
+            did_you_mean(name, allowed | _KNOWN),
         )
     found.add(name)
     return lambda v: v[name]
 
 
-def _call(node: ast.AST, name: str, args: list[ast.expr], parts: list[_Node], fault: Callable[..., None]) -> _Node:
-    function = FUNCTIONS.get(name)
-    if function is None:
-        fault(f"unknown function '{name}'", node, name, ", ".join(sorted(FUNCTIONS)), did_you_mean(name, FUNCTIONS))
+def _call(
+    node: ast.AST,
+    name: str,
+    args: list[ast.expr],
+    parts: list[_Node],
+    allowed: frozenset[str] | None,
+    fault: Callable[..., None],
+) -> _Node:
+    known = _KNOWN if allowed is None else FUNCTIONS.keys()  # what maps a log has no lag
+    if name not in known:
+        fault(f"unknown function '{name}'", node, name, ", ".join(sorted(known)), did_you_mean(name, known))
         return lambda _: np.nan
     wanted = _ARGUMENTS.get(name, 1)
     if len(args) != wanted:
         if name in ("max", "min", "maximum", "minimum") and len(args) > wanted:
-            return lambda v: functools.reduce(function, [part(v) for part in parts])
+            return lambda v: functools.reduce(FUNCTIONS[name], [part(v) for part in parts])
         fault(f"'{name}' takes {wanted} argument{'s' if wanted > 1 else ''}", node, str(len(args)), str(wanted))
         return lambda _: np.nan
+    if name == "lag":
+        text = ast.unparse(node)
+        return lambda v: v.get(REMEMBERED, lambda _, x, tau: x)(text, *(part(v) for part in parts))
+    function = FUNCTIONS[name]
     return lambda v: function(*(part(v) for part in parts))
 
 

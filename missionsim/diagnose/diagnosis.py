@@ -279,12 +279,8 @@ def diagnose_battery(
             # where the base is far from right, effects that predict come first, unless a law predicts far better
             proposed = tuple(law for law in proposed if law.far_better)
     effects, candidates = without_stand_ins(proposed, found.effects, found.candidates)
-    if (
-        found.choice.forward is not None
-        and effects
-        and (first := next((p for p in proposed if p.first.simulated), None))
-    ):
-        made = as_law(first)
+    if found.choice.forward is not None and effects and proposed:
+        made = as_law(proposed[0])
         effects = with_law(models, made.effect, made.effect).needed_beside(made, effects)
     effects = models.of_all_braking(effects)
     # a base that is known from these logs alone may take all of an effect

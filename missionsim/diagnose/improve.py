@@ -201,7 +201,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
             taken, fitted = together([*taken, *new])
             text, last = settled(taken, fitted)
             continue
-        offered = (p for p in last.proposed_laws if p.first.simulated and not p.open)
+        offered = (p for p in last.proposed_laws if not p.open)
         law = next((p for p in offered if p.first.formula not in {*declined, *nothing}), None)
         if law is None or laws == MOST_LAWS:
             break

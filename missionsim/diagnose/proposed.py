@@ -50,7 +50,7 @@ def proposed_laws(
     made = propose(found, covariates)
     if made is None:
         return ()
-    if models is None or not heldout or not made.proposal.first.simulated:
+    if models is None or not heldout:
         return (made.proposal,)
     named = [e for e in found.effects if e.effect not in made.proposal.instead_of]
     law = as_finding(made.proposal)
@@ -145,7 +145,7 @@ def _may_give_back(formula: str) -> bool:
 def formula_of(proposed: Sequence[Proposal], asked: str) -> str:
     """The formula that a user asks for: as text, or by its number among the forms proposed.
 
-    Raises InputError: for a number that no form has, or a form that `run` cannot evaluate yet.
+    Raises InputError: for a number that no form has.
     """
     if not asked.strip().isdigit():
         return asked
@@ -157,14 +157,7 @@ def formula_of(proposed: Sequence[Proposal], asked: str) -> str:
             got=asked,
             allowed=", ".join(f"{i}: {law.formula}" for i, law in enumerate(forms, 1)) or "none: nothing is proposed",
         )
-    law = forms[number - 1]
-    if not law.simulated:
-        raise InputError.single(
-            "this form has a memory that missionsim cannot simulate yet",
-            got=law.formula,
-            allowed="a form without lag()",
-        )
-    return law.formula
+    return forms[number - 1].formula
 
 
 def as_finding(law: Proposal) -> Finding:

@@ -259,7 +259,7 @@ def next_step(battery: BatteryDiagnosis, robot: str, logs: Sequence[str | Path],
     if _base_off(battery):
         return f"missionsim calibrate --robot {shlex.quote(robot)}{on} {files} --out {shlex.quote(out)}"
     one = battery.proposed_laws[0] if battery.proposed_laws else None
-    if not battery.effects and one is not None and one.first.simulated and not one.open:
+    if not battery.effects and one is not None and not one.open:
         twin = one.looks_like
         what = f"--effect {shlex.quote(twin)} --force" if twin else f'--formula "{one.first.formula}"'
         return f"missionsim add-effect --robot {shlex.quote(robot)} {what}{on} {files} --out {shlex.quote(out)}"

@@ -11,7 +11,7 @@ import numpy as np
 
 from missionsim.effects.covariates import Covariates, Value, number
 from missionsim.errors import InputError
-from missionsim.expressions import Place
+from missionsim.expressions import Lag, Place
 from missionsim.physics.motion import recovered_power
 
 ENTRY_POINT_GROUP = "missionsim.effects"
@@ -77,6 +77,8 @@ class Effect:
     """+1 where the coefficient cannot be negative, 0 where it may be."""
     memory: tuple[str, ...] = ()
     """Derived covariates that grow while time passes (``moving_time_s``, ``on_time_<component>_s``)."""
+    lags: tuple[Lag, ...] = ()
+    """First-order lags that its power reads, by their text."""
     relief: Callable[[Parameters], Value] | None = field(default=None, compare=False)
     """The part of the drive's power that it can relieve; all of it where not given."""
     parts: tuple[str, ...] = ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,8 @@ import numpy as np
 from missionsim.effects.base import Effect, Parameters, ParameterSpec
 from missionsim.effects.covariates import Covariates, Value, is_moving, label_equals, number
 from missionsim.errors import InputError
-from missionsim.expressions import Expression
+from missionsim.expressions import REMEMBERED, Expression
+from missionsim.physics.lag import lagged
 
 
 def load_term(
@@ -167,11 +169,20 @@ def expression_term(id: str, formula: Expression, specs: tuple[ParameterSpec, ..
     needs = _needs(formula, own)
 
     def power(cov: Covariates, p: Parameters) -> Any:
-        return formula.evaluate({**aliased(cov), **p}) * _ones(cov)
+        return formula.evaluate({**aliased(cov), **p, REMEMBERED: partial(_remembered, cov)}) * _ones(cov)
 
     text, sign = (formula.source, "robot file", formula.source), 1 if specs and specs[0].low >= 0.0 else 0
     memory = tuple(name for name in needs if name == "moving_time_s" or name.startswith("on_time_"))
-    return Effect(id, *text, specs, needs, power, drive=drive, sign=sign, memory=memory)
+    return Effect(id, *text, specs, needs, power, drive=drive, sign=sign, memory=memory, lags=formula.lags)
+
+
+def _remembered(cov: Covariates, text: str, x: Value, tau_s: Value) -> Value:
+    """The lag of x: as given with the covariates, or of the rows of a log; x itself where no time goes on."""
+    if text in cov:
+        given: Value = cov[text]
+        return given
+    time_s = cov.get("time_s", 0.0)
+    return lagged(x, time_s, float(tau_s)) if np.ndim(x) == 1 and np.shape(x) == np.shape(time_s) else x
 
 
 ALIASES = {"v": "speed_m_s", "a": "accel_m_s2", "w": "yaw_rate_rad_s", "u": "lateral_speed_m_s"}

@@ -10,8 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from missionsim.effects.base import Effect
+from missionsim.effects.base_terms import aliased
 from missionsim.effects.covariates import Columns, Covariates, Value, number
 from missionsim.errors import Fault, InputError, did_you_mean
+from missionsim.expressions import Lag
 from missionsim.physics import Array
 from missionsim.physics.meter import Meter
 from missionsim.physics.motion import relieved_powers
@@ -92,6 +94,10 @@ class Term:
         return self.names.get(parameter, f"{self.key.name}.{parameter}")
 
 
+def _lag_name(term: Term, lag: Lag) -> str:
+    return f"{'/'.join(term.key)} {lag.text}"
+
+
 @dataclass(frozen=True)
 class PowerModel:
     """All terms of a robot."""
@@ -150,6 +156,21 @@ class PowerModel:
     def memory(self) -> frozenset[str]:
         """Clocks that some term reads."""
         return frozenset(name for term in self.terms for name in term.effect.memory)
+
+    @cached_property
+    def lags(self) -> dict[str, tuple[Term, Lag]]:
+        """First-order lags that terms read, by names of their own."""
+        return {_lag_name(term, lag): (term, lag) for term in self.terms for lag in term.effect.lags}
+
+    def lagging(self, name: str, cov: Covariates, values: Mapping[str, Value]) -> Any:
+        """The signal of a lag."""
+        term, lag = self.lags[name]
+        return lag.signal({**aliased(self.complete(cov, values)), **self._values(term, values)})
+
+    def time_constant(self, name: str, values: Mapping[str, Value]) -> Any:
+        """The time constant of a lag [s]."""
+        term, lag = self.lags[name]
+        return lag.tau(self._values(term, values))
 
     @cached_property
     def needs(self) -> frozenset[str]:
@@ -216,6 +237,9 @@ class PowerModel:
                 relieving = {}
             own = self._values(term, values)
             load = {**cov, "load_w": sum(powers.values(), start=0.0)} if effect.of_load else cov
+            if effect.lags:
+                told = {lag.text: cov[name] for lag in effect.lags if (name := _lag_name(term, lag)) in cov}
+                load = {**load, **told}
             power = effect.power(load, own)
             scale = term.scale
             if values and term.link[0] in values:

@@ -6,7 +6,7 @@ The energy of every term in every interval: exact where power is constant, Gauss
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from missionsim.effects.covariates import Columns, Labels, Value, is_text
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.physics import Array
+from missionsim.physics.lag import GOES_ON, SETTLED, Lagged
 
 
 @dataclass(frozen=True)
@@ -32,13 +33,15 @@ class Timeline:
     """Segment of the mission; -1 before and after. Shape (n,)."""
     constants: Mapping[str, Any] = field(default_factory=dict)
     """Scalars that hold for the whole run (``mass_kg`` of the body alone, ``regeneration``)."""
+    lags: Mapping[str, Array] = field(default_factory=dict)
+    """First-order lags of a model at the start of each interval, where these are known (`with_lags`). Shape (n,)."""
 
     def __len__(self) -> int:
         return int(np.shape(self.duration_s)[-1])
 
     def covariates(self) -> Columns:
         """Covariates at the start of the intervals."""
-        return {**self.constants, **self.columns}
+        return {**self.constants, **self.columns, **self.lags}
 
     def at(self, index: NDArray[np.intp], offset_s: Array, memory: frozenset[str] | None = None) -> Columns:
         """Covariates of the intervals `index` at times after their start.
@@ -62,12 +65,12 @@ class Timeline:
                     cov[name] = cov[name] + change[:, None] * offset_s
         return cov
 
-    def changing(self, memory: frozenset[str]) -> NDArray[np.bool_]:
-        """Intervals in which something that matters changes with time, shape (n,). `memory`: the clocks
-        (``moving_time_s`` …) that some term of the model reads; the others are ignored."""
-        result = np.zeros(len(self), dtype=bool)
+    def changing(self, model: PowerModel) -> NDArray[np.bool_]:
+        """Intervals in which something that matters changes with time, shape (n,): with lags in all; clocks
+        (``moving_time_s`` …) that no term of the model reads are ignored."""
+        result = np.full(len(self), bool(model.lags))
         for name in self.rates:
-            if name in memory or not _is_clock(name):
+            if name in model.memory or not _is_clock(name):
                 result |= np.asarray(self.rates[name]) != 0.0
         return result
 
@@ -109,6 +112,7 @@ class Timeline:
             Lazily(self.rates, lambda name: self.rates[name][cut]),
             self.segment[cut],
             self.constants,
+            {name: values[cut] for name, values in self.lags.items()},
         )
 
 
@@ -216,18 +220,93 @@ def integrate(
     """
     count = len(timeline)
     energies: dict[str, dict[TermKey, Array]] = {}
+    timeline = with_lags(model, timeline, values)
     cov = timeline.covariates()
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the engine refuses what is not finite
         for battery, terms in model.evaluate(cov, values).items():
             energies[battery] = {key: power * timeline.duration_s for key, power in terms.items()}
-    memory = model.memory
-    index = np.flatnonzero(timeline.changing(memory) & (timeline.duration_s > 0.0))
+    index = np.flatnonzero(timeline.changing(model) & (timeline.duration_s > 0.0))
     if index.size:
-        index, offset, length = _pieces(index, timeline.duration_s, bool(memory))
+        index, offset, length = _pieces(index, timeline.duration_s, bool(model.memory or model.lags))
         _quadrature(model, timeline, values or {}, index, offset, length, energies, 0)
     for key, joules in model.impulses(cov, values).items():
         energies[key.battery][key] = energies[key.battery][key] + np.broadcast_to(joules, (count,))
     return energies
+
+
+def _of_rows(values: Mapping[str, Any], index: NDArray[np.intp]) -> dict[str, Any]:
+    return {name: value[index][:, None] if np.ndim(value) else value for name, value in values.items()}
+
+
+def lags_of(
+    model: PowerModel,
+    at: Callable[[NDArray[np.intp], Array], Columns],
+    values: Callable[[NDArray[np.intp]], Mapping[str, Any]],
+    duration_s: Array,
+    begin: Mapping[str, Array],
+) -> dict[str, Lagged]:
+    """The lags that a model reads, over intervals.
+
+    `at`: covariates, and `values`: the model's parameters, of some intervals (shape (k,)) at times after their start
+    (shape (k, q)). `begin`: of each lag, what it is where each interval begins, or how that follows.
+    """
+
+    def made(name: str) -> Lagged:
+        def signal(index: NDArray[np.intp], seconds: Array) -> Array:
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                x = model.lagging(name, at(index, seconds), values(index))
+            return np.broadcast_to(np.asarray(x, dtype=float), seconds.shape)
+
+        tau_s = np.ravel(model.time_constant(name, values(np.arange(len(duration_s)))))
+        return Lagged(signal, duration_s, np.broadcast_to(tau_s, len(duration_s)), begin[name])
+
+    return {name: made(name) for name in model.lags}
+
+
+def with_lags(
+    model: PowerModel,
+    timeline: Timeline,
+    values: Mapping[str, Value] | None = None,
+    begin: Mapping[str, Array] | None = None,
+) -> Timeline:
+    """A timeline with the lags that a model reads.
+
+    They begin settled, and so they do where an interval does not begin when the one before ends. `begin` (shape (n,)):
+    what is known of each where an interval begins; not a number elsewhere.
+    """
+    if timeline.lags or not model.lags or not len(timeline):
+        return timeline
+    ends = timeline.start_s + timeline.duration_s
+    apart = np.abs(timeline.start_s[1:] - ends[:-1]) > 1e-9 * (1.0 + np.abs(ends[:-1]))
+    start = np.append(SETTLED, np.where(apart, SETTLED, GOES_ON))
+    known = {name: (begin or {}).get(name, start) for name in model.lags}
+    begins = {name: np.where(np.isnan(given), start, given) for name, given in known.items()}
+    found = _solved(model, timeline, np.arange(len(timeline)), values or {}, begins)
+    return replace(timeline, lags={name: lag.start for name, lag in found.items()})
+
+
+def _solved(
+    model: PowerModel, line: Timeline, which: NDArray[np.intp], values: Mapping[str, Any], begin: Mapping[str, Array]
+) -> dict[str, Lagged]:
+    return lags_of(
+        model,
+        lambda index, seconds: line.at(which[index], seconds),
+        lambda index: _of_rows(values, which[index]),
+        line.duration_s[which],
+        begin,
+    )
+
+
+def within(
+    model: PowerModel, line: Timeline, index: NDArray[np.intp], seconds: Array, values: Mapping[str, Any] | None = None
+) -> Columns:
+    """`Timeline.at` for a model: with the clocks and the lags that it reads."""
+    cov = line.at(index, seconds, model.memory)
+    if model.lags:
+        which, rows = np.unique(index, return_inverse=True)
+        begin = {name: start[which] for name, start in line.lags.items()}
+        cov |= {name: lag(rows, seconds) for name, lag in _solved(model, line, which, values or {}, begin).items()}
+    return cov
 
 
 def _pieces(index: NDArray[np.intp], duration_s: Array, memory: bool) -> tuple[NDArray[np.intp], Array, Array]:
@@ -262,8 +341,7 @@ def _quadrature(
     """
     half = 0.5 * length
     times = offset[:, None] + half[:, None] * (SAMPLES + 1.0)
-    own = {name: value[index][:, None] if np.ndim(value) else value for name, value in values.items()}
-    powers = model.evaluate(timeline.at(index, times, model.memory), own)
+    powers = model.evaluate(within(model, timeline, index, times, values), _of_rows(values, index))
     bad = np.zeros(index.size, dtype=bool)
     parts: dict[TermKey, Array] = {}
     for terms in powers.values():

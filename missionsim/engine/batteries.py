@@ -53,7 +53,7 @@ class Loads:
     @cached_property
     def changing(self) -> NDArray[np.bool_]:
         """Whether the power changes within each interval, or an impulse begins it, shape (n,)."""
-        return self.line.changing(self.model.memory) | (np.asarray(self.line.columns["starts"]) > 0.0)
+        return self.line.changing(self.model) | (np.asarray(self.line.columns["starts"]) > 0.0)
 
     @cached_property
     def curves(self) -> Curves:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.model import PowerModel
-from missionsim.effects.timeline import Timeline
+from missionsim.effects.timeline import Timeline, within
 from missionsim.physics import Array, Value
 
 Sample = Callable[[NDArray[np.intp], Array], Array]
@@ -85,7 +85,9 @@ class Curves:
         return found
 
     def _sample(self, index: NDArray[np.intp], seconds: Array) -> Array:
-        power = self._model.total(self._line.at(index, seconds), self._battery, self._values)
+        power = self._model.total(
+            within(self._model, self._line, index, seconds, self._values), self._battery, self._values
+        )
         return np.broadcast_to(np.asarray(power, dtype=float), seconds.shape)
 
 

@@ -8,18 +8,20 @@ Thresholds are found afterwards in closed form or by a bracketed root.
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from missionsim.effects.model import PowerModel, TermKey
-from missionsim.effects.timeline import Timeline, integrate
+from missionsim.effects.timeline import Timeline, integrate, with_lags, within
 from missionsim.engine.batteries import CHARGING, HELD, Battery, Loads
 from missionsim.engine.outcome import J_PER_WH, Alarm
 from missionsim.engine.recorder import Recorder, Row, timeline
 from missionsim.errors import InputError
 from missionsim.physics import Array, Value
+from missionsim.physics.lag import GOES_ON
 from missionsim.plan.legs import Leg, SegmentInfo
 
 Energies = Mapping[str, Mapping[TermKey, Array]]
@@ -33,6 +35,8 @@ class Asked(NamedTuple):
     legs: Sequence[Leg]
     states: Sequence[Sequence[float]]
     values: Mapping[str, Value]
+    lags: Mapping[str, Array] = MappingProxyType({})
+    """What is known of the model's first-order lags where rows begin; not a number where they follow from the row before."""
 
 
 class Evaluated(NamedTuple):
@@ -84,9 +88,14 @@ def _answers(model: PowerModel, components: Sequence[str], asked: Sequence[Asked
     try:
         line = timeline([item[:3] for item in asked], components, model.needs)
         counts = [len(item.rows) for item in asked]
+        begin = {
+            name: np.concatenate([item.lags.get(name, np.full(len(item.rows), GOES_ON)) for item in asked])
+            for name in model.lags
+        }
         values = asked[0].values
         if len(asked) > 1 and values:
             values = {name: np.repeat([item.values[name] for item in asked], counts) for name in values}
+        line = with_lags(model, line, values, begin)
         whole = Evaluated(line, integrate(model, line, values))
     except Exception as error:
         return [error] if len(asked) == 1 else [_answers(model, components, [item])[0] for item in asked]
@@ -126,6 +135,7 @@ class Meter:
 
     def __post_init__(self) -> None:
         self.state = {name: battery.initial for name, battery in self.batteries.items()}
+        self.lags: dict[str, float] = {}
 
     def settle(self, ahead_s: float = 0.0) -> Evaluating[None]:
         """Evaluate the rows that have been closed since the last time, and the next `ahead_s` if nothing changes."""
@@ -137,7 +147,8 @@ class Meter:
             return
         self._done = len(recorder.rows)
         asked = rows if ahead is None else [*rows, ahead]
-        answer = yield Asked(asked, self.legs, recorder.states(), self.values)
+        begin = {name: np.append(value, np.full(len(asked) - 1, GOES_ON)) for name, value in self.lags.items()}
+        answer = yield Asked(asked, self.legs, recorder.states(), self.values, begin)
         if ahead is not None:
             self._ahead = ahead, answer.part(count, count + 1)
             answer = answer.part(0, count)
@@ -145,6 +156,10 @@ class Meter:
             loads = self._loads(rows, answer)
             states = {name: battery.after(self.state[name], loads[name]) for name, battery in self.batteries.items()}
             self.batches.append(Batch(*answer, loads, self.state, states))
+            if self.model.lags:
+                line, last = answer.line, np.array([count - 1])
+                end = within(self.model, line, last, line.duration_s[last, None], self.values)
+                self.lags = {name: float(end[name][0, 0]) for name in self.model.lags}
             self.state = {name: float(ends[-1]) for name, ends in states.items()}
 
     def _refuse_nan(self, answer: Evaluated) -> None:
@@ -207,12 +222,19 @@ class Meter:
             for name, battery in self.batteries.items()
         }
         if len(batches) == 1:
-            return lines[0], batches[0].energies, charge
+            return replace(lines[0], lags={}), batches[0].energies, charge
         energies = {
             name: {key: _joined([batch.energies[name][key] for batch in batches]) for key in terms}
             for name, terms in batches[0].energies.items()
         }
         return Timeline.joined(lines), energies, charge
+
+    def lags_at_ends(self) -> dict[str, Array]:
+        """The model's first-order lags at the end of each row."""
+        return {
+            name: np.append(_joined([batch.line.lags[name] for batch in self.batches])[1:], end)
+            for name, end in self.lags.items()
+        }
 
     def _loads(self, rows: Sequence[Row], answer: Evaluated) -> dict[str, Loads]:
         nothing, alone = np.zeros(len(rows)), np.zeros(len(rows), dtype=np.int64)

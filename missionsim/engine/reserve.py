@@ -13,6 +13,7 @@ from missionsim.engine.meter import Asked, Evaluating
 from missionsim.engine.recorder import Row
 from missionsim.inputs.mission import MissionSpec
 from missionsim.physics import Value
+from missionsim.physics.lag import GOES_ON, SETTLED
 from missionsim.plan.kinematics import group
 from missionsim.plan.legs import Leg, Limits, OnEdge
 from missionsim.plan.routes import Routes, Way, along
@@ -142,7 +143,8 @@ def home_energies(
     """
     legs, ends_s, last_row = world.legs, world.ends_s, world.recorder.rows[-1:]
     ends = {leg.segment: index for index, leg in enumerate(legs) if leg.last}
-    moved, driven_at = _moving_times(world), last_driven(legs)
+    moved, driven_at, lags = _moving_times(world), last_driven(legs), world.meter.lags_at_ends()
+    last_rows = {legs[row.leg].segment: i for i, row in enumerate(world.recorder.rows)}
     ways: dict[Any, list[Leg]] = {}
     keys: list[Any] = []
     for segment in [legs[row.leg].segment for row in last_row] if only_last else range(len(world.segments)):
@@ -155,13 +157,19 @@ def home_energies(
         if end >= 0 and ended and driven is not None and homing.ways(place) is not None:
             clock = moved.get(segment, 0.0) if "moving_time_s" in model.memory else 0.0
             # rounds that are repeated have the same ways home
-            key = place, driven.settings, driven.speed_m_s, driven.instant, clock
+            begin = tuple(float(values[last_rows[segment]]) for values in lags.values()) if segment in last_rows else ()
+            key = place, driven.settings, driven.speed_m_s, driven.instant, begin, clock
             if key not in ways:
                 ways[key] = homing.from_place(place, driven) or []
         keys.append(key)
     batteries = model.batteries
     energy = {name: np.zeros(len(ways)) for name in batteries}
     asked, owner = _rows(world, homing, ways, values)
+    if lags and owner:
+        first = np.diff(owner, prepend=-1) > 0
+        begins = np.array([key[-2] or [SETTLED] * len(lags) for key in ways])[owner]
+        begin = {name: np.where(first, begins[:, i], GOES_ON) for i, name in enumerate(lags)}
+        asked = asked._replace(lags=begin)
     if asked.rows:
         answer = yield asked
         for name, terms in answer.energies.items():

@@ -50,8 +50,6 @@ class Law:
     """How far its likelihood lies behind the best."""
     _: KW_ONLY
     variables: tuple[str, ...]
-    simulated: bool = True
-    """Whether `run` can evaluate it."""
 
     def to_json(self) -> Json:
         """All fields."""
@@ -61,7 +59,6 @@ class Law:
             "energy_share": self.energy_share,
             "behind_nats": self.behind_nats,
             "depends_on": list(self.variables),
-            "simulated": self.simulated,
         }
 
 

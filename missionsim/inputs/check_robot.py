@@ -211,7 +211,7 @@ def _effects(check: Checker, robot: RobotSpec, batteries: list[str], components:
             allowed = "body: {mass: …}, unless k was fitted without it"
             check.add((*where, "effect"), message, "no body.mass", allowed, warning=True)
         if effect.power is not None:
-            check.formulas({(*where, "power"): effect.power}, effect.parameters)
+            check.formulas({(*where, "power"): effect.power}, effect.parameters, effect.parameters)
         else:
             _library_effect(check, where, effect, components)
 

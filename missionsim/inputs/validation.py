@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from missionsim.errors import Fault, InputError, did_you_mean
-from missionsim.expressions import compile_expression
+from missionsim.expressions import Lag, compile_expression
 from missionsim.glossary import COLUMNS, column_of
 from missionsim.inputs.base import FileModel, Model
 from missionsim.inputs.faults import exists, file_path, follows_from_entries, to_faults
@@ -321,12 +321,15 @@ class Checker:
                 return []
         return [str(key) for key in data] if isinstance(data, dict) else []
 
-    def formulas(self, texts: Mapping[tuple[str | int, ...], str], own: Iterable[str]) -> None:
-        """Formulas, by their paths, that can be read, name what there is and together use all their parameters."""
+    def formulas(
+        self, texts: Mapping[tuple[str | int, ...], str], own: Iterable[str], times: Mapping[str, Parameter] | None = None
+    ) -> None:
+        """Formulas, by their paths, that can be read, name what there is and together use all their parameters. `times`:
+        parameters that may be time constants of lags; no lag is allowed where there can be none."""
         parameters = list(own)
         used: set[str] = set()
         for where, text in texts.items():
-            names = self._names(where, text, parameters)
+            names = self._names(where, text, parameters, times)
             if names is None:
                 return
             used |= names
@@ -335,7 +338,9 @@ class Checker:
             if name not in used:
                 self.add(where, f"parameter '{name}' does not occur in the formula", got=text[:80], warning=True)
 
-    def _names(self, where: Where, text: str, parameters: list[str]) -> frozenset[str] | None:
+    def _names(
+        self, where: Where, text: str, parameters: list[str], times: Mapping[str, Parameter] | None
+    ) -> frozenset[str] | None:
         """Names that a formula reads, None where it cannot be read. Names of further log columns are allowed; one that
         is nearly a known name gets a warning."""
         from missionsim.effects.base_terms import ALIASES
@@ -345,6 +350,7 @@ class Checker:
         except InputError as problem:
             self.faults.extend(problem.faults)
             return None
+        self.faults += [fault for lag in expression.lags for fault in _lag_faults(lag, times)]
         known = [*parameters, *ALIASES, *DERIVED, *(column.name for column in COLUMNS)]
         for name in sorted(expression.names):
             if name in known or column_of(name) is not None or name.startswith(("on_time_", "starting_")):
@@ -355,3 +361,23 @@ class Checker:
                 allowed = "a parameter, a glossary column, or a further column of your logs"
                 self.add(where, message, text[:80], allowed, hint, warning=True)
         return expression.names
+
+
+def _lag_faults(lag: Lag, times: Mapping[str, Parameter] | None) -> Iterator[Fault]:
+    """What is wrong with the lag of a formula beside its parameters."""
+    if times is None:
+        yield lag.place.fault("a lag has no place here", got=lag.text, allowed="lag(x, tau) in the power of an effect")
+        return
+    if lag.names <= times.keys():
+        told = "a lag of columns: lag(abs(speed_m_s), 8)"
+        yield lag.place.fault("lag of something that is constant", got=lag.text, allowed=told)
+    if not lag.parameter:
+        return
+    told, tau = f"a number in s, or a parameter {lag.parameter} with a unit of time", times.get(lag.parameter)
+    if tau is None:
+        yield lag.place.fault(f"the time constant '{lag.parameter}' is no parameter", got=lag.text, allowed=told)
+    elif tau.unit != "s":
+        yield lag.place.fault(f"wrong unit of the time constant '{lag.parameter}'", got=tau.unit or "none", allowed=told)
+    elif not tau.value > 0.0:
+        got, allowed = f"{tau.value:g} s", "more than 0 s"
+        yield lag.place.fault(f"impossible time constant '{lag.parameter}'", got=got, allowed=allowed)

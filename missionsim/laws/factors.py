@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Covariates, is_text
 from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
-from missionsim.identify.noise import recursive
 from missionsim.labels import Labels
 from missionsim.laws.grammar import Factor, Grammar
 from missionsim.physics import Array
+from missionsim.physics.lag import lagged
 from missionsim.runs.covariates import may_be_cause
 
 MOST_LEVELS = 6
 MOST_FURTHER = 6
 """Columns beyond the glossary that enter; more would make chance finds of any share."""
-LAGS_S = (5.0, 30.0)
+LAGS_S = (3.0, 5.0, 8.0, 13.0, 20.0, 30.0, 50.0, 80.0, 130.0)
 WARM_S = (30.0, 120.0)
 VARIES = 1e-9
 TEMPERATURE = re.compile(r"^temp_|_temp(erature)?(_|$)|_deg_?[cf]$")
@@ -229,11 +229,13 @@ def _speeds(b: _Builder, name: str) -> None:
     )
     for part, first in WIDTHS.items():
         _bumps(b, name, v, _round(part * high), levels, b.quantiles(driven, *first))
-    late = {tau: [_lagged(x, run["time_s"], tau) for x, run in zip(v, b.runs, strict=True)] for tau in LAGS_S}
-    for tau, slow in late.items():
-        symbol = f"(v lagged {tau:g} s − v)₊"
-        memory = Factor(f"{name} memory", f"max(lag({text}, {tau:g}) - {text}, 0)", symbol, 3, simulated=False)
-        b.add(memory, [np.maximum(a - x, 0.0) for a, x in zip(slow, v, strict=True)])
+    b.family(
+        lambda n: Factor(f"{name} memory", f"max(lag({text}, {n}) - {text}, 0)", f"(v lagged {n} s − v)₊", 3),
+        lambda x, n: np.maximum(lagged(x[0], x[1], n) - x[0], 0.0),
+        [np.vstack([x, run["time_s"]]) for x, run in zip(v, b.runs, strict=True)],
+        LAGS_S,
+        (5.0, 30.0),
+    )
 
 
 def _bumps(
@@ -381,12 +383,3 @@ def _texts(value: Any) -> set[str]:
 
 def _equals(value: Any, text: str) -> NDArray[np.bool_]:
     return np.asarray(value.equals(text)) if isinstance(value, Labels) else np.asarray(value) == text
-
-
-def _lagged(values: Array, time_s: Array, tau_s: float) -> Array:
-    """First-order lag of a signal that starts in its steady state."""
-    step = float(np.median(np.diff(time_s)))
-    keep = float(np.exp(-step / tau_s))
-    taken = (1.0 - keep) * values
-    taken[0] = values[0]
-    return recursive((1.0, -keep, 0.0), taken)

@@ -1,6 +1,6 @@
 """The grammar of laws: factors over logged quantities, each with its unit, multiplied up to three at a time.
 
-Every law that can be simulated is written as the ``power:`` of an ``effects:`` entry. Thresholds, time constants and
+Every law is written as the ``power:`` of an ``effects:`` entry. Thresholds, time constants and
 reference values are read off the logs (quantiles of what was driven), so they say where the logs lie, not what is true.
 """
 
@@ -39,14 +39,17 @@ class Factor:
     """0 for the plain quantity; higher for forms that bend it. Of forms that fit alike the plainest is shown first."""
     gives_back: bool = False
     """Whether power may be negative with it (braking, descending)."""
-    simulated: bool = True
-    """Whether `run` can evaluate it; a first-order memory of a signal is no state of the engine yet."""
     _: KW_ONLY
     kind: str = ""
     """Factors of one kind differ in their numbers only (a threshold, a time constant)."""
     numbers: tuple[float, ...] = ()
     fine: bool = False
     """One of the numbers between those that the first pass tries."""
+
+    @property
+    def memory(self) -> bool:
+        """Whether it reads what was before: a first-order lag."""
+        return "lag(" in self.text
 
 
 @dataclass(frozen=True)
@@ -79,13 +82,13 @@ class Grammar:
     def forms(self, memory: bool = False) -> list[NDArray[np.intp]]:
         """Every product by its number of factors: arrays of shape (forms, 1), (forms, 2), (forms, 3).
 
-        With `memory`, only those that `run` cannot simulate, else only those that it can.
+        With `memory`, only those that read a first-order lag, else only those that do not.
         """
         names = ["clock" if f.variable in CLOCKS else f.variable for f in self.factors]  # a law holds one of them
         number = {name: i for i, name in enumerate(dict.fromkeys(names))}
         of = np.array([number[name] for name in names], dtype=np.intp)
-        plain = np.array([f.simulated for f in self.factors], dtype=bool)
-        used = [i for i, f in enumerate(self.factors) if not f.fine and (memory or f.simulated)]
+        plain = np.array([not f.memory for f in self.factors], dtype=bool)
+        used = [i for i, f in enumerate(self.factors) if not f.fine and (memory or not f.memory)]
         found = []
         for size in range(1, MOST_FACTORS + 1):
             rows = np.array(list(combinations(used, size)), dtype=np.intp).reshape(-1, size)
@@ -145,11 +148,6 @@ class Grammar:
     def gives_back(self, form: Sequence[int]) -> bool:
         """Whether its coefficient may be negative."""
         return any(self.factors[i].gives_back for i in form)
-
-    def simulated(self, form: Sequence[int]) -> bool:
-        """Whether `run` can evaluate it."""
-        return all(self.factors[i].simulated for i in form)
-
 
 _SAME = frozenset({"abs", "max", "min", "maximum", "minimum", "clip", "lag"})
 _DERIVED = {"moving_time_s": "s", "mass_kg": "kg", "v": "m/s", "a": "m/s^2", "w": "rad/s", "u": "m/s", "m": "kg"}

@@ -213,7 +213,6 @@ def _law(one: Scored, first: Scored, grammar: Grammar, fitted: Fitted, seen: Gat
         share,
         max(0.0, first.score - one.score),
         variables=grammar.variables(one.form),
-        simulated=grammar.simulated(one.form),
     )
 
 

@@ -7,9 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from missionsim.physics import Array
-
-FORGOTTEN = 1e-18
-"""Part of what a meter showed that no longer changes a number."""
+from missionsim.physics.lag import carried
 
 
 class Meter(NamedTuple):
@@ -47,11 +45,7 @@ def metered(power_w: Array, time_s: Array, meter: Meter) -> Array:
     energy, behind = power_w * length, np.zeros_like(power_w)
     if lag_s > 0.0:
         keep = np.exp(-length / lag_s)
-        at_edge, memory, reach = np.append(power_w[..., :1], power_w * (1.0 - keep), axis=-1), np.append(0.0, keep), 1
-        while memory.max() > FORGOTTEN:  # y[n+1] = keep[n] y[n] + ..., over 1, 2, 4, 8 … rows
-            at_edge[..., reach:] += memory[reach:] * at_edge[..., :-reach]
-            memory[reach:] *= memory[:-reach]
-            reach *= 2
+        at_edge = carried(np.append(0.0, keep), np.append(power_w[..., :1], power_w * (1.0 - keep), axis=-1))
         behind = (at_edge[..., :-1] - power_w) * lag_s
         energy += behind * (1.0 - keep)
     whole = np.append(np.zeros_like(energy[..., :1]), np.cumsum(energy, axis=-1), axis=-1).take(row, axis=-1)

@@ -17,6 +17,7 @@ from missionsim.effects.model import PowerModel, TermKey
 from missionsim.errors import InputError
 from missionsim.labels import Labels
 from missionsim.physics import Array
+from missionsim.physics.lag import lagged
 from missionsim.physics.meter import Meter, metered
 from missionsim.runs.covariates import ASSUMED, clock_of, is_switch
 from missionsim.runs.run import Run
@@ -296,6 +297,7 @@ class _Carry:
         self._noise_m_s: float | None = None
         self._clocks: dict[str, float] = {}
         self._on: dict[str, bool] = {}
+        self._lags: dict[str, tuple[float, float, float]] = {}
         self._moving = True
 
     def derive(self, block: Run, before: Run | None, after: Run | None) -> dict[str, Any]:
@@ -327,7 +329,17 @@ class _Carry:
             self._moving = moving[1]
         for name in [name for name in columns if is_switch(name)]:
             self._carry_component(name, cov, block)
+        for name in self._plan.model.lags:
+            self._carry_lag(name, cov)
         return cov
+
+    def _carry_lag(self, name: str, cov: dict[str, Any]) -> None:
+        model, time_s, before = self._plan.model, cov["time_s"], self._lags.get(name)
+        signal = np.broadcast_to(np.asarray(model.lagging(name, cov, {}), dtype=float), time_s.shape)
+        late = lagged(signal, time_s, float(model.time_constant(name, {})), before)
+        self._lags[name] = time_s[-1], signal[-1], late[-1]
+        if before is not None:  # in the first block the formula sees to it, whatever its parameters
+            cov[name] = late
 
     def _carry_component(self, name: str, cov: dict[str, Any], block: Run) -> None:
         clock = clock_of(name)

@@ -36,6 +36,7 @@ from missionsim.uncertainty.matrices import (
     at_nodes,
     at_times,
     distance_of,
+    lags_within,
     mean_powers,
     running_sum,
     take,
@@ -284,7 +285,7 @@ class ArrayMission:
 
     def _curved(self, rates: Mapping[str, Any], count: int) -> NDArray[np.bool_]:
         """The intervals in which power changes, shape (intervals,)."""
-        if self.model.memory or "time_s" in self._needs:
+        if self.model.memory or self.model.lags or "time_s" in self._needs:
             return np.ones(count, dtype=bool)
         changing = [np.any(rate != 0.0, axis=0) if np.ndim(rate) > 1 else rate != 0.0 for rate in rates.values()]
         return np.asarray(np.broadcast_to(functools.reduce(np.logical_or, changing), (count,)))
@@ -317,6 +318,7 @@ class ArrayMission:
             parts[key][:] = joules
         steady_loads = [name for name in total if name not in self._even and not self.varying.of(name)]
         energy = {name: duration * total[name] for name in steady_loads}
+        lags = lags_within(self.varying, cov, rates, duration, values)
 
         def book(powers: Mapping[str, Mapping[Any, Any]], where: Any, length: Array, sampled: bool = False) -> None:
             nonlocal doubt
@@ -347,7 +349,9 @@ class ArrayMission:
                     energy[battery][:, where] = length * mean
 
         def inside(battery: str, rows: Any, columns: Any, times: Array) -> dict[TermKey, Any]:
-            at = at_times(cov, rates, rows, np.flatnonzero(curved_at)[columns], times)
+            columns = np.flatnonzero(curved_at)[columns]
+            at = at_times(cov, rates, rows, columns, times)
+            at |= {name: lag(rows, columns, times[:, None])[:, 0] for name, lag in lags.items()}
             return self.varying.evaluate(at, {name: value[rows, 0] for name, value in values.items()}, battery)[battery]
 
         if self.varying.terms and not curved_at.any():
@@ -358,7 +362,13 @@ class ArrayMission:
                 book(self.varying.evaluate(take(cov, steady), values), steady, duration[:, steady])
             length = duration[:, curved]
             times = (0.5 * length[..., None] * (SAMPLES + 1.0)).reshape(len(length), -1)
-            book(self.varying.evaluate(at_nodes(cov, rates, curved, times), values), curved, length, sampled=True)
+            nodes = at_nodes(cov, rates, curved, times)
+            which = np.divmod(np.arange(length.size), curved.size)
+            nodes |= {
+                name: lag(which[0], curved[which[1]], times.reshape(-1, len(SAMPLES))).reshape(times.shape)
+                for name, lag in lags.items()
+            }
+            book(self.varying.evaluate(nodes, values), curved, length, sampled=True)
         if self._impulsive:
             for term, impulse in self.model.impulses(cov, values).items():
                 spread = np.broadcast_to(impulse, duration.shape)

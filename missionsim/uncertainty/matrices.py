@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missionsim.effects.covariates import Columns, Covariates, Labels, Value
-from missionsim.effects.model import TermKey
-from missionsim.effects.timeline import RELATIVE_TOLERANCE, SAMPLES, averaged
+from missionsim.effects.model import PowerModel, TermKey
+from missionsim.effects.timeline import RELATIVE_TOLERANCE, SAMPLES, averaged, lags_of
 from missionsim.physics import Array
+from missionsim.physics.lag import GOES_ON, SETTLED
 from missionsim.plan.legs import Leg, Phase, Plan
 
 _RATE = "d/dt "
@@ -120,6 +121,33 @@ def at_times(
         if np.any(change):
             found[name] = found[name] + times * of(np.asarray(change))
     return found
+
+
+def lags_within(
+    model: PowerModel, cov: Covariates, rates: Covariates, duration: Array, values: Mapping[str, Array]
+) -> dict[str, Callable[[NDArray[np.intp], NDArray[np.intp], Array], Array]]:
+    """The lags that a model reads, as functions of runs, intervals (shape (k,)) and times within them (shape (k, q))."""
+    count = duration.shape[1]
+
+    def at(index: NDArray[np.intp], seconds: Array) -> Columns:
+        rows, columns = np.divmod(np.repeat(index, seconds.shape[1]), count)
+        found = at_times(cov, rates, rows, columns, seconds.ravel())
+        return {
+            name: Labels(value.codes.reshape(seconds.shape), value.names)
+            if isinstance(value, Labels)
+            else np.reshape(value, seconds.shape)
+            for name, value in found.items()
+        }
+
+    def own(index: NDArray[np.intp]) -> dict[str, Array]:
+        return {name: value[index // count] for name, value in values.items()}
+
+    begin = np.where(np.arange(duration.size) % count == 0, SETTLED, GOES_ON)
+    found = lags_of(model, at, own, duration.ravel(), dict.fromkeys(model.lags, begin))
+    return {
+        name: lambda rows, columns, seconds, lag=lag: lag(rows * count + columns, seconds)
+        for name, lag in found.items()
+    }
 
 
 def take(cov: Covariates, index: NDArray[np.intp]) -> Columns:

@@ -55,7 +55,7 @@ def _obstacle(mission: MissionSpec, model: PowerModel, plan: Plan) -> str:
     charges = [leg.recharge for leg in plan.legs if leg.recharge is not None]
     if any(charge.duration_s is None or np.isfinite(charge.if_below) for charge in charges):
         return "how long it recharges depends on the charge"
-    if charges and (model.memory or "time_s" in model.needs):
+    if charges and (model.memory or model.lags or "time_s" in model.needs):
         return "it recharges, and powers change with time"
     if plan.gated:
         return "a block is repeated until a time"
@@ -91,6 +91,7 @@ def _without_fixed_terms(made: ArrayMission) -> ArrayMission:
     for name, rate in rates.items():  # what changes along an interval counts as changing from run to run
         if np.any(rate):
             cov[name] = np.broadcast_to(cov[name], duration.shape) + np.array([[0.0], [1.0]])
+    cov |= dict.fromkeys(made.model.lags, np.zeros(duration.shape) + np.array([[0.0], [1.0]]))
     powers = made.model.evaluate(cov, values)
     first = np.unique(intervals.part_of, return_index=True)[1]
     if len(first) != len(made.parts):
