@@ -229,10 +229,18 @@ def _speeds(b: _Builder, name: str) -> None:
     )
     for part, first in WIDTHS.items():
         _bumps(b, name, v, _round(part * high), levels, b.quantiles(driven, *first))
+    past = [np.vstack([x, run["time_s"]]) for x, run in zip(v, b.runs, strict=True)]
+    b.family(
+        lambda n: Factor(f"{name} memory", f"lag({text}, {n})", f"v lagged {n} s", 2),
+        lambda x, n: lagged(x[0], x[1], n),
+        past,
+        LAGS_S,
+        (8.0, 50.0),
+    )
     b.family(
         lambda n: Factor(f"{name} memory", f"max(lag({text}, {n}) - {text}, 0)", f"(v lagged {n} s − v)₊", 3),
         lambda x, n: np.maximum(lagged(x[0], x[1], n) - x[0], 0.0),
-        [np.vstack([x, run["time_s"]]) for x, run in zip(v, b.runs, strict=True)],
+        past,
         LAGS_S,
         (5.0, 30.0),
     )

@@ -46,10 +46,6 @@ class Factor:
     fine: bool = False
     """One of the numbers between those that the first pass tries."""
 
-    @property
-    def memory(self) -> bool:
-        """Whether it reads what was before: a first-order lag."""
-        return "lag(" in self.text
 
 
 @dataclass(frozen=True)
@@ -87,8 +83,8 @@ class Grammar:
         names = ["clock" if f.variable in CLOCKS else f.variable for f in self.factors]  # a law holds one of them
         number = {name: i for i, name in enumerate(dict.fromkeys(names))}
         of = np.array([number[name] for name in names], dtype=np.intp)
-        plain = np.array([not f.memory for f in self.factors], dtype=bool)
-        used = [i for i, f in enumerate(self.factors) if not f.fine and (memory or not f.memory)]
+        plain = np.array([not self.memory([i]) for i in range(len(self.factors))], dtype=bool)
+        used = [i for i, f in enumerate(self.factors) if not f.fine and (memory or plain[i])]
         found = []
         for size in range(1, MOST_FACTORS + 1):
             rows = np.array(list(combinations(used, size)), dtype=np.intp).reshape(-1, size)
@@ -144,6 +140,10 @@ class Grammar:
     def rank(self, form: Sequence[int]) -> int:
         """How far a law is from a product of plain quantities."""
         return sum(self.factors[i].rank for i in form)
+
+    def memory(self, form: Sequence[int]) -> bool:
+        """Whether it reads what was before: a first-order lag."""
+        return any("lag(" in self.factors[i].text for i in form)
 
     def gives_back(self, form: Sequence[int]) -> bool:
         """Whether its coefficient may be negative."""

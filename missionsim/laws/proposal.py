@@ -12,7 +12,7 @@ from missionsim.effects.covariates import Covariates, is_text
 from missionsim.expressions import compile_expression
 from missionsim.glossary import column_of
 from missionsim.identify.identification import Identification
-from missionsim.identify.proposed import CLOCKS, QUANTITY, Curve, Law, Proposal
+from missionsim.identify.proposed import CLOCKS, FAR_BETTER, QUANTITY, Curve, Law, Proposal
 from missionsim.labels import Labels
 from missionsim.laws.adapter import Ground, ground_of
 from missionsim.laws.factors import make_grammar
@@ -68,11 +68,12 @@ def propose(found: Identification, covariates: Sequence[Covariates]) -> Proposed
     # where the base is far from right, what wanders unexplained looks like a clock, and warming up is in the library
     skip = {*repeated(ground.covariates), *_own_meter(ground)}
     grammar = make_grammar(ground.covariates, skip, clocks=ground.model.squares is None)
-    for memory in (False, True):
-        made = _propose(ground, grammar, memory, found)
-        if made is not None:
-            return made
-    return None
+    plain, late = (_propose(ground, grammar, memory, found) for memory in (False, True))
+    if late is None:
+        return plain
+    before, after = late.proposal.left_out_rmse_w
+    # whatever is slow looks like a lag of something: it takes the place of what needs none only if that is far worse
+    return late if after < FAR_BETTER * (before if plain is None else plain.proposal.left_out_rmse_w[1]) else plain
 
 
 def _own_meter(ground: Ground) -> set[str]:
@@ -95,9 +96,12 @@ def _judged(search: Search, done: Searched) -> tuple[list[Scored], list[Scored],
     """
     near, beside = _set(done.near, search.grammar)
     # the best form is not near where its sign is wrong at the noise that all are compared at
-    best = [one for one in done.near if one.form == done.best.form]
+    late = search.grammar.memory(done.best.form)
+    best = [one for one in done.near if one.form == done.best.form and not late]
     forms = {one.form: one for one in (*_one_each(near, search.grammar), *best)}
-    fits = {form: done.best if form == done.best.form else search.fit(form) for form in forms}
+    # lags of like time constants are told apart at the noise that one of them leaves: without, it lasts as long as they
+    start = (done.best.model.noise,) if late else ()
+    fits = {form: done.best if form == done.best.form else search.fit(form, *start) for form in forms}
     read = {form: set(search.grammar.variables(form)) for form in fits}
     lead = near[0].form
     other = min(fits, key=lambda form: fits[form].errors.with_law)

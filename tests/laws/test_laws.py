@@ -15,7 +15,9 @@ from missionsim.cli.app import run_command as main
 from missionsim.diagnose import sentences
 from missionsim.diagnose.improve import _why
 from missionsim.diagnose.proposed import formula_of, with_candidate
+from missionsim.effects.base_terms import expression_term
 from missionsim.errors import InputError
+from missionsim.expressions import compile_expression
 from missionsim.identify.proposed import Curve, Law, Proposal
 from missionsim.inputs.edit import robot_text
 from missionsim.labels import Labels
@@ -66,10 +68,10 @@ def grammar() -> Grammar:
 def test_every_factor_is_what_its_text_says(grammar: Grammar) -> None:
     cov = covariates()
     for i, factor in enumerate(grammar.factors):
-        if factor.simulated:
-            np.testing.assert_allclose(
-                grammar.products([[i]])[0][0], evaluate(f"k * {factor.text}", cov, 200), rtol=1e-9, err_msg=factor.text
-            )
+        effect = expression_term("law", compile_expression(f"k * {factor.text}"), ())
+        np.testing.assert_allclose(
+            grammar.products([[i]])[0][0], effect.power(cov, {"k": 1.0}), rtol=1e-9, atol=1e-12, err_msg=factor.text
+        )
 
 
 def test_a_law_holds_each_quantity_once_and_never_the_voltage(grammar: Grammar) -> None:
@@ -80,7 +82,7 @@ def test_a_law_holds_each_quantity_once_and_never_the_voltage(grammar: Grammar) 
         assert len(set(variables)) == len(variables)
         assert not {"time_s", "moving_time_s"} <= set(variables)
     assert not any("voltage" in f.variable for f in grammar.factors)
-    assert all(not grammar.simulated(form) for form in grammar.forms(memory=True)[1])
+    assert all(grammar.memory(form) for form in grammar.forms(memory=True)[1])
 
 
 @pytest.mark.parametrize("name", ["temp_battery_c", "gearbox_temp", "oil_degc"])
@@ -256,20 +258,8 @@ def test_a_form_is_asked_for_by_number_or_as_text() -> None:
         formula_of([law()], "3")
     with pytest.raises(InputError, match="propose no such form"):
         formula_of([], "1")
-    lagged = Law(
-        "k * max(lag(abs(speed_m_s), 30) - abs(speed_m_s), 0)",
-        "",
-        "N",
-        1.0,
-        0.9,
-        1.1,
-        0.05,
-        0.0,
-        variables=(),
-        simulated=False,
-    )
-    with pytest.raises(InputError, match="cannot simulate yet"):
-        formula_of([law(laws=(lagged,))], "1")
+    lagged = Law("k * lag(abs(speed_m_s), 30)", "", "N", 1.0, 0.9, 1.1, 0.05, 0.0, variables=())
+    assert formula_of([law(laws=(lagged,))], "1") == lagged.formula
 
 
 def test_a_candidate_has_a_name_a_unit_and_no_negative_size() -> None:
