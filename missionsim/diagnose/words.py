@@ -142,9 +142,7 @@ def law_lines(law: Proposal) -> list[str]:
     for number, one in enumerate(law.laws, 1):
         behind = "" if one.behind_nats < 0.05 else f"; {one.behind_nats:.0f} nats behind"
         unit = _unit(one.unit)
-        lines.append(
-            f"{number}: {one.formula}, k = {one.k:.3g}{unit} (95 % {one.low:.3g} to {one.high:.3g}){behind}"
-        )
+        lines.append(f"{number}: {one.formula}, k = {one.k:.3g}{unit} (95 % {one.low:.3g} to {one.high:.3g}){behind}")
     before, after = law.left_out_rmse_w
     rests = f"rise of {law.rise_nats:.0f} nats where {law.penalty_nats + 6:.0f} are asked, of {law.tried:,} forms"
     if math.isfinite(after):

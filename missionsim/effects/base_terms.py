@@ -182,7 +182,9 @@ def _remembered(cov: Covariates, text: str, x: Value, tau_s: Value) -> Value:
         given: Value = cov[text]
         return given
     time_s = cov.get("time_s", 0.0)
-    return lagged(x, time_s, float(tau_s)) if np.ndim(x) == 1 and np.shape(x) == np.shape(time_s) else x
+    if np.ndim(x) != 1 or np.shape(x) != np.shape(time_s):
+        return x
+    return lagged(np.asarray(x), np.asarray(time_s), float(tau_s))
 
 
 ALIASES = {"v": "speed_m_s", "a": "accel_m_s2", "w": "yaw_rate_rad_s", "u": "lateral_speed_m_s"}

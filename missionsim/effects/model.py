@@ -162,15 +162,17 @@ class PowerModel:
         """First-order lags that terms read, by names of their own."""
         return {_lag_name(term, lag): (term, lag) for term in self.terms for lag in term.effect.lags}
 
-    def lagging(self, name: str, cov: Covariates, values: Mapping[str, Value]) -> Any:
+    def lagging(self, name: str, cov: Covariates, values: Mapping[str, Value]) -> Value:
         """The signal of a lag."""
         term, lag = self.lags[name]
-        return lag.signal({**aliased(self.complete(cov, values)), **self._values(term, values)})
+        found: Value = lag.signal({**aliased(self.complete(cov, values)), **self._values(term, values)})
+        return found
 
-    def time_constant(self, name: str, values: Mapping[str, Value]) -> Any:
+    def time_constant(self, name: str, values: Mapping[str, Value]) -> Value:
         """The time constant of a lag [s]."""
         term, lag = self.lags[name]
-        return lag.tau(self._values(term, values))
+        found: Value = lag.tau(self._values(term, values))
+        return found
 
     @cached_property
     def needs(self) -> frozenset[str]:

@@ -241,7 +241,7 @@ def _of_rows(values: Mapping[str, Any], index: NDArray[np.intp]) -> dict[str, An
 def lags_of(
     model: PowerModel,
     at: Callable[[NDArray[np.intp], Array], Columns],
-    values: Callable[[NDArray[np.intp]], Mapping[str, Any]],
+    values: Callable[[NDArray[np.intp]], Mapping[str, Value]],
     duration_s: Array,
     begin: Mapping[str, Array],
 ) -> dict[str, Lagged]:
@@ -298,7 +298,11 @@ def _solved(
 
 
 def within(
-    model: PowerModel, line: Timeline, index: NDArray[np.intp], seconds: Array, values: Mapping[str, Any] | None = None
+    model: PowerModel,
+    line: Timeline,
+    index: NDArray[np.intp],
+    seconds: Array,
+    values: Mapping[str, Value] | None = None,
 ) -> Columns:
     """`Timeline.at` for a model: with the clocks and the lags that it reads."""
     cov = line.at(index, seconds, model.memory)

@@ -36,7 +36,7 @@ class Asked(NamedTuple):
     states: Sequence[Sequence[float]]
     values: Mapping[str, Value]
     lags: Mapping[str, Array] = MappingProxyType({})
-    """What is known of the model's first-order lags where rows begin; not a number where they follow from the row before."""
+    """What is known of the model's lags where rows begin; not a number where they follow from the row before."""
 
 
 class Evaluated(NamedTuple):

@@ -157,8 +157,8 @@ def home_energies(
         if end >= 0 and ended and driven is not None and homing.ways(place) is not None:
             clock = moved.get(segment, 0.0) if "moving_time_s" in model.memory else 0.0
             # rounds that are repeated have the same ways home
-            begin = tuple(float(values[last_rows[segment]]) for values in lags.values()) if segment in last_rows else ()
-            key = place, driven.settings, driven.speed_m_s, driven.instant, begin, clock
+            warm = tuple(float(values[last_rows[segment]]) for values in lags.values()) if segment in last_rows else ()
+            key = place, driven.settings, driven.speed_m_s, driven.instant, warm, clock
             if key not in ways:
                 ways[key] = homing.from_place(place, driven) or []
         keys.append(key)

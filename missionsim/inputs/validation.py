@@ -322,10 +322,15 @@ class Checker:
         return [str(key) for key in data] if isinstance(data, dict) else []
 
     def formulas(
-        self, texts: Mapping[tuple[str | int, ...], str], own: Iterable[str], times: Mapping[str, Parameter] | None = None
+        self,
+        texts: Mapping[tuple[str | int, ...], str],
+        own: Iterable[str],
+        times: Mapping[str, Parameter] | None = None,
     ) -> None:
-        """Formulas, by their paths, that can be read, name what there is and together use all their parameters. `times`:
-        parameters that may be time constants of lags; no lag is allowed where there can be none."""
+        """Formulas, by their paths, that can be read, name what there is and together use all their parameters.
+
+        `times`: parameters that may be time constants of lags; no lag is allowed where there can be none.
+        """
         parameters = list(own)
         used: set[str] = set()
         for where, text in texts.items():
@@ -377,7 +382,9 @@ def _lag_faults(lag: Lag, times: Mapping[str, Parameter] | None) -> Iterator[Fau
     if tau is None:
         yield lag.place.fault(f"the time constant '{lag.parameter}' is no parameter", got=lag.text, allowed=told)
     elif tau.unit != "s":
-        yield lag.place.fault(f"wrong unit of the time constant '{lag.parameter}'", got=tau.unit or "none", allowed=told)
+        yield lag.place.fault(
+            f"wrong unit of the time constant '{lag.parameter}'", got=tau.unit or "none", allowed=told
+        )
     elif not tau.value > 0.0:
         got, allowed = f"{tau.value:g} s", "more than 0 s"
         yield lag.place.fault(f"impossible time constant '{lag.parameter}'", got=got, allowed=allowed)

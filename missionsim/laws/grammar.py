@@ -47,7 +47,6 @@ class Factor:
     """One of the numbers between those that the first pass tries."""
 
 
-
 @dataclass(frozen=True)
 class Grammar:
     """All factors that the logs allow, and what gives the values of each in every run at its raw rate."""
@@ -148,6 +147,7 @@ class Grammar:
     def gives_back(self, form: Sequence[int]) -> bool:
         """Whether its coefficient may be negative."""
         return any(self.factors[i].gives_back for i in form)
+
 
 _SAME = frozenset({"abs", "max", "min", "maximum", "minimum", "clip", "lag"})
 _DERIVED = {"moving_time_s": "s", "mass_kg": "kg", "v": "m/s", "a": "m/s^2", "w": "rad/s", "u": "m/s", "m": "kg"}

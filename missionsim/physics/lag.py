@@ -52,13 +52,11 @@ def rises(z: Array, count: int) -> Array:
     return found
 
 
-def lagged(
-    values: Array, time_s: Array, tau_s: float, before: tuple[float, float, float] | None = None
-) -> Array:
+def lagged(values: Array, time_s: Array, tau_s: float, before: tuple[float, float, float] | None = None) -> Array:
     """The lag of a signal that goes straight from row to row.
 
-    `values`, `time_s`: shape (n,); where the time does not go on, another run begins, settled at its first row. `tau_s`:
-    time constant; without lag where it is not positive. `before`: time, signal and lag of the row before these.
+    `values`, `time_s`: shape (n,); where the time does not go on, another run begins, settled at its first row.
+    `tau_s`: time constant; none where it is not positive. `before`: time, signal and lag of the row before these.
     """
     if before is not None:
         time_s, values = np.append(before[0], time_s), np.append(before[1], values)

@@ -351,7 +351,7 @@ class ArrayMission:
         def inside(battery: str, rows: Any, columns: Any, times: Array) -> dict[TermKey, Any]:
             columns = np.flatnonzero(curved_at)[columns]
             at = at_times(cov, rates, rows, columns, times)
-            at |= {name: lag(rows, columns, times[:, None])[:, 0] for name, lag in lags.items()}
+            at |= {name: lag(rows * duration.shape[1] + columns, times[:, None])[:, 0] for name, lag in lags.items()}
             return self.varying.evaluate(at, {name: value[rows, 0] for name, value in values.items()}, battery)[battery]
 
         if self.varying.terms and not curved_at.any():
@@ -363,11 +363,9 @@ class ArrayMission:
             length = duration[:, curved]
             times = (0.5 * length[..., None] * (SAMPLES + 1.0)).reshape(len(length), -1)
             nodes = at_nodes(cov, rates, curved, times)
-            which = np.divmod(np.arange(length.size), curved.size)
-            nodes |= {
-                name: lag(which[0], curved[which[1]], times.reshape(-1, len(SAMPLES))).reshape(times.shape)
-                for name, lag in lags.items()
-            }
+            every = np.add.outer(np.arange(len(length)) * duration.shape[1], curved).ravel()
+            for name, lag in lags.items():
+                nodes[name] = lag(every, times.reshape(-1, len(SAMPLES))).reshape(times.shape)
             book(self.varying.evaluate(nodes, values), curved, length, sampled=True)
         if self._impulsive:
             for term, impulse in self.model.impulses(cov, values).items():

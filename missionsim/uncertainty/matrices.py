@@ -18,7 +18,7 @@ from missionsim.effects.covariates import Columns, Covariates, Labels, Value
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.effects.timeline import RELATIVE_TOLERANCE, SAMPLES, averaged, lags_of
 from missionsim.physics import Array
-from missionsim.physics.lag import GOES_ON, SETTLED
+from missionsim.physics.lag import GOES_ON, SETTLED, Lagged
 from missionsim.plan.legs import Leg, Phase, Plan
 
 _RATE = "d/dt "
@@ -125,8 +125,8 @@ def at_times(
 
 def lags_within(
     model: PowerModel, cov: Covariates, rates: Covariates, duration: Array, values: Mapping[str, Array]
-) -> dict[str, Callable[[NDArray[np.intp], NDArray[np.intp], Array], Array]]:
-    """The lags that a model reads, as functions of runs, intervals (shape (k,)) and times within them (shape (k, q))."""
+) -> dict[str, Lagged]:
+    """The lags that a model reads, within the intervals of all runs, which follow each other run by run."""
     count = duration.shape[1]
 
     def at(index: NDArray[np.intp], seconds: Array) -> Columns:
@@ -143,11 +143,7 @@ def lags_within(
         return {name: value[index // count] for name, value in values.items()}
 
     begin = np.where(np.arange(duration.size) % count == 0, SETTLED, GOES_ON)
-    found = lags_of(model, at, own, duration.ravel(), dict.fromkeys(model.lags, begin))
-    return {
-        name: lambda rows, columns, seconds, lag=lag: lag(rows * count + columns, seconds)
-        for name, lag in found.items()
-    }
+    return lags_of(model, at, own, duration.ravel(), dict.fromkeys(model.lags, begin))
 
 
 def take(cov: Covariates, index: NDArray[np.intp]) -> Columns:

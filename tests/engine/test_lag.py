@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -88,7 +87,9 @@ def test_run_agrees_with_an_independent_solution(
 ) -> None:
     # 0.4 m/s² up, 0.6 down: knots of the speed by hand
     segments = [{"wait": {"duration": "20 s"}}, {"drive": {"distance": "30 m", "speed": 0.8}}]
-    result = run([*segments, {"wait": {"duration": "5 min"}}, {"drive": {"distance": "9 m", "speed": 1.2}}], with_lag(formula))
+    result = run(
+        [*segments, {"wait": {"duration": "5 min"}}, {"drive": {"distance": "9 m", "speed": 1.2}}], with_lag(formula)
+    )
     times, speeds = [0.0, 20.0], [0.0, 0.0]
     for length, top, stands in ((30.0, 0.8, 300.0), (9.0, 1.2, 0.0)):
         up, down = top / 0.4, top / 0.6
@@ -123,7 +124,13 @@ def test_the_lag_goes_on_where_the_engine_has_looked_at_the_battery(circuit: boo
     }
     there = [{"drive": {"to": "far", "speed": 1.0}}, {"drive": {"to": "home", "speed": 1.0}}]
     dock = {"dock": {"recharge": {"until": "98 %", "batteries": ["main"]}}}
-    result = run([*there, dock, *there, {"wait": {"duration": "30 s"}}], made, site, start="home", defaults={"turn_at_places": False})
+    result = run(
+        [*there, dock, *there, {"wait": {"duration": "30 s"}}],
+        made,
+        site,
+        start="home",
+        defaults={"turn_at_places": False},
+    )
     assert result.completed
     knots, speed = speed_of(result)
     wanted = solution(knots, speed, 40.0, lambda y, v: 40.0 * max(y - v, 0.0))

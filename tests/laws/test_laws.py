@@ -23,7 +23,6 @@ from missionsim.inputs.edit import robot_text
 from missionsim.labels import Labels
 from missionsim.laws.factors import make_grammar
 from missionsim.laws.grammar import Grammar, unit_of
-from missionsim.laws.proposal import evaluate
 
 from .study import diagnose, held_by_band, judge
 from .world import LAWS, Made, make
