@@ -26,6 +26,8 @@ from missionsim.identify.settings import (
     LARGEST_PASS_THROUGH,
     LEAST_FALL,
     NESTED,
+    OFTEN,
+    OFTEN_PART,
     PASS_THROUGH_FALL,
     POWER_Z,
     RIVAL_PART,
@@ -127,11 +129,15 @@ def far_from_right(source: Source) -> LeastSquares | None:
     """Least squares at clocks as logged where even the recalibrated base predicts most left-out runs so badly that its
     form is far from right; None elsewhere.
 
-    A ramp or two that it does not know are no reason: one missing effect of few runs is what the finer search is for.
+    A ramp or two that it does not know are no reason: one missing effect of few runs, or of few rows as a surge or a
+    jolt is, is what the finer search is for.
     """
-    squares = LeastSquares.of(source.design(Clock.as_logged(len(source.runs))))
+    design = source.design(Clock.as_logged(len(source.runs)))
+    squares, mean_w = LeastSquares.of(design), abs(source.layout.mean_power_w)
     error = np.sqrt(squares.leave_out(()).square / squares.seconds)
-    return squares if np.median(error) > ROUGH * abs(source.layout.mean_power_w) else None
+    rows = np.abs(design.residual - squares.fit(()) @ design.gradient[: squares.q])
+    often = np.average(rows > OFTEN * mean_w, weights=design.duration_s) > OFTEN_PART
+    return squares if np.median(error) > ROUGH * mean_w and often else None
 
 
 def forward(

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from missionsim.identify.data import Candidate, Column, Layout
-from missionsim.identify.forward import _Search
+from missionsim.identify.design import make_source
+from missionsim.identify.forward import _Search, far_from_right
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.settings import Settings
+
+from .world import library, make_runs
 
 
 @pytest.mark.parametrize(
@@ -51,3 +56,16 @@ def test_a_level_whose_sign_another_effect_turns_leaves_the_set() -> None:
     search = _Search(squares, layout, effects, Settings())
     assert search.tried(1, [1, 2], ()).columns == (1, 2)
     assert search._kept((1, 2, 0)) == (2, 0)
+
+
+@pytest.mark.parametrize(("part", "far"), [(0.02, False), (0.4, True)])
+def test_surges_that_are_large_and_seldom_are_no_base_that_is_far_from_right(part: float, far: bool) -> None:
+    """Both rows off by more than the mean power in their square; only one of them most of the time."""
+    rng = np.random.default_rng(2)
+    runs = [
+        replace(run, measured_w=run.measured_w + np.where(rng.random(len(run.time_s)) < part, surge, 0.0))
+        for run in make_runs(1)
+        for surge in [0.7 * run.measured_w.mean() / np.sqrt(part)]
+    ]
+    source = make_source(runs, library(), {}, Settings(align=False))
+    assert (far_from_right(source) is not None) is far
