@@ -284,7 +284,7 @@ def diagnose_battery(
         effects = with_law(models, made.effect, made.effect).needed_beside(made, effects)
     effects = models.of_all_braking(effects)
     # a base that is known from these logs alone may take all of an effect
-    effects, fitted = models.certain(effects, spared=0 if features.given_sd else 1)
+    effects, fitted = models.certain(effects, 0 if features.given_sd else 1, settings.min_share)
     kept = {effect.effect for effect in effects}
     candidates = tuple(
         c if c.effect in kept or not c.accepted else replace(c, accepted=False, open=True, reason=NOTHING_LEFT)

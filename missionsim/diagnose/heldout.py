@@ -131,17 +131,20 @@ class Models:
         ]
         return float(np.average([e.power_rmse_w**2 for e in errors], weights=[e.total.seconds for e in errors]))
 
-    def certain(self, effects: Sequence[Finding], spared: int = 1) -> tuple[tuple[Finding, ...], FinalFit]:
+    def certain(
+        self, effects: Sequence[Finding], spared: int = 1, least: float = 0.0
+    ) -> tuple[tuple[Finding, ...], FinalFit]:
         """The effects with the coefficients of the last fit, and that fit; what came to nothing in it goes again, but
-        for the first `spared`."""
+        for the first `spared` of at least some share of the energy."""
         while True:
             fitted = self.fit(effects)
             told = self.told(effects, fitted)
-            nothing = [one for one in told[spared:] if one.share_low <= 0.0 <= one.share_high and not self.lowers(one)]
+            asked = [one for i, one in enumerate(told) if i >= spared or abs(one.energy_share) < least]
+            nothing = [one for one in asked if one.share_low <= 0.0 <= one.share_high and not self.lowers(one)]
             if not nothing:
                 return told, fitted
-            least = min(nothing, key=lambda one: abs(one.energy_share)).effect
-            effects = [one for one in effects if one.effect != least]
+            smallest = min(nothing, key=lambda one: abs(one.energy_share)).effect
+            effects = [one for one in effects if one.effect != smallest]
 
     def errors(self, model: PowerModel, runs: Sequence[Run]) -> Errors:
         """Errors of a model on runs."""

@@ -31,6 +31,8 @@ SEVERAL_RUNS = 4
 """From so many runs on errors are clustered by run, below by blocks of `BLOCK_S`."""
 FREE_SD = 1e3
 """Relative prior standard deviation that leaves a parameter to the logs."""
+LEFT = 1e-3
+"""Part of its value that is left of a base parameter that comes to nothing: nought has no gradient to come back by."""
 ALIKE = 1e-9
 """Columns whose correlation is nearer to one than this are multiples of each other."""
 MOST_ROWS = 200_000
@@ -206,9 +208,10 @@ def _bounds(model: PowerModel, battery: str) -> tuple[dict[str, float], dict[str
             high[short] = min(np.inf if spec is None else spec.high, max(parameter.high, parameter.value))
             formula = parameter.path.startswith("motion.") and not parameter.path.endswith(".standing")
             if term.base and not formula and parameter.value > 0.0:
-                low[short] = max(
-                    low[short], 0.0
-                )  # what is drawn at rest or by a component may be unknown, not negative
+                # what is drawn at rest or by a component may be unknown, not negative
+                low[short] = max(low[short], 0.0)
+            if term.base and parameter.value > 0.0 and low[short] == 0.0:
+                low[short] = LEFT * parameter.value
             free = not term.base and term.effect.sign == 0
             if free or (term.base and parameter.value < 0.0 and low[short] >= 0.0):
                 low[short] = -np.inf

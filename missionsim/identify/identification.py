@@ -20,7 +20,7 @@ from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.profile import refit_shapes
 from missionsim.identify.residual import dependences, low_frequency_noise, periodic, runs_apart, wrong_form
 from missionsim.identify.rules import GATES, Question, Remains, demoted, refusal
-from missionsim.identify.settings import HALVED, SEVERAL_RUNS, Settings
+from missionsim.identify.settings import HALVED, SEVERAL_RUNS, TWIN, TWINS, Settings
 from missionsim.identify.simpler import factor_told, instead_of_effects, level_difference, parameters_instead
 from missionsim.identify.stepwise import choose, confirmed, forced
 from missionsim.identify.verdict import decide
@@ -98,14 +98,14 @@ def fit_effects(
 
 
 def refutes(free: Identification, held: Identification) -> bool:
-    """Whether left-out runs refute what the file says of its base: far better predicted without it, or as well without
-    an effect that is a base parameter's twin where that base is far from right."""
+    """Whether left-out runs refute what the file says of its base: far better predicted without it, or as well where
+    effects that are twins of base parameters say that the base is off."""
     chosen = {held.choice.model.source.layout.columns[k].candidate for k in held.choice.model.chosen}
-    far = held.choice.forward is not None
-    twin = far and any(held.library[number].prior is not None for number in chosen)
+    twins = sum(held.library[number].prior is not None for number in chosen)
     if not free.effects and (held.factor is not None or held.averages):
         return False  # one factor on all says as much
-    return free.error_w2 < (1.0 if twin else HALVED) * held.error_w2
+    far = held.choice.forward is not None
+    return free.error_w2 < (TWINS if twins > (not far) else TWIN if twins else HALVED) * held.error_w2
 
 
 def _told(

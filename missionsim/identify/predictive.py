@@ -105,11 +105,26 @@ class LeastSquares:
         inner[..., side[: self.q], side[: self.q]] += self.noise * INDEPENDENT_S / self.prior_sd**2
         return inner, sums[..., index, 0]
 
+    def _solved(self, inner: Array, side: Array) -> Array:
+        """Solutions (..., m) of normal equations in which no base parameter changes its sign: an impossible curve of
+        speed would stand in for what is missing."""
+        value = np.asarray(np.linalg.solve(inner, side[..., None])[..., 0])
+        for i in np.flatnonzero(np.any(value[:, : self.q] < -1.0, axis=1)):
+            gone = np.zeros(value.shape[1], dtype=bool)
+            while np.any(value[i, : self.q] < -1.0):
+                gone[: self.q] |= value[i, : self.q] < -1.0
+                value[i, gone] = -1.0
+                rest = np.linalg.solve(
+                    inner[i][np.ix_(~gone, ~gone)], side[i, ~gone] + inner[i][~gone][:, gone].sum(axis=1)
+                )
+                value[i, ~gone] = rest
+        return value
+
     def fit(self, chosen: Sequence[int], folds: NDArray[np.bool_] | None = None) -> Array:
         """Relative shifts of the base parameters, then shares of the chosen columns, shape (q + chosen,)."""
         sums = self.whole if folds is None else self.sums[folds].sum(axis=0)
         inner, side = self._normal(sums, self.index(chosen))
-        return np.asarray(np.linalg.solve(inner, side)) if len(side) else np.zeros(0)
+        return self._solved(inner[None], side[None])[0] if len(side) else np.zeros(0)
 
     def score(self, chosen: Sequence[int]) -> float:
         """Log-likelihood of a fit, up to a constant, with one independent observation every `INDEPENDENT_S`."""
@@ -124,7 +139,7 @@ class LeastSquares:
         coefficients: Array = np.zeros((len(self.sums), len(index)))
         if len(self.sums) > 1 and len(index):
             inner, side = self._normal(self.whole - self.sums, index)
-            coefficients = np.asarray(np.linalg.solve(inner, side[..., None])[..., 0])
+            coefficients = self._solved(inner, side)
         return self.errors(index, coefficients)
 
     def energy_left_out(self, chosen: Sequence[int], left: Left) -> Array:

@@ -323,6 +323,8 @@ INDEPENDENT_S = 20.0
 """Rows this far apart count as independent where a prior is weighed against the data [s], as in the robust blocks."""
 LEAST_FALL = 0.03
 """Part of the squared error on left-out runs that an effect must take away; chance and wrong forms take 1 to 2 %."""
+ENERGY_FALL = 0.005
+"""The same where the energy of left-out runs is predicted better beyond chance."""
 PASS_THROUGH_FALL = 0.002
 """The same for watts that are logged beside: they are drawn, only whether this battery feeds them is asked."""
 LARGEST_PASS_THROUGH = 2.0
@@ -332,6 +334,9 @@ FAMILY_LEVEL = 0.01
 HALVED, HALVED_LEVEL = 0.5, 0.05
 """An effect that leaves less than this part of the squared error on left-out runs is there at this level: its size may
 differ from run to run, so that the Wald test over few of them has no power."""
+TWINS, TWIN = 1.1, 0.75
+"""A base without priors that leaves no more than this part of the squared error refutes the file where effects that
+stand in for its parameters were found: two of them, or one where the base is far from right; and one otherwise."""
 UNCLEAR = 2.0
 """Standard errors of a paired difference between two effects below which runs do not tell them apart."""
 RIVAL_PART = 0.5
