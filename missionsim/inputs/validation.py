@@ -381,9 +381,9 @@ def _lag_faults(lag: Lag, times: Mapping[str, Parameter] | None) -> Iterator[Fau
     told, tau = f"a number in s, or a parameter {lag.parameter} with a unit of time", times.get(lag.parameter)
     if tau is None:
         yield lag.place.fault(f"the time constant '{lag.parameter}' is no parameter", got=lag.text, allowed=told)
-    elif tau.unit != "s":
+    elif tau.unit not in ("", "1", "s"):  # a plain number is in s
         yield lag.place.fault(
-            f"wrong unit of the time constant '{lag.parameter}'", got=tau.unit or "none", allowed=told
+            f"wrong unit of the time constant '{lag.parameter}'", got=tau.unit, allowed=told
         )
     elif not tau.value > 0.0:
         got, allowed = f"{tau.value:g} s", "more than 0 s"

@@ -252,7 +252,7 @@ def test_a_log_with_one_row_and_no_time_constant_is_its_own_lag() -> None:
         ("k * lag(abs(speed_m_s), 2 * tau)", "8 s", 24, "lag has no such time constant"),
         ("k * lag(abs(speed_m_s), tau)", "-8 s", 4, "impossible time constant 'tau'"),
         ("k * lag(abs(speed_m_s), tau)", "8 m", 4, "wrong unit of the time constant 'tau'"),
-        ("k * lag(abs(speed_m_s), tau)", "8", 4, "wrong unit of the time constant 'tau'"),
+        ("k * lag(abs(speed_m_s), tau)", "8 1/s", 4, "wrong unit of the time constant 'tau'"),
         ("k * lag(abs(speed_m_s), temp_motor_c)", "8 s", 4, "the time constant 'temp_motor_c' is no parameter"),
         ("k * lag(lag(abs(speed_m_s), 3), tau)", "8 s", 4, "a lag of a lag"),
         ("k * lag(3, tau)", "8 s", 4, "lag of something that is constant"),
