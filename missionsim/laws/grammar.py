@@ -20,7 +20,8 @@ from missionsim.glossary import column_of
 from missionsim.identify.proposed import CLOCKS
 from missionsim.physics import Array
 
-MOST_FACTORS = 3
+MOST_FACTORS, MOST_LATE = 3, 2
+"""The second with a lag among them."""
 NEIGHBOURS = (0, 1, 2, 4, 8, 16)
 """Numbers beside that of a factor that are tried next, by their place from the nearest on."""
 
@@ -85,7 +86,7 @@ class Grammar:
         plain = np.array([not self.memory([i]) for i in range(len(self.factors))], dtype=bool)
         used = [i for i, f in enumerate(self.factors) if not f.fine and (memory or plain[i])]
         found = []
-        for size in range(1, MOST_FACTORS + 1):
+        for size in range(1, (MOST_LATE if memory else MOST_FACTORS) + 1):
             rows = np.array(list(combinations(used, size)), dtype=np.intp).reshape(-1, size)
             variables = of[rows]
             keep = plain[rows].all(axis=1) != memory
