@@ -382,9 +382,7 @@ def _lag_faults(lag: Lag, times: Mapping[str, Parameter] | None) -> Iterator[Fau
     if tau is None:
         yield lag.place.fault(f"the time constant '{lag.parameter}' is no parameter", got=lag.text, allowed=told)
     elif tau.unit not in ("", "1", "s"):  # a plain number is in s
-        yield lag.place.fault(
-            f"wrong unit of the time constant '{lag.parameter}'", got=tau.unit, allowed=told
-        )
+        yield lag.place.fault(f"wrong unit of the time constant '{lag.parameter}'", got=tau.unit, allowed=told)
     elif not tau.value > 0.0:
         got, allowed = f"{tau.value:g} s", "more than 0 s"
         yield lag.place.fault(f"impossible time constant '{lag.parameter}'", got=got, allowed=allowed)

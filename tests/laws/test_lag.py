@@ -15,7 +15,7 @@ ROBOT = """kind: robot
 name: rover
 body: {mass: 20 kg, drive: skid_steer, max_speed: 1.5 m/s, max_acceleration: 0.5 m/s^2, max_deceleration: 0.5 m/s^2}
 batteries: {main: {capacity: 100 Wh, nominal_voltage: 24 V}}
-motion: {battery: main, model: polynomial, parameters: {c2: 12, c3: 30, c4: 15, standing: 9}}
+motion: {battery: main, model: polynomial, parameters: {c2: 12, c3: 30, c4: 9, standing: 9}}
 schemes: {follow: {}}
 """
 STEP_S = 0.02
@@ -30,7 +30,7 @@ def write_world(folder: Path, load: str, tau_s: float, size: float) -> None:
         for i in range(1, len(asked)):
             speed[i] = speed[i - 1] + np.clip(asked[i] - speed[i - 1], -0.5 * STEP_S, 0.5 * STEP_S)
             heat[i] = heat[i - 1] + STEP_S / tau_s * (0.5 * (speed[i] + speed[i - 1]) - heat[i - 1])
-        power = np.where(speed >= 0.005, 12.0 * speed**2 + 30.0 * speed + 15.0, 9.0)
+        power = 12.0 * speed**2 + 30.0 * speed + 9.0
         power += size * (np.maximum(heat - speed, 0.0) if load == "fan" else heat)
         seconds = round(1.0 / STEP_S)
         watts, means = power.reshape(-1, seconds).mean(axis=1), speed.reshape(-1, seconds).mean(axis=1)
