@@ -139,6 +139,7 @@ def make_grammar(covariates: Sequence[Covariates], skip: Set[str] = frozenset(),
         b.add(Factor("cpu_load", "cpu_load", "load"), load)
         b.add(Factor("cpu_load", "cpu_load**2", "load²", 1), [x**2 for x in load])
         _beyond(b, "cpu_load", (0.5,))
+        _late(b, "cpu_load", "cpu_load", "load", load)
     for name, powers in (("cpu_freq_hz", (1, 3)), ("access_point_distance_m", (1, 2)), ("time_s", (1,))):
         if b.has(name) and (clocks or name != "time_s"):
             _powers(b, name, name, SYMBOLS[name], b.raw(name), powers)
@@ -229,17 +230,22 @@ def _speeds(b: _Builder, name: str) -> None:
     )
     for part, first in WIDTHS.items():
         _bumps(b, name, v, _round(part * high), levels, b.quantiles(driven, *first))
-    past = [np.vstack([x, run["time_s"]]) for x, run in zip(v, b.runs, strict=True)]
+    _late(b, name, text, "v", v)
+
+
+def _late(b: _Builder, name: str, text: str, symbol: str, x: Sequence[Array]) -> None:
+    """First-order memories of a quantity: what follows it, and what runs on after it."""
+    past, of = [np.vstack([a, run["time_s"]]) for a, run in zip(x, b.runs, strict=True)], f"{name} memory"
     b.family(
-        lambda n: Factor(f"{name} memory", f"lag({text}, {n})", f"v lagged {n} s", 2),
-        lambda x, n: lagged(x[0], x[1], n),
+        lambda n: Factor(of, f"lag({text}, {n})", f"{symbol} lagged {n} s", 2),
+        lambda a, n: lagged(a[0], a[1], n),
         past,
         LAGS_S,
         (8.0, 50.0),
     )
     b.family(
-        lambda n: Factor(f"{name} memory", f"max(lag({text}, {n}) - {text}, 0)", f"(v lagged {n} s − v)₊", 3),
-        lambda x, n: np.maximum(lagged(x[0], x[1], n) - x[0], 0.0),
+        lambda n: Factor(of, f"max(lag({text}, {n}) - {text}, 0)", f"({symbol} lagged {n} s − {symbol})₊", 3),
+        lambda a, n: np.maximum(lagged(a[0], a[1], n) - a[0], 0.0),
         past,
         LAGS_S,
         (5.0, 30.0),

@@ -329,8 +329,9 @@ class _Carry:
             self._moving = moving[1]
         for name in [name for name in columns if is_switch(name)]:
             self._carry_component(name, cov, block)
-        for name in self._plan.model.lags:
-            self._carry_lag(name, cov)
+        for name, (term, _) in self._plan.model.lags.items():
+            if term.key.battery in self._plan.batteries:
+                self._carry_lag(name, cov)
         return cov
 
     def _carry_lag(self, name: str, cov: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -203,6 +204,21 @@ def test_a_log_is_driven_as_the_equation_says_in_blocks_too(size: int) -> None:
     time_s, speed = columns["time_s"], np.abs(columns["speed_m_s"])
     wanted = solution(time_s.tolist(), lambda t: float(np.interp(t, time_s, speed)), TAU, lambda y, _: y)[:, 0]
     assert found == pytest.approx(10.0 * wanted, rel=1e-9, abs=1e-9)
+
+
+def test_the_lag_of_a_battery_that_is_not_asked_for_needs_no_column() -> None:
+    log = log_of(rows(), np.ones(400))
+    own, other = law("k * lag(abs(speed_m_s), 8)", k=10.0), law("k * lag(cpu_load, 8)", k=1.0).terms[0]
+    both = replace(
+        own, terms=(*own.terms, replace(other, key=TermKey("aux", "fan", "fan"))), batteries=("robot", "aux")
+    )
+    driven = [
+        np.concatenate(
+            [block.model_w["robot"] for block in drive_blocks(assume(one, log.columns, log.batteries), cut(log, 64))]
+        )
+        for one in (own, both)
+    ]
+    assert driven[1] == pytest.approx(driven[0])
 
 
 def test_runs_one_after_the_other_begin_anew_and_steady_driving_is_settled() -> None:

@@ -22,29 +22,34 @@ STEP_S = 0.02
 
 
 def write_world(folder: Path, load: str, tau_s: float, size: float) -> None:
-    """Six drives to learn from and two others: a fan that runs on, or heat that follows the speed."""
+    """Six drives to learn from and two others: a fan that runs on, or heat that follows the speed or the processor."""
     rng = np.random.default_rng(5)
     for number in range(8):
         asked = np.repeat(rng.choice([0.0, 0.0, 0.3, 0.6, 0.9, 1.2], size=20), round(20 / STEP_S))
+        busy = np.repeat(rng.choice([0.1, 0.4, 0.8, 1.0], size=27), round(15 / STEP_S))[: len(asked)]
         speed, heat = np.zeros(len(asked)), np.zeros(len(asked))
+        heat[0] = busy[0] if load == "processor" else 0.0
         for i in range(1, len(asked)):
             speed[i] = speed[i - 1] + np.clip(asked[i] - speed[i - 1], -0.5 * STEP_S, 0.5 * STEP_S)
-            heat[i] = heat[i - 1] + STEP_S / tau_s * (0.5 * (speed[i] + speed[i - 1]) - heat[i - 1])
+            cause = busy[i - 1] if load == "processor" else 0.5 * (speed[i] + speed[i - 1])
+            heat[i] = heat[i - 1] + STEP_S / tau_s * (cause - heat[i - 1])
         power = 12.0 * speed**2 + 30.0 * speed + 9.0
         power += size * (np.maximum(heat - speed, 0.0) if load == "fan" else heat)
         seconds = round(1.0 / STEP_S)
-        watts, means = power.reshape(-1, seconds).mean(axis=1), speed.reshape(-1, seconds).mean(axis=1)
+        watts, means, loads = (x.reshape(-1, seconds).mean(axis=1) for x in (power, speed, busy))
         noise = np.zeros(len(watts))
         for i in range(1, len(noise)):
             noise[i] = 0.7 * noise[i - 1] + rng.normal(0.0, 0.15)
         into = folder / ("train" if number < 6 else "later")
         into.mkdir(exist_ok=True)
-        table = np.column_stack([np.arange(len(watts)) + 0.5, watts + noise, means])
-        header = "time_s,power_main_w,speed_m_s"
+        table = np.column_stack([np.arange(len(watts)) + 0.5, watts + noise, means, loads])
+        header = "time_s,power_main_w,speed_m_s,cpu_load"
         np.savetxt(into / f"run_{number}.csv", table, "%.5f", ",", header=header, comments="")
 
 
-@pytest.mark.parametrize(("load", "tau_s", "size"), [("fan", 20.0, 14.0), ("heat", 60.0, 8.0)])
+@pytest.mark.parametrize(
+    ("load", "tau_s", "size"), [("fan", 20.0, 14.0), ("heat", 60.0, 8.0), ("processor", 25.0, 6.0)]
+)
 def test_a_load_with_a_memory_is_found_written_and_simulated(
     load: str, tau_s: float, size: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -54,11 +59,15 @@ def test_a_load_with_a_memory_is_found_written_and_simulated(
     asked = ["improve", "--robot", "rover.yaml", "train", "--holdout", "later", "--yes", "--out", "better.yaml"]
     assert run_command([*asked, "--json", "found.json", "--quiet"]) == 0
     (effect,) = yaml.safe_load(Path("better.yaml").read_text())["effects"]
-    lags = {"fan": "k * max(lag(abs(speed_m_s), {}) - abs(speed_m_s), 0)", "heat": "k * lag(abs(speed_m_s), {})"}
+    lags = {
+        "fan": "k * max(lag(abs(speed_m_s), {}) - abs(speed_m_s), 0)",
+        "heat": "k * lag(abs(speed_m_s), {})",
+        "processor": "k * lag(cpu_load, {})",
+    }
     assert effect["power"] in [lags[load].format(tau) for tau in (13, 20, 30, 50, 80)]
     assert effect["parameters"]["k"]["value"] == pytest.approx(size, rel=0.15)
     Path("drive.yaml").write_text(
-        "kind: mission\nname: there\nrobot: better.yaml\ndefaults: {scheme: follow, speed: 0.9 m/s}\n"
+        "kind: mission\nname: there\nrobot: better.yaml\ndefaults: {scheme: follow, speed: 0.9 m/s, cpu_load: 0.4}\n"
         "segments: [{wait: {duration: 20 s}}, {drive: {distance: 60 m}}, {wait: {duration: 2 min}}]\n"
     )
     assert run_command(["validate", "better.yaml", "drive.yaml", "--quiet"]) == 0
