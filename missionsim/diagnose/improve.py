@@ -23,7 +23,7 @@ from missionsim.identify.findings import BatteryDiagnosis, Finding
 from missionsim.identify.settings import CLOCK_SD_S2, Settings
 
 MOST_ROUNDS = 8
-MOST_LAWS = 4
+MOST_LAWS = 3
 """Proposed laws that are offered once the library has nothing more to add."""
 
 Ask = Callable[[Finding, BatteryDiagnosis], bool]

@@ -312,7 +312,8 @@ class _Search:
         return Trial(number, tuple(own), after, shares, own_covariance, p_value, passed)
 
     def _beyond_recalibration(self, number: int, column: int, share: float) -> bool:
-        """Whether an effect that a base parameter imitates is more than a shift of it that its prior allows."""
+        """Whether an effect that a base parameter imitates is more than a shift of it that its prior allows, and takes
+        no more off than there is."""
         squares, twin = self.squares, self.candidates[number].prior
         if twin is None or twin not in self.layout.parameters:
             return True
@@ -320,8 +321,8 @@ class _Search:
         size = float(squares.whole[1 + q, 1 + q])
         if size <= 0.0:
             return True
-        shift = share * float(squares.whole[1 + q, 1 + squares.q + column]) / size / squares.prior_sd[q]
-        return bool(abs(shift) > self.settings.recalibration_limit)
+        shift = share * float(squares.whole[1 + q, 1 + squares.q + column]) / size
+        return bool(shift > -1.0 and abs(shift) > self.settings.recalibration_limit * squares.prior_sd[q])
 
     def rivals(self, trial: Trial, rest: Sequence[int], inside: set[int]) -> tuple[int, ...]:
         """Effects that predict left-out runs as well in the place of one; forms that hold it as a special case are

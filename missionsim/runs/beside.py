@@ -125,6 +125,11 @@ class Others:
         gains = [float(np.polyfit(own, measured[i], 1)[0]) for i, own in said.items() if np.ptp(own) > 0.0]
         return max((abs(float(np.log(max(gain, 1e-3)))) for gain in gains), default=0.0)
 
+    def late(self, number: int) -> int:
+        """Rows by which a run's power comes after what the others say of it."""
+        lags, along = correlation(self.runs[number].measured_w[self.battery], self.said(number))
+        return int(lags[int(np.argmax(along))])
+
     def follows(self, number: int) -> float:
         """Part of the variance of a run's power that what the others say of it explains."""
         measured, said = self.runs[number].measured_w[self.battery], self.said(number)
@@ -191,8 +196,10 @@ def _fault(others: Others, number: int, model: PowerModel) -> str:
         tried.append(
             (others.residual(number, evened), f"power_{battery}_w is {scale:.3g} times that of the other runs")
         )
-    late = _late(measured, said)
-    if late:
+    late = others.late(number)
+    # a meter that holds its value is late in every run
+    usually = float(np.median([others.late(int(i)) for i in np.flatnonzero(others.left)]))
+    if abs(late - usually) > max(1.0, abs(usually)):
         rows = slice(late, None) if late > 0 else slice(None, late)
         moved = np.std((measured - np.roll(said, late))[rows])
         seconds = late * float(np.median(one.dt_s))
@@ -231,12 +238,6 @@ def _unlogged_switching(others: Others, number: int, model: PowerModel) -> Itera
             others.residual(number, switched),
             f"{name} is {state[0]:g} in every row, while the power goes up and down by its watts",
         )
-
-
-def _late(measured: Array, said: Array) -> int:
-    """Rows by which measured power comes after what explains it."""
-    lags, along = correlation(measured, said)
-    return int(lags[int(np.argmax(along))])
 
 
 def correlation(measured: Array, said: Array) -> tuple[NDArray[np.int64], Array]:
