@@ -28,6 +28,10 @@ VARIES = 1e-9
 TEMPERATURE = re.compile(r"^temp_|_temp(erature)?(_|$)|_deg_?[cf]$")
 WIDTHS = {0.2: (0.5, 0.75), 0.1: (), 0.4: ()}
 """Widths of a resonance in parts of a fast drive's speed, with the quantiles of speed that enter the first pass."""
+SATURATES = np.array([0.1, 0.2, 0.3, 0.4, 0.6, 0.9])
+"""Loads of a processor at which its power may level off."""
+BENDS_AT = np.array([0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2])
+"""The same of a speed and a turn rate, in parts of a slow one."""
 EVENLY = 15
 """Thresholds between the lowest and the highest value that the runs hold."""
 NOISE_PART = 0.1
@@ -95,6 +99,13 @@ class _Builder:
         return [_round(float(q)) for q in np.quantile(every, parts)] if len(every) else [0.0 for _ in parts]
 
 
+def _saturates(b: _Builder, name: str, text: str, symbol: str, x: Sequence[Array], at: Array, first: float) -> None:
+    def factor(n: str) -> Factor:
+        return Factor(name, f"tanh({text} / {n})", f"tanh({symbol}/{n})", 2)
+
+    b.family(factor, lambda v, n: np.asarray(np.tanh(v / n)), x, at, (first,))
+
+
 def _family(form: Callable[[Array, float], Array], x: Sequence[Array], n: float) -> list[Array]:
     return [np.nan_to_num(form(v, n), nan=0.0, posinf=0.0, neginf=0.0) for v in x]
 
@@ -136,8 +147,8 @@ def make_grammar(covariates: Sequence[Covariates], skip: Set[str] = frozenset(),
         _about_thresholds(b, name)
     if b.has("cpu_load"):
         load = b.raw("cpu_load")
-        b.add(Factor("cpu_load", "cpu_load", "load"), load)
-        b.add(Factor("cpu_load", "cpu_load**2", "load²", 1), [x**2 for x in load])
+        _powers(b, "cpu_load", "cpu_load", "load", load, (1, 2), fine=True)
+        _saturates(b, "cpu_load", "cpu_load", "load", load, SATURATES, 0.3)
         _beyond(b, "cpu_load", (0.5,))
         _late(b, "cpu_load", "cpu_load", "load", load)
     for name, powers in (("cpu_freq_hz", (1, 3)), ("access_point_distance_m", (1, 2)), ("time_s", (1,))):
@@ -217,15 +228,12 @@ def _speeds(b: _Builder, name: str) -> None:
         levels,
         (middle, high),
     )
-    shapes = low * np.array([0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2])
-    b.family(
-        lambda n: Factor(name, f"tanh({text} / {n})", f"tanh(v/{n})", 2), lambda x, n: np.tanh(x / n), v, shapes, (low,)
-    )
+    _saturates(b, name, text, "v", v, low * BENDS_AT, low)
     b.family(
         lambda n: Factor(name, f"{moves} * exp(-{text} / {n})", f"[moving]·exp(−v/{n})", 2),
         lambda x, n: x[0] * np.exp(-x[1] / n),
         [np.vstack([o, x]) for o, x in zip(on, v, strict=True)],
-        shapes,
+        low * BENDS_AT,
         (0.5 * low,),
     )
     for part, first in WIDTHS.items():
@@ -287,13 +295,7 @@ def _turning(b: _Builder) -> None:
     turned = [np.where(x > gate, x, 0.0) for x in w]
     low, middle, high = b.quantiles(turned, 0.25, 0.5, 0.75)
     b.add(Factor(name, f"({text} > {gate:g})", "[turning]", 1), [x > gate for x in w])
-    b.family(
-        lambda n: Factor(name, f"tanh({text} / {n})", f"tanh(|ω|/{n})", 2),
-        lambda x, n: np.tanh(x / n),
-        w,
-        low * np.array([0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2]),
-        (low,),
-    )
+    _saturates(b, name, text, "|ω|", w, low * BENDS_AT, low)
     b.family(
         lambda n: Factor(name, f"max({text} - {n}, 0)", f"(|ω| − {n})₊", 2),
         lambda x, n: np.maximum(x - n, 0.0),
@@ -318,8 +320,7 @@ def _signed(b: _Builder, name: str) -> None:
 def _about_thresholds(b: _Builder, name: str) -> None:
     """Parts above and below values that the runs hold; a temperature in degC has no zero of its own."""
     if b.has(name):
-        every = np.concatenate(b.raw(name))
-        low, high, last = (float(q) for q in np.quantile(every, (0.35, 0.65, 0.99)))
+        low, high, last = (float(q) for q in np.quantile(np.concatenate(b.raw(name)), (0.35, 0.65, 0.99)))
         _beyond(b, name, (low, high))
         _beyond(b, name, (low, high, last), above=False)
 

@@ -21,7 +21,7 @@ from missionsim.identify.noise import Noise
 from missionsim.identify.proposed import CLOCKS
 from missionsim.laws.adapter import Ground, Rows32, Sieve
 from missionsim.laws.gates import LEAST_RISE, LEAST_SHARE, LeftOut, left_out
-from missionsim.laws.grammar import MOST_FACTORS, Grammar
+from missionsim.laws.grammar import Grammar
 from missionsim.physics import Array
 
 MOST_ROWS = 6000
@@ -263,7 +263,7 @@ class Search:
         for name in labels:
             rest = tuple(i for i in fitted.form if self.grammar.factors[i].variable != name)
             levels = [i for i, factor in enumerate(self.grammar.factors) if factor.variable == name]
-            if not rest or len(rest) == MOST_FACTORS or len(levels) < 2:
+            if not rest or len(rest) >= len(self.by_size) or len(levels) < 2:
                 continue
             rows = self.columns([(*rest, i) for i in levels])
             design = self.ground.extended(rows)
