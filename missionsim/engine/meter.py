@@ -222,7 +222,8 @@ class Meter:
             for name, battery in self.batteries.items()
         }
         if len(batches) == 1:
-            return replace(lines[0], lags={}), batches[0].energies, charge
+            line = replace(lines[0], lags={}) if self.model.lags else lines[0]
+            return line, batches[0].energies, charge
         energies = {
             name: {key: _joined([batch.energies[name][key] for batch in batches]) for key in terms}
             for name, terms in batches[0].energies.items()
