@@ -69,11 +69,23 @@ def propose(found: Identification, covariates: Sequence[Covariates]) -> Proposed
     skip = {*repeated(ground.covariates), *_own_meter(ground)}
     grammar = make_grammar(ground.covariates, skip, clocks=ground.model.squares is None)
     plain, late = (_propose(ground, grammar, memory, found) for memory in (False, True))
-    if late is None:
-        return plain
-    before, after = late.proposal.left_out_rmse_w
-    # whatever is slow looks like a lag of something: it takes the place of what needs none only if that is far worse
-    return late if after < FAR_BETTER * (before if plain is None else plain.proposal.left_out_rmse_w[1]) else plain
+    return late if late is not None and _stands(late, plain) else plain
+
+
+def _stands(late: Proposed, plain: Proposed | None) -> bool:
+    """Whether a law with a lag is far better than the best without one, or than none: whatever is slow looks like one.
+
+    How left-out runs are predicted rests on the noise that a fit ends with, so that laws are compared at the same.
+    """
+    if plain is None:
+        return late.proposal.far_better
+    laws = (late, plain)
+    found, other = (
+        left_out(one.ground.at_noise(one.ground.extended(one.fitted.watts), one.ground.usual())).with_law
+        for one in laws
+    )
+    likelier, less = (one.fitted.rise - one.fitted.penalty for one in laws)
+    return likelier > less and found < FAR_BETTER * other
 
 
 def _own_meter(ground: Ground) -> set[str]:

@@ -11,6 +11,9 @@ import yaml
 
 from missionsim.cli.app import run_command
 
+from .study import diagnose
+from .world import make
+
 ROBOT = """kind: robot
 name: rover
 body: {mass: 20 kg, drive: skid_steer, max_speed: 1.5 m/s, max_acceleration: 0.5 m/s^2, max_deceleration: 0.5 m/s^2}
@@ -78,3 +81,10 @@ def test_a_load_with_a_memory_is_found_written_and_simulated(
         assert run_command(["compare", "--robot", name, "later", "--json", "compared.json", "--quiet"]) == 0
         errors[name] = json.loads(Path("compared.json").read_text())["batteries"]["main"]["power_rmse_w"]
     assert errors["better.yaml"] < 0.25 * errors["rover.yaml"]
+
+
+def test_what_a_form_without_memory_explains_is_no_lag(tmp_path: Path) -> None:
+    # standing with a load looks like slowing down long ago; each law's own noise made its left-out errors its own too
+    report, _ = diagnose(*make("rest_payload", 3).write(tmp_path))
+    first = report["proposed_laws"][0]["forms"][0]
+    assert first["formula"] == "k * (1 - (abs(speed_m_s) >= 0.005 or abs(yaw_rate_rad_s) >= 0.02)) * payload_kg"
