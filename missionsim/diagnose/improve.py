@@ -195,8 +195,9 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
             else:
                 declined.append(effect.effect)
         if new:
-            if not again:  # a law that was found without them has another form beside them: it is looked for once more
-                (given, models), laws, again = library, 0, bool(by_law)
+            found = [effect for effect in new if effect.effect not in by_law]
+            if found and not again:  # a law found without them has another form beside them: it is looked for once more
+                (given, models), laws, again, new = library, 0, bool(by_law), found
                 taken = [effect for effect in taken if effect.effect not in by_law]
             taken, fitted = together([*taken, *new])
             text, last = settled(taken, fitted)

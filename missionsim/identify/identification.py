@@ -50,9 +50,16 @@ class Identification(Findings):
         return squares.leave_out(self.choice.model.chosen).total / float(squares.seconds.sum())
 
     def base_doubtful(self, settings: Settings) -> bool:
-        """Whether the base is far from right, or further off than what is known of it allows."""
+        """Whether the base is far from right, or further off than what is known of it allows, or a twin of one of its
+        parameters is named, which may have taken that."""
         beyond = (abs(one.shift_in_prior_sd) > settings.recalibration_limit for one in self.recalibration)
-        return self.choice.forward is not None or any(beyond)
+        return self.choice.forward is not None or self.twins > 0 or any(beyond)
+
+    @property
+    def twins(self) -> int:
+        """Number of chosen columns that a base parameter imitates."""
+        columns = self.choice.model.source.layout.columns
+        return sum(self.library[columns[k].candidate].prior is not None for k in self.choice.model.chosen)
 
 
 def identify(
@@ -100,12 +107,10 @@ def fit_effects(
 def refutes(free: Identification, held: Identification) -> bool:
     """Whether left-out runs refute what the file says of its base: far better predicted without it, or as well where
     effects that are twins of base parameters say that the base is off."""
-    chosen = {held.choice.model.source.layout.columns[k].candidate for k in held.choice.model.chosen}
-    twins = sum(held.library[number].prior is not None for number in chosen)
     if not free.effects and (held.factor is not None or held.averages):
         return False  # one factor on all says as much
     far = held.choice.forward is not None
-    return free.error_w2 < (TWINS if twins > (not far) else TWIN if twins else HALVED) * held.error_w2
+    return free.error_w2 < (TWINS if held.twins > (not far) else TWIN if held.twins or far else HALVED) * held.error_w2
 
 
 def _told(

@@ -335,8 +335,9 @@ HALVED, HALVED_LEVEL = 0.5, 0.05
 """An effect that leaves less than this part of the squared error on left-out runs is there at this level: its size may
 differ from run to run, so that the Wald test over few of them has no power."""
 TWINS, TWIN = 1.1, 0.75
-"""A base without priors that leaves no more than this part of the squared error refutes the file where effects that
-stand in for its parameters were found: two of them, or one where the base is far from right; and one otherwise."""
+"""A base without priors that leaves no more than this part of the squared error refutes the file: the first where two
+effects that stand in for its parameters were found, or one and the base is far from right; the second where one of the
+two holds."""
 UNCLEAR = 2.0
 """Standard errors of a paired difference between two effects below which runs do not tell them apart."""
 RIVAL_PART = 0.5
