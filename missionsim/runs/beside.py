@@ -300,12 +300,15 @@ def _few(levels: Array, number: int) -> bool:
 
 
 def _levels(driven: Driven, gap: Array) -> dict[tuple[object, ...], tuple[float, int]]:
-    """Median of measured less expected power, and the rows, by rest or motion and by what is on."""
+    """Median of measured less expected power, and the rows, by rest or motion, by what is on and by the floor."""
     cov = driven.covariates
     names = sorted(name for name in driven.run.columns if is_switch(name))
     states = np.column_stack([is_moving(cov) * np.ones(len(gap)), *(np.asarray(cov[name], float) for name in names)])
     kinds, which = np.unique(states, axis=0, return_inverse=True)
-    groups = ((tuple(kind), gap[which.ravel() == i]) for i, kind in enumerate(kinds))
+    words = [driven.run.columns[n] for n in sorted(driven.run.columns) if isinstance(driven.run.columns[n], Labels)]
+    # a floor that the whole run lies on is no meter's offset
+    texts = tuple(one.names[int(one.codes[0])] if np.ptp(one.codes) == 0 else "" for one in words)
+    groups = (((*kind, *texts), gap[which.ravel() == i]) for i, kind in enumerate(kinds))
     return {kind: (float(np.median(rows)), len(rows)) for kind, rows in groups if len(rows) >= (15 if kind[0] else 5)}
 
 

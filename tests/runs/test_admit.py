@@ -241,3 +241,18 @@ def test_a_run_is_as_late_as_a_meter_that_holds_its_value_makes_most_of_them() -
             power[row : row + 6] = run.power_w["robot"][max(0, row - 6) : max(6, row)].mean()
         runs.append(replace(changed(run, speed_m_s=speed), power_w={"robot": power}))
     assert told(runs) == []
+
+
+def test_runs_on_a_floor_that_costs_more_have_no_offset_of_a_meter() -> None:
+    """Nine runs on tile, three in snow, that hardly rest: what snow takes in motion looks as if it were there at rest."""
+    runs = []
+    for seed in range(12):
+        floor = "snow" if seed % 4 == 3 else "tile"
+        run = drive(seed, seconds=300.0, surface=[floor] * 300)
+        still = run.columns["speed_m_s"] == 0.0
+        noise = np.random.default_rng(seed).normal(0.0, 1e-4, 300)
+        speed = np.where(still, 0.2, run.columns["speed_m_s"]) + noise
+        power = run.power_w["robot"] + np.where(still, 3.2, 0.0)
+        power = power + ((0.3, 0.6, 2.5)[seed // 4] if floor == "snow" else 0.0)
+        runs.append(replace(changed(run, speed_m_s=speed), power_w={"robot": power}))
+    assert told(runs) == []
