@@ -244,7 +244,7 @@ def test_a_run_is_as_late_as_a_meter_that_holds_its_value_makes_most_of_them() -
 
 
 def test_runs_on_a_floor_that_costs_more_have_no_offset_of_a_meter() -> None:
-    """Nine runs on tile, three in snow, that hardly rest: what snow takes in motion looks as if it were there at rest."""
+    """Nine runs on tile, three in snow, that hardly rest: what snow takes looks as if it were there at rest."""
     runs = []
     for seed in range(12):
         floor = "snow" if seed % 4 == 3 else "tile"
