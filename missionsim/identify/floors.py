@@ -16,7 +16,7 @@ from missionsim.identify.forward import Choice
 from missionsim.identify.gram import Constraints
 from missionsim.identify.model import fit_model, log_likelihood
 from missionsim.identify.rules import GATES, weigh
-from missionsim.identify.settings import HALVED, Settings
+from missionsim.identify.settings import HALVED, UNUSUAL_GAIN, Settings
 from missionsim.physics import Array
 
 
@@ -61,6 +61,23 @@ def with_levels(
         refused = {**choice.refused, **{k: evidence.pop(k) for k in failed}}
         choice = replace(choice, model=model, evidence=evidence, refused=refused)
     return choice
+
+
+def with_what_runs_differ_by(
+    choice: Choice, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings
+) -> Choice:
+    """The choice with the effect, such as a payload, whose cause is constant in runs and by which they differ, where a
+    noise fitted beside something louder had taken that for runs that differ unusually."""
+    model = choice.model
+    options = []
+    for k in np.flatnonzero(~constraints.joint) if model.noise.motion_gain > UNUSUAL_GAIN else ():
+        if int(k) in model.chosen or not cause_is_constant(model, int(k), candidates):
+            continue
+        fresh = fit_model(model.source, (*model.chosen, int(k)))
+        evidence = {c: weigh(fresh, c, constraints, candidates, settings) for c in fresh.chosen}
+        if fresh.noise.motion_gain < HALVED * model.noise.motion_gain and all(e.accepted for e in evidence.values()):
+            options.append((log_likelihood(fresh), replace(choice, model=fresh, evidence=evidence)))
+    return max(options, key=lambda option: option[0])[1] if options else choice
 
 
 def _between(choice: Choice, own: Sequence[int], rest: Sequence[int]) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from missionsim.identify.data import Candidate
 from missionsim.identify.design import Source
 from missionsim.identify.evidence import Evidence, at_a_glance, nats_needed, tails
-from missionsim.identify.floors import with_levels
+from missionsim.identify.floors import with_levels, with_what_runs_differ_by
 from missionsim.identify.forward import Choice, Forward, forward
 from missionsim.identify.gram import Constraints, best_set, make_gram, single_gains
 from missionsim.identify.model import Model, fit_model, log_likelihood
@@ -34,7 +34,8 @@ def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) 
         if step is None:
             break
         found, source = step, step.model.source
-    return with_levels(found, candidates, constraints, settings)
+    found = with_levels(found, candidates, constraints, settings)
+    return with_what_runs_differ_by(found, candidates, constraints, settings)
 
 
 def _by_prediction(source: Source, selected: Forward) -> Choice:

@@ -301,7 +301,7 @@ class Search:
                 form = tuple(i for i in best.form if self.grammar.factors[i].variable != name)
                 if not form:
                     continue
-                fit = self.fit(form, top.model.noise)
+                fit = self.fit(self._bent(form, top), top.model.noise)
                 # what wanders raises the likelihood of a clock, and all that is missing that of any quantity
                 trusted = not far and name not in CLOCKS
                 needed = trusted and top.rise - top.penalty > fit.rise - fit.penalty + LEAST_RISE
@@ -310,6 +310,11 @@ class Search:
             if not plainer:
                 return best
             best = min(plainer, key=lambda fit: fit.errors.with_law)
+
+    def _bent(self, form: tuple[int, ...], top: Fitted) -> tuple[int, ...]:
+        """A part of a law with the numbers that suit it best, which those of the whole law need not be."""
+        near = self._exactly(top, [form, *self.grammar.bent(form)])
+        return next((one.form for one in near if one.form != top.form), form)
 
     def _without(self, forms: NDArray[np.intp], variables: set[str]) -> NDArray[np.intp]:
         """Forms that read none of some quantities."""
