@@ -166,7 +166,7 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     def clocked() -> Models | None:
         """Where what was added lets the clock be seen better, and left-out runs say so: the models at that clock."""
         new, old = last.clock, models.clock
-        if new is None or max(abs(new.delay_s - old.delay_s), abs(new.lag_s - old.lag_s)) < CLOCK_SD_S2:
+        if new is None or new.delay_s < 0.0 or max(abs(new.delay_s - old.delay_s), new.lag_s - old.lag_s) < CLOCK_SD_S2:
             return None
         later = replace(models, clock=new.in_all(len(models.runs)), _fits={})
         return later if later.of_other_half(taken) < (1.0 - CLEARLY) * models.of_other_half(taken) else None

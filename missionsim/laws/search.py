@@ -263,15 +263,17 @@ class Search:
         for name in labels:
             rest = tuple(i for i in fitted.form if self.grammar.factors[i].variable != name)
             levels = [i for i, factor in enumerate(self.grammar.factors) if factor.variable == name]
-            if not rest or len(rest) >= len(self.by_size) or len(levels) < 2:
+            if not rest or len(rest) >= len(self.by_size):
                 continue
             rows = self.columns([(*rest, i) for i in levels])
+            seen = np.any(rows, axis=1)  # not every floor is turned on
+            levels, rows = [i for i, there in zip(levels, seen, strict=True) if there], rows[seen]
             design = self.ground.extended(rows)
             model = self.ground.at_noise(design, fitted.model.noise)
             every = range(len(self.ground.chosen), len(design.phi))
             size = [model.gram.coefficients(model.chosen)[0][k] * design.layout.unit(k) for k in every]
-            kept = [i for i, k in zip(levels, size, strict=True) if k > LEAST_LEVEL * max(size)]
-            if len(kept) < 2 or max(size) <= 0.0:
+            kept = [i for i, k in zip(levels, size, strict=True) if k > max(LEAST_LEVEL * max(size), 0.0)]
+            if len(kept) < 2:
                 continue
             error = left_out(model, len(levels)).with_law
             if error > LEVELS_BETTER * fitted.errors.with_law:
