@@ -107,9 +107,10 @@ class LeastSquares:
 
     def _solved(self, inner: Array, side: Array) -> Array:
         """Solutions (..., m) of normal equations in which no base parameter changes its sign: an impossible curve of
-        speed would stand in for what is missing."""
+        speed would stand in for what is missing. Of few runs, cut into stretches, some would hold and others not."""
         value = np.asarray(np.linalg.solve(inner, side[..., None])[..., 0])
-        for i in np.flatnonzero(np.any(value[:, : self.q] < -1.0, axis=1)):
+        turned = np.any(value[:, : self.q] < -1.0, axis=1) & (int(self.run.max()) + 1 >= FEWEST_FOLDS - 2)
+        for i in np.flatnonzero(turned):
             gone = np.zeros(value.shape[1], dtype=bool)
             while np.any(value[i, : self.q] < -1.0):
                 gone[: self.q] |= value[i, : self.q] < -1.0
