@@ -224,9 +224,10 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
         given, taken = changed, found
         by_law.add(name)
         text, last = settled(taken, fitted)
-    if states and min(error for error, _ in states) < (1.0 - CLEARLY) * states[-1][0]:
+    best = min(states, key=lambda state: state[0], default=None)
+    if best is not None and best[0] < (1.0 - CLEARLY) * states[-1][0]:
         # what came later, or was looked for once more, predicts other runs less well
-        text, last, taken, given, models = min(states, key=lambda state: state[0])[1]
+        text, last, taken, given, models = best[1]
     added = [term.effect for term in Subject.of(robot_from_text(text)).model.of(battery) if not term.base]
     heldout = [log for log in split.heldout if battery in log.power_w]
     untested = lacking(heldout, added, start.model.batteries, models.runs)

@@ -294,10 +294,10 @@ class _Search:
         logged = self.candidates[number].effect.startswith(LOGGED)
         effects = len({column.candidate for column in layout.columns})
         part = float(fall.sum()) / max(before.total, 1e-300)
-        # what bends a curve where few rows lie is seen in the energy of runs first
-        better = part > ENERGY_FALL and squares.energy_no_worse(chosen, after, beside, before) < WORSE_ENERGY_LEVEL
         passed = {
-            "runs": part > (PASS_THROUGH_FALL if logged else LEAST_FALL) or better,
+            # what bends a curve where few rows lie is seen in the energy of runs first
+            "runs": part > (PASS_THROUGH_FALL if logged else LEAST_FALL)
+            or (part > ENERGY_FALL and squares.energy_no_worse(chosen, after, beside, before) < WORSE_ENERGY_LEVEL),
             # without the run that falls most: what helps one run alone is chance, or that run
             "several runs": float(fall.sum() - fall.max()) > 0.0,
             "robust": p_value < max(FAMILY_LEVEL, self.settings.alpha) / effects or (halved and p_value < HALVED_LEVEL),

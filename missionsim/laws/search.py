@@ -270,19 +270,20 @@ class Search:
             levels, rows = [i for i, there in zip(levels, seen, strict=True) if there], rows[seen]
             design = self.ground.extended(rows)
             model = self.ground.at_noise(design, fitted.model.noise)
+            shares = model.gram.coefficients(model.chosen)[0]
             every = range(len(self.ground.chosen), len(design.phi))
-            size = [model.gram.coefficients(model.chosen)[0][k] * design.layout.unit(k) for k in every]
-            kept = [i for i, k in zip(levels, size, strict=True) if k > max(LEAST_LEVEL * max(size), 0.0)]
-            if len(kept) < 2:
+            size = {i: float(shares[k]) * design.layout.unit(k) for i, k in zip(levels, every, strict=True)}
+            most = max(size.values(), default=0.0)
+            parts = {i: own / most for i, own in size.items() if own > max(LEAST_LEVEL * most, 0.0)}
+            if len(parts) < 2:
                 continue
             error = left_out(model, len(levels)).with_law
             if error > LEVELS_BETTER * fitted.errors.with_law:
                 continue
-            parts = {i: k / max(size) for i, k in zip(levels, size, strict=True) if i in kept}
             search = Search(self.ground, self.grammar.with_levels(name, parts), self.memory)
             form = (*rest, len(self.grammar.factors))
             best = search.fit(form, fitted.model.noise)
-            if best.rise < fitted.rise + LEVEL_NATS * len(kept):
+            if best.rise < fitted.rise + LEVEL_NATS * len(parts):
                 continue
             return search, Searched(best, tuple(search._near(best, search._sized([form]))), search.tried)
         return None

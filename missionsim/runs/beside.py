@@ -305,11 +305,9 @@ def _levels(driven: Driven, gap: Array) -> dict[tuple[object, ...], tuple[float,
     names = sorted(name for name in driven.run.columns if is_switch(name))
     states = np.column_stack([is_moving(cov) * np.ones(len(gap)), *(np.asarray(cov[name], float) for name in names)])
     kinds, which = np.unique(states, axis=0, return_inverse=True)
-    words = [column for _, column in sorted(driven.run.columns.items(), key=lambda item: item[0])]
+    words = [one for name in sorted(driven.run.columns) if isinstance(one := driven.run.columns[name], Labels)]
     # a floor that the whole run lies on is no meter's offset
-    texts = tuple(
-        one.names[int(one.codes[0])] if np.ptp(one.codes) == 0 else "" for one in words if isinstance(one, Labels)
-    )
+    texts = tuple(one.names[int(one.codes[0])] if np.ptp(one.codes) == 0 else "" for one in words)
     groups = (((*kind, *texts), gap[which.ravel() == i]) for i, kind in enumerate(kinds))
     return {kind: (float(np.median(rows)), len(rows)) for kind, rows in groups if len(rows) >= (15 if kind[0] else 5)}
 
