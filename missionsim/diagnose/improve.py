@@ -20,11 +20,13 @@ from missionsim.diagnose.waterfall import best_before, clearly_better, noise_flo
 from missionsim.files import Json
 from missionsim.fit.final import CLEARLY, FinalFit
 from missionsim.identify.findings import BatteryDiagnosis, Finding
-from missionsim.identify.settings import CLOCK_SD_S2, Settings
+from missionsim.identify.settings import Settings
 
 MOST_ROUNDS = 8
 MOST_LAWS = 3
 """Proposed laws that are offered once the library has nothing more to add."""
+CLOCK_MOVES_S = 0.05
+"""Change of delay or lag from which the fits are made anew."""
 
 Ask = Callable[[Finding, BatteryDiagnosis], bool]
 
@@ -112,6 +114,143 @@ class Improved:
         return told, " ".join(f"missionsim improve {given} {options} --yes {without} {out}".split())
 
 
+@dataclass(frozen=True)
+class State:
+    """What some rounds have come to."""
+
+    text: str
+    """The robot file with what was added."""
+    given: str
+    """The file as it was given, with the laws as candidates."""
+    models: Models
+    last: BatteryDiagnosis
+    """Of `text`."""
+    taken: tuple[Finding, ...] = ()
+
+    def believed(self) -> Models:
+        """What is seen and cannot be named is not added; the base has to take its part, not what is added."""
+        unsure = any(effect.indistinguishable_from for effect in self.last.effects)
+        free = unsure and self.models.unheld.of_other_half(()) < (1.0 - CLEARLY) * self.models.of_other_half(())
+        return self.models.unheld if free else self.models
+
+    def clocked(self) -> State | None:
+        """At the clock that is seen beside what was added, where left-out runs say so; no meter is ahead of it."""
+        new, old = self.last.clock, self.models.clock
+        if (
+            new is None
+            or new.delay_s < 0.0
+            or max(abs(new.delay_s - old.delay_s), abs(new.lag_s - old.lag_s)) < CLOCK_MOVES_S
+        ):
+            return None
+        later = replace(self.models, clock=new.in_all(len(self.models.runs)), _fits={})
+        better = later.of_other_half(self.taken) < (1.0 - CLEARLY) * self.models.of_other_half(self.taken)
+        return replace(self, models=later) if better else None
+
+
+class Rounds:
+    """What the user agrees to goes in, round after round: what the library names, then laws."""
+
+    def __init__(
+        self, start: State, split: Split, battery: str, settings: Settings, ask: Ask, priors: Mapping[str, float]
+    ) -> None:
+        self.state = self.library = start
+        self.split, self.battery, self.settings, self.ask, self.priors = split, battery, settings, ask, priors
+        self.declined: list[str] = []
+        self.nothing = Counter[str]()
+        """How often each came to nothing beside others."""
+        self.by_law: set[str] = set()
+        self.laws, self.again = 0, False
+
+    def best(self) -> State:
+        """The last state, or one before it that predicts each half of the runs clearly better from the other."""
+        states = []
+        for turn in range(MOST_ROUNDS + 1):
+            if self.state.taken and (later := self.state.clocked()) is not None:
+                self.library = replace(
+                    self.library, models=replace(self.library.models, clock=later.models.clock, _fits={})
+                )
+                self.state = later
+                self.settle(*self.together(later, later.taken))
+            if self.state.taken:
+                states.append((self.state.models.of_other_half(self.state.taken), self.state))
+            if turn == MOST_ROUNDS or not (self.of_library() or self.of_law()):
+                break
+        best = min(states, key=lambda one: one[0], default=None)
+        # what came later, or was looked for once more, may predict other runs less well
+        return best[1] if best is not None and best[0] < (1.0 - CLEARLY) * states[-1][0] else self.state
+
+    def of_library(self) -> bool:
+        """Add what the library names anew; whether there was something."""
+        # what came to nothing beside some may be something beside others
+        state = self.state
+        known = {*(name for name, n in self.nothing.items() if n > 1), *(effect.effect for effect in state.taken)}
+        new = []
+        for effect in state.last.effects:
+            if effect.indistinguishable_from or effect.effect in (*self.declined, *known):
+                continue
+            if self.ask(effect, state.last):
+                new.append(effect)
+            else:
+                self.declined.append(effect.effect)
+        found = [effect for effect in new if effect.effect not in self.by_law]
+        taken = [*state.taken, *new]
+        if found and not self.again:  # a law found without them has another form beside them: once more without it
+            self.laws, self.again = 0, bool(self.by_law)
+            state = replace(state, given=self.library.given, models=self.library.models)
+            taken = [*(effect for effect in state.taken if effect.effect not in self.by_law), *found]
+        if new:
+            self.state = state
+            self.settle(*self.together(state, taken))
+        return bool(new)
+
+    def of_law(self) -> bool:
+        """Add a law, once the library has no more; whether one was left to try."""
+        state, battery = self.state, self.battery
+        offered = (p for p in state.last.proposed_laws if not p.open)
+        law = next((p for p in offered if p.first.formula not in {*self.declined, *self.nothing}), None)
+        if law is None or self.laws == MOST_LAWS:
+            return False
+        self.laws += 1
+        formula = law.first.formula
+        if not self.ask(as_finding(law), state.last):
+            self.declined.append(formula)
+            return True
+        given, name = with_candidate(state.given, battery, formula)
+        kept = [effect for effect in state.taken if effect.effect not in law.instead_of]
+        beside = replace(state, given=given, models=with_law(state.models, name, formula))
+        found, fitted = self.together(beside, [*kept, replace(as_finding(law), effect=name)], surest=len(kept))
+        k = next(one for one in found if one.effect == name).parameters["k"]
+        # its size was found beside everything that is seen: without what these data cannot tell, it may be another
+        unsure = any(effect.indistinguishable_from for effect in state.last.effects)
+        if k.low <= 0.0 <= k.high or (unsure and max(k.low, law.first.low) > min(k.high, law.first.high)):
+            self.nothing[formula] += 1
+            return True
+        self.by_law.add(name)
+        self.state = beside
+        self.settle(found, fitted)
+        return True
+
+    def together(self, state: State, effects: Sequence[Finding], surest: int = 0) -> tuple[list[Finding], FinalFit]:
+        """Effects and base fitted together, from the file as it was given, so that no round moves one on from where
+        another left it. What comes to nothing beside the others goes, but never the surest."""
+        names = [effect.effect for effect in effects]
+        told, fitted = state.believed().certain([effects[surest], *effects[:surest], *effects[surest + 1 :]])
+        self.nothing.update({*names} - {effect.effect for effect in told})
+        return sorted(told, key=lambda effect: names.index(effect.effect)), fitted
+
+    def settle(self, effects: Sequence[Finding], fitted: FinalFit) -> None:
+        """Write the effects into the file and diagnose it."""
+        from missionsim.inputs.loading import robot_from_text
+
+        given, models = self.state.given, self.state.models
+        text, _ = write(given, robot_from_text(given), models, effects, fitted, self.split)
+        made = robot_from_text(text)
+        # the file's own base values came from these logs: what was known before them stays the prior
+        again = Subject.of(made, priors={**_fitted_priors(made, self.battery), **self.priors})
+        last = diagnose_battery(again, self.split, self.battery, None, self.settings, clock=models.clock)
+        self.state = State(text, given, models, last, tuple(effects))
+
+
 def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask) -> Improved:
     """Improve the text of a robot file for one battery.
 
@@ -135,105 +274,16 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     seen = examine(start, split, battery, settings)
     if seen.features.given_sd:  # refuted
         priors = dict.fromkeys(priors, NO_PRIOR_SD)
-    models = seen.models
-    first = last = diagnose_battery(start, split, battery, None, settings, seen=seen)
-    given = text
-
-    nothing = Counter[str]()
-
-    def believed() -> Models:
-        """What is seen and cannot be named is not added; the base has to take its part, not what is added."""
-        unsure = any(effect.indistinguishable_from for effect in last.effects)
-        better = unsure and models.unheld.of_other_half(()) < (1.0 - CLEARLY) * models.of_other_half(())
-        return models.unheld if better else models
-
-    def together(effects: list[Finding], surest: int = 0) -> tuple[list[Finding], FinalFit]:
-        """Effects and base fitted together, from the file as it was given, so that no round moves one on from where
-        another left it. What comes to nothing beside the others goes, but never the surest."""
-        names = [effect.effect for effect in effects]
-        told, fitted = believed().certain([effects[surest], *effects[:surest], *effects[surest + 1 :]])
-        nothing.update({*names} - {effect.effect for effect in told})
-        return sorted(told, key=lambda effect: names.index(effect.effect)), fitted
-
-    def settled(effects: list[Finding], fitted: FinalFit) -> tuple[str, BatteryDiagnosis]:
-        """The file with effects, and its diagnosis."""
-        new, _ = write(given, robot_from_text(given), models, effects, fitted, split)
-        made = robot_from_text(new)
-        # the file's own base values came from these logs: what was known before them stays the prior
-        again = Subject.of(made, priors={**_fitted_priors(made, battery), **priors})
-        return new, diagnose_battery(again, split, battery, None, settings, clock=models.clock)
-
-    def clocked() -> Models | None:
-        """Where what was added lets the clock be seen better, and left-out runs say so: the models at that clock."""
-        new, old = last.clock, models.clock
-        if new is None or new.delay_s < 0.0 or max(abs(new.delay_s - old.delay_s), new.lag_s - old.lag_s) < CLOCK_SD_S2:
-            return None
-        later = replace(models, clock=new.in_all(len(models.runs)), _fits={})
-        return later if later.of_other_half(taken) < (1.0 - CLEARLY) * models.of_other_half(taken) else None
-
-    library, by_law, laws, again = (given, models), set[str](), 0, False
-    taken: list[Finding] = []
-    declined: list[str] = []
-    states = []
-    for turn in range(MOST_ROUNDS + 1):
-        if taken and (later := clocked()) is not None:
-            library, models = (library[0], replace(library[1], clock=later.clock, _fits={})), later
-            taken, fitted = together(taken)
-            text, last = settled(taken, fitted)
-        if taken:
-            states.append((models.of_other_half(taken), (text, last, taken, given, models)))
-        if turn == MOST_ROUNDS:
-            break
-        # what came to nothing beside some may be something beside others
-        known = {*(name for name, times in nothing.items() if times > 1), *(effect.effect for effect in taken)}
-        new = []
-        for effect in last.effects:
-            if effect.indistinguishable_from or effect.effect in (*declined, *known):
-                continue
-            if ask(effect, last):
-                new.append(effect)
-            else:
-                declined.append(effect.effect)
-        if new:
-            found = [effect for effect in new if effect.effect not in by_law]
-            if found and not again:  # a law found without them has another form beside them: it is looked for once more
-                (given, models), laws, again, new = library, 0, bool(by_law), found
-                taken = [effect for effect in taken if effect.effect not in by_law]
-            taken, fitted = together([*taken, *new])
-            text, last = settled(taken, fitted)
-            continue
-        offered = (p for p in last.proposed_laws if not p.open)
-        law = next((p for p in offered if p.first.formula not in {*declined, *nothing}), None)
-        if law is None or laws == MOST_LAWS:
-            break
-        laws += 1
-        if not ask(as_finding(law), last):
-            declined.append(law.first.formula)
-            continue
-        changed, name = with_candidate(given, battery, law.first.formula)
-        before, models = models, with_law(models, name, law.first.formula)
-        kept = [effect for effect in taken if effect.effect not in law.instead_of]
-        found, fitted = together([*kept, replace(as_finding(law), effect=name)], surest=len(kept))
-        k = next(one for one in found if one.effect == name).parameters["k"]
-        # its size was found beside everything that is seen: without what these data cannot tell, it may be another
-        unsure = any(effect.indistinguishable_from for effect in last.effects)
-        if k.low <= 0.0 <= k.high or (unsure and max(k.low, law.first.low) > min(k.high, law.first.high)):
-            nothing[law.first.formula] += 1
-            models = before
-            continue
-        given, taken = changed, found
-        by_law.add(name)
-        text, last = settled(taken, fitted)
-    best = min(states, key=lambda state: state[0], default=None)
-    if best is not None and best[0] < (1.0 - CLEARLY) * states[-1][0]:
-        # what came later, or was looked for once more, predicts other runs less well
-        text, last, taken, given, models = best[1]
+    first = diagnose_battery(start, split, battery, None, settings, seen=seen)
+    rounds = Rounds(State(text, text, seen.models, first), split, battery, settings, ask, priors)
+    end = rounds.best()
+    text, models, last, taken = end.text, end.models, end.last, end.taken
     added = [term.effect for term in Subject.of(robot_from_text(text)).model.of(battery) if not term.base]
     heldout = [log for log in split.heldout if battery in log.power_w]
     untested = lacking(heldout, added, start.model.batteries, models.runs)
     heldout = [log for log in heldout if log.run not in untested]
     powers = {"before": start.model, "recalibrated": models.fit(()).model}
-    last_models = believed()
+    last_models = end.believed()
     if heldout and not taken and last_models is not models:
         powers["base without priors"] = last_models.fit(()).model
     # as add-effect writes one of several: its size as it was found beside the others, the base fitted again
@@ -248,17 +298,17 @@ def improve(text: str, split: Split, battery: str, settings: Settings, ask: Ask)
     steps.append(Step("noise floor", floor_pct, min(floor_w, steps[-1].power_rmse_w)))
     base_alone = bool(heldout) and not taken and clearly_better(steps[-2], steps[0])
     if base_alone:
-        text, _ = write(given, robot_from_text(given), models, (), last_models.fit(()), split)
+        text, _ = write(end.given, robot_from_text(end.given), models, (), last_models.fit(()), split)
     return Improved(
         battery,
         text,
         tuple(effect.effect for effect in taken),
-        tuple(declined),
+        tuple(rounds.declined),
         tuple(steps),
         bool(heldout),
         first,
         last,
-        stopped=_why(last, declined, sorted(nothing), tested=not untested),
+        stopped=_why(last, rounds.declined, sorted(rounds.nothing), tested=not untested),
         untested=untested,
         base_alone=base_alone,
     )

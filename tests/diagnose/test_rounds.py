@@ -1,0 +1,98 @@
+"""Which of the states of `improve` is kept, and what a round does with what came back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pytest
+
+from missionsim.diagnose.improve import MOST_ROUNDS, Rounds, State
+from missionsim.identify.align import Clock
+from missionsim.identify.findings import Finding
+from tests.diagnose.test_words import BATTERY, GRADE
+
+AT_FIRST = Clock(0.2, 0.3, (0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Told:
+    """Models that say how well each half of the runs is predicted: by what was added, and by the clock."""
+
+    squares: dict[tuple[str, ...], float]
+    clock: Clock = AT_FIRST
+    of_clock: Any = None
+    runs: tuple[str, ...] = ("a", "b")
+    _fits: Any = None
+
+    def of_other_half(self, effects: Sequence[Finding]) -> float:
+        found = self.squares[tuple(effect.effect for effect in effects)]
+        return found if self.of_clock is None else found * self.of_clock(self.clock)
+
+
+def named(*names: str) -> tuple[Finding, ...]:
+    return tuple(replace(GRADE, effect=name, indistinguishable_from=()) for name in names)
+
+
+def rounds(models: Told, seen: Sequence[Sequence[str]], clocks: Sequence[Clock | None] = ()) -> Rounds:
+    """Rounds in which the diagnoses name some effects, one tuple after another, and the fits are not made."""
+    told = [replace(BATTERY, effects=named(*names)) for names in seen]
+    told = [replace(one, clock=clock) for one, clock in zip(told, clocks or [None] * len(told), strict=True)]
+    start = State("file", "file", models, told.pop(0))  # type: ignore[arg-type]
+    made = Rounds(start, None, "robot", None, lambda finding, diagnosis: True, {})  # type: ignore[arg-type]
+
+    def settle(effects: Sequence[Finding], fitted: object) -> None:
+        text = " ".join(["file", *(effect.effect for effect in effects)])
+        made.state = replace(made.state, text=text, taken=tuple(effects), last=told.pop(0))
+
+    made.together = lambda state, effects, surest=0: (list(effects), None)  # type: ignore[method-assign,assignment]
+    made.settle = settle  # type: ignore[method-assign]
+    return made
+
+
+@pytest.mark.parametrize(("last", "kept"), [(4.0, "file grade drag"), (9.95, "file grade drag"), (12.0, "file grade")])
+def test_the_state_that_predicts_other_runs_best_is_kept(last: float, kept: str) -> None:
+    """A state before the last has to be clearly better, by more than a hundredth."""
+    models = Told({("grade",): 9.9, ("grade", "drag"): last})
+    assert rounds(models, [("grade",), ("drag",), ()]).best().text == kept
+
+
+def test_rounds_end() -> None:
+    names = [f"effect_{i}" for i in range(2 * MOST_ROUNDS)]
+    models = Told({tuple(names[:i]): 1.0 / (i + 1) for i in range(2 * MOST_ROUNDS)})
+    assert len(rounds(models, [(name,) for name in names]).best().taken) == MOST_ROUNDS
+
+
+def test_something_new_in_the_library_sends_laws_away_once() -> None:
+    made = rounds(Told({}), [("law_turning",), ("drag",), ("grade",), ()])
+    made.by_law.add("law_turning")
+    made.state = replace(made.state, given="file with law")
+    assert made.of_library()  # the law itself, which an earlier round had found to be nothing, comes back
+    assert (made.state.text, made.state.given, made.again) == ("file law_turning", "file with law", False)
+    assert made.of_library()
+    assert (made.state.text, made.state.given, made.again) == ("file drag", "file", True)
+    made.state = replace(made.state, taken=named("drag", "law_turning"), given="file with law")
+    assert made.of_library()
+    assert (made.state.text, made.state.given) == ("file drag law_turning grade", "file with law")
+    assert not made.of_library()
+
+
+@pytest.mark.parametrize(
+    ("seen", "taken_s"),
+    [
+        ((0.2, 0.5), (0.2, 0.5)),
+        ((0.2, 0.0), (0.2, 0.0)),  # a lag that falls while the delay stays
+        ((-0.2, 0.3), (0.2, 0.3)),  # no meter is ahead of the motion
+        ((0.23, 0.33), (0.2, 0.3)),  # too little to fit anew
+        ((0.6, 0.3), (0.2, 0.3)),  # left-out runs are predicted worse
+    ],
+)
+def test_the_clock_seen_beside_what_was_added(seen: tuple[float, float], taken_s: tuple[float, float]) -> None:
+    models = Told(
+        {("grade",): 9.0}, of_clock=lambda clock: 2.0 if clock.delay_s > 0.5 else 1.0 if clock.lag_s == 0.3 else 0.5
+    )
+    clock = Clock(*seen, (0.1, -0.1))
+    best = rounds(models, [("grade",), (), ()], [models.clock, clock, clock]).best()
+    assert (best.models.clock.delay_s, best.models.clock.lag_s) == taken_s
+    assert best.models.clock.run_delay_s == (0.0, 0.0)
