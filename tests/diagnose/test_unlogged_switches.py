@@ -78,10 +78,16 @@ def test_what_every_scheme_requires_is_on_and_nothing_else(tmp_path: Path) -> No
 
 def test_what_an_unlogged_load_imitates_is_not_named(tmp_path: Path) -> None:
     robot, files = robot_file(tmp_path, always=False, optional=True), logs(tmp_path, scheme=False, always=True)
+    for path in files:
+        table = pd.read_csv(path)
+        table["cpu_load"] = np.where(table["cpu_load"] > 0.5, 0.7, 0.3)
+        table.to_csv(path, index=False)
     found = diagnose_files(robot, files).batteries["main"]
-    # the camera draws with the processor load: cpu_load or standby_load alone would be a confident wrong name
-    for effect in found.effects:
-        assert "component_power:camera" in effect.indistinguishable_from
+    # the camera draws with the processor load: cpu_load alone would be a confident wrong name
+    (effect,) = found.effects
+    assert effect.effect == "cpu_load"
+    assert "component_power:camera" in effect.indistinguishable_from
+    assert "on_camera in the log" in found.next_experiments[0].do
     assert not found.proposed_laws
     assert any("camera" in note and "on_<component>" in note for note in found.remarks)
 

@@ -10,7 +10,7 @@ import pytest
 from missionsim.identify.data import Candidate, Column, Layout
 from missionsim.identify.design import make_source
 from missionsim.identify.forward import _Search, far_from_right
-from missionsim.identify.predictive import LeastSquares
+from missionsim.identify.predictive import LeastSquares, sober_clock
 from missionsim.identify.settings import Settings
 
 from .world import library, make_runs
@@ -56,6 +56,36 @@ def test_a_level_whose_sign_another_effect_turns_leaves_the_set() -> None:
     search = _Search(squares, layout, effects, Settings())
     assert search.tried(1, [1, 2], ()).columns == (1, 2)
     assert search._kept((1, 2, 0)) == (2, 0)
+
+
+def test_an_effect_that_later_ones_make_needless_leaves_the_set() -> None:
+    """Turns on slopes look like one thing, until slope and turns are both in."""
+    rng = np.random.default_rng(3)
+    folds = []
+    for _ in range(8):
+        slope, turns = rng.normal(size=(2, 600))
+        power = slope + turns + 0.5 * rng.normal(size=600)
+        folds.append(np.vstack([power, slope + turns + rng.normal(size=600), slope, turns, np.ones(600), power]))
+    search = searched(folds, ["slope_turns", "grade", "turning_scrub"])
+    totals = [search.tried(i, [i], ()).left.total for i in range(3)]
+    assert min(totals) == totals[0]  # it enters first
+    assert set(search.chosen(None)) == {1, 2}
+
+
+def searched(folds: list[np.ndarray], names: list[str]) -> _Search:
+    squares = LeastSquares(np.array([f @ f.T for f in folds]), np.full(8, 600.0), np.zeros(0), np.arange(len(folds)))
+    columns = [Column(i, 0, name, 1.0) for i, name in enumerate(names)]
+    layout = Layout((), np.zeros(0), tuple(columns), 10.0, 1.0)
+    return _Search(squares, layout, [Candidate(name, (name,)) for name in names], Settings())
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.5, -0.5])
+def test_the_clock_of_a_base_that_is_far_off_is_the_one_that_predicts_left_out_runs(late_s: float) -> None:
+    source = make_source(make_runs(3, {"grade": 0.3}, delay_s=late_s), library(), {}, Settings(align=False))
+    clock = sober_clock(source, (0,))
+    assert clock.delay_s + clock.lag_s == pytest.approx(late_s, abs=0.15)
+    assert clock.lag_s >= 0.0
+    assert (clock.delay_s, clock.lag_s) == (0.0, 0.0) or late_s
 
 
 @pytest.mark.parametrize(("part", "far"), [(0.02, False), (0.4, True)])

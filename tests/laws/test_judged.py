@@ -89,6 +89,18 @@ def test_far_from_right_a_product_of_three_needs_three_runs_in_which_it_acts(
     assert all(passed.values())
 
 
+@pytest.mark.parametrize(("far", "runs", "held"), [(True, 4, False), (True, 3, True), (False, 4, True)])
+def test_far_from_right_whole_runs_are_the_sample_where_they_are_several(
+    monkeypatch: pytest.MonkeyPatch, far: bool, runs: int, held: bool
+) -> None:
+    """Twenty standard errors over blocks of time, and two over runs, whose floors and loads differ."""
+    monkeypatch.setattr(gates, "_robust", lambda _, __, block_s: (0.1, 0.05 if np.isinf(block_s) else 0.005))
+    errors = SimpleNamespace(without=2.0, with_law=1.0, better=runs, acting=runs)
+    model = SimpleNamespace(squares=() if far else None, design=SimpleNamespace(runs=[slice(0, 1)] * runs))
+    law = SimpleNamespace(model=model, column=0, errors=errors, rise=80.0, penalty=5.0, form=(0,))
+    assert gates.gates(law).passed["blocks"] is held
+
+
 @pytest.mark.parametrize(("better", "clock", "held"), [(4, False, True), (5, True, False), (6, True, True)])
 def test_a_clock_must_help_in_three_runs_of_four(
     monkeypatch: pytest.MonkeyPatch, better: int, clock: bool, held: bool
