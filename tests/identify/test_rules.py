@@ -15,7 +15,7 @@ from missionsim.identify.evidence import evidence_of, nats_needed, predicts_left
 from missionsim.identify.findings import Estimate, Finding, Structure
 from missionsim.identify.forward import _Search
 from missionsim.identify.gram import Constraints, Gram
-from missionsim.identify.identification import Identification, fit_effects, identify
+from missionsim.identify.identification import Identification, fit_effects, identify, refutes
 from missionsim.identify.predictive import LeastSquares
 from missionsim.identify.rules import DEMOTIONS, GATES, LAST_GATES, Question, Remains, demoted
 from missionsim.identify.settings import Settings
@@ -220,3 +220,31 @@ def test_worse_energy_of_left_out_runs_at_one_in_a_hundred_in_both_searches(
     model = grade.model
     search = _Search(LeastSquares.of(model.design), model.source.layout, grade.candidates, Settings())
     assert search.measured(int(grade.constraints.effect[model.chosen[0]]), model.chosen, ()).passed["energy"] is stays
+
+
+@pytest.mark.parametrize(
+    ("far", "twins", "left", "refuted"),
+    [
+        (False, 0, 0.45, True),
+        (False, 0, 0.6, False),
+        (False, 1, 0.7, True),  # a twin of one base parameter is named, or the base is far from right
+        (True, 0, 0.7, True),
+        (True, 0, 0.8, False),
+        (False, 2, 1.05, True),  # both, or two twins: the same error without any prior refutes the file
+        (True, 1, 1.05, True),
+        (True, 1, 1.2, False),
+        (False, 1, 1.05, False),
+    ],
+)
+def test_the_more_speaks_against_a_base_the_less_its_file_must_lose(
+    far: bool, twins: int, left: float, refuted: bool
+) -> None:
+    """Two drives of a Warthog on floors, a car in winter: the base far off, no twin or one found beside it."""
+    choice = SimpleNamespace(forward=() if far else None)
+    held = SimpleNamespace(choice=choice, twins=twins, error_w2=100.0, factor=None, averages=())
+    free = SimpleNamespace(effects=(finding(),), error_w2=100.0 * left)
+    assert refutes(free, held) is refuted
+    # one factor on all says as much as a base without priors that leaves no effect
+    assert not refutes(
+        SimpleNamespace(**{**vars(free), "effects": ()}), SimpleNamespace(**{**vars(held), "factor": 1.5})
+    )
