@@ -9,11 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from missionsim.identify import stepwise
 from missionsim.identify.data import Candidate
 from missionsim.identify.estimates import rivals
 from missionsim.identify.evidence import evidence_of, nats_needed, predicts_left_out, rests_on_one_run, tails
 from missionsim.identify.findings import Estimate, Finding, Structure
-from missionsim.identify.forward import _Search
+from missionsim.identify.forward import Choice, _Search
 from missionsim.identify.gram import Constraints, Gram
 from missionsim.identify.identification import Identification, fit_effects, identify, refutes
 from missionsim.identify.predictive import LeastSquares
@@ -248,3 +249,17 @@ def test_the_more_speaks_against_a_base_the_less_its_file_must_lose(
     assert not refutes(
         SimpleNamespace(**{**vars(free), "effects": ()}), SimpleNamespace(**{**vars(held), "factor": 1.5})
     )
+
+
+def test_of_effects_that_fail_the_weakest_goes_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What fails beside a weaker effect may stand alone."""
+
+    def weigh(gain: float, stands: bool) -> SimpleNamespace:
+        return SimpleNamespace(gain=gain, accepted=stands, passed={})
+
+    model = SimpleNamespace(chosen=(0, 1), source=None)
+    monkeypatch.setattr(stepwise, "LAST_GATES", ())
+    monkeypatch.setattr(stepwise, "fit_model", lambda _, rest, *__, **___: SimpleNamespace(chosen=rest, source=None))
+    monkeypatch.setattr(stepwise, "weigh", lambda *_: weigh(40.0, True))
+    both = Choice(model, model, {0: weigh(50.0, False), 1: weigh(9.0, False)})
+    assert stepwise.confirmed(both, (), None, Settings()).model.chosen == (0,)
