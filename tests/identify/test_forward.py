@@ -79,6 +79,30 @@ def searched(folds: list[np.ndarray], names: list[str]) -> _Search:
     return _Search(squares, layout, [Candidate(name, (name,)) for name in names], Settings())
 
 
+@pytest.mark.parametrize(
+    ("name", "size", "between", "failed"),
+    [
+        ("turning_scrub", 0.3, False, set()),  # 8 % of the squared error
+        ("turning_scrub", 0.14, False, {"runs"}),  # 2 %, as chance and wrong forms do
+        ("turning_scrub", 0.14, True, set()),  # the same, and the energy of every run is predicted better
+        ("logged_power:arm_w", 0.1, False, set()),  # a watt for a watt logged, known to be drawn
+        ("turning_scrub", 0.1, False, {"runs"}),
+        ("logged_power:arm_w", 0.3, False, {"practical"}),  # three watts for each are no loss on the way
+    ],
+)
+def test_what_an_effect_must_take_off_the_error_of_left_out_runs(
+    name: str, size: float, between: bool, failed: set[str]
+) -> None:
+    rng = np.random.default_rng(4)
+    folds = []
+    for run in range(8):
+        x = np.full(2000, 1.0 - 2.0 * (run % 2)) if between else np.tile([-1.0, 1.0], 1000)
+        power = size * x + rng.normal(size=2000)
+        folds.append(np.vstack([power, x, np.ones(2000), 10.0 + power]))
+    trial = searched(folds, [name, *map(str, range(9))]).tried(0, [0], ())
+    assert {gate for gate, held in trial.passed.items() if not held} == failed
+
+
 @pytest.mark.parametrize("late_s", [0.0, 0.5, -0.5])
 def test_the_clock_of_a_base_that_is_far_off_is_the_one_that_predicts_left_out_runs(late_s: float) -> None:
     source = make_source(make_runs(3, {"grade": 0.3}, delay_s=late_s), library(), {}, Settings(align=False))
