@@ -17,7 +17,6 @@ from missionsim.identify.residual import ramps, steady
 from missionsim.identify.settings import (
     BESIDE_RUN_LEVEL,
     EXTRA_EFFECT_NATS,
-    NOISY_SLOPE,
     ODDS_NATS,
     RAMP_SYSTEMATIC,
     RUN_LEVEL,
@@ -108,8 +107,6 @@ def _close_ones(
     for other, value in found.items():
         same = candidates[other].covariate == candidates[effect].covariate
         loss = (settings.rival_loss if same else settings.noisy_rival_loss) * gain
-        if candidates[other].covariate == "slope_rad" and not same:
-            loss *= NOISY_SLOPE
         if gain - value < max(ODDS_NATS, loss):
             close[other] = gain - value
     return close

@@ -195,22 +195,14 @@ def predicts_left_out(model: Model, columns: Sequence[int]) -> tuple[bool, float
     return with_it.total < without.total, squares.energy_no_worse(rest, without, model.chosen, with_it)
 
 
-def between_runs(model: Model, column: int) -> bool:
-    """Whether a column hardly changes within runs, so that only differences between runs speak for it."""
-    return differs_between([model.design.phi[column, rows] for rows in model.design.runs])
-
-
 def cause_is_constant(model: Model, column: int, candidates: Sequence[Candidate]) -> bool:
     """Whether what an effect depends on hardly changes within the runs, so that each run is a single observation."""
     name = candidates[model.design.layout.columns[column].candidate].covariate
     values = [np.asarray(run.covariates[name]) for run in model.source.runs if name in run.covariates]
-    return bool(values) and differs_between(values)
-
-
-def differs_between(parts: Sequence[Array]) -> bool:
-    """Whether values, one array for each run, differ between the runs and hardly within them; NaN is left out."""
-    within = sum(float(np.nansum((v - np.nanmean(v)) ** 2)) for v in parts)
-    every = np.concatenate(parts)
+    if not values:
+        return False
+    within = sum(float(np.nansum((v - np.nanmean(v)) ** 2)) for v in values)
+    every = np.concatenate(values)
     return within < BETWEEN_PART * float(np.nansum((every - np.nanmean(every)) ** 2))
 
 

@@ -16,15 +16,14 @@ from missionsim.identify.forward import Choice
 from missionsim.identify.gram import Constraints
 from missionsim.identify.model import fit_model, log_likelihood
 from missionsim.identify.rules import GATES, weigh
-from missionsim.identify.settings import HALVED, UNUSUAL_GAIN, Settings
+from missionsim.identify.settings import UNUSUAL_GAIN, Settings
 from missionsim.physics import Array
 
 
 def with_levels(
     choice: Choice, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings
 ) -> Choice:
-    """The choice with every level of a label by which the runs differ, and without effects that its first levels, or
-    what stood in for them, had let in."""
+    """The choice with every level of a label by which the runs differ."""
     for number in dict.fromkeys(int(constraints.effect[k]) for k in np.flatnonzero(constraints.joint)):
         own = [int(k) for k in np.flatnonzero(constraints.effect == number)]
         model = choice.model
@@ -32,11 +31,8 @@ def with_levels(
         p_value = _between(choice, own, rest) if cause_is_constant(model, own[0], candidates) else 1.0
         if not p_value < settings.alpha or set(own) <= set(model.chosen):
             continue
-        # a noise that had taken the floors for runs that differ may keep them
-        fits = [fit_model(model.source, (*rest, *own), start, thorough=start is None) for start in (model, None)]
-        model = max(fits, key=log_likelihood)
-        if model.noise.motion_gain > HALVED * choice.model.noise.motion_gain:
-            continue  # runs differ as before: something else differs with the floors
+        # a noise that had taken the floors for runs that differ may keep them: the fit begins anew
+        model = fit_model(model.source, (*rest, *own))
         common = 0.5 * settings.recalibration_limit**2
         while len(own) > 1:
             shares = model.gram.coefficients(model.chosen)[0][len(rest) :]
@@ -55,11 +51,7 @@ def with_levels(
             passed = dict.fromkeys((gate.name for gate in GATES), True)
             evidence[k] = replace(seen, p_robust=p_value, p_runs=p_value, passed=passed)
         evidence |= {k: weigh(model, k, constraints, candidates, settings) for k in rest}
-        failed = [k for k in rest if not evidence[k].accepted]
-        if failed:
-            model = fit_model(model.source, tuple(k for k in model.chosen if k not in failed), model, thorough=False)
-        refused = {**choice.refused, **{k: evidence.pop(k) for k in failed}}
-        choice = replace(choice, model=model, evidence=evidence, refused=refused)
+        choice = replace(choice, model=model, evidence=evidence)
     return choice
 
 
@@ -75,7 +67,7 @@ def with_what_runs_differ_by(
             continue
         fresh = fit_model(model.source, (*model.chosen, int(k)))
         evidence = {c: weigh(fresh, c, constraints, candidates, settings) for c in fresh.chosen}
-        if fresh.noise.motion_gain < HALVED * model.noise.motion_gain and all(e.accepted for e in evidence.values()):
+        if all(e.accepted for e in evidence.values()):
             options.append((log_likelihood(fresh), replace(choice, model=fresh, evidence=evidence)))
     return max(options, key=lambda option: option[0])[1] if options else choice
 

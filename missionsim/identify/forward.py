@@ -289,17 +289,14 @@ class _Search:
         # a level of one run alone leaves its covariance singular, which a little of its size on the diagonal mends
         wald = float(shares @ np.linalg.solve(own_covariance + 1e-9 * size * np.eye(k), shares))
         p_value = float(fdtrc(k, folds - k, wald * (folds - k) / (k * (folds - 1)))) if folds > k else 1.0
-        fall = before.square - after.square
         halved, runs = after.total < HALVED * before.total, int(squares.run.max()) + 1
         logged = self.candidates[number].effect.startswith(LOGGED)
         effects = len({column.candidate for column in layout.columns})
-        part = float(fall.sum()) / max(before.total, 1e-300)
+        part = (before.total - after.total) / max(before.total, 1e-300)
         passed = {
             # what bends a curve where few rows lie is seen in the energy of runs first
             "runs": part > (PASS_THROUGH_FALL if logged else LEAST_FALL)
             or (part > ENERGY_FALL and squares.energy_no_worse(chosen, after, beside, before) < WORSE_ENERGY_LEVEL),
-            # without the run that falls most: what helps one run alone is chance, or that run
-            "several runs": float(fall.sum() - fall.max()) > 0.0,
             "robust": p_value < max(FAMILY_LEVEL, self.settings.alpha) / effects or (halved and p_value < HALVED_LEVEL),
             "energy": squares.energy_no_worse(beside, before, chosen, after) > WORSE_ENERGY_LEVEL,
             "clock": not self.candidates[number].by_clock or runs > SEVERAL_RUNS or (runs > 1 and halved),
@@ -350,7 +347,7 @@ class _Search:
     def _encompasses(self, trial: Trial, beside: Sequence[int]) -> bool:
         """Whether an effect explains what another in its place leaves over (Davidson and MacKinnon 1981)."""
         again = self.tried(trial.candidate, trial.columns, beside)
-        return again is not None and again.passed["runs"] and again.passed["several runs"] and again.passed["robust"]
+        return again is not None and again.passed["runs"] and again.passed["robust"]
 
     def _nested(self, one: Sequence[int], other: Sequence[int]) -> bool:
         """Whether one set of columns lies in the span of the other."""

@@ -10,12 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import numpy as np
-
 from missionsim.identify.data import Candidate
 from missionsim.identify.evidence import (
     Evidence,
-    between_runs,
     cause_is_constant,
     evidence_of,
     nats_needed,
@@ -27,7 +24,7 @@ from missionsim.identify.findings import Structure
 from missionsim.identify.gram import Constraints
 from missionsim.identify.model import Model
 from missionsim.identify.residual import stands_without
-from missionsim.identify.settings import FAINT_NATS, FAINT_SHARE, WORSE_ENERGY_LEVEL, Settings
+from missionsim.identify.settings import FAINT_NATS, WORSE_ENERGY_LEVEL, Settings
 
 STEADY_LOADS = ("standby_load", "component_power", "component_warmup", "conversion_loss")
 """The mean of a load that comes and goes looks like one of these."""
@@ -49,12 +46,6 @@ class Question:
         # the misfit of another effect goes either way, whatever sign physics gives
         beside = len(self.model.chosen) > 1
         return float(tails(self.constraints, self.settings, beside)[self.evidence.column])
-
-    @property
-    def whole_share(self) -> float:
-        """Share of the energy of the effect with all of its levels."""
-        own = self.constraints.effect[list(self.model.chosen)] == self.constraints.effect[self.evidence.column]
-        return float(np.abs(self.model.gram.coefficients(self.model.chosen)[0][own]).sum())
 
     @cached_property
     def left_out(self) -> tuple[bool, float]:
@@ -182,17 +173,9 @@ def _steady_beside_loose(q: Question, remains: Remains) -> bool:
 
 
 def _faint_beside_loose(q: Question, remains: Remains) -> bool:
-    if not remains.loose:
-        return False
-    # a line has no size of its own; low-frequency noise has
-    size = max(s.size_share for s in remains.loose)
-    # what is constant in runs does not come and go within them
-    column = q.evidence.column
-    within = not (between_runs(q.model, column) or cause_is_constant(q.model, column, q.candidates))
     # told with a load whose switch is stuck, it is a question, and the answer to what comes and goes may be that load
-    if _candidate(q).may_be(abs(q.evidence.share) * q.model.design.layout.mean_power_w):
-        return False
-    return (q.evidence.gain < FAINT_NATS and within) or q.whole_share < FAINT_SHARE * size
+    stuck = _candidate(q).may_be(abs(q.evidence.share) * q.model.design.layout.mean_power_w)
+    return bool(remains.loose) and not stuck and q.evidence.gain < FAINT_NATS
 
 
 def _shadow(q: Question, remains: Remains) -> bool:

@@ -197,8 +197,6 @@ ODDS_NATS = 4.6
 """ln 99: a rival further behind has less than a hundredth of the weight. A name that stands alone should be as sure."""
 SAME_COLUMN = 0.995
 """Columns this much alike away from ramps are one: what then prefers one of them is noise."""
-NOISY_SLOPE = 1.5
-"""A slope from an inertial sensor has noise and a bias of its own, which weakens a slope effect more than others."""
 EXTRA_EFFECT_NATS = 4.0
 """Price of an explanation that needs one effect more (its choice among some fifty columns)."""
 
@@ -256,9 +254,7 @@ PERIODIC_LEVEL = 1e-6
 LINE_RATIO = 8.0
 """A line in the periodogram stands out of its neighbourhood this much: imperfect whitening makes small bumps."""
 FAINT_NATS = 50.0
-"""Beside low-frequency noise or a periodic load, an effect with less gain within runs is not named."""
-FAINT_SHARE = 0.2
-"""Nor one below this part of the size of that noise."""
+"""Beside low-frequency noise or a periodic load, an effect with less gain is not named."""
 
 # One factor between meter and model
 

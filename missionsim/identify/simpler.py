@@ -126,9 +126,6 @@ def level_difference(model: Model) -> Structure | None:
     if not (np.all(errors > LEVEL_SHARE) or np.all(errors < -LEVEL_SHARE)):
         return None
     factor = 1.0 / (1.0 + float(np.median(errors)))
-    # a level that only the fit made is the fit's
-    if (factor - 1.0) * (plain_ratio(model.source) - 1.0) <= 0.0:
-        return None
     words = (
         f"the meter reads {factor:.3g} times what the model gives in every run, whatever the robot does: check the "
         "units of the log and the robot file, or look for a load that is always on"

@@ -84,8 +84,7 @@ def _stands(late: Proposed, plain: Proposed | None) -> bool:
         left_out(one.ground.at_noise(one.ground.extended(one.fitted.watts), one.ground.usual())).with_law
         for one in laws
     )
-    likelier, less = (one.fitted.rise - one.fitted.penalty for one in laws)
-    return likelier > less and found < FAR_BETTER * other
+    return found < FAR_BETTER * other
 
 
 def _own_meter(ground: Ground) -> set[str]:

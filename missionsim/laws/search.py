@@ -39,9 +39,9 @@ ABSORBED = 0.93
 NEARLY = 0.7
 """Forms below this part of the least share are not worth a fit."""
 SAME = 0.98
-LEVELS_BETTER, LEVEL_NATS, LEAST_LEVEL = 0.97, 4.0, 0.05
-"""Levels of a label's own lower the error of left-out runs to this part at least, and raise the likelihood by so much
-each; less than this part of the highest is none."""
+LEVELS_BETTER, LEAST_LEVEL = 0.97, 0.05
+"""Levels of a label's own lower the error of left-out runs to this part at least; less than this part of the highest is
+none."""
 HELPS = 0.995
 HARDLY_WORSE = 1.03
 """At a glance a law lowers the error of left-out runs to this part at least (with a noise of its own it must do far
@@ -283,8 +283,6 @@ class Search:
             search = Search(self.ground, self.grammar.with_levels(name, parts), self.memory)
             form = (*rest, len(self.grammar.factors))
             best = search.fit(form, fitted.model.noise)
-            if best.rise < fitted.rise + LEVEL_NATS * len(parts):
-                continue
             return search, Searched(best, tuple(search._near(best, search._sized([form]))), search.tried)
         return None
 

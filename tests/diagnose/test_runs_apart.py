@@ -91,6 +91,7 @@ def test_every_floor_has_its_level_where_the_floors_explain_how_the_runs_differ(
     (floor,) = found.effects
     assert floor.effect == "surface_rolling_resistance"
     assert floor.indistinguishable_from == ()
+    assert "k_ice" not in floor.parameters  # the floor of the base
     for name, force in zip(FLOORS, newtons, strict=True):
         if force > 1.0:
             assert floor.parameters[f"k_{name}"].value == pytest.approx(force, abs=0.8)

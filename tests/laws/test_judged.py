@@ -184,3 +184,32 @@ def _plainest(
     search._variables = lambda form: {names[i] for i in form}
     search._bent = lambda form, top: bent.get(form, form)
     return set(Search._plainest(search, fit(start or tuple(range(len(worse))))).form)
+
+
+@pytest.mark.parametrize(
+    ("now", "alike", "worse", "gone"),
+    [
+        (0.06, 0.0, 1.5, True),  # hardly acts any more
+        (0.14, 0.8, 1.005, True),  # shrunk, like the law, and not missed
+        (0.14, 0.8, 1.05, False),
+        (0.14, 0.1, 1.005, False),
+        (0.18, 0.8, 1.005, False),
+    ],
+)
+def test_what_stood_in_for_a_law_goes(
+    monkeypatch: pytest.MonkeyPatch, now: float, alike: float, worse: float, gone: bool
+) -> None:
+    """Turning scrub of 20 % beside a law that saturates with the turn rate."""
+
+    def model(*shares: float) -> SimpleNamespace:
+        return SimpleNamespace(
+            chosen=range(len(shares)), gram=SimpleNamespace(coefficients=lambda _: (np.array(shares), None))
+        )
+
+    law, other = np.eye(2)
+    phi = (alike * law + np.sqrt(1.0 - alike**2) * other)[None]
+    ground = SimpleNamespace(chosen=(0,), model=model(0.2), design=SimpleNamespace(phi=phi), held=(("scrub", (0,)),))
+    ground.without = lambda _: SimpleNamespace(with_law=lambda _: None)
+    monkeypatch.setattr(proposal, "left_out", lambda _: SimpleNamespace(with_law=worse))
+    fitted = SimpleNamespace(model=model(now, 0.3), watts=law, errors=SimpleNamespace(with_law=1.0))
+    assert proposal._replaced(fitted, ground) == (("scrub",) if gone else ())
