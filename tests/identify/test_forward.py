@@ -72,6 +72,19 @@ def test_an_effect_that_later_ones_make_needless_leaves_the_set() -> None:
     assert set(search.chosen(None)) == {1, 2}
 
 
+def test_watts_that_are_logged_enter_before_what_goes_along_with_them() -> None:
+    """Heat in the windings looks like inertia and an arm together, each of which is there."""
+    rng, folds = np.random.default_rng(5), []
+    for _ in range(8):
+        arm, inertia = rng.normal(size=(2, 600))
+        power = arm + inertia + 0.5 * rng.normal(size=600)
+        heat = arm + inertia + 0.1 * rng.normal(size=600)
+        folds.append(np.vstack([power, 10.0 * arm, inertia, heat, np.ones(600), 10.0 + power]))
+    search = searched(folds, ["logged_power:arm_w", "acceleration", "copper_loss"])
+    assert min(range(3), key=lambda i: search.tried(i, [i], ()).left.total) == 2
+    assert search.chosen(None) == (0, 1)
+
+
 def searched(folds: list[np.ndarray], names: list[str]) -> _Search:
     squares = LeastSquares(np.array([f @ f.T for f in folds]), np.full(8, 600.0), np.zeros(0), np.arange(len(folds)))
     columns = [Column(i, 0, name, 1.0) for i, name in enumerate(names)]
@@ -88,6 +101,7 @@ def searched(folds: list[np.ndarray], names: list[str]) -> _Search:
         ("logged_power:arm_w", 0.1, False, set()),  # a watt for a watt logged, known to be drawn
         ("turning_scrub", 0.1, False, {"runs"}),
         ("logged_power:arm_w", 0.3, False, {"practical"}),  # three watts for each are no loss on the way
+        ("turning_scrub", 0.006, False, {"practical"}),  # seen for sure, and 0.6 % of the energy
     ],
 )
 def test_what_an_effect_must_take_off_the_error_of_left_out_runs(
@@ -97,10 +111,28 @@ def test_what_an_effect_must_take_off_the_error_of_left_out_runs(
     folds = []
     for run in range(8):
         x = np.full(2000, 1.0 - 2.0 * (run % 2)) if between else np.tile([-1.0, 1.0], 1000)
+        x *= 100.0 if size < 0.01 else 1.0
         power = size * x + rng.normal(size=2000)
         folds.append(np.vstack([power, x, np.ones(2000), 10.0 + power]))
     trial = searched(folds, [name, *map(str, range(9))]).tried(0, [0], ())
     assert {gate for gate, held in trial.passed.items() if not held} == failed
+
+
+@pytest.mark.parametrize(("size", "beyond"), [(0.08, False), (0.5, True), (-0.5, True), (-2.0, False)])
+def test_the_twin_of_a_base_parameter_is_more_than_recalibration_and_no_more_than_the_parameter(
+    size: float, beyond: bool
+) -> None:
+    """Friction of 3 % known, of which the logs want 8 or 50 % more, half, or less than none."""
+    rng, folds = np.random.default_rng(6), []
+    for _ in range(8):
+        friction = np.tile([0.0, 1.0], 300)
+        power = size * friction + 0.1 * rng.normal(size=600)
+        folds.append(np.vstack([power, friction, friction, np.ones(600), 1.0 + friction + power]))
+    squares = LeastSquares(np.array([f @ f.T for f in folds]), np.full(8, 600.0), np.array([0.03]), np.arange(8))
+    layout = Layout(("c3",), np.array([0.03]), (Column(0, 0, "rolling_friction", 1.0),), 1.0, 1.0)
+    twin = Candidate("rolling_friction", ("rolling_friction",), sign=0, prior="c3")
+    trial = _Search(squares, layout, [twin], Settings()).measured(0, [0], [])
+    assert trial.passed["beyond recalibration"] is beyond
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.5, -0.5])
