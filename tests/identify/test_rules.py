@@ -118,6 +118,17 @@ def test_an_effect_that_hardly_gains_has_rivals_and_a_clear_one_has_none() -> No
         assert bool(rivals(model, number, constraints, found.library, Settings())) is some
 
 
+def test_two_effects_together_stand_in_the_place_of_one() -> None:
+    """Neither slope nor turns alone look like what needs power in both."""
+    sizes = strength("grade", 0.05) | strength("turning_scrub", 0.05)
+    runs = []
+    for run in make_runs(8):
+        both = np.sum([size * run.columns[name] for name, size in sizes.items()], axis=0)
+        runs.append(replace(run, columns=run.columns | {"both": both}, measured_w=run.measured_w + both))
+    found = fit_effects(runs, [Candidate("both", ("both",)), *library()], ["both"], {})
+    assert set(found.effects[0].indistinguishable_from) == {"grade", "turning_scrub"}
+
+
 def test_an_effect_that_left_out_runs_speak_against_goes() -> None:
     """Power that is drawn in every other run and saved in the rest: no fit to some of them predicts the others."""
     runs = make_runs(5, count=8)
