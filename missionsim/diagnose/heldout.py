@@ -29,6 +29,8 @@ from missionsim.runs.error import Errors, errors_of
 from missionsim.runs.run import Run
 
 KINDS = ("nominal", "recalibrated", "with_effects")
+PARTS = 4
+"""Of the runs, each predicted from the others: with fewer, each would be fitted to too few runs of a floor."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ class Models:
         relief = Estimate(1.0, 1.0, 1.0, "1")
         new = [replace(e, parameters={**e.parameters, "relief": relief}) if e in back else e for e in effects]
         cold = [effect for effect in new if effect.effect != "copper_loss"]
-        errors = [self.of_other_half(some) for some in (effects, new, cold)]
+        errors = [self.of_others(some) for some in (effects, new, cold)]
         if min(errors[1:]) > errors[0]:
             return tuple(effects)
         return tuple(cold if errors[2] <= errors[1] * (1.0 + CLEARLY) else new)
@@ -114,21 +116,20 @@ class Models:
     def needed_beside(self, law: Finding, effects: Sequence[Finding]) -> tuple[Finding, ...]:
         """The effects without which left-out runs are predicted clearly worse, a law being there as well."""
         kept = list(effects)
-        error = self.of_other_half([*kept, law])
+        error = self.of_others([*kept, law])
         for effect in effects:
             rest = [one for one in kept if one is not effect]
-            without = self.of_other_half([*rest, law])
+            without = self.of_others([*rest, law])
             if without <= error * (1.0 + CLEARLY):
                 kept, error = rest, without
         return tuple(kept)
 
-    def of_other_half(self, effects: Sequence[Finding]) -> float:
-        """Mean square error of half of the runs, predicted from a fit to the other; of one run, of its fit [W2]."""
-        halves = [self.runs[::2], self.runs[1::2]] if len(self.runs) > 1 else [self.runs]
-        other = halves[::-1]
-        errors = [
-            self.errors(self.fit(effects, runs=fitted).model, out) for fitted, out in zip(halves, other, strict=True)
-        ]
+    def of_others(self, effects: Sequence[Finding]) -> float:
+        """Mean square error of parts of the runs, predicted from a fit to the others; of one run, of its fit [W2]."""
+        count = min(len(self.runs), PARTS)
+        parts = [self.runs[i::count] for i in range(count)]
+        fitted = [[run for k, part in enumerate(parts) if k != i or count == 1 for run in part] for i in range(count)]
+        errors = [self.errors(self.fit(effects, runs=runs).model, out) for runs, out in zip(fitted, parts, strict=True)]
         return float(np.average([e.power_rmse_w**2 for e in errors], weights=[e.total.seconds for e in errors]))
 
     def certain(
@@ -141,10 +142,19 @@ class Models:
             told = self.told(effects, fitted)
             asked = [one for i, one in enumerate(told) if i >= spared or abs(one.energy_share) < least]
             nothing = [one for one in asked if one.share_low <= 0.0 <= one.share_high and not self.lowers(one)]
+            nothing = [one for one in nothing if not (self._of_label(one) and self._needed(one, told))]
             if not nothing:
                 return told, fitted
             smallest = min(nothing, key=lambda one: abs(one.energy_share)).effect
             effects = [one for one in effects if one.effect != smallest]
+
+    def _of_label(self, effect: Finding) -> bool:
+        return any(c.effect == effect.effect and c.levels for c in self.features.candidates)
+
+    def _needed(self, effect: Finding, effects: Sequence[Finding]) -> bool:
+        """Whether other runs are predicted clearly worse without it: levels may differ and sum to nothing."""
+        rest = [one for one in effects if one is not effect]
+        return self.of_others(effects) < (1.0 - CLEARLY) * self.of_others(rest)
 
     def errors(self, model: PowerModel, runs: Sequence[Run]) -> Errors:
         """Errors of a model on runs."""

@@ -130,7 +130,7 @@ class State:
     def believed(self) -> Models:
         """What is seen and cannot be named is not added; the base has to take its part, not what is added."""
         unsure = any(effect.indistinguishable_from for effect in self.last.effects)
-        free = unsure and self.models.unheld.of_other_half(()) < (1.0 - CLEARLY) * self.models.of_other_half(())
+        free = unsure and self.models.unheld.of_others(()) < (1.0 - CLEARLY) * self.models.of_others(())
         return self.models.unheld if free else self.models
 
     def clocked(self) -> State | None:
@@ -143,7 +143,7 @@ class State:
         ):
             return None
         later = replace(self.models, clock=new.in_all(len(self.models.runs)), _fits={})
-        better = later.of_other_half(self.taken) < (1.0 - CLEARLY) * self.models.of_other_half(self.taken)
+        better = later.of_others(self.taken) < (1.0 - CLEARLY) * self.models.of_others(self.taken)
         return replace(self, models=later) if better else None
 
 
@@ -160,6 +160,8 @@ class Rounds:
         """How often each came to nothing beside others."""
         self.by_law: set[str] = set()
         self.laws, self.again = 0, False
+        self.aside: State | None = None
+        """With what the library named beside a law and that law as it was, while another form of it is looked for."""
 
     def best(self) -> State:
         """The last state, or one before it that predicts each half of the runs clearly better from the other."""
@@ -172,8 +174,8 @@ class Rounds:
                 self.state = later
                 self.settle(*self.together(later, later.taken))
             if self.state.taken:
-                states.append((self.state.models.of_other_half(self.state.taken), self.state))
-            if turn == MOST_ROUNDS or not (self.of_library() or self.of_law()):
+                states.append((self.state.models.of_others(self.state.taken), self.state))
+            if turn == MOST_ROUNDS or not (self.of_library() or self.of_law() or self.of_aside(states)):
                 break
         best = min(states, key=lambda one: one[0], default=None)
         # what came later, or was looked for once more, may predict other runs less well
@@ -196,12 +198,23 @@ class Rounds:
         taken = [*state.taken, *new]
         if found and not self.again:  # a law found without them has another form beside them: once more without it
             self.laws, self.again = 0, bool(self.by_law)
+            if self.again:
+                self.settle(*self.together(state, taken))
+                self.aside = self.state
             state = replace(state, given=self.library.given, models=self.library.models)
             taken = [*(effect for effect in state.taken if effect.effect not in self.by_law), *found]
         if new:
             self.state = state
             self.settle(*self.together(state, taken))
         return bool(new)
+
+    def of_aside(self, states: Sequence[tuple[float, State]]) -> bool:
+        """Go on from what was put aside; whether it predicts other runs better than all states that came instead."""
+        aside, self.aside = self.aside, None
+        if aside is None or aside.models.of_others(aside.taken) > (1.0 - CLEARLY) * min(error for error, _ in states):
+            return False
+        self.state = aside
+        return True
 
     def of_law(self) -> bool:
         """Add a law, once the library has no more; whether one was left to try."""

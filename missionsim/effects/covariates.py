@@ -24,6 +24,8 @@ WIDTHS_S = (0.5, 1.0, 1.5, 2.0)
 """Widths over which a speed may be smoothed before it is differentiated [s], three rows at least."""
 BORNE_OUT = 2.0
 """Standard deviations of their difference within which a slope bears out another."""
+FEWEST_REFRESHES, EVEN = 10, 0.2
+"""A speed is held where so many steps come at multiples of one time, but for this part of it and of them."""
 _OF_WHEELS = re.compile(r"(^|_)wheels?_(.*_)?(rad_s|m_s)$")
 
 
@@ -115,6 +117,7 @@ def acceleration(speed_m_s: Array, time_s: Array, noise_m_s: float | None = None
     count = len(time_s)
     if count < 3:
         return np.gradient(speed_m_s, time_s) if count == 2 and time_s[1] > time_s[0] else np.zeros(count)
+    speed_m_s = between_refreshes(speed_m_s, time_s)
     noise = speed_noise(speed_m_s) if noise_m_s is None else noise_m_s
     step = max(float(np.median(np.diff(time_s))), 1e-6)
     clock = time_s - time_s[0]
@@ -140,6 +143,24 @@ def acceleration(speed_m_s: Array, time_s: Array, noise_m_s: float | None = None
         slope = np.where(borne_out, new, slope) if shorter else new
         shorter.append((new, square))
     return np.asarray(slope)
+
+
+def between_refreshes(speed_m_s: Array, time_s: Array) -> Array:
+    """A speed that rows repeat from a slower topic, such as a GPS, each step of it drawn out over the refresh before:
+    what jumps in one row did not happen in it. Any other speed as it is, shape (n,)."""
+    at = np.flatnonzero(speed_m_s[1:] != speed_m_s[:-1]) + 1
+    gaps = np.diff(time_s[at])
+    if len(gaps) < FEWEST_REFRESHES:
+        return speed_m_s
+    usual = float(np.quantile(gaps, 0.25))
+    if not 1.5 * float(np.median(np.diff(time_s))) < usual <= WIDTHS_S[-1]:
+        return speed_m_s
+    # one that reads the same again is not seen
+    if np.mean(np.abs(gaps / usual - np.rint(gaps / usual)) < EVEN) < 1.0 - EVEN:
+        return speed_m_s
+    before = np.maximum(time_s[at] - usual, time_s[np.concatenate([[0], at[:-1]])])
+    times, values = np.stack([before, time_s[at]], axis=1), np.stack([speed_m_s[at - 1], speed_m_s[at]], axis=1)
+    return np.asarray(np.interp(time_s, times.ravel(), values.ravel()))
 
 
 def speed_noise(speed_m_s: Array) -> float:

@@ -24,6 +24,7 @@ from missionsim.identify.settings import (
     HALVED,
     HALVED_LEVEL,
     INDEPENDENT_S,
+    LABEL_LEVEL,
     LARGEST_PASS_THROUGH,
     LEAST_FALL,
     OFTEN,
@@ -96,6 +97,11 @@ class Forward:
             passed=dict(trial.passed),
         )
 
+    def halves(self, chosen: Sequence[int]) -> bool:
+        """Whether left-out runs are predicted with less than half of the squared error of another set."""
+        squares = self.squares
+        return squares.leave_out(self.chosen).total < HALVED * squares.leave_out(chosen).total
+
     def smallest_detectable(self, columns: int, settings: Settings) -> Array:
         """Share of energy of each column that four of five sets of runs would show, from the cluster jackknife."""
         from scipy.special import stdtrit
@@ -137,9 +143,16 @@ def far_from_right(source: Source) -> LeastSquares | None:
 
 
 def forward(
-    source: Source, candidates: Sequence[Candidate], settings: Settings, given: Sequence[str] | None = None
+    source: Source,
+    candidates: Sequence[Candidate],
+    settings: Settings,
+    given: Sequence[str] | None = None,
+    *,
+    near: bool = False,
 ) -> Forward | None:
     """Select effects by the prediction of left-out runs, or fit given ones.
+
+    `near`: whether a base that is near enough is no reason to leave it.
 
     Returns
     -------
@@ -151,7 +164,7 @@ def forward(
     ValueError
         If a given effect is unknown or has no column that acts in these runs.
     """
-    squares = far_from_right(source)
+    squares = LeastSquares.of(source.design(Clock.as_logged(len(source.runs)))) if near else far_from_right(source)
     if squares is None:
         return None
     still = Clock.as_logged(len(source.runs))
@@ -278,7 +291,7 @@ class _Search:
         p_value = float(fdtrc(k, folds - k, wald * (folds - k) / (k * (folds - 1)))) if folds > k else 1.0
         halved, runs = after.total < HALVED * before.total, int(squares.run.max()) + 1
         logged = self.candidates[number].effect.startswith(LOGGED)
-        effects = len({column.candidate for column in layout.columns})
+        effects = sum(self._of_family(n) for n in {column.candidate for column in layout.columns})
         part = (before.total - after.total) / max(before.total, 1e-300)
         passed = {
             # what bends a curve where few rows lie is seen in the energy of runs first
@@ -293,7 +306,21 @@ class _Search:
         if logged:
             # far from a watt for each watt logged it is no loss on the way, but something that goes along with it
             passed["practical"] &= bool(0.0 < shares[0] * layout.unit(own[0]) < LARGEST_PASS_THROUGH)
+        if self.candidates[number].levels and [name for name, holds in passed.items() if not holds] == ["robust"]:
+            # a Wald test of several levels of a few runs each has no power, and a label asks one question of its own
+            levels = [k for k in range(len(layout.columns)) if self.effect_of(k) == number]
+            by_chance = squares.shuffled(levels, beside, LABEL_LEVEL, np.random.default_rng(runs))
+            if by_chance <= LABEL_LEVEL:
+                p_value, passed["robust"] = by_chance, True
         return Trial(number, tuple(own), after, shares, own_covariance, p_value, passed)
+
+    def _of_family(self, number: int) -> bool:
+        """Whether an effect can be found at all: what a base parameter without prior imitates cannot."""
+        twin = self.candidates[number].prior
+        if twin is None or twin not in self.layout.parameters:
+            return True
+        sd = self.squares.prior_sd[self.layout.parameters.index(twin)]
+        return bool(self.settings.recalibration_limit * sd < 1.0)
 
     def _beyond_recalibration(self, number: int, column: int, share: float) -> bool:
         """Whether an effect that a base parameter imitates is more than a shift of it that its prior allows, and takes

@@ -30,6 +30,8 @@ from missionsim.identify.settings import (
 from missionsim.physics import Array
 
 RIDGE = 1e-9
+SHUFFLES = 499
+"""Deals of levels among runs."""
 
 
 @dataclass(frozen=True)
@@ -190,6 +192,29 @@ class LeastSquares:
         count = len(self.sums)
         off = left.coefficients - value
         return value, (count - 1) / count * off.T @ off
+
+    def shuffled(self, own: Sequence[int], beside: Sequence[int], level: float, draws: np.random.Generator) -> float:
+        """p-value of levels that are constant in runs: how often they predict left-out runs as well once they are dealt
+        out among the runs anew (Fisher 1935). It ends where `level` is out of reach; 1 where levels change in runs."""
+        rows = self.index([*beside, *own])
+        side = np.r_[0, rows, [-2, -1]]
+        small = replace(self, sums=self.sums[:, side[:, None], side])
+        chosen, first = range(len(rows) - self.q), 1 + len(rows) - len(own)
+        by_run = np.stack([small.sums[self.run == i].sum(axis=0) for i in range(int(self.run.max()) + 1)])
+        acts = np.diagonal(by_run, axis1=1, axis2=2)[:, first:-2] > 0.0
+        if np.any(acts.sum(axis=1) > 1):
+            return 1.0
+        labelled = np.flatnonzero(acts.any(axis=1))
+        levels = first + acts[labelled].argmax(axis=1)
+        total, as_well, drawn = small.leave_out(chosen).total, 0, 0
+        while drawn < SHUFFLES and as_well + 1 < level * (SHUFFLES + 1):
+            place = np.tile(np.arange(len(side)), (len(self.sums), 1))
+            for run, old, new in zip(labelled, levels, draws.permutation(levels), strict=True):
+                place[np.ix_(self.run == run, [old, new])] = new, old
+            other = np.take_along_axis(np.take_along_axis(small.sums, place[:, :, None], 1), place[:, None, :], 2)
+            as_well += replace(small, sums=other).leave_out(chosen).total <= total
+            drawn += 1
+        return (as_well + 1) / (drawn + 1)
 
     def unbiased(self, chosen: Sequence[int], value: Array, covariance: Array) -> Array:
         """The coefficients nearest to `value`, in the metric of their covariance, that give the measured energy.

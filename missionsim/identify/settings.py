@@ -325,8 +325,11 @@ PASS_THROUGH_FALL = 0.002
 """The same for watts that are logged beside: they are drawn, only whether this battery feeds them is asked."""
 LARGEST_PASS_THROUGH = 2.0
 """Watts logged beside come with at most this factor: no converter loses more than half."""
-FAMILY_LEVEL = 0.01
-"""Family-wise level of the Wald test with errors clustered by run: with 6 to 12 runs a tenth of it has no power."""
+FAMILY_LEVEL = 0.05
+"""Family-wise level of the Wald test with errors clustered by run, where left-out runs are predicted better as well:
+with 6 to 13 runs a tenth of it has no power."""
+LABEL_LEVEL = 0.01
+"""Level at which the levels of a label must predict left-out runs better than when dealt out among the runs anew."""
 HALVED, HALVED_LEVEL = 0.5, 0.05
 """An effect that leaves less than this part of the squared error on left-out runs is there at this level: its size may
 differ from run to run, so that the Wald test over few of them has no power."""

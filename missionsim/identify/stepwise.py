@@ -17,7 +17,18 @@ from missionsim.identify.model import Model, fit_model, log_likelihood
 from missionsim.identify.noise import bounded_noise, without_outliers
 from missionsim.identify.profile import refit_shapes_of
 from missionsim.identify.rules import LAST_GATES, Question, weigh
-from missionsim.identify.settings import CLOSE, CLOSE_NATS, FRESH_NATS, GLANCE, JOINT_NATS, PROMISING, TRIED, Settings
+from missionsim.identify.settings import (
+    CLOSE,
+    CLOSE_NATS,
+    FRESH_NATS,
+    GLANCE,
+    JOINT_NATS,
+    PROMISING,
+    SEVERAL_RUNS,
+    TRIED,
+    UNUSUAL_GAIN,
+    Settings,
+)
 
 
 def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) -> Choice:
@@ -35,7 +46,13 @@ def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) 
             break
         found, source = step, step.model.source
     found = with_levels(found, candidates, constraints, settings)
-    return with_what_runs_differ_by(found, candidates, constraints, settings)
+    found = with_what_runs_differ_by(found, candidates, constraints, settings)
+    if len(source.runs) > SEVERAL_RUNS and found.model.noise.offset_w > UNUSUAL_GAIN * source.layout.mean_power_w:
+        # a column that is noisy or late says little within runs, and an offset of each run takes what it says of them
+        selected = forward(source, candidates, settings, near=True)
+        if selected is not None and selected.halves(found.model.chosen):
+            return _by_prediction(source, selected)
+    return found
 
 
 def _by_prediction(source: Source, selected: Forward) -> Choice:

@@ -12,7 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import WIDTHS_S, Columns, acceleration, derive, is_moving, speed_noise
+from missionsim.effects.covariates import (
+    WIDTHS_S,
+    Columns,
+    acceleration,
+    between_refreshes,
+    derive,
+    is_moving,
+    speed_noise,
+)
 from missionsim.effects.model import PowerModel, TermKey
 from missionsim.errors import InputError
 from missionsim.labels import Labels
@@ -307,7 +315,8 @@ class _Carry:
         columns = filled(block, self._plan.model.batteries)
         if "speed_m_s" in columns and "accel_m_s2" not in columns:
             speed = np.asarray(columns["speed_m_s"], dtype=float)
-            self._noise_m_s = speed_noise(speed) if self._noise_m_s is None else self._noise_m_s
+            if self._noise_m_s is None:
+                self._noise_m_s = speed_noise(between_refreshes(speed, block.time_s))
             columns["accel_m_s2"] = _acceleration(block, before, after, self._noise_m_s)
         for name, value in self._plan.assumed.items():
             columns.setdefault(name, np.full(block.time_s.shape, value))

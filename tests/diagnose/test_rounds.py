@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.improve import MOST_ROUNDS, Rounds, State
 from missionsim.identify.align import Clock
+from missionsim.identify.data import Candidate
 from missionsim.identify.findings import Finding
+from missionsim.identify.identification import refutes
 from tests.diagnose.test_words import BATTERY, GRADE
 
 AT_FIRST = Clock(0.2, 0.3, (0.0, 0.0))
@@ -26,7 +30,7 @@ class Told:
     runs: tuple[str, ...] = ("a", "b")
     _fits: Any = None
 
-    def of_other_half(self, effects: Sequence[Finding]) -> float:
+    def of_others(self, effects: Sequence[Finding]) -> float:
         found = self.squares[tuple(effect.effect for effect in effects)]
         return found if self.of_clock is None else found * self.of_clock(self.clock)
 
@@ -65,17 +69,28 @@ def test_rounds_end() -> None:
 
 
 def test_something_new_in_the_library_sends_laws_away_once() -> None:
-    made = rounds(Told({}), [("law_turning",), ("drag",), ("grade",), ()])
+    made = rounds(Told({}), [("law_turning",), ("drag",), (), ("grade",), ()])
     made.by_law.add("law_turning")
     made.state = replace(made.state, given="file with law")
     assert made.of_library()  # the law itself, which an earlier round had found to be nothing, comes back
     assert (made.state.text, made.state.given, made.again) == ("file law_turning", "file with law", False)
     assert made.of_library()
     assert (made.state.text, made.state.given, made.again) == ("file drag", "file", True)
+    assert made.aside is not None
+    assert (made.aside.text, made.aside.given) == ("file law_turning drag", "file with law")
     made.state = replace(made.state, taken=named("drag", "law_turning"), given="file with law")
     assert made.of_library()
     assert (made.state.text, made.state.given) == ("file drag law_turning grade", "file with law")
     assert not made.of_library()
+
+
+@pytest.mark.parametrize(("both", "kept"), [(3.0, "file law_turning drag grade"), (4.99, "file drag")])
+def test_a_law_as_it_was_comes_back_where_no_other_form_predicts_as_well(both: float, kept: str) -> None:
+    squares = {("law_turning",): 9.0, ("law_turning", "drag"): both, ("drag",): 5.0}
+    made = rounds(Told({**squares, ("law_turning", "drag", "grade"): 2.0}), [("drag",), ("grade",), (), (), ()])
+    made.by_law.add("law_turning")
+    made.state = replace(made.state, taken=named("law_turning"), text="file law_turning")
+    assert made.best().text == kept
 
 
 @pytest.mark.parametrize(
@@ -96,3 +111,62 @@ def test_the_clock_seen_beside_what_was_added(seen: tuple[float, float], taken_s
     best = rounds(models, [("grade",), (), ()], [models.clock, clock, clock]).best()
     assert (best.models.clock.delay_s, best.models.clock.lag_s) == taken_s
     assert best.models.clock.run_delay_s == (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Fitted(Told):
+    """Models whose fits leave every effect as it is."""
+
+    features: Any = None
+
+    certain = Models.certain
+    _of_label, _needed = Models._of_label, Models._needed
+
+    def fit(self, effects: Sequence[Finding]) -> None:
+        return None
+
+    def told(self, effects: Sequence[Finding], fitted: object) -> tuple[Finding, ...]:
+        return tuple(effects)
+
+    def lowers(self, effect: Finding) -> str:
+        return ""
+
+
+@pytest.mark.parametrize(("without", "kept"), [(10.0, ("grade", "floor")), (9.02, ("grade",))])
+def test_levels_that_sum_to_nothing_stay_where_other_runs_need_them(without: float, kept: tuple[str, ...]) -> None:
+    """One floor may cost more than the base says, and another less."""
+    models = Fitted({("grade", "floor", "drag"): 9.0, ("grade", "drag"): without, ("grade", "floor"): 9.0})
+    models = replace(models, squares={**models.squares, ("grade",): without})
+    label = Candidate("floor", ("a", "b"), levels=("a", "b"))
+    models = replace(models, features=SimpleNamespace(candidates=[label, Candidate("drag", ("",))]))
+    grade, floor, drag = named("grade", "floor", "drag")
+    none = {"share_low": -0.1, "share_high": 0.3}
+    told, _ = models.certain([grade, replace(floor, **none), replace(drag, **none)])  # type: ignore[misc]
+    assert tuple(effect.effect for effect in told) == kept
+
+
+@dataclass(frozen=True)
+class Seen:
+    """An identification with its error at each clock."""
+
+    squares: dict[Clock, float]
+    clock: Clock
+    twins: int = 0
+    effects: tuple[str, ...] = ("grade",)
+    factor: None = None
+    averages: tuple[()] = ()
+
+    @property
+    def choice(self) -> Any:
+        return SimpleNamespace(model=SimpleNamespace(clock=self.clock), forward=None)
+
+    def error_w2(self, clocks: Iterable[Clock]) -> float:
+        return min(self.squares[clock] for clock in clocks)
+
+
+@pytest.mark.parametrize(("there", "refuted"), [(1.0, False), (1.6, True)])
+def test_a_file_is_refuted_at_one_clock_for_both(there: float, refuted: bool) -> None:
+    """The base without priors is predicted with 1.0 at its clock; what the file says, with 2.0 at another."""
+    own, other = Clock(-0.3, 0.3, (0.0,)), Clock(0.0, 0.3, (0.0,))
+    free, held = Seen({own: 1.0, other: 2.0}, own), Seen({own: there, other: 2.0}, other, twins=1)
+    assert refutes(free, held) is refuted  # type: ignore[arg-type]

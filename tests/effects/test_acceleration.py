@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from missionsim.effects.covariates import acceleration, speed_noise
+from missionsim.effects.covariates import acceleration, between_refreshes, speed_noise
 
 STEP_S = 0.2
 
@@ -56,3 +56,24 @@ def test_noisier_logs_of_one_robot_keep_the_size_of_a_jolt() -> None:
 def test_the_noise_is_that_of_the_speed_and_not_of_its_changes() -> None:
     _, speed, _ = ride(2, 0.02)
     assert speed_noise(speed) == pytest.approx(0.02, rel=0.1)
+
+
+@pytest.mark.parametrize("rows", [2, 5])
+def test_a_speed_of_a_slower_topic_has_no_jolts(rows: int) -> None:
+    """Once a second or every 0.4 s in rows every 0.2 s, rounded, so that a cruise repeats it for long."""
+    time_s = np.arange(0.0, 400.0, STEP_S)
+    truth = 0.6 * np.sin(0.2 * time_s)
+    speed = 6.0 - 3.0 * np.cos(0.2 * time_s)
+    held = np.round(speed[np.arange(len(time_s)) // rows * rows], 1)
+    found = acceleration(held, time_s)
+    behind = acceleration(speed, time_s - 0.5 * rows * STEP_S)
+    error, jolting = (float(np.sqrt(np.mean((one - behind) ** 2))) for one in (found, np.gradient(held, time_s)))
+    assert error < 0.12
+    assert error < 0.8 * jolting
+    assert found @ truth / (truth @ truth) > 0.9
+
+
+def test_a_speed_that_jumps_between_long_cruises_is_no_slower_topic() -> None:
+    time_s = np.arange(0.0, 400.0, STEP_S)
+    speed = np.where(time_s // 20.0 % 2.0, 1.0, 0.5)
+    assert between_refreshes(speed, time_s) is speed

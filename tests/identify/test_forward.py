@@ -31,9 +31,9 @@ def test_an_effect_that_halves_the_error_of_left_out_runs_is_there_though_its_si
     folds = [np.vstack([size * driven, driven, np.ones(400), 10.0 + size * driven]) for size in sizes]
     squares = LeastSquares(np.array([f @ f.T for f in folds]), np.full(3, 400.0), np.zeros(0), np.arange(3))
     columns = [Column(number, number, f"{number}", 1.0) for number in range(5)]
-    effect = Candidate("turning_scrub", ("0",))
+    effects = [Candidate("turning_scrub", ("0",)), *(Candidate(f"e{n}", ("",)) for n in range(1, 5))]
     layout = Layout((), np.zeros(0), tuple(columns), 10.0, 1.0)
-    search = _Search(squares, layout, [effect], Settings())
+    search = _Search(squares, layout, effects, Settings())
     trial = search.measured(0, [0], [])
     assert trial.p_value > 0.01
     assert trial.passed["robust"] is there
@@ -155,3 +155,42 @@ def test_surges_that_are_large_and_seldom_are_no_base_that_is_far_from_right(par
     ]
     source = make_source(runs, library(), {}, Settings(align=False))
     assert (far_from_right(source) is not None) is far
+
+
+def floors_of(rng: np.random.Generator, dear: tuple[float, ...]) -> LeastSquares:
+    """17 runs on five floors of three or four runs each, whose resistance differs from run to run as well."""
+    folds = []
+    for floor in np.repeat(range(5), [3, 3, 4, 3, 4]):
+        speed = rng.uniform(0.0, 1.0, 300)
+        power = (dear[floor] + rng.normal()) * speed
+        levels = [speed * (level == floor) for level in range(5)]
+        folds.append(np.vstack([power, speed, *levels, np.ones(300), 10.0 + power]))
+    return LeastSquares(np.array([f @ f.T for f in folds]), np.full(17, 300.0), np.array([1.0]), np.arange(17))
+
+
+def test_floors_of_a_few_runs_each_are_dealt_out_among_the_runs_anew() -> None:
+    """Where the Wald test of five levels with the jackknife covariance of 17 runs has no power."""
+    columns = [
+        *(Column(0, level, f"{level}", 1.0) for level in range(5)),
+        *(Column(n, 0, "", 1.0) for n in range(1, 12)),
+    ]
+    layout = Layout(("c3",), np.array([1.0]), tuple(columns), 10.0, 1.0)
+    floor = Candidate("floor", tuple("01234"), levels=tuple("01234"))
+    effects = [floor, *(Candidate(f"e{n}", ("",)) for n in range(1, 12))]
+
+    def found(seed: int, dear: tuple[float, ...]) -> bool:
+        squares = floors_of(np.random.default_rng(seed), dear)
+        return _Search(squares, layout, effects, Settings()).measured(0, range(5), ()).accepted
+
+    # in these, p is 0.01 to 0.1 by the Wald test
+    assert all(found(seed, (0.0, 0.0, 0.0, 0.0, 2.5)) for seed in (4, 18, 29, 31, 39))
+    assert sum(found(seed, (0.0,) * 5) for seed in range(40)) <= 1
+
+
+def test_levels_that_change_within_a_run_are_not_dealt_out() -> None:
+    rng = np.random.default_rng(3)
+    folds = [
+        np.vstack([rng.normal(size=50), *np.eye(2)[:, rng.integers(0, 2, 50)], np.ones((2, 50))]) for _ in range(9)
+    ]
+    squares = LeastSquares(np.array([f @ f.T for f in folds]), np.full(9, 50.0), np.zeros(0), np.arange(9))
+    assert squares.shuffled([0, 1], (), 0.05, rng) == 1.0

@@ -11,7 +11,7 @@ import pytest
 from missionsim import interface
 from missionsim.cli.options import FALSE_ALARM_RATE
 from missionsim.identify import stepwise
-from missionsim.identify.data import Candidate
+from missionsim.identify.data import Candidate, RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.identification import fit_effects, identify
 from missionsim.identify.model import prediction
@@ -213,3 +213,22 @@ def test_what_three_runs_show_is_named():
 def test_the_command_line_has_the_level_of_the_method():
     told = inspect.signature(interface.diagnose).parameters["alpha"].default
     assert Settings().alpha == FALSE_ALARM_RATE == told
+
+
+def loaded(rng: np.random.Generator, name: str, idle: bool, watts: float) -> RunData:
+    """Five minutes at rest under a load of 5 % in a third of the runs and 15 to 95 % else, badly logged."""
+    level = 0.05 if idle else rng.uniform(0.15, 0.95)
+    load, ones = np.clip(level + 0.3 * rng.standard_normal(300), 0.0, 1.0), np.ones(300)
+    measured = 7.0 + watts * level + 0.15 * rng.standard_normal(300)
+    columns = {"cpu_load": load, "grade": np.where(rng.random(300) < 0.1, 1.0, 0.0)}
+    return RunData(name, np.arange(300) + 0.5, ones, measured, 7.5 * ones, {"c4": 7.5 * ones}, columns, dict(columns))
+
+
+@pytest.mark.parametrize(("watts", "names"), [(1.6, ["cpu_load"]), (0.0, [])])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_noisy_load_is_seen_between_the_runs(seed: int, watts: float, names: list[str]) -> None:
+    """Within runs its coefficient is a fraction, and offsets of the runs would take the rest."""
+    rng = np.random.default_rng(seed)
+    runs = [loaded(rng, f"run_{i}", i % 3 == 0, watts) for i in range(24)]
+    effects = [Candidate("cpu_load", ("cpu_load",), covariate="cpu_load"), Candidate("grade", ("grade",))]
+    assert [effect.effect for effect in identify(runs, effects, {"c4": 1.0}).effects] == names
