@@ -224,8 +224,10 @@ def estimated(
         parameters |= _shape_estimates(shapes.get(candidate.effect, {}))
         evidence = [choice.evidence[k] for k in own]
         share, reach = sum(sizes[k] for k in own), Z95 * float(np.linalg.norm(share_sd))
-        # where the base is far from right, the prediction of left-out runs has chosen
-        similar = () if choice.forward else rivals(model, number, constraints, candidates, settings)
+        if choice.forward is None:
+            similar = rivals(model, number, constraints, candidates, settings)
+        else:
+            similar = tuple(candidates[o].effect for o in choice.forward.rivals.get(number, ()))
         loads, watts = candidate.unlogged
         size_w = sum(abs(sizes[k]) for k in own) * model.design.layout.mean_power_w
         if size_w <= watts:

@@ -27,12 +27,15 @@ from missionsim.identify.settings import (
     LABEL_LEVEL,
     LARGEST_PASS_THROUGH,
     LEAST_FALL,
+    NESTED,
     OFTEN,
     OFTEN_PART,
     PASS_THROUGH_FALL,
     POWER_Z,
+    RIVAL_PART,
     ROUGH,
     SEVERAL_RUNS,
+    UNCLEAR,
     WORSE_ENERGY_LEVEL,
     Settings,
 )
@@ -77,6 +80,8 @@ class Forward:
     """Least squares at this clock."""
     trials: dict[int, Trial]
     """Effect number -> the trial with it, within the final set or beside it."""
+    rivals: dict[int, tuple[int, ...]]
+    """Effect number -> effects that left-out runs do not tell from it."""
 
     def evidence(self, column: int) -> Evidence:
         """What speaks for a column, in the words of the gates."""
@@ -177,15 +182,19 @@ def forward(
             search = replace(search, squares=LeastSquares.of(source.design(clock)))
             chosen = search.chosen(given)
     trials: dict[int, Trial] = {}
+    rivals: dict[int, tuple[int, ...]] = {}
+    inside = {search.effect_of(k) for k in chosen}
     # those that were refused are fitted as well: what they lack, and how large they could be, is told
     for number, options in search.options():
         own = [k for k in chosen if search.effect_of(k) == number]
         rest = [k for k in chosen if k not in own]
         if own:  # a given effect keeps all its columns, whatever their signs
-            trials[number] = search.measured(number, own, rest)
+            trials[number] = trial = search.measured(number, own, rest)
+            if search.signs_hold(trial):
+                rivals[number] = search.rivals(trial, rest, inside)
         elif found := [t for o in options if (t := search.tried(number, o, rest)) is not None]:
             trials[number] = min(found, key=lambda t: t.left.total)
-    return Forward(chosen, clock, search.squares, trials)
+    return Forward(chosen, clock, search.squares, trials, rivals)
 
 
 @dataclass(frozen=True)
@@ -274,6 +283,10 @@ class _Search:
             own.pop(int(np.argmin(wrong)))
         return None
 
+    def signs_hold(self, trial: Trial) -> bool:
+        """Whether every coefficient has the sign that physics asks for."""
+        return bool(np.all(self.candidates[trial.candidate].sign * trial.shares >= 0.0))
+
     def measured(self, number: int, own: Sequence[int], beside: Sequence[int]) -> Trial:
         """What speaks for an effect beside others, and the answer of every gate."""
         from scipy.special import fdtrc
@@ -334,3 +347,40 @@ class _Search:
             return True
         shift = share * float(squares.whole[1 + q, 1 + squares.q + column]) / size
         return bool(shift > -1.0 and abs(shift) > self.settings.recalibration_limit * squares.prior_sd[q])
+
+    def rivals(self, trial: Trial, rest: Sequence[int], inside: set[int]) -> tuple[int, ...]:
+        """Effects that predict left-out runs as well in the place of one; forms that hold it as a special case are
+        none."""
+        if self.candidates[trial.candidate].effect.startswith(LOGGED):
+            return ()
+        gain = self.squares.leave_out(rest).total - trial.left.total
+        found: list[int] = []
+        for number, options in self.options():
+            # the twin of a base parameter was recalibrated already: it is no other explanation
+            if number in inside or self.candidates[number].prior is not None:
+                continue
+            for option in options:
+                other = self.tried(number, option, rest)
+                if other is None or not other.passed["robust"] or self._nested(trial.columns, option):
+                    continue
+                behind = other.left.square - trial.left.square
+                error = float(np.std(behind, ddof=1)) * np.sqrt(len(behind))
+                near = behind.sum() < UNCLEAR * error and behind.sum() < (1.0 - RIVAL_PART) * gain
+                if near and not self._encompasses(trial, [*rest, *option]):
+                    found.append(number)
+                    break
+        return tuple(found)
+
+    def _encompasses(self, trial: Trial, beside: Sequence[int]) -> bool:
+        """Whether an effect explains what another in its place leaves over (Davidson and MacKinnon 1981)."""
+        again = self.tried(trial.candidate, trial.columns, beside)
+        return again is not None and again.passed["runs"] and again.passed["robust"]
+
+    def _nested(self, one: Sequence[int], other: Sequence[int]) -> bool:
+        """Whether one set of columns lies in the span of the other."""
+        small, large = sorted((list(one), list(other)), key=len)
+        a, b = (1 + self.squares.q + np.asarray(columns, dtype=np.intp) for columns in (small, large))
+        whole = self.squares.whole
+        cross = whole[np.ix_(b, a)]
+        rest = np.diag(whole)[a] - np.sum(cross * np.linalg.lstsq(whole[np.ix_(b, b)], cross, rcond=1e-12)[0], axis=0)
+        return bool(np.all(rest <= NESTED * np.diag(whole)[a]))

@@ -337,6 +337,12 @@ TWINS, TWIN = 1.1, 0.75
 """A base without priors that leaves no more than this part of the squared error refutes the file: the first where two
 effects that stand in for its parameters were found, or one and the base is far from right; the second where one of the
 two holds."""
+UNCLEAR = 2.0
+"""Standard errors of a paired difference between two effects below which runs do not tell them apart."""
+RIVAL_PART = 0.5
+"""A rival must explain at least this part of what the effect explains."""
+NESTED = 1e-6
+"""Columns with no more than this part outside the span of others are a special case of them, and no rival."""
 DELAY_LEVEL = 0.01
 """Level of the paired test over runs at which a delay or lag of the meter is taken."""
 ADVANCE_LEVEL = 0.001
