@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +14,6 @@ from missionsim.diagnose.improve import MOST_ROUNDS, Rounds, State
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate
 from missionsim.identify.findings import Finding
-from missionsim.identify.identification import refutes
 from tests.diagnose.test_words import BATTERY, GRADE
 
 AT_FIRST = Clock(0.2, 0.3, (0.0, 0.0))
@@ -143,30 +142,3 @@ def test_levels_that_sum_to_nothing_stay_where_other_runs_need_them(without: flo
     none = {"share_low": -0.1, "share_high": 0.3}
     told, _ = models.certain([grade, replace(floor, **none), replace(drag, **none)])  # type: ignore[misc]
     assert tuple(effect.effect for effect in told) == kept
-
-
-@dataclass(frozen=True)
-class Seen:
-    """An identification with its error at each clock."""
-
-    squares: dict[Clock, float]
-    clock: Clock
-    twins: int = 0
-    effects: tuple[str, ...] = ("grade",)
-    factor: None = None
-    averages: tuple[()] = ()
-
-    @property
-    def choice(self) -> Any:
-        return SimpleNamespace(model=SimpleNamespace(clock=self.clock), forward=None)
-
-    def error_w2(self, clocks: Iterable[Clock]) -> float:
-        return min(self.squares[clock] for clock in clocks)
-
-
-@pytest.mark.parametrize(("there", "refuted"), [(1.0, False), (1.6, True)])
-def test_a_file_is_refuted_at_one_clock_for_both(there: float, refuted: bool) -> None:
-    """The base without priors is predicted with 1.0 at its clock; what the file says, with 2.0 at another."""
-    own, other = Clock(-0.3, 0.3, (0.0,)), Clock(0.0, 0.3, (0.0,))
-    free, held = Seen({own: 1.0, other: 2.0}, own), Seen({own: there, other: 2.0}, other, twins=1)
-    assert refutes(free, held) is refuted  # type: ignore[arg-type]

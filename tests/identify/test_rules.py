@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from missionsim.identify import stepwise
+from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate
 from missionsim.identify.estimates import rivals
 from missionsim.identify.evidence import evidence_of, nats_needed, predicts_left_out, rests_on_one_run, tails
@@ -252,10 +253,15 @@ def test_the_more_speaks_against_a_base_the_less_its_file_must_lose(
     far: bool, twins: int, left: float, refuted: bool
 ) -> None:
     """Two drives of a Warthog on floors, a car in winter: the base far off, no twin or one found beside it."""
-    choice = SimpleNamespace(forward=() if far else None)
-    held = SimpleNamespace(choice=choice, twins=twins, error_w2=100.0, factor=None, averages=())
-    free = SimpleNamespace(effects=(finding(),), error_w2=100.0 * left)
+    own, other = Clock(-0.3, 0.3, (0.0,)), Clock(0.0, 0.3, (0.0,))
+    choice = SimpleNamespace(forward=() if far else None, model=SimpleNamespace(clock=other))
+    here = SimpleNamespace(model=SimpleNamespace(clock=own))
+    held = SimpleNamespace(choice=choice, twins=twins, error_w2=lambda _: 100.0, factor=None, averages=())
+    free = SimpleNamespace(effects=(finding(),), choice=here, error_w2=lambda _: 100.0 * left)
     assert refutes(free, held) is refuted
+    # both at the better of their clocks: least squares sees a clock that the noise model takes for the same
+    late = SimpleNamespace(**{**vars(held), "error_w2": lambda clocks: 100.0 if own in clocks else 300.0})
+    assert refutes(free, late) is refuted
     # one factor on all says as much as a base without priors that leaves no effect
     assert not refutes(
         SimpleNamespace(**{**vars(free), "effects": ()}), SimpleNamespace(**{**vars(held), "factor": 1.5})
