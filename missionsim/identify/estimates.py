@@ -13,10 +13,11 @@ from missionsim.identify.findings import Estimate, Finding
 from missionsim.identify.forward import Choice
 from missionsim.identify.gram import Constraints, Gram, all_sets, set_gains, single_gains
 from missionsim.identify.model import Model
-from missionsim.identify.residual import ramps, steady
+from missionsim.identify.residual import ramps
 from missionsim.identify.settings import (
     BESIDE_RUN_LEVEL,
     EXTRA_EFFECT_NATS,
+    NOISY_SLOPE,
     ODDS_NATS,
     RAMP_SYSTEMATIC,
     RUN_LEVEL,
@@ -42,18 +43,9 @@ def rivals(
     """Effects that could stand in the place of `effect` (a candidate number) in the model.
 
     A rival replaces all columns of the effect, alone or (at a price) with one further effect. Forms are never
-    exact, so a rival is kept also when it loses only a small part of the effect's own gain. What only rows beside
-    ramps can tell apart is not told apart, unless the effect itself lives there.
+    exact, so a rival is kept also when it loses only a small part of the effect's own gain.
     """
     full = _close_ones(model.gram, model, effect, constraints, candidates, settings)
-    # averages over ramps bend forms, so that rows beside them prefer one form by accident
-    flat = steady(model, free_base=False)
-    rest = [k for k in model.chosen if constraints.effect[k] != effect]
-    own = flat.gram.gain(model.chosen) - flat.gram.gain(rest)
-    # an effect that lives on ramps (acceleration) is judged with them only
-    if own > 0.5 * (model.gram.gain(model.chosen) - model.gram.gain(rest)):
-        for other, behind in _close_ones(flat.gram, flat, effect, constraints, candidates, settings).items():
-            full[other] = min(full.get(other, np.inf), behind)
     ordered = sorted(full, key=lambda o: full[o])
     ordered += [
         o for o in _proportional(model, [effect, *ordered], constraints, candidates) if o not in (effect, *ordered)
@@ -107,6 +99,8 @@ def _close_ones(
     for other, value in found.items():
         same = candidates[other].covariate == candidates[effect].covariate
         loss = (settings.rival_loss if same else settings.noisy_rival_loss) * gain
+        if candidates[other].covariate == "slope_rad" and not same:
+            loss *= NOISY_SLOPE
         if gain - value < max(ODDS_NATS, loss):
             close[other] = gain - value
     return close

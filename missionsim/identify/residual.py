@@ -62,15 +62,14 @@ def ramps(model: Model) -> NDArray[np.bool_]:
     return np.asarray(change > RAMP * design.layout.mean_power_w)
 
 
-def steady(model: Model, free_base: bool = True) -> Model:
+def steady(model: Model) -> Model:
     """The same model for tests of form: rows beside a ramp of the base model hardly count, because averaging over a
-    ramp bends every curve, and (with `free_base`) the base parameters are freer than their priors."""
+    ramp bends every curve, and the base parameters are freer than their priors."""
     design = model.design
     ramp = ramps(model)
     weight = np.where(ramp, RAMP_WEIGHT, 1.0) * model.noise.weight
     free = design.layout.prior_sd.copy()
-    if free_base:
-        free[: len(design.layout.parameters)] *= FREER
+    free[: len(design.layout.parameters)] *= FREER
     layout = replace(design.layout, prior_sd=free)
     return replace(model, design=replace(design, layout=layout), noise=replace(model.noise, weight=weight))
 

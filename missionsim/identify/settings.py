@@ -197,6 +197,8 @@ ODDS_NATS = 4.6
 """ln 99: a rival further behind has less than a hundredth of the weight. A name that stands alone should be as sure."""
 SAME_COLUMN = 0.995
 """Columns this much alike away from ramps are one: what then prefers one of them is noise."""
+NOISY_SLOPE = 1.5
+"""A slope from an inertial sensor has noise and a bias of its own, which weakens a slope effect more than others."""
 EXTRA_EFFECT_NATS = 4.0
 """Price of an explanation that needs one effect more (its choice among some fifty columns)."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -120,14 +121,46 @@ def test_an_effect_that_hardly_gains_has_rivals_and_a_clear_one_has_none() -> No
 
 
 def test_two_effects_together_stand_in_the_place_of_one() -> None:
-    """Neither slope nor turns alone look like what needs power in both."""
+    """Turns alone look little like what needs power on slopes too."""
     sizes = strength("grade", 0.05) | strength("turning_scrub", 0.05)
     runs = []
     for run in make_runs(8):
         both = np.sum([size * run.columns[name] for name, size in sizes.items()], axis=0)
         runs.append(replace(run, columns=run.columns | {"both": both}, measured_w=run.measured_w + both))
     found = fit_effects(runs, [Candidate("both", ("both",)), *library()], ["both"], {})
-    assert set(found.effects[0].indistinguishable_from) == {"grade", "turning_scrub"}
+    assert found.effects[0].indistinguishable_from == ("turning_scrub",)  # the larger of the two
+
+
+@pytest.mark.parametrize(("covariate", "rivals"), [("slope_rad", ("other",)), ("payload_kg", ())])
+def test_a_slope_is_a_rival_further_behind_than_other_covariates(covariate: str, rivals: tuple[str, ...]) -> None:
+    """Its sensor has noise of its own, which takes from what it explains."""
+    noise = np.random.default_rng(3)
+    assert rivals_of_turns(covariate, lambda turns, _: turns + 0.08 * np.std(turns) * noise.normal(size=420)) == rivals
+
+
+@pytest.mark.parametrize(("covariate", "rivals"), [("yaw_rate_rad_s", ("other",)), ("payload_kg", ())])
+def test_columns_of_one_covariate_that_differ_beside_ramps_alone_are_one(
+    covariate: str, rivals: tuple[str, ...]
+) -> None:
+    noise = np.random.default_rng(3)
+
+    def beside_ramps(turns: np.ndarray, base: np.ndarray) -> np.ndarray:
+        change = np.abs(np.diff(base, prepend=base[0], append=base[-1]))
+        ramp = np.maximum(change[1:], change[:-1]) > 0.06 * base.mean()
+        return turns * (1.0 + 3.0 * ramp * noise.normal(size=len(base))) ** 2
+
+    assert rivals_of_turns(covariate, beside_ramps) == rivals
+
+
+def rivals_of_turns(covariate: str, other: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> tuple[str, ...]:
+    """What cannot be told from scrub of 6 % beside one more column, made of scrub and the power of the base."""
+    name, runs = "turning_scrub", []
+    for run in make_runs(8):
+        turns = run.columns[name]
+        watts = run.measured_w + strength(name, 0.06)[name] * turns
+        runs.append(replace(run, columns=run.columns | {"other": other(turns, run.base_w)}, measured_w=watts))
+    candidates = [Candidate("other", ("other",), covariate=covariate), *library()]
+    return fit_effects(runs, candidates, [name], {}).effects[0].indistinguishable_from
 
 
 def test_an_effect_that_left_out_runs_speak_against_goes() -> None:
