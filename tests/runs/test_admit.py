@@ -10,6 +10,7 @@ import pytest
 
 import missionsim
 from missionsim.cli.app import run_command
+from missionsim.errors import InputError
 from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
@@ -47,6 +48,31 @@ def test_a_run_in_km_h_is_named_with_its_unit(runs: list[Run]) -> None:
     fast = replace(runs[3], columns={**runs[3].columns, "speed_m_s": 3.6 * runs[3].number("speed_m_s")})
     (line,) = told([*runs[:3], fast, runs[4]])
     assert line == "run_03: speed_m_s is 3.6 times too large (km/h?)"
+
+
+@pytest.mark.parametrize(
+    ("name", "usual", "odd", "words"),
+    [
+        ("slope_rad", (-0.05, 0.05), 60.0, "slope_rad reaches 3, in the other runs 0.05: degrees or per cent?"),
+        ("temp_ambient_c", (18.0, 20.0), 3.5, "temp_ambient_c reaches 70, in the other runs 20: degrees Fahrenheit?"),
+        ("cpu_load", (0.2, 0.8), 0.0, "cpu_load is 0 in every row, as in no other run: was it logged?"),
+    ],
+)
+def test_a_column_in_other_units_or_stuck_is_told_whatever_the_power_says(
+    runs: list[Run], name: str, usual: tuple[float, float], odd: float, words: str
+) -> None:
+    values = np.tile(usual, 100)
+    logged = [replace(run, columns={**run.columns, name: values}) for run in runs]
+    assert told(logged) == []
+    logged[2] = replace(runs[2], columns={**runs[2].columns, name: odd * values})
+    assert told(logged) == [f"run_02: {words}"]
+
+
+def test_power_that_no_run_has_in_common_with_its_motion_is_told_of_all(runs: list[Run]) -> None:
+    rng = np.random.default_rng(2)
+    others = [replace(run, power_w={"robot": rng.permutation(run.power_w["robot"])}) for run in runs[:3]]
+    with pytest.raises(InputError, match="nothing to do with what the robot does"):
+        told(others)
 
 
 def test_near_copies_count_once(runs: list[Run]) -> None:
