@@ -85,6 +85,19 @@ def test_watts_that_are_logged_enter_before_what_goes_along_with_them() -> None:
     assert search.chosen(None) == (0, 1)
 
 
+@pytest.mark.parametrize(("unlike", "rivals"), [(0.004, (1,)), (0.3, ()), (0.0, ())])
+def test_what_left_out_runs_do_not_tell_apart_are_rivals_and_a_multiple_is_none(
+    unlike: float, rivals: tuple[int, ...]
+) -> None:
+    rng, folds = np.random.default_rng(9), []
+    for _ in range(8):
+        drag = rng.normal(size=600)
+        power = drag + 0.5 * rng.normal(size=600)
+        folds.append(np.vstack([power, drag, 2.0 * drag + unlike * rng.normal(size=600), np.ones(600), 10.0 + power]))
+    search = searched(folds, ["aerodynamic_drag", "viscous_friction"])
+    assert search.rivals(search.tried(0, [0], ()), (), {0}) == rivals
+
+
 def searched(folds: list[np.ndarray], names: list[str]) -> _Search:
     squares = LeastSquares(np.array([f @ f.T for f in folds]), np.full(8, 600.0), np.zeros(0), np.arange(len(folds)))
     columns = [Column(i, 0, name, 1.0) for i, name in enumerate(names)]
