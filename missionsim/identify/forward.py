@@ -102,10 +102,9 @@ class Forward:
             passed=dict(trial.passed),
         )
 
-    def halves(self, chosen: Sequence[int]) -> bool:
-        """Whether left-out runs are predicted with less than half of the squared error of another set."""
-        squares = self.squares
-        return squares.leave_out(self.chosen).total < HALVED * squares.leave_out(chosen).total
+    def part_of(self, chosen: Sequence[int]) -> float:
+        """Squared error of left-out runs as a part of that of another set."""
+        return self.squares.leave_out(self.chosen).total / self.squares.leave_out(chosen).total
 
     def smallest_detectable(self, columns: int, settings: Settings) -> Array:
         """Share of energy of each column that four of five sets of runs would show, from the cluster jackknife."""

@@ -16,6 +16,7 @@ from missionsim.identify.gram import Constraints, best_set, make_gram, single_ga
 from missionsim.identify.model import Model, fit_model, log_likelihood
 from missionsim.identify.noise import bounded_noise, without_outliers
 from missionsim.identify.profile import refit_shapes_of
+from missionsim.identify.residual import low_frequency_noise
 from missionsim.identify.rules import LAST_GATES, Question, weigh
 from missionsim.identify.settings import (
     CLOSE,
@@ -25,6 +26,7 @@ from missionsim.identify.settings import (
     JOINT_NATS,
     PROMISING,
     SEVERAL_RUNS,
+    SWALLOWED,
     TRIED,
     UNUSUAL_GAIN,
     Settings,
@@ -47,10 +49,11 @@ def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) 
         found, source = step, step.model.source
     found = with_levels(found, candidates, constraints, settings)
     found = with_what_runs_differ_by(found, candidates, constraints, settings)
-    if len(source.runs) > SEVERAL_RUNS and found.model.noise.offset_w > UNUSUAL_GAIN * source.layout.mean_power_w:
-        # a column that is noisy or late says little within runs, and an offset of each run takes what it says of them
+    offset = found.model.noise.offset_w > UNUSUAL_GAIN * source.layout.mean_power_w
+    if len(source.runs) > SEVERAL_RUNS and (offset or low_frequency_noise(found.model) is not None):
+        # of a column that is noisy or late, offsets of runs and a noise as slow as it is take what it says
         selected = forward(source, candidates, settings, near=True)
-        if selected is not None and selected.halves(found.model.chosen):
+        if selected is not None and selected.part_of(found.model.chosen) < SWALLOWED:
             return _by_prediction(source, selected)
     return found
 

@@ -232,3 +232,21 @@ def test_a_noisy_load_is_seen_between_the_runs(seed: int, watts: float, names: l
     runs = [loaded(rng, f"run_{i}", i % 3 == 0, watts) for i in range(24)]
     effects = [Candidate("cpu_load", ("cpu_load",), covariate="cpu_load"), Candidate("grade", ("grade",))]
     assert [effect.effect for effect in identify(runs, effects, {"c4": 1.0}).effects] == names
+
+
+@pytest.mark.parametrize(("watts", "names"), [(5.0, ["cpu_load"]), (0.0, [])])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_load_logged_late_is_no_noise(seed: int, watts: float, names: list[str]) -> None:
+    """Load in steps of 8 to 30 s that the log tells 2 s later: a noise of 25 s takes all but the differences."""
+    rng = np.random.default_rng(seed)
+    ones, runs = np.ones(200), []
+    for i in range(12):
+        load = np.repeat(rng.choice([0.05, 0.5, 1.0], 30), rng.integers(8, 30, 30))[:202]
+        measured = 12.0 + watts * load[2:] + 0.4 * rng.standard_normal(200)
+        columns = {"cpu_load": load[:-2], "grade": np.where(rng.random(200) < 0.1, 1.0, 0.0)}
+        base = 14.0 * ones
+        runs.append(RunData(f"{i}", np.arange(200) + 0.5, ones, measured, base, {"c4": base}, columns, dict(columns)))
+    effects = [Candidate("cpu_load", ("cpu_load",), covariate="cpu_load"), Candidate("grade", ("grade",))]
+    found = identify(runs, effects, {"c4": 1.0}).effects
+    assert [effect.effect for effect in found] == names
+    assert all(0.1 < effect.energy_share < 0.25 for effect in found)
