@@ -13,7 +13,7 @@ from missionsim.effects.covariates import Covariates
 from missionsim.identify.data import Column
 from missionsim.identify.design import Design
 from missionsim.identify.identification import Identification
-from missionsim.identify.model import Model, spread
+from missionsim.identify.model import Model, log_likelihood, spread
 from missionsim.identify.noise import (
     START_ROWS,
     Noise,
@@ -35,6 +35,10 @@ FREER = 4.0
 """A form that the base explains to this part within so many prior standard deviations is recalibration, not a law."""
 BLOCK = 60
 """Rows that are whitened by one product of matrices."""
+LAGS_S = (0.0, 0.15, 0.3, 0.45, 0.6)
+DELAYS_S = (-0.2, -0.1, 0.1, 0.2, 0.3)
+CLOCK_NATS = 15.0
+"""Rise of the log-likelihood from which on a law moves the clock of meter and motion."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +100,34 @@ class Ground:
     def at_noise(self, design: Design, noise: Noise) -> Model:
         """An extended design as a model at a noise that was not fitted with it."""
         return Model(self.model.source, tuple(range(len(design.phi))), self.model.clock, design, noise)
+
+    def on_time(self, raw: Sequence[Array], fitted: Model) -> Ground:
+        """The ground at the clock that the law asks for; itself where that is hardly better.
+
+        Without the law its own lag could not be seen. `raw`: power of the law in each run at the raw rate, (1, rows).
+        """
+        source, was = self.model.source, self.model.clock
+
+        def score(delay_s: float, lag_s: float) -> float:
+            clock = replace(was, delay_s=delay_s, lag_s=lag_s)
+            there = replace(self, model=replace(self.model, clock=clock, design=source.design(clock, self.chosen)))
+            columns = replace(there, model=replace(there.model, chosen=tuple(range(len(self.chosen)))))
+            design = columns.extended(source.averaged(raw, clock)[0])
+            return log_likelihood(replace(fitted, clock=clock, design=design, squares=None))
+
+        if not source.aligned:
+            return self
+        best = (score(was.delay_s, was.lag_s), was.delay_s, was.lag_s)
+        first = best[0]
+        for lag in LAGS_S:
+            best = max(best, (score(best[1], lag), best[1], lag))
+        for delay in DELAYS_S:
+            best = max(best, (score(was.delay_s + delay, best[2]), was.delay_s + delay, best[2]))
+        if best[0] < first + CLOCK_NATS:
+            return self
+        clock = replace(was, delay_s=best[1], lag_s=best[2])
+        model = _refitted(self.model, source.design(clock), self.chosen, self.model.noise)
+        return replace(self, model=replace(model, clock=clock))
 
     def extended(self, watts: Array) -> Design:
         """The design with the columns of the effects found and the law, in shares of energy; the law comes last, one

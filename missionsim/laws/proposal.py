@@ -142,6 +142,9 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identificati
     done = search.best()
     if done is None:
         return None
+    on_time = search.on_time(done.best)
+    if on_time is not search:
+        search, done = on_time, on_time.best() or done
     search, done = search.by_levels(done.best) or (search, done)
     near, beside, fitted, seen = _judged(search, done)
     was = seen.errors

@@ -190,6 +190,11 @@ class Search:
         """Power of a form for a coefficient of 1, evaluated at the raw rate, shape (n,)."""
         return np.asarray(self.columns([form])[0])
 
+    def on_time(self, fitted: Fitted) -> Search:
+        """The same search at the clock that a law asks for; itself where that is hardly better."""
+        ground = self.ground.on_time(self.grammar.products([fitted.form]), fitted.model)
+        return self if ground is self.ground else Search(ground, self.grammar, self.memory)
+
     def columns(self, forms: Sequence[Sequence[int]]) -> Array:
         """The same of several forms, shape (forms, n)."""
         missing = [form for form in dict.fromkeys(tuple(form) for form in forms) if form not in self._averaged]
