@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from missionsim.identify.data import Candidate, RunData
+from missionsim.identify.identification import identify
 from missionsim.laws.factors import make_grammar
-from missionsim.laws.proposal import _own_meter
+from missionsim.laws.proposal import _own_meter, propose
 from missionsim.runs.covariates import may_be_cause, remarks_on, repeated
 
 
@@ -86,3 +88,27 @@ def test_the_measured_power_under_another_name_is_no_cause() -> None:
     y = np.concatenate([run.pop("power") for run in runs])
     ground = SimpleNamespace(covariates=runs, averaged=lambda raw: np.hstack(raw), design=SimpleNamespace(y=y))
     assert _own_meter(ground) == {"kinova_current"}
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.4])
+def test_a_law_is_seen_at_the_clock_that_it_asks_for(late_s: float) -> None:
+    """A robot that drives at one speed: only its turns, which no effect of the library costs, show a late meter."""
+    rng, runs = np.random.default_rng(1), []
+    for number in range(6):
+        turn = np.zeros(1500)
+        for start in range(50, 1420, 100):
+            turn[start : start + int(rng.integers(10, 60))] = rng.uniform(0.2, 1.0) * rng.choice([-1, 1])
+        speed, time_s = np.where(np.arange(1500) > 25, 0.5, 0.0), np.arange(1500) * 0.2 + 0.1
+        gradient = {"c3": 10.0 * speed, "c4": 3.5 * (speed > 0), "standing": 2.7 * (speed == 0)}
+        base = np.sum(list(gradient.values()), axis=0)
+        power = base + 8.0 * np.tanh(np.abs(turn) / 0.15)
+        measured = np.interp(time_s - late_s, time_s, power) + 0.3 * rng.standard_normal(1500)
+        covariates = {"speed_m_s": speed, "yaw_rate_rad_s": turn, "time_s": time_s}
+        columns = {"grade": np.zeros(1500)}
+        dt_s = np.full(1500, 0.2)
+        runs.append(RunData(f"{number}", time_s, dt_s, measured, base, gradient, columns, covariates))
+    found = identify(runs, [Candidate("grade", ("grade",))], {"c3": 0.05, "c4": 0.05, "standing": 0.05})
+    made = propose(found, [run.covariates for run in runs])
+    assert made is not None
+    assert set(made.proposal.first.variables) == {"yaw_rate_rad_s"}
+    assert made.proposal.first.k == pytest.approx(8.0, rel=0.05)  # 6.8 at the clock of the base
