@@ -30,6 +30,7 @@ from missionsim.identify.settings import (
     NESTED,
     OFTEN,
     OFTEN_PART,
+    PARTS_LEVEL,
     PASS_THROUGH_FALL,
     POWER_Z,
     RIVAL_PART,
@@ -303,13 +304,14 @@ class _Search:
         p_value = float(fdtrc(k, folds - k, wald * (folds - k) / (k * (folds - 1)))) if folds > k else 1.0
         halved, runs = after.total < HALVED * before.total, int(squares.run.max()) + 1
         logged = self.candidates[number].effect.startswith(LOGGED)
+        family = FAMILY_LEVEL if folds == runs else PARTS_LEVEL
         effects = sum(self._of_family(n) for n in {column.candidate for column in layout.columns})
         part = (before.total - after.total) / max(before.total, 1e-300)
         passed = {
             # what bends a curve where few rows lie is seen in the energy of runs first
             "runs": part > (PASS_THROUGH_FALL if logged else LEAST_FALL)
             or (part > ENERGY_FALL and squares.energy_no_worse(chosen, after, beside, before) < WORSE_ENERGY_LEVEL),
-            "robust": p_value < max(FAMILY_LEVEL, self.settings.alpha) / effects or (halved and p_value < HALVED_LEVEL),
+            "robust": p_value < max(family, self.settings.alpha) / effects or (halved and p_value < HALVED_LEVEL),
             "energy": squares.energy_no_worse(beside, before, chosen, after) > WORSE_ENERGY_LEVEL,
             "clock": not self.candidates[number].by_clock or runs > SEVERAL_RUNS or (runs > 1 and halved),
             "practical": float(np.abs(shares).sum()) > self.settings.min_share,
