@@ -30,12 +30,12 @@ from missionsim.identify.settings import (
     NESTED,
     OFTEN,
     OFTEN_PART,
-    PARTS_LEVEL,
     PASS_THROUGH_FALL,
     POWER_Z,
     RIVAL_PART,
     ROUGH,
     SEVERAL_RUNS,
+    STRICT_LEVEL,
     UNCLEAR,
     WORSE_ENERGY_LEVEL,
     Settings,
@@ -304,9 +304,9 @@ class _Search:
         p_value = float(fdtrc(k, folds - k, wald * (folds - k) / (k * (folds - 1)))) if folds > k else 1.0
         halved, runs = after.total < HALVED * before.total, int(squares.run.max()) + 1
         logged = self.candidates[number].effect.startswith(LOGGED)
-        family = FAMILY_LEVEL if folds == runs else PARTS_LEVEL
         effects = sum(self._of_family(n) for n in {column.candidate for column in layout.columns})
         part = (before.total - after.total) / max(before.total, 1e-300)
+        family = FAMILY_LEVEL if folds == runs and part > LEAST_FALL else STRICT_LEVEL
         passed = {
             # what bends a curve where few rows lie is seen in the energy of runs first
             "runs": part > (PASS_THROUGH_FALL if logged else LEAST_FALL)

@@ -328,10 +328,10 @@ PASS_THROUGH_FALL = 0.002
 LARGEST_PASS_THROUGH = 2.0
 """Watts logged beside come with at most this factor: no converter loses more than half."""
 FAMILY_LEVEL = 0.05
-"""Family-wise level of the Wald test with errors clustered by run, where left-out runs are predicted better as well:
-with 6 to 13 runs a tenth of it has no power."""
-PARTS_LEVEL = 0.01
-"""The same where stretches of few runs are the sample, which are no draws of their own."""
+"""Family-wise level of the Wald test with errors clustered by run, where the error of left-out runs falls by
+`LEAST_FALL` as well: with 6 to 13 runs a tenth of it has no power."""
+STRICT_LEVEL = 0.01
+"""The same where that error hardly falls, or where stretches of few runs, no draws of their own, are the sample."""
 LABEL_LEVEL = 0.01
 """Level at which the levels of a label must predict left-out runs better than when dealt out among the runs anew."""
 HALVED, HALVED_LEVEL = 0.5, 0.05

@@ -207,3 +207,23 @@ def test_levels_that_change_within_a_run_are_not_dealt_out() -> None:
     ]
     squares = LeastSquares(np.array([f @ f.T for f in folds]), np.full(9, 50.0), np.zeros(0), np.arange(9))
     assert squares.shuffled([0, 1], (), 0.05, rng) == 1.0
+
+
+@pytest.mark.parametrize(("runs", "spread", "passes"), [(12, 0.1, True), (12, 4.0, False), (3, 0.1, False)])
+def test_the_level_is_stricter_where_the_error_hardly_falls_or_runs_are_cut(
+    runs: int, spread: float, passes: bool
+) -> None:
+    """One of ten effects at p = 0.003 or so."""
+    folds = []
+    for size in np.linspace(-0.3, 1.9, 12):
+        drawn = np.tile([0.0, 1.0], 200)
+        other = spread * np.tile([1.0, 1.0, -1.0, -1.0], 100)
+        folds.append(np.vstack([size * drawn + other, drawn, np.ones(400), 10.0 + size * drawn]))
+    squares = LeastSquares(
+        np.array([f @ f.T for f in folds]), np.full(12, 400.0), np.zeros(0), np.arange(12) * runs // 12
+    )
+    layout = Layout((), np.zeros(0), tuple(Column(n, n, "", 1.0) for n in range(10)), 10.0, 1.0)
+    effects = [Candidate(f"e{n}", ("",)) for n in range(10)]
+    trial = _Search(squares, layout, effects, Settings()).measured(0, [0], ())
+    assert 0.001 < trial.p_value < 0.005
+    assert trial.passed["robust"] is passes
