@@ -164,7 +164,7 @@ class Rounds:
         """With what the library named beside a law and that law as it was, while another form of it is looked for."""
 
     def best(self) -> State:
-        """The last state, or one before it that predicts each half of the runs clearly better from the other."""
+        """The last state, or one before it that predicts parts of the runs clearly better from the others."""
         states = []
         for turn in range(MOST_ROUNDS + 1):
             if self.state.taken and (later := self.state.clocked()) is not None:
@@ -199,8 +199,9 @@ class Rounds:
         if found and not self.again:  # a law found without them has another form beside them: once more without it
             self.laws, self.again = 0, bool(self.by_law)
             if self.again:
+                counted = self.nothing.copy()
                 self.settle(*self.together(state, taken))
-                self.aside = self.state
+                self.aside, self.nothing = self.state, counted
             state = replace(state, given=self.library.given, models=self.library.models)
             taken = [*(effect for effect in state.taken if effect.effect not in self.by_law), *found]
         if new:

@@ -71,12 +71,19 @@ def test_something_new_in_the_library_sends_laws_away_once() -> None:
     made = rounds(Told({}), [("law_turning",), ("drag",), (), ("grade",), ()])
     made.by_law.add("law_turning")
     made.state = replace(made.state, given="file with law")
+
+    def together(state: State, effects: Sequence[Finding], surest: int = 0) -> tuple[list[Finding], None]:
+        made.nothing.update({"radio_range"})
+        return list(effects), None
+
+    made.together = together  # type: ignore[method-assign,assignment]
     assert made.of_library()  # the law itself, which an earlier round had found to be nothing, comes back
     assert (made.state.text, made.state.given, made.again) == ("file law_turning", "file with law", False)
     assert made.of_library()
     assert (made.state.text, made.state.given, made.again) == ("file drag", "file", True)
     assert made.aside is not None
     assert (made.aside.text, made.aside.given) == ("file law_turning drag", "file with law")
+    assert made.nothing["radio_range"] == 2  # what came to nothing in what was put aside does not count
     made.state = replace(made.state, taken=named("drag", "law_turning"), given="file with law")
     assert made.of_library()
     assert (made.state.text, made.state.given) == ("file drag law_turning grade", "file with law")
