@@ -341,7 +341,7 @@ TWINS, TWIN = 1.1, 0.75
 """A base without priors that leaves no more than this part of the squared error refutes the file: the first where two
 effects that stand in for its parameters were found, or one and the base is far from right; the second where one of the
 two holds."""
-SWALLOWED = 0.75
+SWALLOWED = 0.6
 """Part of the squared error on left-out runs below which the selection by prediction stands though the base is near:
 the offsets or the slow noise of the other had taken what a noisy or late column says."""
 UNCLEAR = 2.0
