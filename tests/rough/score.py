@@ -1,8 +1,9 @@
 """Real logs and rough worlds, with peers on the same runs: held-out errors of what `improve` writes, in one table.
 
-``python -m tests.rough.score [--seeds a:b] [--only WORD ...] [--out FOLDER]``. Peers get the rows as logged: least
-squares with the terms that the data are known to need (the car's, the Husky's and the Warthog's from their README, a
-world's own), least squares stepwise with errors clustered by run, boosted trees on all columns.
+``python -m tests.rough.score [--seeds a:b] [--halves a:b] [--only WORD ...] [--out FOLDER]``. Peers get the rows as
+logged: least squares with the terms that the data are known to need (the car's, the Husky's and the Warthog's from
+their README, a world's own), least squares stepwise with errors clustered by run, boosted trees on all columns.
+`--halves`: the car's and the Husky's runs are also split anew at random, once with each of these seeds.
 """
 
 from __future__ import annotations
@@ -71,8 +72,23 @@ def regressors(run: Run) -> dict[str, Array]:
     return found
 
 
-def cases(seeds: range, only: list[str]) -> Iterator[Case]:
-    """Real sets that are there, then each world with each seed."""
+def halved(split: Split, seed: int) -> Split:
+    """The same runs split in two at random, those of each floor for themselves."""
+    draws = np.random.default_rng(seed)
+    halves: tuple[list[int], list[int]] = ([], [])
+    runs = [*split.train, *split.heldout]
+    floors = ["".join(run.columns["surface"].names) if "surface" in run.columns else "" for run in runs]
+    for floor in sorted(set(floors)):
+        own = draws.permutation([i for i, name in enumerate(floors) if name == floor])
+        middle = (len(own) + int(draws.integers(2))) // 2
+        halves[0].extend(own[:middle])
+        halves[1].extend(own[middle:])
+    train, heldout = (tuple(runs[i] for i in sorted(half)) for half in halves)
+    return Split(train, heldout, "a random half")
+
+
+def cases(seeds: range, halves: range, only: list[str]) -> Iterator[Case]:
+    """Real sets that are there, as they are split and anew, then each world with each seed."""
     speed = ("moving", "still", "v", "v^2")
 
     def wanted(name: str) -> bool:
@@ -85,6 +101,8 @@ def cases(seeds: range, only: list[str]) -> Iterator[Case]:
         if (SHARED / name).is_dir() and wanted(name):
             split = choose_split(read_logs([SHARED / name / "train"]), [SHARED / name / "heldout"])
             yield Case(name, split, mass, drive, (*speed, *truth))
+            for seed in halves:
+                yield Case(f"{name}, half {seed}", halved(split, seed), mass, drive, (*speed, *truth))
     if (SHARED / "warthog_drive").is_dir():
         runs = import_source(SHARED / "warthog_drive", load_map(ROOT / "docs" / "maps" / "warthog.yaml"))
         truth = (*speed, "yaw saturating", "speeding up", "braking")
@@ -207,12 +225,13 @@ def row(case: Case) -> tuple[str, ...]:
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", default="1:2", help="first:end")
+    parser.add_argument("--halves", default="0:0", help="first:end of the seeds that split the real sets anew")
     parser.add_argument("--only", nargs="*", default=[], help="words of the cases")
     parser.add_argument("--out", type=Path, default=None, help="folder for rough.csv")
     given = parser.parse_args(arguments)
-    first, end = map(int, given.seeds.split(":"))
+    seeds, halves = (range(*map(int, told.split(":"))) for told in (given.seeds, given.halves))
     lines = [HEAD]
-    for case in cases(range(first, end), given.only):
+    for case in cases(seeds, halves, given.only):
         lines.append(row(case))
         print("\n".join(f"{name:16} {value}" for name, value in zip(HEAD, lines[-1], strict=True)), "\n", flush=True)
     if given.out is not None:
