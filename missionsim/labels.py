@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +28,13 @@ class Labels:
             for text in texts
         ]
         return cls(np.asarray(codes, dtype=np.int64), tuple(known))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Labels]) -> Labels:
+        """Labels of several columns, one behind the other."""
+        names = tuple(dict.fromkeys(name for part in parts for name in part.names))
+        codes = [np.array([*map(names.index, part.names), -1])[part.codes] for part in parts]
+        return cls(np.concatenate(codes), names)
 
     def equals(self, name: str) -> NDArray[np.bool_]:
         """Where the text is `name`, shape (n,)."""

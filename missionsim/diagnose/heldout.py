@@ -116,20 +116,18 @@ class Models:
     def needed_beside(self, law: Finding, effects: Sequence[Finding]) -> tuple[Finding, ...]:
         """The effects without which left-out runs are predicted clearly worse, a law being there as well."""
         kept = list(effects)
-        error = self.of_others([*kept, law])
         for effect in effects:
-            rest = [one for one in kept if one is not effect]
-            without = self.of_others([*rest, law])
-            if without <= error * (1.0 + CLEARLY):
-                kept, error = rest, without
+            if not self._needed(effect, [*kept, law]):
+                kept = [one for one in kept if one is not effect]
         return tuple(kept)
 
     def of_others(self, effects: Sequence[Finding]) -> float:
         """Mean square error of parts of the runs, predicted from a fit to the others; of one run, of its fit [W2]."""
         count = min(len(self.runs), PARTS)
-        parts = [self.runs[i::count] for i in range(count)]
-        fitted = [[run for k, part in enumerate(parts) if k != i or count == 1 for run in part] for i in range(count)]
-        errors = [self.errors(self.fit(effects, runs=runs).model, out) for runs, out in zip(fitted, parts, strict=True)]
+        errors = []
+        for i in range(count):
+            others = [run for k, run in enumerate(self.runs) if k % count != i or count == 1]
+            errors.append(self.errors(self.fit(effects, runs=others).model, self.runs[i::count]))
         return float(np.average([e.power_rmse_w**2 for e in errors], weights=[e.total.seconds for e in errors]))
 
     def certain(
@@ -142,6 +140,7 @@ class Models:
             told = self.told(effects, fitted)
             asked = [one for i, one in enumerate(told) if i >= spared or abs(one.energy_share) < least]
             nothing = [one for one in asked if one.share_low <= 0.0 <= one.share_high and not self.lowers(one)]
+            # levels of a label may differ and sum to nothing
             nothing = [one for one in nothing if not (self._of_label(one) and self._needed(one, told))]
             if not nothing:
                 return told, fitted
@@ -152,9 +151,9 @@ class Models:
         return any(c.effect == effect.effect and c.levels for c in self.features.candidates)
 
     def _needed(self, effect: Finding, effects: Sequence[Finding]) -> bool:
-        """Whether other runs are predicted clearly worse without it: levels may differ and sum to nothing."""
+        """Whether other runs are predicted clearly worse without it."""
         rest = [one for one in effects if one is not effect]
-        return self.of_others(effects) < (1.0 - CLEARLY) * self.of_others(rest)
+        return self.of_others(rest) > (1.0 + CLEARLY) * self.of_others(effects)
 
     def errors(self, model: PowerModel, runs: Sequence[Run]) -> Errors:
         """Errors of a model on runs."""

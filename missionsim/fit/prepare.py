@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -135,12 +136,14 @@ def prepare(model: PowerModel, logs: Sequence[Run], battery: str) -> Prepared:
 def _gradients(runs: Sequence[Driven], battery: str) -> list[dict[str, Array]]:
     """``∂P/∂ln θ`` of each run; short runs that drive the same terms with the same columns are evaluated as one."""
     first = runs[0]
-    texts = {name for name, value in first.covariates.items() if isinstance(value, Labels)}
+    kinds = {name: isinstance(value, Labels) for name, value in first.covariates.items()}
     alike = all(
-        one.model.terms == first.model.terms and one.covariates.keys() == first.covariates.keys() for one in runs
+        one.model.terms == first.model.terms
+        and kinds == {name: isinstance(value, Labels) for name, value in one.covariates.items()}
+        for one in runs
     )
     few = len(runs) > 1 and sum(len(run.time_s) for run in runs) < FEW_ROWS * len(runs)
-    if not (few and alike) or any(texts & set(term.effect.needs) for term in first.model.terms):
+    if not (few and alike):
         gradients = [run.gradient(battery) for run in runs]
         # a term that one run cannot drive has no power there
         every = dict.fromkeys(name for slopes in gradients for name in slopes)
@@ -148,13 +151,19 @@ def _gradients(runs: Sequence[Driven], battery: str) -> list[dict[str, Array]]:
             {name: slopes.get(name, np.zeros(len(run.time_s))) for name in every}
             for run, slopes in zip(runs, gradients, strict=True)
         ]
-    whole = {
-        name: np.concatenate([np.broadcast_to(np.asarray(run.covariates[name]), run.time_s.shape) for run in runs])
-        for name in first.covariates.keys() - texts
-    }
+    whole = {name: _joined([run.covariates[name] for run in runs], runs) for name in first.covariates}
     ends = np.cumsum([len(run.time_s) for run in runs])[:-1]
     split = {name: np.split(slope, ends) for name, slope in first.model.gradient(whole, battery).items()}
     return [{name: parts[i] for name, parts in split.items()} for i in range(len(runs))]
+
+
+def _joined(values: Sequence[Any], runs: Sequence[Driven]) -> Any:
+    labels = [value for value in values if isinstance(value, Labels)]
+    if len(labels) == len(values):
+        return Labels.joined(labels)
+    return np.concatenate(
+        [np.broadcast_to(np.asarray(v), run.time_s.shape) for v, run in zip(values, runs, strict=True)]
+    )
 
 
 def _unknown(

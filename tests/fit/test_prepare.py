@@ -1,0 +1,39 @@
+"""What a fit reads of its runs: short ones are evaluated as one, each with its own floors and its own memory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from missionsim.fit import prepare as prepared
+from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.inputs.loading import robot_from_text
+from missionsim.inputs.power import build_power_model
+from tests.diagnose.logs import drive
+
+EFFECTS = """
+effects:
+  - name: floor
+    battery: robot
+    power: "(k_ice * (surface == 'ice') + k_mud * (surface == 'mud')) * abs(speed_m_s)"
+    parameters: {k_ice: 3 N, k_mud: 7 N}
+  - name: warm
+    battery: robot
+    power: k * lag(abs(speed_m_s), 40)
+    parameters: {k: 2 N}
+"""
+
+
+def test_short_runs_are_evaluated_as_one_with_the_same_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
+    floors = ["mud", "ice", "stone"]
+    runs = [drive(i, seconds=100.0 + 20 * i, surface=[floor] * (100 + 20 * i)) for i, floor in enumerate(floors)]
+    made = calibrate_new(NewRobot("own", "c2*v**2 + c3*v + c4", mass="9 kg"), runs)
+    model = build_power_model(robot_from_text(made.text + EFFECTS))
+    together = prepared.prepare(model, runs, "robot").gradients
+    monkeypatch.setattr(prepared, "FEW_ROWS", 0)
+    each = prepared.prepare(model, runs, "robot").gradients
+    for one, other in zip(together, each, strict=True):
+        assert one.keys() == other.keys() >= {"floor.k_ice", "floor.k_mud", "warm.k"}
+        for name, slope in other.items():
+            np.testing.assert_allclose(one[name], slope, atol=1e-9)
+    assert [bool(np.any(one["floor.k_ice"])) for one in together] == [False, True, False]
