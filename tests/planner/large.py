@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from tests.planner.exhaustive import ROBOT
+from tests.planner.random_tasks import ROBOT
 
 
 def large_task(folder: Path, *, seed: int = 1, places: int = 50, visits: int = 10, deadline: str = "25 min") -> Path:

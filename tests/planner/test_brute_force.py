@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +41,7 @@ def _compare(seed: int, folder: Path) -> str:
     return "charged" if any(leg.kind == "charge" for leg in answer.legs) else "plan"
 
 
-def _many(seeds: range, folder: Path) -> dict[str, int]:
+def _many(seeds: Iterable[int], folder: Path) -> dict[str, int]:
     counts: dict[str, int] = {}
     for seed in seeds:
         (folder / str(seed)).mkdir()
@@ -51,8 +52,9 @@ def _many(seeds: range, folder: Path) -> dict[str, int]:
 
 
 def test_as_good_as_brute_force(tmp_path: Path) -> None:
-    counts = _many(range(16), tmp_path)
-    assert counts["plan"] + counts["charged"] >= 4
+    # those after the first sixteen have a plan of a robot that takes its time to speed up
+    counts = _many((*range(16), 20, 25, 34, 44, 53), tmp_path)
+    assert counts["plan"] + counts["charged"] >= 9
     assert counts["no plan"] >= 2
 
 

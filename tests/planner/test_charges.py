@@ -16,7 +16,7 @@ from missionsim.planner.answer import Answer
 from missionsim.planner.chance import plan_task
 from missionsim.planner.solve import solve_site
 from missionsim.planner.tour import make_site
-from tests.planner.exhaustive import ROBOT, random_task
+from tests.planner.random_tasks import ROBOT, random_task
 
 LEVELS = [round(0.05 * step, 2) for step in range(1, 21)]
 
