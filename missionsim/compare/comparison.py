@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -20,50 +19,11 @@ WHERE_IN_JSON = 200
 """Values listed in the JSON, those that explain most first."""
 
 
-class _Totals(ABC):
-    """Numbers that follow from the error of a run or of all runs."""
-
-    @abstractmethod
-    def _whole(self) -> RunError:
-        """That error."""
-
-    @property
-    def seconds(self) -> float:
-        """Time that the rows stand for [s]."""
-        return self._whole().seconds
-
-    @property
-    def energy_measured_wh(self) -> float:
-        """Energy that the battery delivered [Wh]."""
-        return self._whole().measured_j / 3600.0
-
-    @property
-    def energy_model_wh(self) -> float:
-        """Energy of the model driven by the log [Wh]."""
-        return self._whole().model_j / 3600.0
-
-    @property
-    def energy_error_pct(self) -> float:
-        """``100 (model − measured) / measured`` [%]; over several runs, errors of opposite sign cancel out."""
-        return self._whole().energy_error_pct
-
-    @property
-    def power_rmse_w(self) -> float:
-        """Root mean square of the power error, weighted by time [W]."""
-        return self._whole().power_rmse_w
-
-    @property
-    def power_bias_w(self) -> float:
-        """Mean of model minus measured power [W]."""
-        return self._whole().power_bias_w
-
-
-@dataclass(frozen=True)
-class RunComparison(_Totals):
+@dataclass(frozen=True, kw_only=True)
+class RunComparison(RunError):
     """One battery over one run."""
 
     battery: str
-    error: RunError
     error_statistics: ErrorStatistics
     """Of the energy error over the run's progress (share of its time)."""
     progress: Array = field(repr=False)
@@ -73,14 +33,6 @@ class RunComparison(_Totals):
     """Power over time."""
     by_term_wh: Mapping[TermKey, float] = field(repr=False)
     """Modelled energy."""
-
-    def _whole(self) -> RunError:
-        return self.error
-
-    @property
-    def run(self) -> str:
-        """Name of the run."""
-        return self.error.run
 
     def to_json(self) -> Json:
         """The contract's fields and ours beside them."""
@@ -97,8 +49,8 @@ def thousandfold(measured: float, model: float) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BatteryComparison(_Totals):
-    """One battery over all runs."""
+class BatteryComparison(RunError):
+    """One battery over all runs, which count as one."""
 
     battery: str
     runs: tuple[RunComparison, ...]
@@ -117,17 +69,9 @@ class BatteryComparison(_Totals):
     """The gap between measured and simulated mission, split."""
 
     @property
-    def errors(self) -> Errors:
-        """The errors of all runs."""
-        return Errors(tuple(run.error for run in self.runs))
-
-    def _whole(self) -> RunError:
-        return self.errors.total
-
-    @property
     def run_energy_error_pct(self) -> float:
         """Mean over runs of the magnitude of the energy error [%], as `diagnose` and `improve` print it."""
-        return self.errors.run_energy_error_pct
+        return Errors(self.runs).run_energy_error_pct
 
     @property
     def by_component_wh(self) -> dict[str, float]:

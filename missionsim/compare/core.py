@@ -24,7 +24,7 @@ from missionsim.logs.read import distinct_logs, same_content
 from missionsim.physics import Array
 from missionsim.runs.admit import admit
 from missionsim.runs.drive import assume, drive_blocks
-from missionsim.runs.error import cumulative_at, error_curve, error_statistics, progress_grid
+from missionsim.runs.error import Errors, cumulative_at, error_curve, error_statistics, progress_grid
 from missionsim.runs.motion import still_of
 from missionsim.runs.run import Run, coarser
 
@@ -300,6 +300,7 @@ def _battery(
     measured, predicted = (np.sum([curve[i] for curve in curves], axis=0) for i in (0, 1))
     curve = error_curve(measured, predicted)
     return BatteryComparison(
+        **vars(Errors(tuple(one.error for one in found.values())).total),
         battery=battery,
         runs=tuple(_run(battery, one, error_curve(*own)) for one, own in zip(found.values(), curves, strict=True)),
         error_statistics=error_statistics(curve),
@@ -319,13 +320,13 @@ def _cumulative(one: RunSums, progress: Array, grid: Array) -> tuple[Array, Arra
 
 def _run(battery: str, one: RunSums, curve: Array) -> RunComparison:
     return RunComparison(
-        battery,
-        one.error,
-        error_statistics(curve),
-        progress_grid(),
-        curve,
-        one.series,
-        {key: joules / 3600.0 for key, joules in one.terms.items()},
+        **vars(one.error),
+        battery=battery,
+        error_statistics=error_statistics(curve),
+        progress=progress_grid(),
+        error_curve_pct=curve,
+        series=one.series,
+        by_term_wh={key: joules / 3600.0 for key, joules in one.terms.items()},
     )
 
 

@@ -52,6 +52,16 @@ class RunError:
         )
 
     @property
+    def energy_measured_wh(self) -> float:
+        """Energy that the battery delivered [Wh]."""
+        return self.measured_j / 3600.0
+
+    @property
+    def energy_model_wh(self) -> float:
+        """Energy of the model driven by the log [Wh]."""
+        return self.model_j / 3600.0
+
+    @property
     def energy_error_pct(self) -> float:
         """``100 (model − measured) / measured`` [%]."""
         return relative_error_pct(self.model_j, self.measured_j)
