@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Container, Iterator
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -15,9 +15,6 @@ from missionsim.inputs.base import DescribedFile, Identifier, Model, Name, Text,
 from missionsim.inputs.tree import Document
 from missionsim.inputs.validation import Checker
 from missionsim.inputs.values import Parameter
-
-if TYPE_CHECKING:
-    from networkx import MultiDiGraph
 
 _ROUNDING = 1e-3
 """Lengths may be this much (relative) below the straight distance: maps are rounded."""
@@ -172,21 +169,6 @@ class EnvironmentSpec(DescribedFile):
         made = self.model_copy(update={"edges": edges, "places": places})
         made.__dict__.pop("_open_from", None)
         return made
-
-    def graph(self) -> MultiDiGraph:
-        """Directed networkx multigraph: nodes with `spec`, edges with `spec`, `length_m`, `slope_rad`, `reverse`."""
-        import networkx
-
-        graph = networkx.MultiDiGraph()
-        for name, place in self.places.items():
-            graph.add_node(name, spec=place)
-        for index, edge, begin, end in self.open_ways():
-            back = begin != edge.from_
-            slope = -edge.slope.value if back else edge.slope.value
-            graph.add_edge(
-                begin, end, spec=edge, index=index, length_m=self.length_m(edge), slope_rad=slope, reverse=back
-            )
-        return graph
 
     def faults(self, document: Document) -> list[Fault]:
         """Edges join known places, are not loops, have a length that is possible."""

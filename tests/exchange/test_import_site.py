@@ -29,7 +29,7 @@ def loaded(name: str, tmp_path: Path, **options: Any) -> EnvironmentSpec:
 
 
 def ways(environment: EnvironmentSpec) -> dict[tuple[str, str], float]:
-    return {(a, b): data["length_m"] for a, b, data in environment.graph().edges(data=True)}
+    return {(a, b): environment.length_m(edge) for _, edge, a, b in environment.open_ways()}
 
 
 def written(name: str, tmp_path: Path) -> MissionSpec:
