@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.random import SFC64, Generator, Philox
 
-from missionsim.errors import InputError, did_you_mean
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.parameter import Distribution, uncertain_values
 from missionsim.physics import Array
@@ -160,8 +159,7 @@ def _from_scores(law: Distribution, streams: Streams, name: str, first: int, cou
 
 
 def make_sampler(mission: MissionSpec) -> Sampler:
-    """The sampler of a mission, its robot and its environment. Raises InputError: where correlations name a value that
-    is not uncertain, or cannot hold together."""
+    """The sampler of a mission, its robot and its environment."""
     found: list[UncertainValue] = []
     for prefix, part in (("", mission), ("robot.", mission.robot), ("environment.", mission.environment)):
         if part is not None:
@@ -173,18 +171,7 @@ def make_sampler(mission: MissionSpec) -> Sampler:
 
 
 def _groups(mission: MissionSpec, names: list[str]) -> tuple[tuple[tuple[str, ...], Array], ...]:
-    pairs = {}
-    for item in mission.correlations:
-        for name in item.between:
-            if name not in names:
-                raise InputError.single(
-                    "a correlation names a value that is not uncertain",
-                    file=str(mission.path),
-                    got=name,
-                    allowed=", ".join(names) or "nothing here is uncertain",
-                    hint=did_you_mean(name, names),
-                )
-        pairs[item.between] = item.rho
+    pairs = {item.between: item.rho for item in mission.correlations}
     linked = {name: {name} for pair in pairs for name in pair}
     for one, other in pairs:
         together = linked[one] | linked[other]
@@ -198,13 +185,5 @@ def _groups(mission: MissionSpec, names: list[str]) -> tuple[tuple[tuple[str, ..
             if one in members:
                 i, j = ordered.index(one), ordered.index(other)
                 matrix[i, j] = matrix[j, i] = rho
-        try:
-            groups.append((ordered, np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)))
-        except np.linalg.LinAlgError:
-            raise InputError.single(
-                "these correlations cannot hold together (their matrix is not positive definite)",
-                file=str(mission.path),
-                got=", ".join(ordered),
-                path="correlations",
-            ) from None
+        groups.append((ordered, np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)))
     return tuple(sorted(groups, key=lambda group: group[0]))
