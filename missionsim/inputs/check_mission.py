@@ -42,6 +42,10 @@ class _MissionCheck:
         if self.environment is not None:
             self.places = Checker(self.environment.document).raw_keys("places")
             self.mapped = self.environment.whole and self.environment.sound
+        # a movement leads off the map
+        self.lost = any(
+            s.kind in ("arc", "move") or getattr(s, "distance", None) for s in flat_segments(mission.segments)
+        )
         self.labels: list[str] = []
         self.told: set[tuple[str, str]] = set()
 
@@ -104,12 +108,7 @@ class _MissionCheck:
             if not unknown and self.once(where, "start"):
                 allowed = "start: " + " | ".join(self.places[:12])
                 self.check.add(where, "a drive to a place, but the mission has no start", "", allowed)
-            elif (
-                unknown
-                and self.mission.start in (None, *self.places)
-                and self.once(where, "lost")
-                and self._lost_before(segment)
-            ):
+            elif unknown and self.mission.start in (None, *self.places) and self.lost and self.once(where, "lost"):
                 got = "a drive by distance, an arc or a move before it"
                 message = "the place from which this drive starts is not known"
                 self.check.add(where, message, got, "drives between places only")
@@ -142,13 +141,6 @@ class _MissionCheck:
         shut = [edge.name or f"{edge.from_} to {edge.to}" for edge in beside if edge.closed]
         shut += [place for place in places if not near or any(place in (edge.from_, edge.to) for edge in beside)]
         return f" (closed: {', '.join(shut[:6])})" if shut else ""
-
-    def _lost_before(self, segment: Any) -> bool:
-        """Whether a movement off the map comes before this segment in the file."""
-        return any(
-            item.kind in ("arc", "move") or (item.kind == "drive" and getattr(item, "distance", None) is not None)
-            for item in flat_segments(self.mission.segments)
-        )
 
     def reachable(self, start: str) -> set[str]:
         """Places that ways lead to."""

@@ -53,7 +53,7 @@ class Editing:
         if self._data.get("effects"):
             self._data["effects"].append(entry)
         else:
-            self._data["effects"] = _sequence([entry])
+            self._data["effects"] = _node([entry])
         return self
 
     def remove_effect(self, index: int) -> Editing:
@@ -91,7 +91,7 @@ class Editing:
             data["sources"][key] = told
         else:
             position = next((i for i, name in enumerate(data) if name not in ("kind", "name", "title")), len(data))
-            data.insert(position, "sources", _mapping({key: told}))
+            data.insert(position, "sources", _node({key: told}))
         if ranges is not None:
             data["origin"] = _plain({**data.get("origin", {}), "range": dict(ranges)})
         return self
@@ -160,7 +160,7 @@ def _updated(old: Any, new: Mapping[str, Any], parameter: Parameter | None) -> A
             result[key] = _written(value, former, parameter) if key in _NUMBERS else value
         return result
     told = {key: _written(value, old, parameter) if key in _NUMBERS else value for key, value in new.items()}
-    return told["value"] if set(told) == {"value"} else _mapping(told, flow=True)
+    return told["value"] if set(told) == {"value"} else _node(told, flow=True)
 
 
 def _written(value: Any, old: Any, parameter: Parameter | None) -> Any:
@@ -179,9 +179,9 @@ def _written(value: Any, old: Any, parameter: Parameter | None) -> Any:
 def _plain(value: Any, depth: int = 0) -> Any:
     """Plain Python data as ruamel nodes, small inner mappings in one line."""
     if isinstance(value, Mapping):
-        return _mapping({str(key): _plain(item, depth + 1) for key, item in value.items()}, flow=depth >= 2)
+        return _node({str(key): _plain(item, depth + 1) for key, item in value.items()}, flow=depth >= 2)
     if isinstance(value, (list, tuple)):
-        return _sequence([_plain(item, depth + 1) for item in value], flow=True)
+        return _node([_plain(item, depth + 1) for item in value], flow=True)
     if isinstance(value, bool) or value is None or isinstance(value, (int, str)):
         return value
     if isinstance(value, float) or hasattr(value, "__float__"):
@@ -189,19 +189,10 @@ def _plain(value: Any, depth: int = 0) -> Any:
     return str(value)
 
 
-def _mapping(items: Mapping[str, Any], flow: bool = False) -> Any:
-    from ruamel.yaml.comments import CommentedMap
+def _node(items: Mapping[str, Any] | Sequence[Any], flow: bool = False) -> Any:
+    from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
-    result = CommentedMap(items)
-    if flow:
-        result.fa.set_flow_style()
-    return result
-
-
-def _sequence(items: Sequence[Any], flow: bool = False) -> Any:
-    from ruamel.yaml.comments import CommentedSeq
-
-    result = CommentedSeq(items)
+    result = CommentedMap(items) if isinstance(items, Mapping) else CommentedSeq(items)
     if flow:
         result.fa.set_flow_style()
     return result

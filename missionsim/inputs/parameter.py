@@ -137,15 +137,6 @@ class Distribution:
         values = tuple(value * factor for value in self.values)
         return Distribution(self.kind, mean, sd, low, high, mode, values, self.weights)
 
-    def as_dict(self) -> dict[str, object]:
-        """Kind and numbers that are set."""
-        named = {"mean": self.mean_, "sd": self.sd_, "low": self.low, "high": self.high, "mode": self.mode}
-        result: dict[str, object] = {"kind": self.kind}
-        result |= {key: value for key, value in named.items() if value is not None}
-        if self.values:
-            result |= {"values": list(self.values), "weights": list(self.weights)}
-        return result
-
     @property
     def _low(self) -> float:
         return -math.inf if self.low is None else self.low

@@ -89,9 +89,8 @@ class View(Document):
 
 def view_of(document: Document, shape: object, faulty: Faulty) -> View:
     """`document` as what is left of it, `shape`."""
-    view = View(document.file, document.data, document.root, document.sha256, document.overrides, document.prefix)
-    view.shape, view.faulty = shape, faulty
-    return view
+    of_file = document.file, document.data, document.root, document.sha256, document.overrides, document.prefix
+    return View(*of_file, shape, faulty)
 
 
 def repaired(view: View, problem: ValidationError, tried: dict[Path_, int]) -> object:
@@ -132,13 +131,6 @@ def _existing(data: Any, path: Path_) -> Path_:
     return path
 
 
-def _like(old: list[Any], items: list[Any], numbers: list[int]) -> list[Any]:
-    result = _Numbered(items)
-    known = old.numbers if isinstance(old, _Numbered) else list(range(len(old)))
-    result.numbers = [known[number] for number in numbers]
-    return result
-
-
 _Edits = dict[Any, Any]
 """What is put or dropped, by the keys on the way there: one pass does all of it, however many faults there are."""
 _PUT, _DROP = object(), object()
@@ -158,7 +150,9 @@ def _edited(data: Any, edits: _Edits) -> Any:
         return kept | {key: _edited(data.get(key), more) for key, more in below.items() if _DROP not in more}
     if isinstance(data, list) and below:
         left = [index for index in range(len(data)) if _DROP not in below.get(index, ())]
-        return _like(data, [_edited(data[index], below.get(index, {})) for index in left], left)
+        result = _Numbered(_edited(data[index], below.get(index, {})) for index in left)
+        result.numbers = [data.numbers[index] for index in left] if isinstance(data, _Numbered) else left
+        return result
     return data
 
 
@@ -215,20 +209,13 @@ def _seal(value: Any, document: Document, path: tuple[str | int, ...]) -> None:
         value._where = body
         fields = type(value).model_fields
         for name in value.model_fields_set:
-            item = getattr(value, name)
-            if isinstance(item, (Parameter, Model, dict, tuple)):
-                _seal(item, document, (*body, fields[name].alias or name))
+            _seal(getattr(value, name), document, (*body, fields[name].alias or name))
     elif isinstance(value, Parameter):
         object.__setattr__(value, "path", ".".join(map(str, path)))
         object.__setattr__(value, "line", document.position(path)[0])
-    elif isinstance(value, dict):
-        for key, item in value.items():
-            if isinstance(item, (Parameter, Model, dict, tuple)):
-                _seal(item, document, (*path, key))
-    elif isinstance(value, tuple):
-        for index, item in enumerate(value):
-            if isinstance(item, (Parameter, Model, dict, tuple)):
-                _seal(item, document, (*path, index))
+    elif isinstance(value, (dict, tuple)):
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            _seal(item, document, (*path, key))
 
 
 Where = Sequence[str | int]

@@ -37,9 +37,8 @@ class QuantityOf(UncertainReader):
     strict_high: bool = False
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
-        return core_schema.with_info_plain_validator_function(
-            self._validate, serialization=core_schema.plain_serializer_function_ser_schema(_serialize)
-        )
+        fields = core_schema.plain_serializer_function_ser_schema(_serialize)
+        return core_schema.with_info_plain_validator_function(self._validate, serialization=fields)
 
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
@@ -193,20 +192,12 @@ def _finite(value: float, raw: Any, allowed: str, at: tuple[str | int, ...]) -> 
     return value
 
 
-def _serialize(parameter: Any) -> Any:
-    if not isinstance(parameter, Parameter):
-        return parameter
-    extras: dict[str, Any] = {
-        "sd": parameter.sd,
-        "low": parameter.low,
-        "high": parameter.high,
-        "status": parameter.status or None,
-        "source": parameter.source or None,
-    }
-    given: dict[str, Any] = {key: value for key, value in extras.items() if value is not None}
-    if parameter.distribution is not None:
-        given["distribution"] = parameter.distribution.as_dict()
-    return {"value": parameter.value, "unit": parameter.unit} | given if given else parameter.value
+def _serialize(one: Any) -> Any:
+    """What a parameter holds but its place in the file; the number where that is all."""
+    if not isinstance(one, Parameter):
+        return one
+    given = {k: v for k, v in vars(one).items() if k not in ("note", "path", "line") and v is not None and v != ""}
+    return given if given.keys() - {"value", "unit"} else one.value
 
 
 __all__ = ["Issue", "Parameter", "QuantityOf"]
@@ -232,8 +223,8 @@ Frequency = Annotated[Parameter, QuantityOf("frequency", 0.0, 1e11)]
 Temperature = Annotated[Parameter, QuantityOf("temperature", -90.0, 90.0)]
 Fraction = Annotated[Parameter, QuantityOf("fraction", 0.0, 1.0)]
 Chance = Annotated[Parameter, QuantityOf("fraction", 0.0, 1.0, strict_high=True)]
-Share = Annotated[Parameter, QuantityOf("fraction", 0.0, 1.0, strict_low=True, strict_high=True)]
 """Of failing, each time: 1 would never succeed."""
+Share = Annotated[Parameter, QuantityOf("fraction", 0.0, 1.0, strict_low=True, strict_high=True)]
 Efficiency = Annotated[Parameter, QuantityOf("fraction", 0.0, 1.0, strict_low=True)]
 Ratio = Annotated[Parameter, QuantityOf("number", 0.0, 100.0, strict_low=True)]
 Peukert = Annotated[Parameter, QuantityOf("number", 1.0, 2.0)]
