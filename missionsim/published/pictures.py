@@ -26,7 +26,7 @@ GREY = "#777777"
 
 
 def draw(paper: str, out: Path) -> list[Path]:
-    """Draw every picture of a paper into a folder as PNG."""
+    """Draw every picture of a paper into a folder as PNG; each has a function of its name below."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -34,7 +34,8 @@ def draw(paper: str, out: Path) -> list[Path]:
     for name, title in ABOUT[paper].pictures.items():
         figure = Figure(figsize=(8.0, 4.0), layout="constrained")
         FigureCanvasAgg(figure)
-        PAINT[name](figure)
+        paint: Callable[[Figure], None] = globals()[f"_{name}"]
+        paint(figure)
         figure.suptitle(title, fontsize=10)
         path = out / f"{paper}_{name}.png"
         with atomic_write(path) as temporary:
@@ -286,19 +287,3 @@ def _fidelity(figure: Figure) -> None:
     twin.set_ylabel("evaluations of the power model for the table")
     lines: list[Any] = [*axes.get_lines(), *twin.get_lines()]
     axes.legend(lines, [str(line.get_label()) for line in lines], fontsize=8, frameon=False, loc="upper center")
-
-
-_PAINTERS: list[Callable[[Figure], None]] = [_power_velocity, _sonar, _stretch, _patrol_velocity, _patrol_error]
-_PAINTERS += [
-    _sequence,
-    _energy_speed,
-    _start,
-    _directions,
-    _complexities,
-    _granularity,
-    _mechanical,
-    _service,
-    _fidelity,
-]
-PAINT = {painter.__name__[1:]: painter for painter in _PAINTERS}
-"""Name of a picture → the function that paints it."""

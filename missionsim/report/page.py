@@ -6,6 +6,7 @@ import base64
 import functools
 import gzip
 import html as html_lib
+import itertools
 import json
 import math
 import re
@@ -137,15 +138,11 @@ def page(title: str, sections: Sequence[Section], *, subtitle: str = "", footer:
     environment = _environment()
     environment.globals["kind"] = lambda block: type(block).__name__
     environment.globals["mark"] = lambda tone: MARKS[tone]
-    numbers: dict[str, int] = {"choice": 0}
+    numbers = itertools.count(1)
 
     def chart_id(block: Chart) -> str:
         charts.append(_chart(block))
         return f"chart-{len(charts) - 1}"
-
-    def choice_id() -> str:
-        numbers["choice"] += 1
-        return f"choice-{numbers['choice']}"
 
     body = environment.get_template("page.html.j2")
     # the template draws the blocks first and asks for the charts' data at its end
@@ -156,7 +153,7 @@ def page(title: str, sections: Sequence[Section], *, subtitle: str = "", footer:
             footer=footer,
             sections=sections,
             chart_id=chart_id,
-            choice_id=choice_id,
+            choice_id=lambda: f"choice-{next(numbers)}",
             cell=format_cell,
             is_number=_is_number,
             charts=lambda: (
