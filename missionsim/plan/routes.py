@@ -1,7 +1,6 @@
 """Shortest ways through an environment, as edges in the direction of travel.
 
-`EnvironmentSpec.graph` gives the same network to networkx; importing networkx takes as long as a whole run, so the one
-thing that a run needs of it, the shortest path, is done here.
+Importing networkx takes as long as a whole run, so the one thing that a run needs of it, the shortest path, is here.
 """
 
 from __future__ import annotations

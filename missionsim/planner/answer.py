@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from missionsim.files import Json
+from missionsim.files import Json, fields_of
 from missionsim.inputs.examples import shipped_robots
 from missionsim.inputs.task import SchemeChoice, VisitSpec
 from missionsim.physics import Array
@@ -116,10 +116,7 @@ class Answer:
             "robot": task.robot.name,
             "feasible": self.feasible,
             "order": self.order(),
-            "objective": self.objective,
-            "value": self.value,
-            "bound": self.bound,
-            "gap": self.gap,
+            **fields_of(self, "objective value bound gap"),
             "claim": self.claim if self.feasible else None,
             "duration_s": self.duration_s,
             "batteries": {

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,10 +14,10 @@ import numpy as np
 from missionsim.compare import BatteryComparison, Comparison, Dependence, RunComparison
 from missionsim.compare.axes import PlaceCell
 from missionsim.compare.behaviour import PARTS
-from missionsim.files import atomic_write, csv_cell
 from missionsim.physics import Array
 from missionsim.report.terminal import signed, simple_table
 from missionsim.report.traces import MEASURED, MODEL, RESIDUAL, literal, new_figure, save_figure, shared_indices
+from missionsim.results.write import write_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -156,15 +155,13 @@ def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
             for scheme in (b.mission.schemes if b.mission is not None else ())
         ]
         tables["behaviour"] = ((*BEHAVIOUR, *(f"{part}_wh" for part in PARTS)), rows)
-    return [_write(folder / f"{name}.csv", columns, found) for name, (columns, found) in tables.items()]
-
-
-def _write(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
-    with atomic_write(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as handle:
-        writer = csv.writer(handle, lineterminator="\n")
-        writer.writerow(["battery", *(column.rpartition(".")[2] for column in columns)])
-        writer.writerows(["" if cell is None or cell != cell else csv_cell(cell) for cell in row] for row in rows)
-    return path
+    return [
+        write_table(
+            {key.rpartition(".")[2]: [row[i] for row in found] for i, key in enumerate(("battery", *columns))},
+            folder / f"{name}.csv",
+        )
+        for name, (columns, found) in tables.items()
+    ]
 
 
 DIVERGING = ("#0b4f8a", "#7fb2d9", "#f7f7f7", "#f2a477", "#a63603")

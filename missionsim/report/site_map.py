@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from missionsim.engine.outcome import RunResult
-from missionsim.files import atomic_write
 from missionsim.inputs.environment import EdgeSpec, EnvironmentSpec
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer
 from missionsim.planner.reach import Reached
 from missionsim.report.map_text import Paper
 from missionsim.report.page import Chart
+from missionsim.report.traces import new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -155,11 +155,7 @@ def map_of_reach(environment: EnvironmentSpec, start: str, found: Sequence[Reach
 
 def write_map(site: SiteMap, path: Path) -> Path:
     """Draw a map into a PNG or SVG file, by its suffix."""
-    form = path.suffix.lower().lstrip(".")
-    with atomic_write(path) as temporary:
-        metadata = {"Date": None} if form == "svg" else {"Software": "missionsim"}
-        site_figure(site).savefig(temporary, format=form, dpi=130, metadata=metadata)
-    return path
+    return save_figure(site_figure(site), path)
 
 
 def site_figure(site: SiteMap) -> Figure:
@@ -167,13 +163,12 @@ def site_figure(site: SiteMap) -> Figure:
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
-    from matplotlib.figure import Figure
 
     where, curves = layout(site.environment)
     points = np.array(list(where.values()))
     span = np.maximum(np.ptp(points, axis=0), 1e-9)
     width, height = 11.0, float(np.clip(9.0 * span[1] / max(span[0], 1e-9), 4.0, 9.5)) + 1.4
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = new_figure(width, height)
     axes = figure.subplots()
     axes.set_aspect("equal")
     axes.spines[["top", "right"]].set_visible(False)

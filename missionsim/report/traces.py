@@ -134,7 +134,8 @@ def save_figure(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG or SVG by its suffix, whole or not at all, without lines at the top and the right."""
     for axes in figure.axes:
         axes.spines[["top", "right"]].set_visible(False)
-    metadata = {"Date": None} if path.suffix == ".svg" else {"Software": "missionsim"}
+    form = path.suffix[1:].lower()
+    metadata = {"Date": None} if form == "svg" else {"Software": "missionsim"}
     with atomic_write(path) as temporary:
-        figure.savefig(temporary, format=path.suffix[1:], dpi=130, metadata=metadata)
+        figure.savefig(temporary, format=form, dpi=130, metadata=metadata)
     return path

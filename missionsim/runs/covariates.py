@@ -46,22 +46,10 @@ _ALL = (
     Covariate("speed_m_s", "speed", "m/s"),
     Covariate("yaw_rate_rad_s", "yaw rate (magnitude)", "rad/s", magnitude=True, assumed="the robot drives straight"),
     Covariate("accel_m_s2", "acceleration", "m/s²", ramps=True, follows="speed_m_s"),
-    Covariate(
-        "lateral_speed_m_s",
-        "sideways speed (magnitude)",
-        "m/s",
-        magnitude=True,
-        assumed="the robot does not move sideways",
-    ),
-    Covariate(
-        "slope_rad",
-        "slope",
-        "°",
-        180.0 / math.pi,
-        multiplies_speed=True,
-        noisy_form=True,
-        assumed="the ground is level",
-    ),
+    Covariate("lateral_speed_m_s", "sideways speed (magnitude)", "m/s", magnitude=True,
+              assumed="the robot does not move sideways"),
+    Covariate("slope_rad", "slope", "°", 180.0 / math.pi, multiplies_speed=True, noisy_form=True,
+              assumed="the ground is level"),
     Covariate("payload_kg", "payload", "kg", multiplies_speed=True, assumed="nothing is carried"),
     Covariate("temp_ambient_c", "ambient temperature", "°C", multiplies_speed=True),
     Covariate("temp_motor_c", "motor temperature", "°C", multiplies_speed=True),
@@ -75,7 +63,7 @@ _ALL = (
     Covariate("heading_rad", "heading", "rad", shown=False),
     Covariate("moving_time_s", "time driven", "s", follows="speed_m_s", shown=False),
     Covariate("starts", "starts from rest", follows="speed_m_s", shown=False),
-)
+)  # fmt: skip
 COVARIATES = {one.name: one for one in _ALL}
 
 
@@ -94,7 +82,7 @@ _NO_CAUSE = re.compile(
 )
 _ELECTRICAL = frozenset(("power", "current", "currents", "amp", "amps"))
 _NO_PART = frozenset(
-    (
+    [
         *(
             "w",
             "kw",
@@ -113,16 +101,16 @@ _NO_PART = frozenset(
             "limit",
         ),
         *("measured", "meter", "predicted", "model", "reference", "demand", "consumed", "consumption", "used", "usage"),
-    )
+    ]
 )
 """Words that name no part of a robot."""
 _WHOLE = frozenset(
-    (
+    [
         *("battery", "batt", "bat", "pack", "cell", "main", "robot", "base", "platform", "vehicle", "car", "system"),
         *("charger", "dock", "regen", "brake", "mech", "mechanical", "motor", "motors", "drive", "driver", "wheel"),
-        *("wheels", "traction", "propulsion", "engine", "inverter", "esc", "left", "right", "front", "rear"),
-        *("total", "sum", "net", "gross", "whole", "input", "output", "supply", "electric", "electrical", "dc", "bus"),
-    )
+        *("wheels", "traction", "propulsion", "engine", "inverter", "esc", "left", "right", "front", "rear", "total"),
+        *("sum", "net", "gross", "whole", "input", "output", "supply", "electric", "electrical", "dc", "bus"),
+    ]
 )
 """Words of what is the whole, or follows it."""
 TWIN = 0.999

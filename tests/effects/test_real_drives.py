@@ -125,15 +125,8 @@ def test_logged_watts_pass_through() -> None:
 
 def test_columns_of_watts_are_recognised_by_their_names() -> None:
     names = [
-        "heating_w",
-        "aircon_kw",
-        "power_arm_w",
-        "power_robot_w",
-        "total_w",
-        "battery_power_w",
-        "drive_w",
-        "w",
-        "speed",
+        *("heating_w", "aircon_kw", "power_arm_w", "power_robot_w", "total_w", "battery_power_w", "drive_w"),
+        *("w", "speed"),
     ]
     assert logged_power_columns(names, ("robot",)) == ("aircon_kw", "heating_w", "power_arm_w")
 

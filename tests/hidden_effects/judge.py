@@ -9,27 +9,12 @@ from typing import Any
 from .peers import Outcome
 
 LIBRARY = frozenset(
-    {
-        "grade",
-        "payload",
-        "acceleration",
-        "turning_scrub",
-        "rolling_friction",
-        "viscous_friction",
-        "aerodynamic_drag",
-        "surface_rolling_resistance",
-        "cold_friction",
-        "temperature_friction",
-        "start_surge",
-        "conversion_loss",
-        "standby_load",
-        "cpu_load",
-        "cpu_frequency",
-        "radio_range",
-        "path_stretch",
-        "speed_tracking",
-        "dwell",
-    }
+    [
+        *("grade", "payload", "acceleration", "turning_scrub", "rolling_friction", "viscous_friction"),
+        *("aerodynamic_drag", "surface_rolling_resistance", "cold_friction", "temperature_friction", "start_surge"),
+        *("conversion_loss", "standby_load", "cpu_load", "cpu_frequency", "radio_range", "path_stretch"),
+        *("speed_tracking", "dwell"),
+    ]
 )
 PRACTICE_EQUIVALENT = {  # designs of the practice logs that no method can resolve
     "carpet_payload": ("payload", "surface_rolling_resistance"),

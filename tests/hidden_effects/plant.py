@@ -16,24 +16,10 @@ from .motion import Array, Motion, Robot, smooth, wander
 GRAVITY = 9.81
 
 INSIDE = (
-    "grade",
-    "payload",
-    "acceleration",
-    "turning_scrub",
-    "rolling_friction",
-    "viscous_friction",
-    "aerodynamic_drag",
-    "surface_rolling_resistance",
-    "cold_friction",
-    "temperature_friction",
-    "start_surge",
-    "conversion_loss",
-    "standby_load",
-    "component_power",
-    "component_warmup",
-    "cpu_load",
-    "cpu_frequency",
-    "radio_range",
+    *("grade", "payload", "acceleration", "turning_scrub", "rolling_friction", "viscous_friction"),
+    *("aerodynamic_drag", "surface_rolling_resistance", "cold_friction", "temperature_friction", "start_surge"),
+    *("conversion_loss", "standby_load", "component_power", "component_warmup", "cpu_load"),
+    *("cpu_frequency", "radio_range"),
 )
 OUTSIDE = ("fan", "skid", "highspeed", "voltage_load", "random_onset", "hysteresis")
 TWINS = {"rolling_friction": "c3", "viscous_friction": "c2", "standby_load": "c4", "component_power": "component"}

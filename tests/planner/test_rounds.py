@@ -130,17 +130,7 @@ def test_a_shift_that_is_stopped_is_a_plan_with_its_gap(root: Path, tmp_path: Pa
     visits = [{"place": "tank", "inspect": "30 s"}, {"place": "mast", "inspect": "30 s"}, {"place": "well"}]
     repeat = {"rounds": "as_often_as_possible", "until": "70 min"}
     task = task_of(root, tmp_path, choose=choose, visits=visits, repeat=repeat)
-    words = [
-        "plan",
-        str(task),
-        "--set",
-        SMALL,
-        "--seconds",
-        "0.000001",
-        "--json",
-        str(tmp_path / "early.json"),
-        "--quiet",
-    ]
+    words = ["plan", str(task), "--set", SMALL, *f"--seconds 0.000001 --json {tmp_path}/early.json --quiet".split()]
     assert run_command(words) == 0
     early = json.loads((tmp_path / "early.json").read_text())
     best = plan(task, SMALL)

@@ -105,17 +105,8 @@ def test_text_of_users_is_never_markup() -> None:
 
 
 def test_cells() -> None:
-    assert [format_cell(v) for v in (None, True, 3, 1234567, 0.0, 12.34567, -0.5, 1e-9, float("nan"))] == [
-        "–",
-        "yes",
-        "3",
-        "1,234,567",
-        "0",
-        "12.35",
-        "−0.5000",
-        "1.000e-09",
-        "–",
-    ]
+    values = (None, True, 3, 1234567, 0.0, 12.34567, -0.5, 1e-9, float("nan"))
+    assert [format_cell(v) for v in values] == ["–", "yes", "3", "1,234,567", "0", "12.35", "−0.5000", "1.000e-09", "–"]
 
 
 @settings(max_examples=40)

@@ -17,16 +17,8 @@ from missionsim.results import tables, write_results
 from missionsim.results.write import largest_consumers
 
 CONTRACT = {
-    "energy_wh",
-    "mean_power_w",
-    "charge_left_wh",
-    "charge_left_fraction",
-    "reserve_wh",
-    "empty_at_s",
-    "by_component_wh",
-    "by_term_wh",
-    "by_segment_wh",
-    "audit_relative_error",
+    *("energy_wh", "mean_power_w", "charge_left_wh", "charge_left_fraction", "reserve_wh", "empty_at_s"),
+    *("by_component_wh", "by_term_wh", "by_segment_wh", "audit_relative_error"),
 }
 
 
@@ -61,20 +53,8 @@ def test_largest_consumers_are_in_order(patrol: Path) -> None:
 
 @pytest.mark.parametrize("format", ["csv", "parquet"])
 def test_files(patrol: Path, tmp_path: Path, format: str) -> None:
-    code = run_command(
-        [
-            "run",
-            str(patrol),
-            "--out",
-            str(tmp_path),
-            "--format",
-            format,
-            "--quiet",
-            "--set",
-            "robot.batteries.robot.capacity=100 Wh",
-        ]
-    )
-    assert code == 0
+    words = ["run", str(patrol), "--out", str(tmp_path), "--format", format, "--quiet"]
+    assert run_command([*words, "--set", "robot.batteries.robot.capacity=100 Wh"]) == 0
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {f"{n}.{format}" for n in ("intervals", "segments", "energy", "summary", "edges")} | {
         "run.json",

@@ -80,20 +80,9 @@ def test_clock_up_time_down_power_up(clock: float, more: float) -> None:
 
 
 def test_multicore_power_by_hand() -> None:
-    watts = electrical.multicore_power(
-        2e9,
-        0.5,
-        board_idle_w=3.0,
-        core_work_w=1.2,
-        core_idle_w=0.06,
-        core_idle_floor_w=0.02,
-        cores=6,
-        cores_busy=4,
-        low_hz=0.5e9,
-        high_hz=2e9,
-        low_v=0.7,
-        high_v=1.1,
-    )
+    powers = {"board_idle_w": 3.0, "core_work_w": 1.2, "core_idle_w": 0.06, "core_idle_floor_w": 0.02}
+    clocks = {"cores": 6, "cores_busy": 4, "low_hz": 0.5e9, "high_hz": 2e9, "low_v": 0.7, "high_v": 1.1}
+    watts = electrical.multicore_power(2e9, 0.5, **powers, **clocks)
     assert float(watts) == pytest.approx(3.0 + 6 * 0.06 + 4 * 1.2 * 0.5)
 
 
