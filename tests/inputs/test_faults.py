@@ -51,6 +51,10 @@ def told(*names: str) -> list[str]:
     return [str(fault) for fault in check_files(names)]
 
 
+def heads(*names: str) -> list[str]:
+    return [text.splitlines()[0] for text in told(*names)]
+
+
 def change(name: str, old: str, new: str) -> None:
     path = Path(f"{name}.yaml")
     text = path.read_text(encoding="utf-8")
@@ -58,185 +62,68 @@ def change(name: str, old: str, new: str) -> None:
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
 
 
+def add_effect(effect: str) -> None:
+    with open("robot.yaml", "a", encoding="utf-8") as handle:
+        handle.write(f"effects:\n  - {{{effect}}}\n")
+
+
 def test_the_three_files_are_valid(folder: Path) -> None:
     assert told("mission.yaml", "robot.yaml", "environment.yaml") == []
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "expected"),
-    [
-        (
-            "max_speed: 1 m/s",
-            "max_sped: 1 m/s",
-            [
-                "robot.yaml:3:7: error: 'max_speed' is missing\n    at: body\n    got: a mapping with drive, max_sped\n"
-                "    allowed: max_speed: …",
-                "robot.yaml:3:29: error: unknown key 'max_sped'\n    at: body.max_sped\n    got: max_sped\n"
-                "    allowed: mass, drive, max_speed, max_lateral_speed, max_acceleration, max_deceleration,"
-                " max_yaw_rate, "
-                "max_yaw_acceleration, max_payload, track_width, regeneration\n    did you mean: max_speed",
-            ],
-        ),
-        (
-            "max_speed: 1 m/s",
-            "max_speed: 3 kg",
-            [
-                "robot.yaml:3:40: error: wrong unit: kg is a unit of mass\n    at: body.max_speed\n    got: 3 kg\n"
-                "    allowed: a speed such as 0.5 m/s"
-            ],
-        ),
-        (
-            "10 Wh",
-            "-10 Wh",
-            [
-                "robot.yaml:4:30: error: impossible value\n    at: batteries.main.capacity\n    got: '-10 Wh'\n"
-                "    allowed: more than 0 J"
-            ],
-        ),
-        (
-            "c3: 2",
-            "c3: -2",
-            [
-                "robot.yaml:5:68: error: impossible value of c3\n    at: motion.parameters.c3\n    got: -2 W s/m\n"
-                "    allowed: at least 0"
-            ],
-        ),
-        (
-            "c3: 2, c4: 3",
-            "c4: 3",
-            [
-                "robot.yaml:5:44: error: parameter 'c3' of motion model 'polynomial' is missing"
-                "\n    at: motion.parameters\n"
-                "    allowed: c3: rolling friction, W s/m"
-            ],
-        ),
-        (
-            "[{battery: main, power: 2 W}]",
-            "[]",
-            [
-                "robot.yaml:7:18: error: component 'lidar' is fed by no battery\n    at: components.lidar.loads\n"
-                "    got: a list of 0\n    allowed: loads: [{battery: …, power: …}]"
-            ],
-        ),
-        (
-            "{loads: [{battery: main, power: 2 W}]}",
-            "{units: 1}",
-            [
-                "robot.yaml:7:10: error: component 'lidar' is fed by no battery\n    at: components.lidar\n"
-                "    got: a mapping with units\n    allowed: loads: [{battery: …, power: …}]"
-            ],
-        ),
-        (
-            "[{battery: main, power",
-            "[{battery: mian, power",
-            [
-                "robot.yaml:7:29: error: no battery 'mian'\n    at: components.lidar.loads.0.battery\n    got: 'mian'\n"
-                "    allowed: main\n    did you mean: main"
-            ],
-        ),
-        (
-            "{optional: {lidar: 1}}",
-            "{required: {gps: 1}}",
-            [
-                "robot.yaml:9:29: error: the scheme requires 'gps', which the robot does not have\n"
-                "    at: schemes.go.sensors.required.gps\n    got: 'gps'\n    allowed: lidar"
-            ],
-        ),
-        (
-            "drive: differential",
-            "drive: diferential",
-            [
-                "robot.yaml:3:15: error: not one of the allowed words\n    at: body.drive\n    got: 'diferential'\n"
-                "    allowed: differential, skid_steer, mecanum, omni, ackermann\n    did you mean: differential"
-            ],
-        ),
-    ],
-)
-def test_robot(folder: Path, old: str, new: str, expected: list[str]) -> None:
-    change("robot", old, new)
-    assert told("robot.yaml") == expected
+def fault(what: str, at: str = "", got: str = "", allowed: str = "", meant: str = "") -> str:
+    """A fault as it is told, from its line on."""
+    rest = {"at": at, "got": got, "allowed": allowed, "did you mean": meant}
+    return what.replace(": ", ": error: ", 1) + "".join(f"\n    {key}: {text}" for key, text in rest.items() if text)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "expected"),
-    [
-        (
-            "to: B",
-            "to: Bee",
-            [
-                "mission.yaml:8:17: error: no place 'Bee'\n    at: segments.0.drive.to\n    got: 'Bee'"
-                "\n    allowed: A, B, C"
-            ],
-        ),
-        (
-            "to: B",
-            "to: C",
-            [
-                "mission.yaml:8:17: error: no way from 'A' to 'C'\n    at: segments.0.drive.to\n    got: C"
-                "\n    allowed: A, B"
-            ],
-        ),
-        (
-            "0.5 m/s",
-            "2 m/s",
-            [
-                "mission.yaml:6:19: error: faster than the robot\n    at: defaults.speed\n    got: 2 m/s\n"
-                "    allowed: at most 1 m/s (body.max_speed of r)"
-            ],
-        ),
-        (
-            "scheme: go",
-            "scheme: goo",
-            [
-                "mission.yaml:6:36: error: no control scheme 'goo'\n    at: defaults.scheme"
-                "\n    got: 'goo'\n    allowed: go\n"
-                "    did you mean: go"
-            ],
-        ),
-        (
-            "- drive: {to: B}",
-            "- drvie: {to: B}",
-            [
-                "mission.yaml:8:5: error: unknown kind of segment 'drvie'\n    at: segments.0.drvie\n    got: drvie\n"
-                "    allowed: one of drive, arc, turn, move, inspect, wait, dock, repeat\n    did you mean: drive"
-            ],
-        ),
-        (
-            "{to: B}",
-            "{to: B, sensors: {lidar: 2}}",
-            [
-                "mission.yaml:8:37: error: more units of 'lidar' than the robot has"
-                "\n    at: segments.0.drive.sensors.lidar\n"
-                "    got: 2\n    allowed: 0 to 1"
-            ],
-        ),
-        (
-            "robot: robot.yaml",
-            "robot: pionear3dx",
-            [
-                "mission.yaml:3:8: error: no robot 'pionear3dx'\n    at: robot\n    got: 'pionear3dx'\n"
-                "    allowed: khepera3, mecanum4, pioneer3dx, rover_tx2, or the path of a robot file"
-                "\n    did you mean: pioneer3dx"
-            ],
-        ),
-        (
-            "environment: environment.yaml",
-            "environment: nowhere.yaml",
-            [
-                "mission.yaml:4:14: error: no such environment file\n    at: environment\n    got: 'nowhere.yaml'\n"
-                "    allowed: a path relative to this file"
-            ],
-        ),
-        (
-            "start: A",
-            "start: A\nstart: B",
-            ["mission.yaml:6:1: error: key 'start' given twice; the first is in line 5"],
-        ),
-    ],
-)
-def test_mission(folder: Path, old: str, new: str, expected: list[str]) -> None:
-    change("mission", old, new)
-    assert told("mission.yaml") == expected
+CASES = [
+    ("robot", "max_speed: 1 m/s", "max_sped: 1 m/s", fault("3:7: 'max_speed' is missing", "body",
+     "a mapping with drive, max_sped", "max_speed: …"), fault("3:29: unknown key 'max_sped'", "body.max_sped",
+     "max_sped", "mass, drive, max_speed, max_lateral_speed, max_acceleration, max_deceleration, max_yaw_rate, "
+     "max_yaw_acceleration, max_payload, track_width, regeneration", "max_speed")),
+    ("robot", "max_speed: 1 m/s", "max_speed: 3 kg", fault("3:40: wrong unit: kg is a unit of mass",
+     "body.max_speed", "3 kg", "a speed such as 0.5 m/s")),
+    ("robot", "10 Wh", "-10 Wh", fault("4:30: impossible value", "batteries.main.capacity", "'-10 Wh'",
+     "more than 0 J")),
+    ("robot", "c3: 2", "c3: -2", fault("5:68: impossible value of c3", "motion.parameters.c3", "-2 W s/m",
+     "at least 0")),
+    ("robot", "c3: 2, c4: 3", "c4: 3", fault("5:44: parameter 'c3' of motion model 'polynomial' is missing",
+     "motion.parameters", allowed="c3: rolling friction, W s/m")),
+    ("robot", "[{battery: main, power: 2 W}]", "[]", fault("7:18: component 'lidar' is fed by no battery",
+     "components.lidar.loads", "a list of 0", "loads: [{battery: …, power: …}]")),
+    ("robot", "{loads: [{battery: main, power: 2 W}]}", "{units: 1}",
+     fault("7:10: component 'lidar' is fed by no battery", "components.lidar", "a mapping with units",
+     "loads: [{battery: …, power: …}]")),
+    ("robot", "[{battery: main, power", "[{battery: mian, power", fault("7:29: no battery 'mian'",
+     "components.lidar.loads.0.battery", "'mian'", "main", "main")),
+    ("robot", "{optional: {lidar: 1}}", "{required: {gps: 1}}",
+     fault("9:29: the scheme requires 'gps', which the robot does not have", "schemes.go.sensors.required.gps",
+     "'gps'", "lidar")),
+    ("robot", "drive: differential", "drive: diferential", fault("3:15: not one of the allowed words", "body.drive",
+     "'diferential'", "differential, skid_steer, mecanum, omni, ackermann", "differential")),
+    ("mission", "to: B", "to: Bee", fault("8:17: no place 'Bee'", "segments.0.drive.to", "'Bee'", "A, B, C")),
+    ("mission", "to: B", "to: C", fault("8:17: no way from 'A' to 'C'", "segments.0.drive.to", "C", "A, B")),
+    ("mission", "0.5 m/s", "2 m/s", fault("6:19: faster than the robot", "defaults.speed", "2 m/s",
+     "at most 1 m/s (body.max_speed of r)")),
+    ("mission", "scheme: go", "scheme: goo", fault("6:36: no control scheme 'goo'", "defaults.scheme", "'goo'",
+     "go", "go")),
+    ("mission", "- drive: {to: B}", "- drvie: {to: B}", fault("8:5: unknown kind of segment 'drvie'",
+     "segments.0.drvie", "drvie", "one of drive, arc, turn, move, inspect, wait, dock, repeat", "drive")),
+    ("mission", "{to: B}", "{to: B, sensors: {lidar: 2}}", fault("8:37: more units of 'lidar' than the robot has",
+     "segments.0.drive.sensors.lidar", "2", "0 to 1")),
+    ("mission", "robot: robot.yaml", "robot: pionear3dx", fault("3:8: no robot 'pionear3dx'", "robot",
+     "'pionear3dx'", "khepera3, mecanum4, pioneer3dx, rover_tx2, or the path of a robot file", "pioneer3dx")),
+    ("mission", "environment: environment.yaml", "environment: nowhere.yaml",
+     fault("4:14: no such environment file", "environment", "'nowhere.yaml'", "a path relative to this file")),
+    ("mission", "start: A", "start: A\nstart: B", fault("6:1: key 'start' given twice; the first is in line 5")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "old", "new", "faults"), [(*case[:3], case[3:]) for case in CASES])
+def test_words_of_a_fault(folder: Path, name: str, old: str, new: str, faults: tuple[str, ...]) -> None:
+    change(name, old, new)
+    assert told(f"{name}.yaml") == [f"{name}.yaml:{fault}" for fault in faults]
 
 
 def test_sideways_only_where_the_drive_can(folder: Path) -> None:
@@ -251,7 +138,7 @@ def test_all_faults_of_all_files_at_once(folder: Path) -> None:
     change("robot", "10 Wh", "10 V")
     change("environment", "to: B", "to: D")
     change("mission", "to: B}", "to: B, sped: 1}")
-    assert [fault.splitlines()[0] for fault in told("mission.yaml", "robot.yaml", "environment.yaml", "none.yaml")] == [
+    assert heads("mission.yaml", "robot.yaml", "environment.yaml", "none.yaml") == [
         "environment.yaml:4:23: error: no place 'D'",
         "mission.yaml:8:20: error: unknown key 'sped'",
         "none.yaml: error: cannot read this file: no such file or directory",
@@ -264,7 +151,7 @@ def test_all_faults_of_all_files_at_once(folder: Path) -> None:
 
 def test_positions_after_a_faulty_list_item_stay_those_of_the_file(folder: Path) -> None:
     change("mission", "  - drive: {to: B}\n", "  - drvie: {to: B}\n  - wait: {duration: 1 kg}\n  - drive: {to: Q}\n")
-    assert [fault.splitlines()[0] for fault in told("mission.yaml")] == [
+    assert heads("mission.yaml") == [
         "mission.yaml:8:5: error: unknown kind of segment 'drvie'",
         "mission.yaml:9:22: error: wrong unit: kg is a unit of mass",
         "mission.yaml:10:17: error: no place 'Q'",
@@ -272,32 +159,24 @@ def test_positions_after_a_faulty_list_item_stay_those_of_the_file(folder: Path)
 
 
 def test_components_that_require_each_other(folder: Path) -> None:
-    change(
-        "robot",
-        "  lidar: {",
-        "  hub: {requires: [lidar], loads: [{battery: main, power: 1 W}]}\n  lidar: {requires: [hub], ",
-    )
-    assert [fault.splitlines()[0] for fault in told("robot.yaml")] == [
-        "robot.yaml:8:22: error: components require each other in a circle"
-    ]
+    hub = "  hub: {requires: [lidar], loads: [{battery: main, power: 1 W}]}\n  lidar: {requires: [hub], "
+    change("robot", "  lidar: {", hub)
+    assert heads("robot.yaml") == ["robot.yaml:8:22: error: components require each other in a circle"]
 
 
 def test_one_way_streets_and_along(folder: Path) -> None:
     change("environment", "{from: A, to: B}", "{from: A, to: B, both_ways: false}, {from: B, to: C}")
     change("mission", "- drive: {to: B}", "- drive: {along: [B, C]}\n  - drive: {to: A}")
-    assert [fault.splitlines()[0] for fault in told("mission.yaml")] == [
-        "mission.yaml:9:17: error: no way from 'C' to 'A'"
-    ]
+    assert heads("mission.yaml") == ["mission.yaml:9:17: error: no way from 'C' to 'A'"]
 
 
 def test_docking_needs_a_charger(folder: Path) -> None:
     change("mission", "- drive: {to: B}", "- drive: {to: B}\n  - dock: {recharge: {until: 90 %}}")
-    assert [fault.splitlines()[0] for fault in told("mission.yaml")] == ["mission.yaml:9:5: error: no charger at 'B'"]
+    assert heads("mission.yaml") == ["mission.yaml:9:5: error: no charger at 'B'"]
 
 
 def test_formula_of_an_effect(folder: Path) -> None:
-    with open("robot.yaml", "a", encoding="utf-8") as handle:
-        handle.write("effects:\n  - {name: mine, battery: main, power: \"k * __import__('os')\", parameters: {k: 1}}\n")
+    add_effect("name: mine, battery: main, power: \"k * __import__('os')\", parameters: {k: 1}")
     faults = told("robot.yaml")
     assert faults[0].startswith("robot.yaml:11:")
     assert "__import__" in faults[0]
@@ -329,8 +208,7 @@ def test_names_that_yaml_1_1_would_spoil(folder: Path) -> None:
 def test_wrong_units_of_motion_and_effect_parameters(folder: Path) -> None:
     change("robot", "c2: 1, c3: 2, c4: 3}", "c2: 1 W s^2/m^2, c3: 2 W, c4: {value: 3 kg, sd: 5 %}}")
     change("robot", "drive: differential", "drive: differential, mass: 5 kg")
-    with Path("robot.yaml").open("a", encoding="utf-8") as file:
-        file.write("effects:\n  - {effect: grade, battery: main, parameters: {k: 1 kg}}\n")
+    add_effect("effect: grade, battery: main, parameters: {k: 1 kg}")
     assert told("robot.yaml") == [
         "robot.yaml:5:78: error: wrong unit of c3\n    at: motion.parameters.c3\n"
         "    got: a number in W\n    allowed: a number in W s/m",
@@ -354,19 +232,14 @@ def test_keys_allowed_inside_a_repeat_block_are_listed(folder: Path) -> None:
 
 
 def test_a_slope_that_no_term_reads_is_told(folder: Path) -> None:
-    change(
-        "mission",
-        "  - drive: {to: B}",
-        "  - drive: {distance: 5 m, slope: 3 deg}\n  - drive: {distance: 5 m, slope: 2 deg}",
-    )
+    change("mission", "{to: B}", "{distance: 5 m, slope: 3 deg}\n  - drive: {distance: 5 m, slope: 2 deg}")
     assert told("mission.yaml") == [
         "mission.yaml:8:35: warning: this slope costs nothing: no term of robot 'r' depends on it\n"
         "    at: segments.0.drive.slope\n    got: 0.05236 rad\n"
         "    allowed: effects: [{effect: grade, battery: …, parameters: {k: …}}], or the motion model traction"
     ]
     assert [fault.path for fault in load_mission("mission.yaml").warnings] == ["segments.0.drive.slope"]
-    with Path("robot.yaml").open("a", encoding="utf-8") as file:
-        file.write("effects:\n  - {effect: grade, battery: main, parameters: {k: 1}}\n")
+    add_effect("effect: grade, battery: main, parameters: {k: 1}")
     change("robot", "max_speed: 1 m/s", "max_speed: 1 m/s, mass: 5 kg")
     assert told("mission.yaml") == []
     assert load_mission("mission.yaml").warnings == ()
@@ -375,20 +248,14 @@ def test_a_slope_that_no_term_reads_is_told(folder: Path) -> None:
 def test_a_load_that_no_term_reads_is_told_and_a_formula_can_read_it(folder: Path) -> None:
     change("mission", "defaults: {", "defaults: {payload: 2 kg, ")
     change("environment", "{from: A, to: B}", "{from: A, to: B, slope: 3 %}")
-    lines = [text.splitlines()[0] for text in told("mission.yaml")]
-    assert [line.split(" ", 1)[0] for line in lines] == ["environment.yaml:4:33:", "mission.yaml:6:21:"]
-    with Path("robot.yaml").open("a", encoding="utf-8") as file:
-        file.write(
-            "effects:\n"
-            "  - {name: own, battery: main, power: 'k * payload_kg * sin(slope_rad) * v', parameters: {k: 1}}\n"
-        )
+    assert [line.split(" ", 1)[0] for line in heads("mission.yaml")] == ["environment.yaml:4:33:", "mission.yaml:6:21:"]
+    add_effect("name: own, battery: main, power: 'k * payload_kg * sin(slope_rad) * v', parameters: {k: 1}")
     assert told("mission.yaml") == []
 
 
 def test_lifting_without_a_mass_is_told(folder: Path) -> None:
-    with Path("robot.yaml").open("a", encoding="utf-8") as file:
-        file.write("effects:\n  - {effect: grade, battery: main, parameters: {k: 1}}\n")
-    assert [text.splitlines()[0] for text in told("robot.yaml")] == [
+    add_effect("effect: grade, battery: main, parameters: {k: 1}")
+    assert heads("robot.yaml") == [
         "robot.yaml:11:14: warning: 'grade' needs the robot's mass, which counts as 1 kg here"
     ]
     change("robot", "max_speed: 1 m/s", "max_speed: 1 m/s, mass: 5 kg")
@@ -398,7 +265,7 @@ def test_lifting_without_a_mass_is_told(folder: Path) -> None:
 def test_how_long_without_how_often_is_a_fault(folder: Path) -> None:
     change("mission", "segments:", "behaviour: {obstacle_stop: 8 s}\nsegments:")
     change("mission", "drive: {to: B}", "drive: {to: B, behaviour: {relocalisation_time: 3 s}}")
-    assert [text.splitlines()[0] for text in told("mission.yaml")] == [
+    assert heads("mission.yaml") == [
         "mission.yaml:7:13: error: 'obstacle_stop' has no effect without 'obstacle_spacing'",
         "mission.yaml:9:32: error: 'relocalisation_time' has no effect without 'relocalisation_failure'",
     ]
