@@ -26,25 +26,13 @@ CONFOUNDED = (  # design, truth, names that cannot be told apart by construction
     ("switching_cold", "temperature_friction", ("temperature_friction",)),
 )
 PAIRS = (
-    ("grade", "payload"),
-    ("turning_scrub", "surface_rolling_resistance"),
-    ("cpu_load", "payload"),
-    ("acceleration", "grade"),
-    ("temperature_friction", "turning_scrub"),
-    ("component_warmup:kinect", "grade"),
-    ("cold_friction", "component_power:kinect"),
-    ("radio_range", "grade"),
-    ("cpu_frequency", "turning_scrub"),
-    ("start_surge", "payload"),
-    ("aerodynamic_drag", "grade"),
-    ("rolling_friction", "turning_scrub"),
-    ("standby_load", "acceleration"),
-    ("conversion_loss", "grade"),
-    ("cold_friction", "temperature_friction"),
-    ("surface_rolling_resistance", "payload"),
-    ("viscous_friction", "acceleration"),
-    ("cpu_load", "cpu_frequency"),
-)
+    ("grade", "payload"), ("turning_scrub", "surface_rolling_resistance"), ("cpu_load", "payload"),
+    ("acceleration", "grade"), ("temperature_friction", "turning_scrub"), ("component_warmup:kinect", "grade"),
+    ("cold_friction", "component_power:kinect"), ("radio_range", "grade"), ("cpu_frequency", "turning_scrub"),
+    ("start_surge", "payload"), ("aerodynamic_drag", "grade"), ("rolling_friction", "turning_scrub"),
+    ("standby_load", "acceleration"), ("conversion_loss", "grade"), ("cold_friction", "temperature_friction"),
+    ("surface_rolling_resistance", "payload"), ("viscous_friction", "acceleration"), ("cpu_load", "cpu_frequency"),
+)  # fmt: skip
 MIXED = (  # an effect of the library beside one that no library names
     ("grade", "fan"),
     ("payload", "fan"),

@@ -49,24 +49,12 @@ def markdown(rows: Sequence[Row], heading: str) -> str:
     rows = [row | {"found": bool(row["in_set"]) if row["first_right"] is not None else None} for row in rows]
     lines = [f"# Hidden effects: {heading}", ""]
     head = (
-        "group",
-        "method",
-        "n",
-        "right name first",
-        "exactly right",
-        "all named",
-        "a wrong name",
-        "truth in the set",
-        "confident wrong name",
-        "cannot tell, kept honest",
-        "resolved by one / two proposed experiments",
-        "outside: says so",
-        "held-out energy error % nominal → method (truth known)",
-        "removed (energy)",
-        "removed (power²)",
-        "interval covers",
-        "s",
-    )
+        "group", "method", "n", "right name first", "exactly right", "all named", "a wrong name",
+        "truth in the set", "confident wrong name", "cannot tell, kept honest",
+        "resolved by one / two proposed experiments", "outside: says so",
+        "held-out energy error % nominal → method (truth known)", "removed (energy)", "removed (power²)",
+        "interval covers", "s",
+    )  # fmt: skip
     lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for group in dict.fromkeys(row["group"] for row in rows):
         for method in dict.fromkeys(row["method"] for row in rows):

@@ -14,24 +14,14 @@ from missionsim.inputs import units
 @pytest.mark.parametrize(
     ("text", "dimension", "value"),
     [
-        ("14.8 V", "voltage", 14.8),
-        ("2200 mAh", "charge", 7920.0),
-        ("10 min", "duration", 600.0),
-        ("259 Wh", "energy", 932400.0),
-        ("30 deg/s", "yaw rate", math.pi / 6),
-        ("1.8 km/h", "speed", 0.5),
-        ("15 %", "fraction", 0.15),
-        ("2.03 GHz", "frequency", 2.03e9),
-        ("-3", "length", -3.0),
-        ("7", "energy", 25200.0),
-        ("2", "charge", 7200.0),
-        ("68 degF", "temperature", 20.0),
-        ("293.15 K", "temperature", 20.0),
-        ("5 mph", "speed", 2.2352),
-        ("3 metres", "length", 3.0),
+        ("14.8 V", "voltage", 14.8), ("2200 mAh", "charge", 7920.0), ("10 min", "duration", 600.0),
+        ("259 Wh", "energy", 932400.0), ("30 deg/s", "yaw rate", math.pi / 6), ("1.8 km/h", "speed", 0.5),
+        ("15 %", "fraction", 0.15), ("2.03 GHz", "frequency", 2.03e9), ("-3", "length", -3.0),
+        ("7", "energy", 25200.0), ("2", "charge", 7200.0), ("68 degF", "temperature", 20.0),
+        ("293.15 K", "temperature", 20.0), ("5 mph", "speed", 2.2352), ("3 metres", "length", 3.0),
         ("90°", "angle", math.pi / 2),
     ],
-)
+)  # fmt: skip
 def test_quantities(text: str, dimension: str, value: float) -> None:
     assert units.parse_quantity(text, dimension) == pytest.approx(value, rel=1e-12)
 
@@ -113,19 +103,11 @@ def test_usual_files_do_not_load_pint_or_scipy() -> None:
 @pytest.mark.parametrize(
     ("unit", "other", "same"),
     [
-        ("N", "W s/m", True),
-        ("kg", "W s^3/m^2", True),
-        ("W s/rad", "J", True),
-        ("kW", "W", True),
-        ("W s/(rad kg)", "W s/kg", True),
-        ("kg * m / s ** 2", "N", True),
-        ("W s/(m K)", "N/K", True),
-        ("kg", "W", False),
-        ("W", "W s/m", False),
-        ("J", "W", False),
-        ("furlong", "kg", False),
+        ("N", "W s/m", True), ("kg", "W s^3/m^2", True), ("W s/rad", "J", True), ("kW", "W", True),
+        ("W s/(rad kg)", "W s/kg", True), ("kg * m / s ** 2", "N", True), ("W s/(m K)", "N/K", True),
+        ("kg", "W", False), ("W", "W s/m", False), ("J", "W", False), ("furlong", "kg", False),
     ],
-)
+)  # fmt: skip
 def test_compound_units_of_one_dimension(unit: str, other: str, same: bool) -> None:
     assert units.same_dimension(unit, other) is same
     assert units.same_dimension(other, unit) is same

@@ -220,26 +220,15 @@ columns: {time_s: index / 10, voltage_robot_v: volts, current_robot_a: {value: m
 @pytest.mark.parametrize(
     ("unit", "name", "value", "expected"),
     [
-        ("km/h", "speed_m_s", 3.6, 1.0),
-        ("deg", "slope_rad", 180.0, np.pi),
-        ("%", "slope_rad", 100.0, np.pi / 4),
-        ("deg/s", "yaw_rate_rad_s", 180.0, np.pi),
-        ("mW", "power_robot_w", 1.0, 1e-3),
-        ("kW", "power_robot_w", 1.0, 1e3),
-        ("J", "energy_robot_wh", 3600.0, 1.0),
-        ("kWh", "energy_robot_wh", 1.0, 1000.0),
-        ("mA", "current_robot_a", 5.0, 0.005),
-        ("ns", "time_s", 1e9, 1.0),
-        ("us", "time_s", 1e6, 1.0),
-        ("min", "time_s", 2.0, 120.0),
-        ("K", "temp_motor_c", 273.15, 0.0),
-        ("%", "cpu_load", 40.0, 0.4),
-        ("GHz", "cpu_freq_hz", 1.2, 1.2e9),
-        ("g", "payload_kg", 500.0, 0.5),
-        ("kW", "other", 2.0, 2000.0),
-        ("degF", "temp_ambient_c", 212.0, 100.0),
+        ("km/h", "speed_m_s", 3.6, 1.0), ("deg", "slope_rad", 180.0, np.pi), ("%", "slope_rad", 100.0, np.pi / 4),
+        ("deg/s", "yaw_rate_rad_s", 180.0, np.pi), ("mW", "power_robot_w", 1.0, 1e-3),
+        ("kW", "power_robot_w", 1.0, 1e3), ("J", "energy_robot_wh", 3600.0, 1.0),
+        ("kWh", "energy_robot_wh", 1.0, 1000.0), ("mA", "current_robot_a", 5.0, 0.005), ("ns", "time_s", 1e9, 1.0),
+        ("us", "time_s", 1e6, 1.0), ("min", "time_s", 2.0, 120.0), ("K", "temp_motor_c", 273.15, 0.0),
+        ("%", "cpu_load", 40.0, 0.4), ("GHz", "cpu_freq_hz", 1.2, 1.2e9), ("g", "payload_kg", 500.0, 0.5),
+        ("kW", "other", 2.0, 2000.0), ("degF", "temp_ambient_c", 212.0, 100.0),
     ],
-)
+)  # fmt: skip
 def test_units(unit: str, name: str, value: float, expected: float) -> None:
     assert to_glossary(np.array([value]), unit, name)[0] == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
