@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Iterable, Sequence
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -51,102 +52,88 @@ def _epoch(unit: float) -> list[str]:
     return [f"{(START.timestamp() + t) * unit:.0f}" for t in T]
 
 
-@kind
-def german_time_of_day(folder: Path) -> list[Path]:
-    head = "Uhrzeit;Geschwindigkeit [km/h];Leistung [W];Drehrate [°/s];Außentemperatur [°C]\n"
-    body = _rows(_stamps("%H:%M:%S,%L"), 3.6 * V, P, np.degrees(turn(T)), 0 * T + 8.5, sep=";", comma=True)
-    return _write(folder, "fahrt.csv", head + body, "cp1252")
+def _table(kind: str, name: str, head: str, *columns: Iterable[object], encoding: str = "utf-8", **layout: Any) -> None:
+    """A kind that is one file: what stands before its rows, and their columns."""
+    KINDS[kind] = lambda folder: _write(folder, name, head + "\n" + _rows(*columns, **layout), encoding)
 
 
-@kind
-def german_words_and_milli(folder: Path) -> list[Path]:
-    head = "Zeitstempel;Batteriespannung (mV);Batteriestrom (mA);Fahrgeschwindigkeit (m/s)\n"
-    body = _rows(_stamps("%d.%m.%Y %H:%M:%S,%L"), 1000 * VOLTS, 1000 * AMPS, V, sep=";", comma=True)
-    return _write(folder, "messung.csv", head + body)
-
-
-@kind
-def french(folder: Path) -> list[Path]:
-    head = "Horodatage;Tension batterie (V);Courant batterie (A);Vitesse (m/s)\n"
-    return _write(
-        folder, "essai.csv", head + _rows(_stamps("%d/%m/%Y %H:%M:%S.%L"), VOLTS, AMPS, V, sep=";", comma=True)
-    )
-
-
-@kind
-def spanish(folder: Path) -> list[Path]:
-    head = "Fecha;Hora;Voltaje [V];Corriente [A];Velocidad [km/h]\n"
-    body = _rows(_stamps("%d/%m/%Y"), _stamps("%H:%M:%S.%L"), VOLTS, AMPS, 3.6 * V, sep=";", comma=True)
-    return _write(folder, "prueba.csv", head + body)
-
-
-@kind
-def ina_meter(folder: Path) -> list[Path]:
-    head = "timestamp_ms,bus_voltage_V,shunt_voltage_mV,current_mA,power_mW,velocity_mps\n"
-    return _write(folder, "ina.csv", head + _rows(1000 * T, VOLTS, AMPS * 10, 1000 * AMPS, 1000 * P, V))
-
-
-@kind
-def ina_without_units(folder: Path) -> list[Path]:
-    return _write(
-        folder, "ina2.csv", "ms,voltage,current,power,speed\n" + _rows(1000 * T, VOLTS, 1000 * AMPS, 1000 * P, V)
-    )
-
-
-@kind
-def volts_and_milliamperes_without_units(folder: Path) -> list[Path]:
-    return _write(folder, "ina3.csv", "time_ms,voltage,current,speed\n" + _rows(1000 * T, VOLTS, 1000 * AMPS, V))
-
-
-@kind
-def units_in_a_second_line(folder: Path) -> list[Path]:
-    return _write(
-        folder, "daq.csv", "time,voltage,current,speed\ns,mV,mA,km/h\n" + _rows(T, 1000 * VOLTS, 1000 * AMPS, 3.6 * V)
-    )
-
-
-@kind
-def title_names_units(folder: Path) -> list[Path]:
-    head = "ACME data logger, serial 4711\nTime;U_bat;I_bat;Speed\n[ms];[V];[mA];[km/h]\n"
-    return _write(folder, "acme.csv", head + _rows(1000 * T, VOLTS, 1000 * AMPS, 3.6 * V, sep=";"))
-
-
-@kind
-def preamble(folder: Path) -> list[Path]:
-    head = "Device:,X200\nStart:,2025-03-14\nRate:,5 Hz\n\nElapsed (s),Battery Power (W),Vehicle Speed (mph)\n"
-    return _write(folder, "x200.csv", head + _rows(T, P, V / 0.44704))
-
-
-@kind
-def tabs_and_quotes(folder: Path) -> list[Path]:
-    head = '"Time (ms)"\t"Battery Power (kW)"\t"Vehicle Speed (mph)"\n'
-    return _write(folder, "export.txt", head + _rows(1000 * T, P / 1000, V / 0.44704, sep="\t"), "utf-16")
-
-
-@kind
-def iso_with_zone_and_negative_current(folder: Path) -> list[Path]:
-    head = "datetime,batt_v,batt_i,odom_vx,odom_wz\n"
-    stamps = [f"{stamp}+02:00" for stamp in _stamps("%Y-%m-%dT%H:%M:%S.%L", hours=2.0)]
-    return _write(folder, "robot.csv", head + _rows(stamps, VOLTS, -AMPS, V, turn(T)))
-
-
-@kind
-def letters_only(folder: Path) -> list[Path]:
-    return _write(folder, "uiv.csv", "t,U,I,v\n" + _rows(T, VOLTS, AMPS, V))
-
-
-@kind
-def epoch_milliseconds(folder: Path) -> list[Path]:
-    return _write(folder, "cloud.csv", "ts,battery_voltage,battery_current,linear_velocity,angular_velocity\n"
-                  + _rows(_epoch(1e3), VOLTS, AMPS, V, turn(T)))  # fmt: skip
-
-
-@kind
-def px4_csv(folder: Path) -> list[Path]:
-    head = "timestamp,voltage_v,current_a,remaining,ground_speed_m_s\n"
-    return _write(
-        folder, "log_battery.csv", head + _rows([f"{1e6 * t + 33e6:.0f}" for t in T], VOLTS, AMPS, 0.9 - T / 1e4, V)
-    )
+COMMAS: dict[str, Any] = {"sep": ";", "comma": True}
+HOURS, ZERO = _stamps("%H:%M:%S.%L"), 0.0 * T
+W, RPM, USED_J = turn(T), V / 0.1 * 30 / np.pi, np.cumsum(P) * STEP_S
+# fmt: off
+_table("german_time_of_day", "fahrt.csv",
+       "Uhrzeit;Geschwindigkeit [km/h];Leistung [W];Drehrate [°/s];Außentemperatur [°C]",
+       _stamps("%H:%M:%S,%L"), 3.6 * V, P, np.degrees(W), ZERO + 8.5, encoding="cp1252", **COMMAS)
+_table("german_words_and_milli", "messung.csv",
+       "Zeitstempel;Batteriespannung (mV);Batteriestrom (mA);Fahrgeschwindigkeit (m/s)",
+       _stamps("%d.%m.%Y %H:%M:%S,%L"), 1000 * VOLTS, 1000 * AMPS, V, **COMMAS)
+_table("french", "essai.csv", "Horodatage;Tension batterie (V);Courant batterie (A);Vitesse (m/s)",
+       _stamps("%d/%m/%Y %H:%M:%S.%L"), VOLTS, AMPS, V, **COMMAS)
+_table("spanish", "prueba.csv", "Fecha;Hora;Voltaje [V];Corriente [A];Velocidad [km/h]",
+       _stamps("%d/%m/%Y"), HOURS, VOLTS, AMPS, 3.6 * V, **COMMAS)
+_table("ina_meter", "ina.csv", "timestamp_ms,bus_voltage_V,shunt_voltage_mV,current_mA,power_mW,velocity_mps",
+       1000 * T, VOLTS, AMPS * 10, 1000 * AMPS, 1000 * P, V)
+_table("ina_without_units", "ina2.csv", "ms,voltage,current,power,speed", 1000 * T, VOLTS, 1000 * AMPS, 1000 * P, V)
+_table("volts_and_milliamperes_without_units", "ina3.csv", "time_ms,voltage,current,speed",
+       1000 * T, VOLTS, 1000 * AMPS, V)
+_table("units_in_a_second_line", "daq.csv", "time,voltage,current,speed\ns,mV,mA,km/h",
+       T, 1000 * VOLTS, 1000 * AMPS, 3.6 * V)
+_table("title_names_units", "acme.csv", "ACME data logger, serial 4711\nTime;U_bat;I_bat;Speed\n[ms];[V];[mA];[km/h]",
+       1000 * T, VOLTS, 1000 * AMPS, 3.6 * V, sep=";")
+_table("preamble", "x200.csv", "Device:,X200\nStart:,2025-03-14\nRate:,5 Hz\n\n"
+       "Elapsed (s),Battery Power (W),Vehicle Speed (mph)", T, P, V / 0.44704)
+_table("tabs_and_quotes", "export.txt", '"Time (ms)"\t"Battery Power (kW)"\t"Vehicle Speed (mph)"',
+       1000 * T, P / 1000, V / 0.44704, sep="\t", encoding="utf-16")
+_table("iso_with_zone_and_negative_current", "robot.csv", "datetime,batt_v,batt_i,odom_vx,odom_wz",
+       [f"{stamp}+02:00" for stamp in _stamps("%Y-%m-%dT%H:%M:%S.%L", hours=2.0)], VOLTS, -AMPS, V, W)
+_table("letters_only", "uiv.csv", "t,U,I,v", T, VOLTS, AMPS, V)
+_table("epoch_milliseconds", "cloud.csv", "ts,battery_voltage,battery_current,linear_velocity,angular_velocity",
+       _epoch(1e3), VOLTS, AMPS, V, W)
+_table("px4_csv", "log_battery.csv", "timestamp,voltage_v,current_a,remaining,ground_speed_m_s",
+       [f"{1e6 * t + 33e6:.0f}" for t in T], VOLTS, AMPS, 0.9 - T / 1e4, V)
+_table("twelve_hour_clock", "us.csv", "Timestamp,Pack Voltage (V),Pack Current (A),Speed (ft/s)",
+       _stamps("%m/%d/%Y %I:%M:%S.%L %p"), VOLTS, AMPS, V / 0.3048)
+_table("month_names", "trackLog.csv",
+       "Device Time, Longitude, Latitude,HV Battery Voltage(V),HV Battery Current(A),Speed (OBD)(km/h)",
+       _stamps("%d-%b-%Y %H:%M:%S.%L"), ZERO + 8.4, ZERO + 49.0, VOLTS, AMPS, 3.6 * V)
+_table("space_separated_with_hash", "sim.txt", "# time[s] v[m/s] omega[rad/s] P_bat[W]", T, V, W, P, sep=" ")
+_table("energy_counter", "meter.csv", "elapsed_s,energy_used_kJ,speed_kmh", T, USED_J / 1000, 3.6 * V)
+_table("kilometres_and_centimetres", "c.csv", "t_us,Pbat_mW,v_cm_s,yaw_rate_dps",
+       1e6 * T, 1000 * P, 100 * V, np.degrees(W))
+_table("long_format_units_in_names", "words.csv",
+       "Time since start in s,Battery voltage in V,Battery current in A,Robot speed in m/s", T, VOLTS, AMPS, V)
+_table("excel_separator_line", "xl.csv", "sep=;\nDatum;Zeit;P [W];v [m/s]",
+       _stamps("%d.%m.%Y"), _stamps("%H:%M:%S,%L"), P, V, **COMMAS)
+# as pandas writes an index: a first column without a name
+_table("row_number_first", "frame.csv", ",timestamp,power,linear_x",
+       np.arange(len(T)), _stamps("%Y-%m-%d %H:%M:%S.%f"), P, V)
+_table("motors_beside_the_battery", "full.csv", "time_s,motor_left_current_A,motor_right_current_A,"
+       "battery_current_A,battery_voltage_V,cpu_temp_C,speed_m_s",
+       T, 0.3 * AMPS, 0.4 * AMPS, AMPS, VOLTS, 45 + ZERO, V)
+_table("preamble_padded_by_a_spreadsheet", "padded.csv",
+       "Device,X200,\nStart,14.03.2025,\n,,\nTime (min),Battery Power (W),Speed (kn)", T / 60, P, V / 0.514444)
+_table("units_after_a_stroke", "labor.csv", "t/s;U/V;I/mA;v/(km/h)", T, VOLTS, 1000 * AMPS, 3.6 * V, **COMMAS)
+_table("units_after_a_comma", "comma.csv",
+       '"Time, s","Battery Voltage, V","Battery Current, A","Wheel Speed, m/s"', T, VOLTS, AMPS, V)
+_table("camel_case", "app.csv", "timestampMs,batteryVoltage,batteryCurrent,linearVelocity,angularVelocity",
+       _epoch(1e3), VOLTS, AMPS, V, W)
+_table("short_names", "short.csv", "t,Vbatt,Ibatt,vx,wz", T, VOLTS, AMPS, V, W)
+_table("colon_before_milliseconds", "colon.csv", "time,watt,speed",
+       [stamp[::-1].replace(".", ":", 1)[::-1] for stamp in HOURS], P, V)
+_table("spreadsheet_days", "days.csv", "Time,Power (W),Speed (m/s)", [f"{45730.39 + t / 86400:.9f}" for t in T], P, V)
+# below what would be too much for a current of any battery, but not of this one
+_table("few_milliamperes", "small.csv", "time,voltage,current,speed", T, VOLTS * 2, 500 * AMPS, V)
+# a speed without a unit, in km/h by the positions
+_table("speed_by_positions", "xy.csv", "time,power_W,speed,pos_x,pos_y", T, P, 3.6 * V, way(T) * 0.8, way(T) * 0.6)
+_table("odometer_alone", "odo.csv", "time_s,battery_power_W,distance_m", T, P, way(T))
+_table("positions_alone", "pose.csv", "time_s,battery_power_W,pose_x,pose_y", T, P, way(T) * 0.8, way(T) * 0.6)
+_table("total_and_parts", "parts.csv", "time,power_motors_W,power_cpu_W,power_total_W,cmd_vel,odom_vel",
+       T, 0.6 * P, 0.2 * P, P, 0 * V + 0.5, V)
+_table("italian", "prova.csv", "Tempo (s);Tensione batteria (V);Corrente batteria (A);Velocità (m/s)",
+       T, VOLTS, AMPS, V, encoding="latin-1", **COMMAS)
+_table("wheels_in_rpm_with_positions", "rpm.csv",
+       "time_s,battery_power_W,left_wheel_rpm,right_wheel_rpm,x_m,y_m", T, P, RPM, RPM, way(T), ZERO)
+# fmt: on
 
 
 @kind
@@ -179,19 +166,6 @@ def plotjuggler(folder: Path) -> list[Path]:
 
 
 @kind
-def twelve_hour_clock(folder: Path) -> list[Path]:
-    head = "Timestamp,Pack Voltage (V),Pack Current (A),Speed (ft/s)\n"
-    return _write(folder, "us.csv", head + _rows(_stamps("%m/%d/%Y %I:%M:%S.%L %p"), VOLTS, AMPS, V / 0.3048))
-
-
-@kind
-def month_names(folder: Path) -> list[Path]:
-    head = "Device Time, Longitude, Latitude,HV Battery Voltage(V),HV Battery Current(A),Speed (OBD)(km/h)\n"
-    body = _rows(_stamps("%d-%b-%Y %H:%M:%S.%L"), 0 * T + 8.4, 0 * T + 49.0, VOLTS, AMPS, 3.6 * V)
-    return _write(folder, "trackLog.csv", head + body)
-
-
-@kind
 def vesc(folder: Path) -> list[Path]:
     duty = 0.1 + 0.5 * V
     used = np.cumsum(P) * STEP_S / 3600.0
@@ -207,17 +181,6 @@ def vesc(folder: Path) -> list[Path]:
 
 
 @kind
-def space_separated_with_hash(folder: Path) -> list[Path]:
-    return _write(folder, "sim.txt", "# time[s] v[m/s] omega[rad/s] P_bat[W]\n" + _rows(T, V, turn(T), P, sep=" "))
-
-
-@kind
-def energy_counter(folder: Path) -> list[Path]:
-    used = np.cumsum(P) * STEP_S
-    return _write(folder, "meter.csv", "elapsed_s,energy_used_kJ,speed_kmh\n" + _rows(T, used / 1000, 3.6 * V))
-
-
-@kind
 def json_lines(folder: Path) -> list[Path]:
     lines = [
         json.dumps({"ts": int((START.timestamp() + t) * 1e3), "battery": {"voltage": u, "current": -i, "soc": 0.8},
@@ -225,127 +188,3 @@ def json_lines(folder: Path) -> list[Path]:
         for t, u, i, v, w in zip(T, VOLTS, AMPS, V, turn(T), strict=True)
     ]  # fmt: skip
     return _write(folder, "telemetry.jsonl", "\n".join(lines) + "\n")
-
-
-@kind
-def kilometres_and_centimetres(folder: Path) -> list[Path]:
-    return _write(
-        folder, "c.csv", "t_us,Pbat_mW,v_cm_s,yaw_rate_dps\n" + _rows(1e6 * T, 1000 * P, 100 * V, np.degrees(turn(T)))
-    )
-
-
-@kind
-def long_format_units_in_names(folder: Path) -> list[Path]:
-    head = "Time since start in s,Battery voltage in V,Battery current in A,Robot speed in m/s\n"
-    return _write(folder, "words.csv", head + _rows(T, VOLTS, AMPS, V))
-
-
-@kind
-def excel_separator_line(folder: Path) -> list[Path]:
-    head = "sep=;\nDatum;Zeit;P [W];v [m/s]\n"
-    return _write(
-        folder, "xl.csv", head + _rows(_stamps("%d.%m.%Y"), _stamps("%H:%M:%S,%L"), P, V, sep=";", comma=True)
-    )
-
-
-@kind
-def row_number_first(folder: Path) -> list[Path]:
-    """As pandas writes an index: a first column without a name."""
-    return _write(folder, "frame.csv", ",timestamp,power,linear_x\n"
-                  + _rows(np.arange(len(T)), _stamps("%Y-%m-%d %H:%M:%S.%f"), P, V))  # fmt: skip
-
-
-@kind
-def motors_beside_the_battery(folder: Path) -> list[Path]:
-    head = (
-        "time_s,motor_left_current_A,motor_right_current_A,battery_current_A,battery_voltage_V,cpu_temp_C,speed_m_s\n"
-    )
-    return _write(folder, "full.csv", head + _rows(T, 0.3 * AMPS, 0.4 * AMPS, AMPS, VOLTS, 45 + 0 * T, V))
-
-
-@kind
-def preamble_padded_by_a_spreadsheet(folder: Path) -> list[Path]:
-    head = "Device,X200,\nStart,14.03.2025,\n,,\nTime (min),Battery Power (W),Speed (kn)\n"
-    return _write(folder, "padded.csv", head + _rows(T / 60, P, V / 0.514444))
-
-
-@kind
-def units_after_a_stroke(folder: Path) -> list[Path]:
-    return _write(
-        folder, "labor.csv", "t/s;U/V;I/mA;v/(km/h)\n" + _rows(T, VOLTS, 1000 * AMPS, 3.6 * V, sep=";", comma=True)
-    )
-
-
-@kind
-def units_after_a_comma(folder: Path) -> list[Path]:
-    head = '"Time, s","Battery Voltage, V","Battery Current, A","Wheel Speed, m/s"\n'
-    return _write(folder, "comma.csv", head + _rows(T, VOLTS, AMPS, V))
-
-
-@kind
-def camel_case(folder: Path) -> list[Path]:
-    head = "timestampMs,batteryVoltage,batteryCurrent,linearVelocity,angularVelocity\n"
-    return _write(folder, "app.csv", head + _rows(_epoch(1e3), VOLTS, AMPS, V, turn(T)))
-
-
-@kind
-def short_names(folder: Path) -> list[Path]:
-    return _write(folder, "short.csv", "t,Vbatt,Ibatt,vx,wz\n" + _rows(T, VOLTS, AMPS, V, turn(T)))
-
-
-@kind
-def colon_before_milliseconds(folder: Path) -> list[Path]:
-    stamps = [stamp[::-1].replace(".", ":", 1)[::-1] for stamp in _stamps("%H:%M:%S.%L")]
-    return _write(folder, "colon.csv", "time,watt,speed\n" + _rows(stamps, P, V))
-
-
-@kind
-def spreadsheet_days(folder: Path) -> list[Path]:
-    return _write(
-        folder, "days.csv", "Time,Power (W),Speed (m/s)\n" + _rows([f"{45730.39 + t / 86400:.9f}" for t in T], P, V)
-    )
-
-
-@kind
-def few_milliamperes(folder: Path) -> list[Path]:
-    """Below what would be too much for a current of any battery, but not of this one."""
-    return _write(folder, "small.csv", "time,voltage,current,speed\n" + _rows(T, VOLTS * 2, 500 * AMPS, V))
-
-
-@kind
-def speed_by_positions(folder: Path) -> list[Path]:
-    """A speed without a unit, in km/h by the positions."""
-    return _write(
-        folder, "xy.csv", "time,power_W,speed,pos_x,pos_y\n" + _rows(T, P, 3.6 * V, way(T) * 0.8, way(T) * 0.6)
-    )
-
-
-@kind
-def odometer_alone(folder: Path) -> list[Path]:
-    return _write(folder, "odo.csv", "time_s,battery_power_W,distance_m\n" + _rows(T, P, way(T)))
-
-
-@kind
-def positions_alone(folder: Path) -> list[Path]:
-    return _write(
-        folder, "pose.csv", "time_s,battery_power_W,pose_x,pose_y\n" + _rows(T, P, way(T) * 0.8, way(T) * 0.6)
-    )
-
-
-@kind
-def total_and_parts(folder: Path) -> list[Path]:
-    head = "time,power_motors_W,power_cpu_W,power_total_W,cmd_vel,odom_vel\n"
-    return _write(folder, "parts.csv", head + _rows(T, 0.6 * P, 0.2 * P, P, 0 * V + 0.5, V))
-
-
-@kind
-def italian(folder: Path) -> list[Path]:
-    head = "Tempo (s);Tensione batteria (V);Corrente batteria (A);Velocità (m/s)\n"
-    return _write(folder, "prova.csv", head + _rows(T, VOLTS, AMPS, V, sep=";", comma=True), "latin-1")
-
-
-@kind
-def wheels_in_rpm_with_positions(folder: Path) -> list[Path]:
-    rpm = V / 0.1 * 30 / np.pi
-    head = "time_s,battery_power_W,left_wheel_rpm,right_wheel_rpm,x_m,y_m\n"
-    return _write(folder, "rpm.csv", head + _rows(T, P, rpm, rpm, way(T), 0 * T))
