@@ -20,18 +20,8 @@ from missionsim.effects.timeline import Timeline, integrate
 from missionsim.files import Json
 from missionsim.glossary import STILL_SPEED_M_S
 from missionsim.physics import Array
+from missionsim.runs import motion
 from missionsim.runs.error import ErrorStatistics
-from missionsim.runs.motion import (
-    Motion,
-    distances,
-    mean_ratio,
-    middle_of,
-    planned,
-    scheme_codes,
-    speed_of,
-    stretch,
-    tracking,
-)
 
 _SPEEDS = ("speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s")
 _RATES = ("accel_m_s2", "lateral_accel_m_s2", "yaw_accel_rad_s2")
@@ -55,7 +45,7 @@ class Stages:
 
     def stretched(self, members: NDArray[np.bool_], way_m: float) -> Stages:
         """The same with the way `way_m`: the cruise gets longer or shorter, ramps stay."""
-        distance = distances(self.timeline)
+        distance = motion.distances(self.timeline)
         chosen = members & self._driving()
         cruise = chosen & ~self._ramps()
         if not distance[cruise].sum() > 0.0:
@@ -70,7 +60,7 @@ class Stages:
         """The same way at another mean speed: time runs faster or slower while driving."""
         chosen = members & self._driving()
         duration = float(self.timeline.duration_s[chosen].sum())
-        now = ratio(float(distances(self.timeline)[chosen].sum()), duration)
+        now = ratio(float(motion.distances(self.timeline)[chosen].sum()), duration)
         # no row counts as driving below this speed, so a mean below it means that nothing was driven
         if now <= 0.0 or speed_m_s < STILL_SPEED_M_S:
             return self
@@ -118,13 +108,13 @@ class Stages:
         return replace(self, timeline=replace(line, start_s=start, duration_s=duration, columns=columns, rates=rates))
 
     def _speed(self) -> Array:
-        return speed_of({"speed_m_s": np.zeros(len(self.timeline)), **middle_of(self.timeline)})
+        return motion.speed_of({"speed_m_s": np.zeros(len(self.timeline)), **motion.middle_of(self.timeline)})
 
     def _driving(self) -> NDArray[np.bool_]:
         return np.asarray(self._speed() > 0.0)
 
     def _standing(self) -> NDArray[np.bool_]:
-        turning = middle_of(self.timeline).get("yaw_rate_rad_s", np.zeros(len(self.timeline)))
+        turning = motion.middle_of(self.timeline).get("yaw_rate_rad_s", np.zeros(len(self.timeline)))
         return np.asarray(~self._driving() & (np.asarray(turning) == 0.0))
 
     def _ramps(self) -> NDArray[np.bool_]:
@@ -219,7 +209,7 @@ class MissionGap:
 
 
 def split_behaviour(
-    model: PowerModel, timeline: Timeline, driven: Sequence[Mapping[str, Motion]], batteries: Sequence[str]
+    model: PowerModel, timeline: Timeline, driven: Sequence[Mapping[str, motion.Motion]], batteries: Sequence[str]
 ) -> tuple[SchemeGap, ...]:
     """Split replayed minus simulated energy of several runs of one mission.
 
@@ -229,21 +219,21 @@ def split_behaviour(
     """
     names = dict.fromkeys(name for run in driven for name in run)
     nameless = set(names) == {""}
-    codes, schemes = scheme_codes(timeline.columns, len(timeline), ignore=nameless)
-    plan = planned(timeline, by_scheme=not nameless)
+    codes, schemes = motion.scheme_codes(timeline.columns, len(timeline), ignore=nameless)
+    plan = motion.planned(timeline, by_scheme=not nameless)
     stages = Stages(model, timeline, batteries)
     gaps = []
     for name in dict.fromkeys([*plan, *names]):
         inside = codes == schemes.index(name) if name in plan else np.zeros(len(timeline), dtype=bool)
-        runs = [run.get(name, Motion()) for run in driven]
-        gaps.append(_scheme_gap(name, stages, inside, plan.get(name, Motion()), runs))
+        runs = [run.get(name, motion.Motion()) for run in driven]
+        gaps.append(_scheme_gap(name, stages, inside, plan.get(name, motion.Motion()), runs))
     return tuple(gaps)
 
 
 def _scheme_gap(
-    name: str, stages: Stages, members: NDArray[np.bool_], plan: Motion, driven: Sequence[Motion]
+    name: str, stages: Stages, members: NDArray[np.bool_], plan: motion.Motion, driven: Sequence[motion.Motion]
 ) -> SchemeGap:
-    done, runs = Motion(), len(driven)
+    done, runs = motion.Motion(), len(driven)
     for run in driven:
         done.add(run)
     way, speed = done.distance_m / runs, ratio(done.distance_m, done.driving_s)
@@ -260,8 +250,8 @@ def _scheme_gap(
     drives = plan.distance_m > 0.0
     return SchemeGap(
         scheme=name,
-        path_stretch=mean_ratio(stretch(plan, driven)) if drives else None,
-        speed_tracking=mean_ratio(tracking(plan, driven)) if drives else None,
+        path_stretch=motion.mean_ratio(motion.stretch(plan, driven)) if drives else None,
+        speed_tracking=motion.mean_ratio(motion.tracking(plan, driven)) if drives else None,
         dwell_s=done.standing_s - runs * plan.standing_s,
         planned_m=runs * plan.distance_m,
         driven_m=done.distance_m,

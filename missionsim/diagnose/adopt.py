@@ -21,7 +21,7 @@ from missionsim.fit.provenance import CALIBRATION, data_tag, log_hash, ranges_of
 from missionsim.identify.findings import Finding, HeldOut
 from missionsim.identify.identification import Identification, fit_effects
 from missionsim.identify.settings import Settings
-from missionsim.physics.meter import Meter
+from missionsim.physics.lag import Meter
 
 if TYPE_CHECKING:
     from missionsim.effects.model import ModelParameter

@@ -15,7 +15,7 @@ from missionsim.effects.covariates import Columns, Covariates, Value, number
 from missionsim.errors import Fault, InputError, did_you_mean
 from missionsim.expressions import Lag
 from missionsim.physics import Array
-from missionsim.physics.meter import Meter
+from missionsim.physics.lag import Meter
 from missionsim.physics.motion import relieved_powers
 
 _INNER = ("starting_", "on_time_")

@@ -19,7 +19,7 @@ from missionsim.identify.data import RunData
 from missionsim.identify.design import Design, Source, make_source
 from missionsim.identify.settings import Settings
 from missionsim.physics import Array
-from missionsim.physics.meter import Meter
+from missionsim.physics.lag import Meter
 from missionsim.runs.run import Run
 
 ROUNDS = 3

@@ -12,16 +12,6 @@ from missionsim.inputs.robot import RobotSpec
 from missionsim.inputs.values import Parameter
 
 __all__ = [
-    "Distribution",
-    "EnvironmentSpec",
-    "MissionSpec",
-    "Parameter",
-    "RobotSpec",
-    "StudySpec",
-    "check_files",
-    "load_environment",
-    "load_mission",
-    "load_robot",
-    "load_study",
-    "shipped_robots",
-]
+    "Distribution", "EnvironmentSpec", "MissionSpec", "Parameter", "RobotSpec", "StudySpec", "check_files",
+    "load_environment", "load_mission", "load_robot", "load_study", "shipped_robots",
+]  # fmt: skip

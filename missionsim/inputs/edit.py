@@ -16,7 +16,7 @@ from missionsim.inputs.loading import robot_from_text
 from missionsim.inputs.overrides import resolve
 from missionsim.inputs.parameter import Parameter, parameters
 from missionsim.inputs.schemas import SCHEMA_FOLDER
-from missionsim.physics.meter import Meter
+from missionsim.physics.lag import Meter
 
 _SCHEMA_LINE = re.compile(r"^(# yaml-language-server: \$schema=)(\S+)[ \t]*$", re.MULTILINE)
 _NUMBERS = ("value", "sd", "low", "high")

@@ -16,7 +16,7 @@ from missionsim.errors import InputError
 from missionsim.expressions import Expression, Place, compile_expression
 from missionsim.inputs.robot import ComponentSpec, EffectSpec, LoadSpec, RobotSpec
 from missionsim.inputs.values import Parameter
-from missionsim.physics.meter import Meter
+from missionsim.physics.lag import Meter
 
 
 def build_power_model(robot: RobotSpec) -> PowerModel:

@@ -7,13 +7,5 @@ from missionsim.runs.run import Run as LogTable
 from missionsim.runs.run import row_durations
 
 __all__ = [
-    "LogTable",
-    "Remark",
-    "check_log",
-    "describe",
-    "find_logs",
-    "iter_blocks",
-    "read_log",
-    "read_logs",
-    "row_durations",
-]
+    "LogTable", "Remark", "check_log", "describe", "find_logs", "iter_blocks", "read_log", "read_logs", "row_durations",
+]  # fmt: skip

@@ -12,7 +12,7 @@ from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
 from missionsim.logs.raw import refreshes
 from missionsim.physics import Array
-from missionsim.physics.meter import Meter, metered
+from missionsim.physics.lag import Meter, metered
 
 _SAMPLE = 100_000
 

@@ -25,8 +25,7 @@ from missionsim.effects.model import PowerModel, TermKey
 from missionsim.errors import InputError
 from missionsim.labels import Labels
 from missionsim.physics import Array
-from missionsim.physics.lag import lagged
-from missionsim.physics.meter import Meter, metered
+from missionsim.physics.lag import Meter, lagged, metered
 from missionsim.runs.covariates import ASSUMED, clock_of, is_switch
 from missionsim.runs.run import Run
 

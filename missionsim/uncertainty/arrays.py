@@ -27,20 +27,9 @@ from missionsim.engine.simulate import RESERVE_TOLERANCE, RunSetup
 from missionsim.inputs.mission import MissionSpec
 from missionsim.plan.build import plan_runs
 from missionsim.plan.legs import Plan
+from missionsim.uncertainty import matrices
 from missionsim.uncertainty.draws import Draws, Sampler
 from missionsim.uncertainty.events import Part, charge_course, phases_of
-from missionsim.uncertainty.matrices import (
-    PROGRESS_POINTS,
-    Intervals,
-    Progress,
-    at_nodes,
-    at_times,
-    distance_of,
-    lags_within,
-    mean_powers,
-    running_sum,
-    take,
-)
 from missionsim.uncertainty.single import components_of, simulate_block
 
 Array = NDArray[np.float64]
@@ -50,7 +39,7 @@ CACHED_RUNS = 2048
 """Runs evaluated at a time: their arrays of draws × intervals stay in the processor's cache."""
 MOST_NUMBERS = 2_000_000
 """Numbers of a matrix of runs × intervals; runs are planned and evaluated in parts of at most so many."""
-_PARTS = np.linspace(0.0, 1.0, PROGRESS_POINTS)
+_PARTS = np.linspace(0.0, 1.0, matrices.PROGRESS_POINTS)
 # the C library keeps what arrays of up to this size give back, in place of asking the system for each anew (malloc(3):
 # its threshold grows to the largest block that was ever freed)
 _largest = np.empty(24 << 20, dtype=np.uint8)
@@ -123,7 +112,7 @@ class ArrayMission:
         columns |= {name: np.zeros(count) for name in numbers}
         columns["failed_at_s"][:] = np.nan
         columns |= {name: np.full(count, "", dtype=object) for name in ("failed_segment", "failed_battery", "message")}
-        columns |= {f"charge_{name}_wh": np.empty((PROGRESS_POINTS, count)).T for name in batteries}
+        columns |= {f"charge_{name}_wh": np.empty((matrices.PROGRESS_POINTS, count)).T for name in batteries}
         return columns | {f"{_BELOW}{name}": np.zeros(count, dtype=bool) for name in batteries}
 
     def _part(self, draws: Draws, count: int, columns: Mapping[str, NDArray[Any]], again: NDArray[np.bool_]) -> None:
@@ -155,7 +144,7 @@ class ArrayMission:
 
     def _piece(
         self,
-        intervals: Intervals,
+        intervals: matrices.Intervals,
         part: slice,
         setup: RunSetup,
         values: Mapping[str, Array],
@@ -164,18 +153,18 @@ class ArrayMission:
     ) -> None:
         """Evaluate some runs into their part of the columns, in J and Wh."""
         duration = intervals.duration(part)
-        knots = running_sum(duration.T)
+        knots = matrices.running_sum(duration.T)
         cov, rates = self.covariates(intervals, part, duration, knots)
         parts = {(b, c): columns[f"component_{b}_{c}_wh"] for b, c in components_of(self.model)}
         energy, doubt = self._energies(cov, rates, duration, knots[-1], values, parts, intervals.part_of)
         for joules in parts.values():
             joules *= 1.0 / J_PER_WH
-        columns["duration_s"][:], columns["distance_m"][:] = knots[-1], distance_of(cov, duration)
+        columns["duration_s"][:], columns["distance_m"][:] = knots[-1], matrices.distance_of(cov, duration)
         sound = np.isfinite(knots[-1]) & (duration.min(axis=1) >= 0.0)
         again |= ~sound
         if not sound.all():
             knots = np.where(sound, knots, 0.0)
-        progress = Progress(knots, PROGRESS_POINTS)
+        progress = matrices.Progress(knots, matrices.PROGRESS_POINTS)
         for name, battery in setup.batteries.items():
             capacity, initial, reserve = (
                 number[part] if isinstance(number, np.ndarray) else number
@@ -183,7 +172,7 @@ class ArrayMission:
             )
             even = self._even.get(name)
             if even is None:
-                spent = running_sum(energy[name].T)
+                spent = matrices.running_sum(energy[name].T)
                 total, most, charge = spent[-1], spent[1:].max(axis=0), progress(spent)
             else:  # a power that never changes
                 total = most = even * knots[-1]
@@ -211,13 +200,13 @@ class ArrayMission:
             ):
                 np.multiply(joules, 1.0 / J_PER_WH, out=columns[f"{quantity}_{name}_wh"])
 
-    def split(self, setup: RunSetup) -> tuple[Intervals, Truth]:
+    def split(self, setup: RunSetup) -> tuple[matrices.Intervals, Truth]:
         """Intervals of many runs, and which runs have another order of events."""
         whole = all(part.phase is None and not part.waits for part in self.parts)
         if whole and all(leg.recharge is None for leg in self.plan.legs):
-            return Intervals.of(setup.plan), False
+            return matrices.Intervals.of(setup.plan), False
         phases, which, odd = phases_of(setup.plan, self.plan, self.parts, [info.startup_s for info in setup.components])
-        return Intervals.of(setup.plan, phases, which), odd
+        return matrices.Intervals.of(setup.plan, phases, which), odd
 
     @functools.cached_property
     def _units(self) -> tuple[Array, Array]:
@@ -229,7 +218,9 @@ class ArrayMission:
         terms = self.model.terms
         return frozenset(name for term in terms for name in (*term.effect.needs, *term.effect.memory))
 
-    def covariates(self, intervals: Intervals, part: slice, duration: Array, knots: Array) -> tuple[Columns, Columns]:
+    def covariates(
+        self, intervals: matrices.Intervals, part: slice, duration: Array, knots: Array
+    ) -> tuple[Columns, Columns]:
         """Covariates at the start of each interval and their change per second. `part`: the runs; `duration`: shape
         (runs, intervals); `knots` (shape (intervals + 1, runs)): instants between the intervals."""
         cov, rates = intervals.covariates(part)
@@ -238,7 +229,7 @@ class ArrayMission:
             cov[f"on_{name}"], cov[f"starting_{name}"] = (units[i, intervals.part_of] for units in self._units)
         if "moving_time_s" in self._needs:
             moving = cov["moving"]
-            cov["moving_time_s"] = running_sum((duration * moving).T)[:-1].T
+            cov["moving_time_s"] = matrices.running_sum((duration * moving).T)[:-1].T
             rates["moving_time_s"] = moving
         start = knots[:-1].T
         for name in names:
@@ -318,7 +309,7 @@ class ArrayMission:
             parts[key][:] = joules
         steady_loads = [name for name in total if name not in self._even and not self.varying.of(name)]
         energy = {name: duration * total[name] for name in steady_loads}
-        lags = lags_within(self.varying, cov, rates, duration, values)
+        lags = matrices.lags_within(self.varying, cov, rates, duration, values)
 
         def book(powers: Mapping[str, Mapping[Any, Any]], where: Any, length: Array, sampled: bool = False) -> None:
             nonlocal doubt
@@ -328,7 +319,9 @@ class ArrayMission:
                 mean = total[battery] if isinstance(total[battery], float) else total[battery][where]
                 means = terms
                 if sampled:
-                    means, off = mean_powers(terms, length, functools.partial(inside, battery), self._driving[battery])
+                    means, off = matrices.mean_powers(
+                        terms, length, functools.partial(inside, battery), self._driving[battery]
+                    )
                     doubt = doubt + (length * off).sum(axis=1)
                 for key, watts in means.items():
                     watts = np.asarray(watts, dtype=float)
@@ -350,7 +343,7 @@ class ArrayMission:
 
         def inside(battery: str, rows: Any, columns: Any, times: Array) -> dict[TermKey, Any]:
             columns = np.flatnonzero(curved_at)[columns]
-            at = at_times(cov, rates, rows, columns, times)
+            at = matrices.at_times(cov, rates, rows, columns, times)
             at |= {name: lag(rows * duration.shape[1] + columns, times[:, None])[:, 0] for name, lag in lags.items()}
             return self.varying.evaluate(at, {name: value[rows, 0] for name, value in values.items()}, battery)[battery]
 
@@ -359,10 +352,10 @@ class ArrayMission:
         elif self.varying.terms:
             steady, curved = np.flatnonzero(~curved_at), np.flatnonzero(curved_at)
             if steady.size:
-                book(self.varying.evaluate(take(cov, steady), values), steady, duration[:, steady])
+                book(self.varying.evaluate(matrices.take(cov, steady), values), steady, duration[:, steady])
             length = duration[:, curved]
             times = (0.5 * length[..., None] * (SAMPLES + 1.0)).reshape(len(length), -1)
-            nodes = at_nodes(cov, rates, curved, times)
+            nodes = matrices.at_nodes(cov, rates, curved, times)
             every = np.add.outer(np.arange(len(length)) * duration.shape[1], curved).ravel()
             for name, lag in lags.items():
                 nodes[name] = lag(every, times.reshape(-1, len(SAMPLES))).reshape(times.shape)

@@ -7,7 +7,7 @@ import hashlib
 import itertools
 import os
 import platform
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED as FIRST
 from concurrent.futures import CancelledError, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -82,6 +82,12 @@ def block_runs(prepared: Prepared) -> int:
     return max(1, min(BLOCK_RUNS[prepared.engine], BLOCK_NUMBERS[prepared.engine] // max(1, width)))
 
 
+def blocks_of(prepared: Prepared, runs: int) -> dict[int, int]:
+    """First run of each block of a batch, in order, and its number of runs."""
+    size = block_runs(prepared)
+    return {first: min(size, runs - first) for first in range(0, runs, size)}
+
+
 def prepare(task: Task) -> Prepared:
     """Load what a task needs; a worker keeps it for all its blocks, until a file is another. Raises InputError: where
     files have faults, the nominal mission cannot be planned, or `arrays` is asked but impossible."""
@@ -112,16 +118,11 @@ def _prepared(task: Task) -> Prepared:
     plan = make_plan(mission, rng=run_generator(0, "chance", 0))  # what no run could do is told once, where it stands
     intervals = sum(len(step.phases) for step in plan.steps)
     compiled = compile_arrays(mission, model, sampler) if task.engine != "simpy" else "SimPy was asked for"
-    if isinstance(compiled, str):
-        if task.engine == "arrays":
-            raise InputError.single(
-                "this mission cannot be evaluated as arrays",
-                file=task.mission,
-                got=compiled,
-                allowed="--engine simpy, or auto",
-            )
-        return Prepared(mission, model, sampler, None, compiled, intervals, files)
-    return Prepared(mission, model, sampler, compiled, "", intervals, files)
+    arrays, why = (None, compiled) if isinstance(compiled, str) else (compiled, "")
+    if why and task.engine == "arrays":
+        told, other = "this mission cannot be evaluated as arrays", "--engine simpy, or auto"
+        raise InputError.single(told, file=task.mission, got=why, allowed=other)
+    return Prepared(mission, model, sampler, arrays, why, intervals, files)
 
 
 def compute_block(task: Task, first: int, count: int) -> dict[str, NDArray[np.generic]]:
@@ -190,7 +191,7 @@ def answer_batch(
     with store.locked():
         store.begin(identity(task, runs), resume=resume)
         if resume:
-            on_damaged(store.drop_damaged(lambda first: _span(block_runs(prepared), runs, first)[1]))
+            on_damaged(store.drop_damaged(blocks_of(prepared, runs)))
         firsts: list[int] = []
         good = total = 0
         # judged block by block in the order of runs, so that the answer does not depend on who computed what first
@@ -231,29 +232,22 @@ def _answer(task: Task, store: BlockStore, firsts: list[int], sobol: int | None)
     return answer
 
 
-def _span(size: int, runs: int, first: int) -> tuple[int, int]:
-    """First run and number of runs of the block that begins with run `first`; `size` is that of a whole block."""
-    return first, min(size, runs - first)
-
-
 def _finished(
     task: Task, runs: int, store: BlockStore, workers: int, executor: Executor | None
 ) -> Iterator[tuple[int, int]]:
     """Spans in order of runs, each after its block is on disk."""
-    size = block_runs(prepare(task))
-    firsts = range(0, runs, size)
-    span = functools.partial(_span, size, runs)
+    blocks = [*blocks_of(prepare(task), runs).items()]
     if executor is None and workers <= 1:
-        for first in firsts:
+        for first, count in blocks:
             if not store.has(first):
-                store.write(first, compute_block(task, *span(first)))
-            yield span(first)
+                store.write(first, compute_block(task, first, count))
+            yield first, count
         return
     decided = replace(task, engine=prepare(task).engine)  # so that no worker tries again what cannot be arrays
     if executor is not None:  # a cluster's workers may see other disks
         work = functools.partial(compute_block, decided)
         try:
-            yield from _pooled(executor, work, firsts, span, store, lambda: _cluster_room(executor))
+            yield from _pooled(executor, work, blocks, store, lambda: _cluster_room(executor))
         except (OSError, CancelledError) as error:
             if isinstance(error, OSError) and error.filename is not None:
                 raise
@@ -264,11 +258,11 @@ def _finished(
             ) from error
         return
     taken = lost = 0
-    while taken < len(firsts):
-        pool = process_pool(min(workers, len(firsts) - taken))
+    while taken < len(blocks):
+        pool = process_pool(min(workers, len(blocks) - taken))
         write = functools.partial(_write_block, decided, store)
         try:
-            for done in _pooled(pool, write, firsts[taken:], span, store, lambda: 2 * workers):
+            for done in _pooled(pool, write, blocks[taken:], store, lambda: 2 * workers):
                 taken += 1
                 yield done
         except BrokenProcessPool:
@@ -295,40 +289,36 @@ def _write_block(task: Task, store: BlockStore, first: int, count: int) -> None:
 def _pooled(
     pool: Any,
     work: Callable[[int, int], dict[str, NDArray[np.generic]] | None],
-    firsts: range,
-    span: Callable[[int], tuple[int, int]],
+    blocks: Sequence[tuple[int, int]],
     store: BlockStore,
     room: Callable[[], int],
 ) -> Iterator[tuple[int, int]]:
     """Keep so many blocks under way as there is room for, so that memory does not grow with the number of runs."""
-    waiting = (first for first in firsts if not store.has(first))
+    waiting = ((first, count) for first, count in blocks if not store.has(first))
     under_way: dict[Future[Any], int] = {}
 
     def fill() -> None:
         free = room() - len(under_way)
         with interrupts_held():  # a pool starts its processes when it gets work
-            for first in itertools.islice(waiting, max(0, free)):
-                under_way[pool.submit(work, *span(first))] = first
+            for first, count in itertools.islice(waiting, max(0, free)):
+                under_way[pool.submit(work, first, count)] = first
 
-    for first in firsts:
+    for first, count in blocks:
         fill()
         while not store.has(first):
-            done, _ = wait_for(under_way)
-            for future in done:
+            for future in _done(under_way):
                 begin, columns = under_way.pop(future), future.result()
                 if columns is not None:
                     store.write(begin, columns)
             fill()
-        yield span(first)
+        yield first, count
 
 
-def wait_for(futures: Iterable[Future[T]]) -> tuple[set[Future[T]], set[Future[T]]]:
+def _done(futures: Iterable[Future[T]]) -> set[Future[T]]:
     """The futures that are done, once at least one is; works for those of a cluster's client as well."""
     listed = list(futures)
     if listed and not isinstance(listed[0], Future):
         from distributed import wait as cluster_wait
 
-        found = cluster_wait(listed, return_when="FIRST_COMPLETED")
-        return set(found.done), set(found.not_done)
-    found_local = wait(listed, return_when=FIRST)
-    return set(found_local.done), set(found_local.not_done)
+        return set(cluster_wait(listed, return_when="FIRST_COMPLETED").done)
+    return wait(listed, return_when=FIRST).done

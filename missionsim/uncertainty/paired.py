@@ -11,7 +11,7 @@ import numpy as np
 from missionsim.files import Json
 from missionsim.physics import Array
 from missionsim.uncertainty.answers import LEVEL, proportion_interval
-from missionsim.uncertainty.batch import Task, block_runs, compute_block, prepare
+from missionsim.uncertainty.batch import Task, blocks_of, compute_block, prepare
 
 
 def paired_difference(quantity: str, baseline: Array, other: Array) -> Json | None:
@@ -49,9 +49,7 @@ def compare_alternatives(
         quantities = ["feasible", "duration_s"]
         quantities += [f"{what}_{name}_wh" for name in batteries for what in ("energy", "margin")]
         parts: dict[str, list[Array]] = {name: [] for name in quantities}
-        size = block_runs(prepared)
-        for first in range(0, runs, size):
-            count = min(size, runs - first)
+        for first, count in blocks_of(prepared, runs).items():
             block = compute_block(task, first, count)
             for name in quantities:
                 parts[name].append(np.asarray(block[name], dtype=float))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,13 +35,13 @@ class BlockStore:
         """Whether that block is there, whole."""
         return self.path(first).is_file()
 
-    def drop_damaged(self, count_of: Callable[[int], int]) -> list[int]:
-        """Delete blocks that cannot be read or have not as many runs as they should; their first runs. `count_of`:
-        first run of a block → its number of runs."""
+    def drop_damaged(self, blocks: Mapping[int, int]) -> list[int]:
+        """Delete blocks that cannot be read or have not as many runs as they should; their first runs. `blocks`: first
+        run of each → its number of runs."""
         damaged = []
         for first in self.firsts():
             try:
-                sound = self._read(first, None).num_rows == count_of(first)
+                sound = self._read(first, None).num_rows == blocks.get(first)
             except (OSError, ValueError):
                 sound = False
             if not sound:

@@ -12,7 +12,7 @@ from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.interface import add_effect, compare, diagnose
 from missionsim.logs import read_logs
-from missionsim.physics.meter import Meter, metered
+from missionsim.physics.lag import Meter, metered
 from missionsim.runs.drive import assume, drive, drive_blocks
 
 

@@ -60,21 +60,15 @@ def test_cut_speeds_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert f"in {100 * share:.3g} % of the runs a drawn speed is above" in " ".join(capsys.readouterr().out.split())
 
 
+DRIVE = "segments: [{drive: {distance: 9 m}}]\n"
+
+
 @pytest.mark.parametrize(
     ("text", "line", "told"),
     [
-        (
-            "behaviour: {obstacle_spacing: 1e-9 m, obstacle_stop: 2 s}\nsegments: [{drive: {distance: 9 m}}]\n",
-            4,
-            "an obstacle every 1e-09 m",
-        ),
+        (f"behaviour: {{obstacle_spacing: 1e-9 m, obstacle_stop: 2 s}}\n{DRIVE}", 4, "an obstacle every 1e-09 m"),
         ("segments:\n  - inspect: {duration: 3 s, repeat_probability: 1}\n", 5, "0 to less than 1"),
-        (
-            "behaviour: {relocalisation_failure: 100 %, relocalisation_time: 2 s}\n"
-            "segments: [{drive: {distance: 9 m}}]\n",
-            4,
-            "0 to less than 1",
-        ),
+        (f"behaviour: {{relocalisation_failure: 100 %, relocalisation_time: 2 s}}\n{DRIVE}", 4, "0 to less than 1"),
         (
             "segments:\n  - wait: {duration: 3 s}\n  - drive: {distance: 9 m, speed: {value: 0.3 m/s, distribution: "
             "{kind: empirical, file: nofile.csv, column: v}}}\n",
