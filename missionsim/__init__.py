@@ -35,26 +35,20 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _PUBLIC = {
-    "load_mission": "missionsim.inputs.loading",
-    "load_robot": "missionsim.inputs.loading",
-    "load_environment": "missionsim.inputs.loading",
-    "simulate": "missionsim.engine.simulate",
-    "RunResult": "missionsim.engine.outcome",
-    "tables": "missionsim.results.write",
-    "write_results": "missionsim.results.write",
-    "compare_files": "missionsim.compare.core",
-    "InputError": "missionsim.errors",
-    "run": "missionsim.interface",
-    "whatif": "missionsim.interface",
-    "monte_carlo": "missionsim.interface",
-    "compare": "missionsim.interface",
-    "diagnose": "missionsim.interface",
-    "add_effect": "missionsim.interface",
-    "improve": "missionsim.interface",
-    "calibrate": "missionsim.interface",
-    "plan": "missionsim.interface",
-    "import_log": "missionsim.interface",
-    "import_site": "missionsim.interface",
+    name: f"missionsim.{module}"
+    for module, names in (
+        ("inputs.loading", "load_mission load_robot load_environment"),
+        ("engine.simulate", "simulate"),
+        ("engine.outcome", "RunResult"),
+        ("results.write", "tables write_results"),
+        ("compare.core", "compare_files"),
+        ("errors", "InputError"),
+        (
+            "interface",
+            "run whatif monte_carlo compare diagnose add_effect improve calibrate plan import_log import_site",
+        ),
+    )
+    for name in names.split()
 }
 """Public name → module; at most twenty."""
 

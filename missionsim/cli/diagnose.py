@@ -161,7 +161,9 @@ def improve(
         raise next(iter(skipped.values()))
     write_text(out, for_folder(text, out.parent))
     advice = {one.battery: one.advice(search.robot, logs, search.given) for one in done}
-    to.emit(_as_json(done, skipped, out, split.how) | {"left_out": left_out})
+    found = {"schema": "missionsim.improvement/1", "robot_file": str(out), "holdout": split.how}
+    left = {name: " ".join(str(error).split()) for name, error in skipped.items()}
+    to.emit({**found, "batteries": {d.battery: d.to_json() for d in done}, "skipped": left, "left_out": left_out})
     if report is not None:
         write_text(report, improve_page(spec.name, done, advice=advice))
     if to.text:
@@ -189,16 +191,6 @@ def _ask(finding: Finding, diagnosis: BatteryDiagnosis) -> bool:
             f"power error on held-out runs {finding.heldout_rmse_before_w:.3g} -> {finding.heldout_rmse_after_w:.3g} W"
         )
     return Confirm.ask(f"add {finding.effect} to battery {diagnosis.battery}?", default=True, console=terminal)
-
-
-def _as_json(done: list[Improved], skipped: dict[str, Any], out: Path, how: str) -> dict[str, Any]:
-    return {
-        "schema": "missionsim.improvement/1",
-        "robot_file": str(out),
-        "holdout": how,
-        "batteries": {one.battery: one.to_json() for one in done},
-        "skipped": {name: " ".join(str(error).split()) for name, error in skipped.items()},
-    }
 
 
 def _print(done: list[Improved], advice: dict[str, tuple[str, str]], skipped: dict[str, Any]) -> None:

@@ -143,7 +143,7 @@ def home_energies(
     """
     legs, ends_s, last_row = world.legs, world.ends_s, world.recorder.rows[-1:]
     ends = {leg.segment: index for index, leg in enumerate(legs) if leg.last}
-    moved, driven_at, lags = _moving_times(world), last_driven(legs), world.meter.lags_at_ends()
+    driven_at, lags = last_driven(legs), world.meter.lags_at_ends()
     last_rows = {legs[row.leg].segment: i for i, row in enumerate(world.recorder.rows)}
     ways: dict[Any, list[Leg]] = {}
     keys: list[Any] = []
@@ -155,9 +155,12 @@ def home_energies(
             ended = legs[end].kind != "roll"
         driven, place, key = driven_at[end], legs[end].place, None
         if end >= 0 and ended and driven is not None and homing.ways(place) is not None:
-            clock = moved.get(segment, 0.0) if "moving_time_s" in model.memory else 0.0
+            last, clock = last_rows.get(segment), 0.0
+            if last is not None and "moving_time_s" in model.memory:
+                row = world.recorder.rows[last]
+                clock = row.moving_time_s + (row.duration_s if row.phase.moving else 0.0)
             # rounds that are repeated have the same ways home
-            warm = tuple(float(values[last_rows[segment]]) for values in lags.values()) if segment in last_rows else ()
+            warm = () if last is None else tuple(float(values[last]) for values in lags.values())
             key = place, driven.settings, driven.speed_m_s, driven.instant, warm, clock
             if key not in ways:
                 ways[key] = homing.from_place(place, driven) or []
@@ -207,11 +210,3 @@ def _rows(
                     now += phase.duration_s
         legs += way
     return Asked(rows, legs, list(states), values), owner
-
-
-def _moving_times(world: World) -> dict[int, float]:
-    """Time moved until the end of each segment [s]."""
-    return {
-        world.legs[row.leg].segment: row.moving_time_s + (row.duration_s if row.phase.moving else 0.0)
-        for row in world.recorder.rows
-    }

@@ -73,14 +73,11 @@ def _beside(draft: Draft, one: Guess, other: Guess) -> bool:
     return draft.direct or one.field.rpartition(".")[0] == other.field.rpartition(".")[0]
 
 
-def _product(draft: Draft, volts: Guess, amps: Guess) -> Array:
-    return draft.values(volts.field, volts.unit) * draft.values(amps.field, amps.unit)
-
-
 def _from_power(draft: Draft, guess: Guess, pair: tuple[Guess, Guess] | None) -> list[str]:
     watts = draft.values(guess.field, guess.unit)
     if pair is not None and _beside(draft, guess, pair[0]):
-        product = _product(draft, *pair)
+        volts, amps = (draft.values(one.field, one.unit) for one in pair)
+        product = volts * amps
         known = np.isfinite(watts) & np.isfinite(product) & (np.abs(product) > 0.02 * np.nanmax(np.abs(product)))
         ratio = float(np.median(watts[known] / product[known])) if known.any() else np.nan
         if 0.85 < abs(ratio) < 1.18:

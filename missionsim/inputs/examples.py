@@ -45,18 +45,15 @@ def write_examples(out: Path) -> list[Path]:
     Raises InputError: where a file of that name has another content; nothing is written then.
     """
     sources = example_files()
-    changed = [name for name, path in sources.items() if (out / name).exists() and not _same(out / name, path)]
+    there = {name: out / name for name in sources if (out / name).exists()}
+    changed = [n for n, own in there.items() if not own.is_file() or own.read_bytes() != sources[n].read_bytes()]
     if changed:
         raise InputError([Fault(str(out / name), 0, 0, "there is another file of this name") for name in changed])
     for name, path in sources.items():
-        if not (out / name).exists():
+        if name not in there:
             with atomic_write(out / name) as temporary:
                 shutil.copyfile(path, temporary)
     return list(sources)
-
-
-def _same(one: Path, other: Path) -> bool:
-    return one.is_file() and one.read_bytes() == other.read_bytes()
 
 
 def shipped_robots() -> dict[str, Path]:

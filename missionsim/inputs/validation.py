@@ -20,15 +20,9 @@ from missionsim.inputs.tree import Document, as_written
 
 Path_ = tuple[str | int, ...]
 _STAND_INS: tuple[Any, ...] = (
-    Parameter(1.0),
-    "x",
-    1,
-    {},
-    [{"wait": {"duration": 1}}],
-    {"x": {"capacity": 1}},
-    {"x": {}},
+    Parameter(1.0), "x", 1, {}, [{"wait": {"duration": 1}}], {"x": {"capacity": 1}}, {"x": {}},
     [{"battery": "x", "power": 1}],
-)
+)  # fmt: skip
 """Tried one after the other where a required value is faulty: a number, a name, a count, and the required blocks."""
 
 

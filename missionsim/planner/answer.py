@@ -151,30 +151,21 @@ class Answer:
 
 def answer_of(tour: Tour, label: Label, objective: float, bound: float) -> Answer:
     """The legs of the best way that the search found."""
-    site = tour.site
-    names = site.physics.names
+    site, physics = tour.site, tour.site.physics
+    count = len(physics.names)
     made = Answer(site, True, objective=objective, bound=min(bound, objective))
     chain = chain_of(label)
     vectors = _vectors(chain, tour)
-    clock, missing = 0.0, vectors[0][2 : 2 + len(names)]
-    capacity = site.physics.capacity_wh
-    used = np.zeros(len(names))
+    clock, missing = 0.0, vectors[0][2 : 2 + count]
+    used = np.zeros(count)
 
     def add(kind: str, place: str, use: Array, charged: Array | None = None, **more: Any) -> None:
         nonlocal clock, missing, used
         clock += float(use[0])
         used = used + use[1:]
         missing = missing + use[1:] if charged is None else charged
-        made.legs.append(
-            Leg(
-                kind,
-                place,
-                float(use[0]),
-                dict(zip(names, use[1:].tolist(), strict=True)),
-                dict(zip(names, (capacity - missing).tolist(), strict=True)),
-                **more,
-            )
-        )
+        wh, left = physics.by_name(use[1:]), physics.by_name(physics.capacity_wh - missing)
+        made.legs.append(Leg(kind, place, float(use[0]), wh, left, **more))
 
     for k in range(1, len(chain)):
         step, state = chain[k], tour.at(chain[k].node)
@@ -188,9 +179,9 @@ def answer_of(tour: Tour, label: Label, objective: float, bound: float) -> Answe
             if seconds > 1e-9:
                 level = charger.level_of(x, seconds)
                 use = np.concatenate([[seconds], charger.draw_w * seconds / 3600.0])
-                add("charge", stop.place, use, after[2 : 2 + len(names)], payload_kg=payload, level=level)
+                add("charge", stop.place, use, after[2 : 2 + count], payload_kg=payload, level=level)
             elif made.legs and made.legs[-1].kind == "drive":
-                add("wait", stop.place, np.zeros(1 + len(names)), payload_kg=payload)  # it stood there all the same
+                add("wait", stop.place, np.zeros(1 + count), payload_kg=payload)  # it stood there all the same
             continue
         drive = step.move[1]
         for piece, use in zip(drive.pieces, drive.costs, strict=True):
@@ -205,8 +196,8 @@ def answer_of(tour: Tour, label: Label, objective: float, bound: float) -> Answe
             chosen = site.task.choices_of(site.task.visits[number])[step.move[3]]
             add("visit", stop.place, use, visit=number, scheme=chosen, payload_kg=load)
     made.duration_s = clock
-    made.energy_wh = dict(zip(names, used.tolist(), strict=True))
-    made.charge_left_wh = dict(zip(names, (capacity - missing).tolist(), strict=True))
+    made.energy_wh = physics.by_name(used)
+    made.charge_left_wh = physics.by_name(physics.capacity_wh - missing)
     return made
 
 
@@ -277,13 +268,14 @@ def mission_text(answer: Answer, target: str | os.PathLike[str] | None) -> str:
     paths of robot and environment; None for the task's own folder."""
     task = answer.site.task
     folder = Path(target).absolute().parent if target is not None else task.path.absolute().parent
+    shipped, robot = task.robot_ref in shipped_robots(), task.robot.path.absolute()
     lines = [
         f"# Written by `missionsim plan` from {task.path.name}: edit the task, not this file.",
         f"# {_summary(answer)}",
         *(f"# Planned with --set {path}={value!r}: run it with the same." for path, value in task.elsewhere),
         "kind: mission",
         f"name: {flow(task.name + '_plan')}",
-        f"robot: {flow(_reference(task.robot_ref, task.robot.path, folder))}",
+        f"robot: {flow(task.robot_ref if shipped else os.path.relpath(robot, folder))}",
         f"environment: {flow(os.path.relpath(task.environment.path.absolute(), folder))}",
         f"start: {flow(task.start)}",
     ]
@@ -348,10 +340,6 @@ def _equipment(given: SchemeChoice | VisitSpec) -> dict[str, Any]:
 
 def _charges(leg: Leg) -> str:
     return "then " + ", ".join(f"{name} {charge:.4g} Wh" for name, charge in leg.charge_wh.items())
-
-
-def _reference(given: str, path: Path, folder: Path) -> str:
-    return given if given in shipped_robots() else os.path.relpath(path.absolute(), folder)
 
 
 def flow(value: object) -> str:

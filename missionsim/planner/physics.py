@@ -141,3 +141,7 @@ class Physics:
     def missing_wh(self) -> Array:
         """Charge missing in each battery at the start, shape (batteries,), Wh."""
         return self.capacity_wh - self.initial_wh
+
+    def by_name(self, values: Array) -> dict[str, float]:
+        """Numbers of the batteries, shape (batteries,), by their names."""
+        return dict(zip(self.names, values.tolist(), strict=True))

@@ -236,8 +236,8 @@ def summary(task: TaskSpec, found: Sequence[Reached], probability: float) -> Jso
     for item in found:
         plan = item.plan
         assert plan is not None
-        reserve = dict(zip(plan.site.physics.names, plan.site.physics.reserve_wh.tolist(), strict=True))
-        initial = dict(zip(plan.site.physics.names, plan.site.physics.initial_wh.tolist(), strict=True))
+        physics = plan.site.physics
+        reserve, initial = physics.by_name(physics.reserve_wh), physics.by_name(physics.initial_wh)
         left = {name: initial[name] - plan.energy_wh[name] for name in reserve}
         places[item.place] = {
             "reachable": item.reachable,

@@ -246,7 +246,8 @@ def make_site(task: TaskSpec, order: Order | None = None) -> Site:
     is not planned: turning at places."""
     order = order or Order(task)
     if task.defaults.turn_at_places:
-        raise _refused(task, "turning at places is not planned", "turn_at_places: false", "defaults", "turn_at_places")
+        where, told = ("defaults", "turn_at_places"), "turning at places is not planned"
+        raise InputError(task.document.fault(where, told, allowed="turn_at_places: false"))
     physics = Physics(task)
     energy, time = task.weights()
     weights = np.array([time, *(energy[name] for name in physics.names)])
@@ -264,10 +265,6 @@ def make_site(task: TaskSpec, order: Order | None = None) -> Site:
     for place, legs in zip(task.docks, legs_of(physics.mission, [(place, dock) for place in task.docks]), strict=True):
         site.stops.append(Stop(place, charger=_charger(site, legs[0])))
     return site
-
-
-def _refused(task: TaskSpec, message: str, allowed: str, *where: str) -> InputError:
-    return InputError(task.document.fault(where, message, allowed=allowed))
 
 
 def _standing(site: Site, visit: VisitSpec, payload_kg: float) -> Array:

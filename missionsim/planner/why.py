@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from missionsim.files import Json
-from missionsim.inputs.task import SchemeChoice, TaskSpec
+from missionsim.inputs.task import TaskSpec
 from missionsim.inputs.values import Parameter
 from missionsim.physics import Array
 from missionsim.planner.answer import Answer
@@ -275,7 +275,8 @@ def alternatives(answer: Answer) -> list[Json]:
     used = [leg.piece.scheme for leg in answer.legs if leg.piece is not None]
     for scheme in schemes if len(schemes) > 1 else ():
         if any(one != scheme for one in used):
-            kinds.append((f"only scheme {_scheme_name(scheme)}", _site(task, schemes=(scheme,))))
+            name = "/".join(filter(None, (scheme.scheme, scheme.navigation)))
+            kinds.append((f"only scheme {name}", _site(task, schemes=(scheme,))))
     if any(leg.kind == "charge" for leg in answer.legs):
         kinds.append(("no charging", _site(task, docks="none")))
     kinds.append(("least time", replace(site, weights=_time(site))))
@@ -302,10 +303,6 @@ def alternatives(answer: Answer) -> list[Json]:
             }
         )
     return sorted(found, key=lambda item: item.get("objective", math.inf))
-
-
-def _scheme_name(scheme: SchemeChoice) -> str:
-    return "/".join(filter(None, (scheme.scheme, scheme.navigation)))
 
 
 def _site(task: TaskSpec, **choices: Any) -> Site:

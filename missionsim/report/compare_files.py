@@ -180,7 +180,8 @@ def write_figures(comparison: Comparison, folder: Path) -> list[Path]:
     written = []
     for one in comparison.batteries.values():
         for run in sorted(one.runs, key=lambda run: -run.power_rmse_w)[:MOST_RUNS]:
-            written.append(save_figure(power_figure(run), folder / f"power_{one.battery}_{_file_name(run.run)}.png"))
+            name = re.sub(r"[^A-Za-z0-9._-]+", "_", run.run)[:80]
+            written.append(save_figure(power_figure(run), folder / f"power_{one.battery}_{name}.png"))
         if one.dependences:
             written.append(save_figure(covariate_figure(one), folder / f"error_by_covariate_{one.battery}.png"))
         written.append(save_figure(progress_figure(one), folder / f"error_over_progress_{one.battery}.png"))
@@ -289,7 +290,3 @@ def map_figure(one: BatteryComparison) -> Figure:
     axes.set_ylabel("y, m")
     axes.set_title(f"battery {one.battery}", loc="right", fontsize=10)
     return figure
-
-
-def _file_name(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", text)[:80]

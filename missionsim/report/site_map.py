@@ -77,7 +77,7 @@ def map_of_run(result: RunResult, environment: EnvironmentSpec) -> SiteMap:
 def map_of_plan(answer: Answer) -> SiteMap:
     """The map of a plan."""
     task = answer.site.task
-    capacity = dict(zip(answer.site.physics.names, answer.site.physics.capacity_wh.tolist(), strict=True))
+    capacity = answer.site.physics.by_name(answer.site.physics.capacity_wh)
     driven = [
         (leg.piece.way.edge, leg.piece.way.begin, sum(leg.energy_wh.values()) / max(leg.piece.way.length_m, 1e-9))
         for leg in answer.legs
@@ -140,11 +140,9 @@ def map_of_reach(environment: EnvironmentSpec, start: str, found: Sequence[Reach
     for item in found:
         assert item.plan is not None
         physics = item.plan.site.physics
-        left = {n: i - item.plan.energy_wh[n] for n, i in zip(physics.names, physics.initial_wh.tolist(), strict=True)}
+        left = {name: wh - item.plan.energy_wh[name] for name, wh in physics.by_name(physics.initial_wh).items()}
         if item.reachable:
-            charges[item.place] = "home with " + _percent(
-                left, dict(zip(physics.names, physics.capacity_wh, strict=True))
-            )
+            charges[item.place] = "home with " + _percent(left, physics.by_name(physics.capacity_wh))
         if item.turn is not None:
             length = environment.length_m(environment.edges[item.turn["edge_index"]]) or 1.0
             share = item.turn["metres"] / length
