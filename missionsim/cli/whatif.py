@@ -14,8 +14,7 @@ from missionsim.inputs.overrides import split_assignment
 from missionsim.report.terminal import console, show_table, simple_table, titled
 from missionsim.results.whatif import BASELINE, Alternative, WhatIf, from_study, run_alternatives, varied
 from missionsim.results.write import write_table
-from missionsim.uncertainty.batch import Task
-from missionsim.uncertainty.paired import compare_alternatives
+from missionsim.uncertainty.batch import Task, compare_alternatives
 
 
 def whatif(

@@ -205,7 +205,7 @@ def integrate(
     index = np.flatnonzero(timeline.changing(model) & (timeline.duration_s > 0.0))
     if index.size:
         index, offset, length = _pieces(index, timeline.duration_s, bool(model.memory or model.lags))
-        _quadrature(model, timeline, values or {}, index, offset, length, energies, 0)
+        _quadrature(model, timeline, values or {}, index, offset, length, energies)
     for key, joules in model.impulses(cov, values).items():
         energies[key.battery][key] = energies[key.battery][key] + np.broadcast_to(joules, (count,))
     return energies
@@ -311,55 +311,45 @@ def _quadrature(
     offset: Array,
     length: Array,
     energies: dict[str, dict[TermKey, Array]],
-    depth: int,
-    varying: Collection[TermKey] = (),
 ) -> None:
     """Put the integrals over pieces of intervals in place of the constant powers' energies, for terms that change.
 
     Pieces whose error is too large are halved and tried again. `index`, `offset`, `length` (shape (m,)): interval,
-    start within it and length of each piece; `varying`: the terms that change within some of the pieces, at depths
-    above 0.
+    start within it and length of each piece.
     """
-    half = 0.5 * length
-    times = offset[:, None] + half[:, None] * (SAMPLES + 1.0)
-    powers = model.evaluate(within(model, timeline, index, times, values), _of_rows(values, index))
-    bad = np.zeros(index.size, dtype=bool)
-    parts: dict[TermKey, Array] = {}
-    for terms in powers.values():
-        scale = np.zeros(index.size)
-        spread, bent = np.zeros(index.size), np.zeros(index.size)
-        for key, power in terms.items():
-            watts = np.asarray(power)
-            if key not in varying and (depth or watts.ndim < 2 or watts.shape[1] == 1):
-                scale += np.abs(watts[:, 0] if watts.ndim == 2 else np.mean(watts))
-                continue
-            with np.errstate(over="ignore", invalid="ignore"):
-                whole = np.broadcast_to(watts, times.shape)
-                mean, apart, beyond = averaged(whole)
-                parts[key] = length * mean
-                scale += np.abs(whole[:, : len(NODES)]) @ (0.5 * WEIGHTS)
-                spread += apart
-                bent += beyond
-        bad |= (spread > RELATIVE_TOLERANCE * scale) | (bent > RELATIVE_TOLERANCE * scale)
-    # a jump needs one piece a level; where pieces go on multiplying, the power is noise that no halving resolves
-    if depth >= _MAX_DEPTH or (depth >= _NOISE_DEPTH and index.size > max(_MOST_PIECES, 8 * len(timeline))):
-        bad[:] = False
-    good = ~bad
-    for key, joules in parts.items():
-        target = energies[key.battery][key]
-        if depth == 0:
-            target[index] = 0.0
-        np.add.at(target, index[good], joules[good])
-    if bad.any():
+    depth = 0
+    varying: Collection[TermKey] = ()  # the terms that change within some of the pieces, at depths above 0
+    while index.size:
+        half = 0.5 * length
+        times = offset[:, None] + half[:, None] * (SAMPLES + 1.0)
+        powers = model.evaluate(within(model, timeline, index, times, values), _of_rows(values, index))
+        bad = np.zeros(index.size, dtype=bool)
+        parts: dict[TermKey, Array] = {}
+        for terms in powers.values():
+            scale = np.zeros(index.size)
+            spread, bent = np.zeros(index.size), np.zeros(index.size)
+            for key, power in terms.items():
+                watts = np.asarray(power)
+                if key not in varying and (depth or watts.ndim < 2 or watts.shape[1] == 1):
+                    scale += np.abs(watts[:, 0] if watts.ndim == 2 else np.mean(watts))
+                    continue
+                with np.errstate(over="ignore", invalid="ignore"):
+                    whole = np.broadcast_to(watts, times.shape)
+                    mean, apart, beyond = averaged(whole)
+                    parts[key] = length * mean
+                    scale += np.abs(whole[:, : len(NODES)]) @ (0.5 * WEIGHTS)
+                    spread += apart
+                    bent += beyond
+            bad |= (spread > RELATIVE_TOLERANCE * scale) | (bent > RELATIVE_TOLERANCE * scale)
+        # a jump needs one piece a level; where pieces go on multiplying, the power is noise that no halving resolves
+        if depth >= _MAX_DEPTH or (depth >= _NOISE_DEPTH and index.size > max(_MOST_PIECES, 8 * len(timeline))):
+            bad[:] = False
+        good = ~bad
+        for key, joules in parts.items():
+            target = energies[key.battery][key]
+            if depth == 0:
+                target[index] = 0.0
+            np.add.at(target, index[good], joules[good])
         again, start, piece = index[bad], offset[bad], half[bad]
-        _quadrature(
-            model,
-            timeline,
-            values,
-            np.concatenate([again, again]),
-            np.concatenate([start, start + piece]),
-            np.concatenate([piece, piece]),
-            energies,
-            depth + 1,
-            parts.keys(),
-        )
+        index, offset = np.append(again, again), np.append(start, start + piece)
+        length, depth, varying = np.append(piece, piece), depth + 1, parts.keys()

@@ -1,10 +1,11 @@
-"""A batch of runs: blocks over processes, resumable, the same bits for any number of workers."""
+"""A batch of runs: blocks over processes, resumable, the same bits for any number of workers; and batches compared."""
 
 from __future__ import annotations
 
 import functools
 import hashlib
 import itertools
+import math
 import os
 import platform
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -13,9 +14,10 @@ from concurrent.futures import CancelledError, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
-from numpy import __version__ as numpy_version
+import numpy as np
+from numpy.typing import NDArray
 
 import missionsim
 from missionsim import __version__
@@ -24,18 +26,15 @@ from missionsim.files import Json, sha256, to_json, write_text
 from missionsim.inputs.loading import load_mission
 from missionsim.inputs.mission import MissionSpec
 from missionsim.inputs.power import build_power_model
+from missionsim.physics import Array
 from missionsim.plan.build import make_plan
-from missionsim.uncertainty.answers import proportion_interval, summarise
+from missionsim.uncertainty.answers import LEVEL, proportion_interval, summarise
 from missionsim.uncertainty.arrays import ArrayMission
 from missionsim.uncertainty.draws import Sampler, make_sampler, run_generator
 from missionsim.uncertainty.qualify import compile_arrays
 from missionsim.uncertainty.single import left_to_chance, simulate_block, unread_values
 from missionsim.uncertainty.store import BlockStore
 from missionsim.workers import interrupts_held, process_pool
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 T = TypeVar("T")
 BLOCK_RUNS = {"simpy": 50, "arrays": 8192}
@@ -146,7 +145,7 @@ def identity(task: Task, runs: int) -> Json:
         "code": _code(),
         "python": platform.python_version(),
         # another version may draw other numbers
-        "numpy": numpy_version,
+        "numpy": np.__version__,
         "engine": prepared.engine,
         "seed": task.seed,
         "runs": runs,
@@ -322,3 +321,60 @@ def _done(futures: Iterable[Future[T]]) -> set[Future[T]]:
 
         return set(cluster_wait(listed, return_when="FIRST_COMPLETED").done)
     return wait(listed, return_when=FIRST).done
+
+
+def paired_difference(quantity: str, baseline: Array, other: Array) -> Json | None:
+    """Mean of the differences (other − baseline) of paired runs with a Student interval, and whether it is `real`.
+
+    `baseline`, `other` (shape (n,)): run by run with the same draws; runs that failed in either (NaN) are left out.
+    Gives None with fewer than two pairs; the difference is real where the 95 % interval leaves out zero.
+    """
+    change = np.asarray(other, dtype=float) - np.asarray(baseline, dtype=float)
+    change = change[np.isfinite(change)]
+    if len(change) < 2:
+        return None
+    from scipy.special import stdtrit
+
+    half = float(stdtrit(len(change) - 1, 0.5 + 0.5 * LEVEL)) * float(change.std(ddof=1)) / math.sqrt(len(change))
+    mean = float(change.mean())
+    real = abs(mean) > half
+    return {"quantity": quantity, "mean": mean, "low": mean - half, "high": mean + half, "real": real}
+
+
+def compare_alternatives(
+    tasks: Sequence[Task], runs: int, advance: Callable[[int], object] = lambda count: None
+) -> list[Json]:
+    """Run all alternatives with the same draws.
+
+    `tasks`: the baseline first; all with the same seed. `advance`: told the number of runs of each block that is done.
+    Gives, for each alternative: engine, share of feasible runs with its interval, mean energies and margins above the
+    reserve, and for all but the first the differences.
+    """
+    found: list[dict[str, Any]] = []
+    baseline: dict[str, Array] = {}
+    for task in tasks:
+        prepared = prepare(task)
+        batteries = prepared.mission.robot.batteries
+        quantities = ["feasible", "duration_s"]
+        quantities += [f"{what}_{name}_wh" for name in batteries for what in ("energy", "margin")]
+        parts: dict[str, list[Array]] = {name: [] for name in quantities}
+        for first, count in blocks_of(prepared, runs).items():
+            block = compute_block(task, first, count)
+            for name in quantities:
+                parts[name].append(np.asarray(block[name], dtype=float))
+            advance(count)
+        columns = {name: np.concatenate(values) for name, values in parts.items()}
+        row: dict[str, Any] = {
+            "engine": prepared.engine,
+            "p_feasible": float(columns["feasible"].mean()),
+            "p_feasible_interval": list(proportion_interval(int(columns["feasible"].sum()), runs)),
+            "mean": {name: float(np.nanmean(values)) for name, values in columns.items() if name != "feasible"},
+            "differences": [],
+        }
+        if baseline:
+            made = (paired_difference(name, baseline[name], v) for name, v in columns.items() if name in baseline)
+            row["differences"] = [difference for difference in made if difference is not None]
+        else:
+            baseline = columns
+        found.append(row)
+    return found

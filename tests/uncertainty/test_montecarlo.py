@@ -19,8 +19,7 @@ from hypothesis import strategies as st
 from missionsim.cli.app import run_command
 from missionsim.engine.simulate import simulate
 from missionsim.uncertainty.answers import capacity_needed, proportion_interval, quantile_ranks
-from missionsim.uncertainty.batch import Task, prepare
-from missionsim.uncertainty.paired import paired_difference
+from missionsim.uncertainty.batch import Task, paired_difference, prepare
 from missionsim.uncertainty.single import simulate_block, simulate_run, unread_values
 from missionsim.uncertainty.store import BlockStore
 
