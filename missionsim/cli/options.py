@@ -79,30 +79,22 @@ class Output:
     @contextmanager
     def progress(self) -> Iterator[Progress]:
         """A progress bar with rate and time left on standard error; hidden where it is no terminal."""
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            ProgressColumn,
-            Task,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
+        from rich import progress
         from rich.text import Text
 
-        class Rate(ProgressColumn):
+        class Rate(progress.ProgressColumn):
             """How many a second."""
 
-            def render(self, task: Task) -> Text:
+            def render(self, task: progress.Task) -> Text:
                 speed = task.finished_speed or task.speed
                 return Text("" if speed is None else f"{speed:,.3g}/s" if speed < 100 else f"{speed:,.0f}/s")
 
         terminal = console(stderr=True)
-        columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), Rate())
-        more = (TimeElapsedColumn(), TimeRemainingColumn())
+        text = progress.TextColumn("{task.description}", markup=False)
+        columns = (text, progress.BarColumn(), progress.MofNCompleteColumn(), Rate())
+        more = (progress.TimeElapsedColumn(), progress.TimeRemainingColumn())
         hidden = self.quiet or not terminal.is_terminal
-        with Progress(*columns, *more, console=terminal, transient=True, disable=hidden) as bar:
+        with progress.Progress(*columns, *more, console=terminal, transient=True, disable=hidden) as bar:
             yield bar
 
 

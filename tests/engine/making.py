@@ -52,8 +52,12 @@ ROBOT: dict[str, Any] = {
 
 
 def robot(**changes: Any) -> dict[str, Any]:
-    """The test robot; dotted keys (``batteries__main__capacity``) change it."""
-    made = copy.deepcopy(ROBOT)
+    """The test robot; see `changed`."""
+    return changed(copy.deepcopy(ROBOT), changes)
+
+
+def changed(made: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """A mapping with what dotted keys (``batteries__main__capacity``) change in it."""
     for path, value in changes.items():
         *parents, last = path.split("__")
         here = made

@@ -10,7 +10,7 @@ import pytest
 
 from missionsim.engine.batteries import EquivalentCircuit
 from missionsim.engine.curves import adaptive_runge_kutta, interpolants, root
-from tests.engine.making import robot, run
+from tests.engine.making import changed, robot, run
 
 FLAT = {"kind": "equivalent_circuit", "open_circuit_voltage": [[0, 12.0], [1, 12.0]], "resistance": 0.1}
 PLACES = {
@@ -26,24 +26,13 @@ PLACES = {
 
 def simple(**changes: Any) -> dict[str, Any]:
     """A robot of one battery: 10 W standing, 30 W driving at any speed."""
+    parameters = {"c2": 0, "c3": 0, "c4": 30.0, "standing": 10.0}
     made = {
-        "kind": "robot",
-        "name": "simple",
-        "body": {"drive": "differential", "max_speed": 2.0},
+        **{"kind": "robot", "name": "simple", "body": {"drive": "differential", "max_speed": 2.0}},
         "batteries": {"main": {"capacity": "20 Wh", "nominal_voltage": "12 V"}},
-        "motion": {
-            "battery": "main",
-            "model": "polynomial",
-            "parameters": {"c2": 0, "c3": 0, "c4": 30.0, "standing": 10.0},
-        },
+        "motion": {"battery": "main", "model": "polynomial", "parameters": parameters},
     }
-    for path, value in changes.items():
-        *parents, last = path.split("__")
-        here: Any = made
-        for key in parents:
-            here = here.setdefault(key, {})
-        here[last] = value
-    return made
+    return changed(made, changes)
 
 
 def test_constant_power_from_a_flat_curve_by_hand() -> None:

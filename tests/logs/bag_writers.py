@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import struct
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +36,15 @@ DRIVE: dict[str, Callable[[float], float]] = {
 """What a bag tells, over time: m/s, A, rad (uphill), rad/s."""
 
 
+START_S = 1_700_000_000
+
+
+def _header(types: Any, t: float, **more: int) -> Any:
+    seconds = int(START_S + t)
+    stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=round((START_S + t - seconds) * 1e9))
+    return types["std_msgs/msg/Header"](stamp=stamp, frame_id="base", **more)
+
+
 def write_bag(
     path: Path, kind: str, duration_s: float = 30.0, *, often: int = 1, picture_bytes: int = 0, drive: Drive = DRIVE
 ) -> Path:
@@ -45,15 +56,7 @@ def write_bag(
 
     store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
     types = store.types
-    stamp_type, header_type = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
-    start = 1_700_000_000
-
-    def header(t: float):  # type: ignore[no-untyped-def]
-        seconds = int(start + t)
-        stamp = stamp_type(sec=seconds, nanosec=round((start + t - seconds) * 1e9))
-        extra = {"seq": 0} if kind == "ros1" else {}
-        return header_type(stamp=stamp, frame_id="base", **extra)
-
+    header = partial(_header, types, **({"seq": 0} if kind == "ros1" else {}))
     vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
     point, pose = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Pose"]
     twist = types["geometry_msgs/msg/Twist"]
@@ -135,7 +138,7 @@ def write_bag(
         connections = [writer.add_connection(topic, kind_, typestore=store) for topic, kind_, _, _ in topics]
         for t, index in messages:
             _, name, make, _ = topics[index]
-            writer.write(connections[index], int((start + t) * 1e9), bytes(serialise(make(t), name)))
+            writer.write(connections[index], int((START_S + t) * 1e9), bytes(serialise(make(t), name)))
     return path
 
 
@@ -146,13 +149,7 @@ def write_diagnostics_bag(path: Path, duration_s: float = 40.0) -> Path:
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     types = store.types
-    start = 1_700_000_000
-
-    def header(t: float):  # type: ignore[no-untyped-def]
-        seconds = int(start + t)
-        stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=round((start + t - seconds) * 1e9))
-        return types["std_msgs/msg/Header"](stamp=stamp, frame_id="base")
-
+    header = partial(_header, types)
     pair, status = types["diagnostic_msgs/msg/KeyValue"], types["diagnostic_msgs/msg/DiagnosticStatus"]
     state = types["lifecycle_msgs/msg/State"]
 
@@ -207,7 +204,7 @@ def write_diagnostics_bag(path: Path, duration_s: float = 40.0) -> Path:
         for t, index in sorted((t, index) for index, topic in enumerate(topics) for t in topic[3].tolist()):
             message = topics[index][2](t)
             writer.write(
-                connections[index], int((start + t) * 1e9), bytes(store.serialize_cdr(message, topics[index][1]))
+                connections[index], int((START_S + t) * 1e9), bytes(store.serialize_cdr(message, topics[index][1]))
             )
     return path
 
