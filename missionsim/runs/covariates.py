@@ -82,35 +82,20 @@ _NO_CAUSE = re.compile(
 )
 _ELECTRICAL = frozenset(("power", "current", "currents", "amp", "amps"))
 _NO_PART = frozenset(
-    [
-        *(
-            "w",
-            "kw",
-            "mw",
-            "a",
-            "ma",
-            "mean",
-            "avg",
-            "average",
-            "raw",
-            "filtered",
-            "max",
-            "min",
-            "peak",
-            "rms",
-            "limit",
-        ),
-        *("measured", "meter", "predicted", "model", "reference", "demand", "consumed", "consumption", "used", "usage"),
-    ]
+    (
+        *("w", "kw", "mw", "a", "ma", "mean", "avg", "average", "raw", "filtered", "max", "min", "peak", "rms"),
+        *("limit", "measured", "meter", "predicted", "model", "reference", "demand", "consumed", "consumption"),
+        *("used", "usage"),
+    )
 )
 """Words that name no part of a robot."""
 _WHOLE = frozenset(
-    [
+    (
         *("battery", "batt", "bat", "pack", "cell", "main", "robot", "base", "platform", "vehicle", "car", "system"),
         *("charger", "dock", "regen", "brake", "mech", "mechanical", "motor", "motors", "drive", "driver", "wheel"),
         *("wheels", "traction", "propulsion", "engine", "inverter", "esc", "left", "right", "front", "rear", "total"),
         *("sum", "net", "gross", "whole", "input", "output", "supply", "electric", "electrical", "dc", "bus"),
-    ]
+    )
 )
 """Words of what is the whole, or follows it."""
 TWIN = 0.999

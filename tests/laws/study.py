@@ -88,17 +88,8 @@ def held_by_band(law: str, made: Made, curve: dict[str, Any]) -> float:
 
 
 STATE = (
-    "speed_m_s",
-    "yaw_rate_rad_s",
-    "accel_m_s2",
-    "slope_rad",
-    "payload_kg",
-    "temp_ambient_c",
-    "cpu_load",
-    "time_s",
-    "arm_torque",
-    "on_kinect",
-    "on_laser",
+    *("speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad", "payload_kg", "temp_ambient_c", "cpu_load", "time_s"),
+    *("arm_torque", "on_kinect", "on_laser"),
 )
 
 

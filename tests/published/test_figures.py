@@ -31,25 +31,16 @@ def figure(printed: str, rule: str = "rounded", basis: str = "") -> Figure:
 @pytest.mark.parametrize(
     ("printed", "rule", "ours", "met"),
     [
-        ("12.94", "rounded", 12.9449, True),
-        ("12.94", "rounded", 12.9451, False),
-        ("12.90", "rounded", 12.905, True),
-        ("0.76", "truncated", 0.7652, True),
-        ("0.76", "truncated", 0.7699, True),
-        ("0.76", "truncated", 0.77, False),
-        ("0.76", "truncated", 0.7599, False),
-        ("-2.8", "truncated", -2.86, True),
-        ("-2.8", "truncated", -2.75, False),
-        ("95", "at_least", 95.0, True),
-        ("95", "at_least", 94.99, False),
-        ("5", "at_most", 4.9, True),
-        ("180", "about:5", 184.9, True),
-        ("180", "about:5", 185.1, False),
-        ("5.1e-4", "rounded", 5.14e-4, True),
-        ("5.1e-4", "rounded", 5.16e-4, False),
+        ("12.94", "rounded", 12.9449, True), ("12.94", "rounded", 12.9451, False),
+        ("12.90", "rounded", 12.905, True), ("0.76", "truncated", 0.7652, True),
+        ("0.76", "truncated", 0.7699, True), ("0.76", "truncated", 0.77, False),
+        ("0.76", "truncated", 0.7599, False), ("-2.8", "truncated", -2.86, True),
+        ("-2.8", "truncated", -2.75, False), ("95", "at_least", 95.0, True), ("95", "at_least", 94.99, False),
+        ("5", "at_most", 4.9, True), ("180", "about:5", 184.9, True), ("180", "about:5", 185.1, False),
+        ("5.1e-4", "rounded", 5.14e-4, True), ("5.1e-4", "rounded", 5.16e-4, False),
         ("28.6", "inputs:0.03", 28.63, True),
     ],
-)
+)  # fmt: skip
 def test_rules_of_rounding(printed: str, rule: str, ours: float, met: bool) -> None:
     assert figure(printed, rule).met(ours) is met
 

@@ -60,29 +60,22 @@ def test_starts_reach_their_speed() -> None:
         assert np.trapezoid(accel, time) == pytest.approx(1.2, rel=1e-4)
 
 
+BOARD = {
+    **{"board_idle_w": 3.0, "core_work_w": 1.2, "core_idle_w": 0.06, "core_idle_floor_w": 0.02},
+    **{"cores": 6, "cores_busy": 4, "low_v": 0.7, "high_v": 1.1},
+}
+
+
 @given(st.floats(0.35e9, 2.0e9), st.floats(1e6, 1e8))
 def test_clock_up_time_down_power_up(clock: float, more: float) -> None:
     work = {"fixed_s": 0.003, "cycles": 3e7, "cycles_per_speed": 4e6}
     assert electrical.loop_time(clock + more, 2.0, 1.0, **work) < electrical.loop_time(clock, 2.0, 1.0, **work)
-    board = {
-        "board_idle_w": 3.0,
-        "core_work_w": 1.2,
-        "core_idle_w": 0.06,
-        "core_idle_floor_w": 0.02,
-        "cores": 6,
-        "cores_busy": 4,
-        "low_hz": 0.3456e9,
-        "high_hz": 2.0352e9,
-        "low_v": 0.7,
-        "high_v": 1.1,
-    }
+    board = BOARD | {"low_hz": 0.3456e9, "high_hz": 2.0352e9}
     assert electrical.multicore_power(clock + more, 0.5, **board) > electrical.multicore_power(clock, 0.5, **board)
 
 
 def test_multicore_power_by_hand() -> None:
-    powers = {"board_idle_w": 3.0, "core_work_w": 1.2, "core_idle_w": 0.06, "core_idle_floor_w": 0.02}
-    clocks = {"cores": 6, "cores_busy": 4, "low_hz": 0.5e9, "high_hz": 2e9, "low_v": 0.7, "high_v": 1.1}
-    watts = electrical.multicore_power(2e9, 0.5, **powers, **clocks)
+    watts = electrical.multicore_power(2e9, 0.5, **BOARD, low_hz=0.5e9, high_hz=2e9)
     assert float(watts) == pytest.approx(3.0 + 6 * 0.06 + 4 * 1.2 * 0.5)
 
 
