@@ -241,6 +241,8 @@ _SLOW_SHARE = 0.3
 """Share of repeated neighbours above which a column may come from a slower topic."""
 _SLOWEST_S = 15.0
 """A refresh slower than this is not a topic's rate but a value that stays."""
+_ROUNDED = 10.0
+"""A meter that usually moves by fewer of its steps reads the same again now and then."""
 
 
 MEASURED = "power_<battery>_w, or voltage_<battery>_v and current_<battery>_a, or energy_<battery>_wh"
@@ -305,7 +307,8 @@ def refreshes(values: Array, time_s: Array) -> Refresh | None:
     plateau, or standing still.
 
     A slower topic shows as runs of equal values of nearly equal length whose values hardly ever come back; a coarse
-    meter or a robot that stands still gives runs of every length, or few distinct values.
+    meter or a robot that stands still gives runs of every length, or few distinct values. A slower topic that is
+    rounded reads the same again as well: it was refreshed all the same.
     """
     n = len(values)
     if n < 20:
@@ -327,7 +330,17 @@ def refreshes(values: Array, time_s: Array) -> Refresh | None:
     regular = float(np.mean(np.abs(lengths - typical) <= max(1.0, 0.35 * typical)))
     if typical < 2 or typical * step_s > _SLOWEST_S or distinct < 0.25 or regular < 0.6:
         return None
+    rounded = float(np.median(np.abs(np.diff(values[starts])))) < _ROUNDED * _grain(values)
+    for start, length in zip(starts, np.diff(np.r_[starts, n]), strict=True) if rounded else ():
+        if length * step_s < _SLOWEST_S:
+            again = start + np.round(np.arange(1, round(length / typical)) * typical).astype(int)
+            change[again] = True
     return Refresh(change, typical * step_s)
+
+
+def _grain(values: Array) -> float:
+    """The least difference between two readings."""
+    return float(np.min(np.diff(np.unique(values))))
 
 
 def power_from_energy(energy_wh: Array, time_s: Array) -> tuple[Array, Bools | None]:

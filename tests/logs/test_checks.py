@@ -410,6 +410,23 @@ def test_refreshes_period() -> None:
     assert refreshes(np.repeat([1.0, 2.0, 1.0, 2.0], 250), time) is None
 
 
+def test_a_rounded_topic_that_reads_the_same_again_was_refreshed() -> None:
+    """Not so where it stays for long, nor one of fine steps: nobody knows what that would have read."""
+    rng = np.random.default_rng(4)
+    watts = 20.0 * np.round(70.0 + 40.0 * np.sin(np.arange(200) / 9.0) + rng.normal(0.0, 6.0, 200))
+    watts[100:108], watts[150:180] = 500.0, 700.0
+    watts[[99, 108, 149, 180]] = 240.0
+    fine = watts + np.cumsum(rng.normal(0.0, 0.1, 200))
+    fine[100:108] = fine[100]
+    time = 0.1 * np.arange(2000)
+    found = [refreshes(np.repeat(w, 10), time) for w in (watts, fine)]
+    fresh = [set(np.flatnonzero(one.fresh)) if one is not None else set() for one in found]
+    every = set(range(0, 2000, 10))
+    assert every - fresh[0] == set(range(1510, 1800, 10))
+    assert every - fresh[1] == set(range(1010, 1080, 10))
+
+
+
 def test_the_robot_sharpens_the_checks(tmp_path: Path) -> None:
     from missionsim.inputs import load_robot
 
