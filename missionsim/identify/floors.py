@@ -34,17 +34,20 @@ def with_levels(
         # a noise that had taken the floors for runs that differ may keep them: the fit begins anew
         model = fit_model(model.source, (*rest, *own))
         common = 0.5 * settings.recalibration_limit**2
-        while len(own) > 1:
+        every, unit = tuple(own), model.design.layout.unit
+        for _ in every:
             shares = model.gram.coefficients(model.chosen)[0][len(rest) :]
             # the floor that costs least is that of the base, where recalibration takes what all floors have in common
-            least = own[int(np.argmin(shares))]
-            others = tuple(k for k in model.chosen if k != least)
-            if shares.min() > 0.0 and model.gram.gain(model.chosen) - model.gram.gain(others) > common:
+            least = min(zip(own, shares, strict=True), key=lambda one: one[1] * unit(one[0]))[0]
+            others = (*rest, *(k for k in every if k != least))
+            if shares.min() > 0.0 and (
+                len(own) < len(every) or model.gram.gain(model.chosen) - model.gram.gain(others) > common
+            ):
                 break
-            own.remove(least)
+            own = [k for k in every if k != least]
             model = fit_model(model.source, others, model, thorough=False)
-            if shares.min() > 0.0:
-                break
+        if model.gram.coefficients(model.chosen)[0][len(rest) :].min() <= 0.0:
+            continue
         evidence = {}
         for k in own:
             seen = evidence_of(model, k, constraints, settings)

@@ -276,7 +276,7 @@ class _Search:
         own, sign = list(columns), self.candidates[number].sign
         # levels that point the wrong way go one at a time, the worst first: without it the others may turn
         while own:
-            value = self.squares.fit([*beside, *own])[-len(own) :]
+            value = self.squares.fit([*beside, *own])[-len(own) :] * [self.layout.unit(k) for k in own]
             wrong = sign * value if sign else np.abs(value)
             if wrong.min() >= 0.0:
                 return self.measured(number, own, beside)

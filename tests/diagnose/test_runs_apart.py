@@ -11,7 +11,8 @@ import pytest
 
 from missionsim.diagnose import Subject
 from missionsim.diagnose import diagnose as diagnose_runs
-from missionsim.inputs.loading import load_robot
+from missionsim.fit.newrobot import NewRobot, calibrate_new
+from missionsim.inputs.loading import load_robot, robot_from_text
 from missionsim.interface import diagnose
 from missionsim.labels import Labels
 from missionsim.logs import LogTable
@@ -69,12 +70,14 @@ def test_meters_that_differ_are_no_missing_effect(
 FLOORS = ("tile", "carpet", "snow", "ice", "grass")
 
 
-def on_floors(newtons: Sequence[float], seed: int, gain: float = 0.0) -> list[LogTable]:
+def on_floors(
+    newtons: Sequence[float], seed: int, gain: float = 0.0, seconds: Sequence[float] = (200.0,) * 5
+) -> list[LogTable]:
     """Nine drives, each on one floor: a force of the floor, or a random part more of all that is drawn in motion."""
     rng = np.random.default_rng(seed)
     logs = []
     for i in range(9):
-        log = drive(100 * seed + i, seconds=200.0)
+        log = drive(100 * seed + i, seconds=seconds[i % 5])
         speed = log.columns["speed_m_s"]
         more = newtons[i % 5] * speed + gain * rng.normal() * (log.power_w["robot"] - 5.0) * (speed > 0.0)
         power = log.power_w["robot"] + more
@@ -95,6 +98,18 @@ def test_every_floor_has_its_level_where_the_floors_explain_how_the_runs_differ(
     for name, force in zip(FLOORS, newtons, strict=True):
         if force > 1.0:
             assert floor.parameters[f"k_{name}"].value == pytest.approx(force, abs=0.8)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_floor_of_the_base_is_the_one_that_costs_least_however_short_its_runs_are(seed: int) -> None:
+    newtons = (3.0, 4.0, 9.0, 5.0, 6.0)
+    logs = on_floors(newtons, seed, seconds=(400.0, 300.0, 200.0, 30.0, 200.0))
+    made = calibrate_new(NewRobot("own", "c2*v**2 + c3*v + c4", mass="9 kg"), logs)
+    found = diagnose_runs(Subject.of(robot_from_text(made.text)), logs, holdout="none").batteries["robot"]
+    (floor,) = found.effects
+    told = {name.removeprefix("k_"): one.value for name, one in floor.parameters.items()}
+    expected = {name: force - 3.0 for name, force in zip(FLOORS, newtons, strict=True) if name != "tile"}
+    assert told == pytest.approx(expected, abs=0.4)
 
 
 @pytest.mark.parametrize("seed", range(3))
