@@ -18,6 +18,7 @@ from missionsim.laws.adapter import Ground, ground_of
 from missionsim.laws.factors import make_grammar
 from missionsim.laws.gates import LEAST_SHARE, Gates, gates, left_out
 from missionsim.laws.grammar import Grammar
+from missionsim.laws.levels import by_levels
 from missionsim.laws.search import Fitted, Scored, Search, Searched
 from missionsim.physics import Array
 from missionsim.runs.covariates import repeated
@@ -145,7 +146,7 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identificati
     on_time = search.on_time(done.best)
     if on_time is not search:
         search, done = on_time, on_time.best() or done
-    search, done = search.by_levels(done.best) or (search, done)
+    search, done = by_levels(search, done.best) or (search, done)
     near, beside, fitted, seen = _judged(search, done)
     was = seen.errors
     instead = _replaced(fitted, search.ground) if seen.all_passed else ()
@@ -155,7 +156,7 @@ def _propose(ground: Ground, grammar: Grammar, memory: bool, found: Identificati
         again = search.best()
         if again is None:
             return None
-        search, again = search.by_levels(again.best) or (search, again)
+        search, again = by_levels(search, again.best) or (search, again)
         near, beside, fitted, seen = _judged(search, again)
     if not seen.all_passed:
         return None

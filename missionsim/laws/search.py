@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missionsim.effects.covariates import is_text
 from missionsim.identify.model import Model, log_likelihood
 from missionsim.identify.noise import Noise
 from missionsim.identify.proposed import CLOCKS
@@ -39,9 +38,6 @@ ABSORBED = 0.93
 NEARLY = 0.7
 """Forms below this part of the least share are not worth a fit."""
 SAME = 0.98
-LEVELS_BETTER, LEAST_LEVEL = 0.97, 0.05
-"""Levels of a label's own lower the error of left-out runs to this part at least; less than this part of the highest is
-none."""
 HELPS = 0.995
 HARDLY_WORSE = 1.03
 """At a glance a law lowers the error of left-out runs to this part at least (with a noise of its own it must do far
@@ -231,7 +227,7 @@ class Search:
         usual = self.screen(self.ground.usual())
         if not usual:
             return None
-        listed = self._sized([one.form for one in usual[:SHORTLIST]])
+        listed = self.sized([one.form for one in usual[:SHORTLIST]])
         null = self.screen(self.ground.plain(self.ground.model.noise), listed)
         seeds = self._apart(usual[: 10 * SEEDS])[:SEEDS] + self._apart(null[: 10 * SEEDS])[:SEEDS]
         fits: list[Fitted] = []
@@ -241,50 +237,18 @@ class Search:
             return None
         # noise that is fitted with each form is no common ground; how left-out runs are predicted is
         top = min(fits, key=lambda f: f.errors.with_law)
-        near = self._near(top, listed)
+        near = self.near(top, listed)
         if near and near[0].form != top.form:
             other = next((f for f in fits if f.form == near[0].form), None) or self.fit(near[0].form, top.model.noise)
             if other.errors.with_law < CLOSE_ERROR * top.errors.with_law:
                 top = other
-                near = self._near(top, listed)
+                near = self.near(top, listed)
         plain = self._plainest(top)
         if plain is not top:
             needless = self._variables(top.form) - self._variables(plain.form)
             top, listed = plain, [self._without(forms, needless) for forms in listed]
-            near = self._near(top, listed)
+            near = self.near(top, listed)
         return Searched(top, tuple(near), self.tried) if near else None
-
-    def by_levels(self, fitted: Fitted) -> tuple[Search, Searched] | None:
-        """A law with a level of its own for each text of a label, where runs that are left out are predicted clearly
-        better with the levels that the others give."""
-        labels = dict.fromkeys(
-            f.variable for f in self.grammar.factors if is_text(self.ground.covariates[0].get(f.variable))
-        )
-        for name in labels:
-            rest = tuple(i for i in fitted.form if self.grammar.factors[i].variable != name)
-            levels = [i for i, factor in enumerate(self.grammar.factors) if factor.variable == name]
-            if not rest or len(rest) >= len(self.by_size):
-                continue
-            rows = self.columns([(*rest, i) for i in levels])
-            seen = np.any(rows, axis=1)  # not every floor is turned on
-            levels, rows = [i for i, there in zip(levels, seen, strict=True) if there], rows[seen]
-            design = self.ground.extended(rows)
-            model = self.ground.at_noise(design, fitted.model.noise)
-            shares = model.gram.coefficients(model.chosen)[0]
-            every = range(len(self.ground.chosen), len(design.phi))
-            size = {i: float(shares[k]) * design.layout.unit(k) for i, k in zip(levels, every, strict=True)}
-            most = max(size.values(), default=0.0)
-            parts = {i: own / most for i, own in size.items() if own > max(LEAST_LEVEL * most, 0.0)}
-            if len(parts) < 2:
-                continue
-            error = left_out(model, len(levels)).with_law
-            if error > LEVELS_BETTER * fitted.errors.with_law:
-                continue
-            search = Search(self.ground, self.grammar.with_levels(name, parts), self.memory)
-            form = (*rest, len(self.grammar.factors))
-            best = search.fit(form, fitted.model.noise)
-            return search, Searched(best, tuple(search._near(best, search._sized([form]))), search.tried)
-        return None
 
     def _variables(self, form: Sequence[int]) -> set[str]:
         return {self.grammar.factors[i].variable for i in form}
@@ -336,7 +300,7 @@ class Search:
         limit = HARDLY_WORSE * min(best, default=0.0)
         return [f for f, r, b in zip(forms, ratio, best, strict=True) if r < HELPS and b <= limit]
 
-    def _sized(self, forms: Sequence[tuple[int, ...]]) -> list[NDArray[np.intp]]:
+    def sized(self, forms: Sequence[tuple[int, ...]]) -> list[NDArray[np.intp]]:
         return [
             np.array([f for f in forms if len(f) == size], dtype=np.intp).reshape(-1, size)
             for size in range(1, len(self.by_size) + 1)
@@ -354,7 +318,7 @@ class Search:
                 rows.append(x)
         return kept
 
-    def _near(self, top: Fitted, listed: Sequence[NDArray[np.intp]]) -> list[Scored]:
+    def near(self, top: Fitted, listed: Sequence[NDArray[np.intp]]) -> list[Scored]:
         """Best forms at the noise of one of them, evaluated exactly; best score first."""
         ranked = [one.form for one in self.screen(top.model.noise, listed)[:EXACT]]
         for _ in range(BENDS):
