@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from missionsim.identify.settings import (
     NOISY_SLOPE,
     ODDS_NATS,
     RAMP_SYSTEMATIC,
+    RIVAL_PART,
     RUN_LEVEL,
     SAME_COLUMN,
     Settings,
@@ -86,14 +87,20 @@ def _close_ones(
     gain = gram.gain(model.chosen) - base
     gain -= float(constraints.grid_nats[own[0]])
     found: dict[int, float] = {}
+
+    def own_beside(others: Sequence[int]) -> bool:
+        # what an effect explains beside others is its own (Davidson and MacKinnon 1981)
+        return gram.gain([*others, *own]) - gram.gain(others) > RIVAL_PART * gain
+
     singles = single_gains(gram, constraints, rest) - constraints.grid_nats
     for k, value in enumerate(singles):
         other = int(constraints.effect[k])
-        if other != effect and np.isfinite(value) and value > found.get(other, 0.0):
+        better = other != effect and np.isfinite(value) and value > found.get(other, 0.0)
+        if better and not own_beside([*rest, k]):
             found[other] = float(value)
     # triples of columns are the most that are searched in full
     if len(own) == 1 and len(rest) <= 1:
-        for other, value in _pairs_without(gram, constraints, rest, effect, settings).items():
+        for other, value in _pairs_without(gram, constraints, rest, effect, settings, own_beside).items():
             found[other] = max(found.get(other, -np.inf), value - base - EXTRA_EFFECT_NATS)
     close: dict[int, float] = {}
     for other, value in found.items():
@@ -107,9 +114,14 @@ def _close_ones(
 
 
 def _pairs_without(
-    gram: Gram, constraints: Constraints, rest: Sequence[int], effect: int, settings: Settings
+    gram: Gram,
+    constraints: Constraints,
+    rest: Sequence[int],
+    effect: int,
+    settings: Settings,
+    own_beside: Callable[[Sequence[int]], bool],
 ) -> dict[int, float]:
-    """Best total gain of rest plus two effects other than `effect`, credited to those that are not negligible."""
+    """Best total gain of rest plus two effects in place of `effect`, credited to those that are not negligible."""
     sets = all_sets(constraints, 2 + len(rest))
     keep = np.all(constraints.effect[sets] != effect, axis=1)
     for k in rest:
@@ -123,8 +135,10 @@ def _pairs_without(
     for row in np.argsort(-gains)[:40]:
         if not np.isfinite(gains[row]):
             break
-        values, _ = gram.coefficients([int(k) for k in sets[row]])
-        share = dict(zip((int(k) for k in sets[row]), np.abs(values), strict=True))
+        some = [int(k) for k in sets[row]]
+        if own_beside(some):
+            continue
+        share = dict(zip(some, np.abs(gram.coefficients(some)[0]), strict=True))
         new = [k for k in share if k not in rest and share[k] > settings.min_share]
         for k in new:
             # the smaller of two that explain it together is an aid, not the explanation

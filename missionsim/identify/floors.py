@@ -28,7 +28,7 @@ def with_levels(
         own = [int(k) for k in np.flatnonzero(constraints.effect == number)]
         model = choice.model
         rest = tuple(k for k in model.chosen if k not in own)
-        p_value = _between(choice, own, rest) if cause_is_constant(model, own[0], candidates) else 1.0
+        p_value = _between(choice, own, rest)
         if not p_value < settings.alpha or set(own) <= set(model.chosen):
             continue
         # a noise that had taken the floors for runs that differ may keep them: the fit begins anew
@@ -83,7 +83,10 @@ def _between(choice: Choice, own: Sequence[int], rest: Sequence[int]) -> float:
     design = model.design
     values = model.gram.coefficients(rest)[0]
     left = design.residual - values @ design.phi[list(rest)] if rest else design.residual
-    levels = np.array([int(np.argmax([np.abs(design.phi[k, rows]).sum() for k in own])) for rows in design.runs])
+    acts = np.array([[np.abs(design.phi[k, rows]).sum() for k in own] for rows in design.runs])
+    if np.any(np.sum(acts > 0.0, axis=1) > 1):
+        return 1.0  # a label that changes in runs is asked there
+    levels = np.argmax(acts, axis=1)
     # what each run alone would have its level draw
     wants = np.array([_size(left[rows], design.phi[own[i], rows]) for rows, i in zip(design.runs, levels, strict=True)])
     groups = [wants[levels == i] for i in np.unique(levels)]

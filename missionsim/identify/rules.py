@@ -175,7 +175,9 @@ def _steady_beside_loose(q: Question, remains: Remains) -> bool:
 def _faint_beside_loose(q: Question, remains: Remains) -> bool:
     # told with a load whose switch is stuck, it is a question, and the answer to what comes and goes may be that load
     stuck = _candidate(q).may_be(abs(q.evidence.share) * q.model.design.layout.mean_power_w)
-    return bool(remains.loose) and not stuck and q.evidence.gain < FAINT_NATS
+    rest = [k for k in q.model.chosen if q.constraints.effect[k] != q.constraints.effect[q.evidence.column]]
+    gain = q.model.gram.gain(q.model.chosen) - q.model.gram.gain(rest)  # of all floors together
+    return bool(remains.loose) and not stuck and gain < FAINT_NATS
 
 
 def _shadow(q: Question, remains: Remains) -> bool:
