@@ -89,8 +89,8 @@ def _close_ones(
     found: dict[int, float] = {}
 
     def own_beside(others: Sequence[int]) -> bool:
-        # what an effect explains beside others is its own (Davidson and MacKinnon 1981)
-        return gram.gain([*others, *own]) - gram.gain(others) > RIVAL_PART * gain
+        # what floors explain beside others is their own (Davidson and MacKinnon 1981); noisy covariates leave some over
+        return bool(constraints.joint[own[0]]) and gram.gain([*others, *own]) - gram.gain(others) > RIVAL_PART * gain
 
     singles = single_gains(gram, constraints, rest) - constraints.grid_nats
     for k, value in enumerate(singles):

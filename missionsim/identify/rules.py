@@ -175,9 +175,7 @@ def _steady_beside_loose(q: Question, remains: Remains) -> bool:
 def _faint_beside_loose(q: Question, remains: Remains) -> bool:
     # told with a load whose switch is stuck, it is a question, and the answer to what comes and goes may be that load
     stuck = _candidate(q).may_be(abs(q.evidence.share) * q.model.design.layout.mean_power_w)
-    rest = [k for k in q.model.chosen if q.constraints.effect[k] != q.constraints.effect[q.evidence.column]]
-    gain = q.model.gram.gain(q.model.chosen) - q.model.gram.gain(rest)  # of all floors together
-    return bool(remains.loose) and not stuck and gain < FAINT_NATS
+    return bool(remains.loose) and not stuck and _gain(q) < FAINT_NATS
 
 
 def _shadow(q: Question, remains: Remains) -> bool:
@@ -197,6 +195,14 @@ DEMOTIONS: tuple[Demotion, ...] = (
 def demoted(question: Question, remains: Remains) -> str:
     """The first demotion that holds, empty where none does."""
     return next((rule.name for rule in DEMOTIONS if rule.holds(question, remains)), "")
+
+
+def _gain(q: Question) -> float:
+    """Rise of the log-likelihood [nats], of a label by all its levels together."""
+    column, chosen, effect = q.evidence.column, q.model.chosen, q.constraints.effect
+    if not q.constraints.joint[column]:
+        return q.evidence.gain
+    return float(q.model.gram.gain(chosen) - q.model.gram.gain([k for k in chosen if effect[k] != effect[column]]))
 
 
 def _candidate(q: Question) -> Candidate:
