@@ -237,6 +237,9 @@ def test_each_demotion_alone_keeps_an_effect_unnamed(grade: Question) -> None:
     faint = replace(grade, evidence=replace(grade.evidence, gain=45.0))
     assert demoted(replace(grade, evidence=replace(grade.evidence, gain=500.0)), Remains({}, (), (LOOSE,))) == ""
     assert demoted(faint, Remains({}, (), (LOOSE,))) == DEMOTIONS[2].name
+    label = question(fitted("surface_rolling_resistance", 0.1))
+    one_level = replace(label, evidence=replace(label.evidence, gain=5.0))
+    assert demoted(one_level, Remains({}, (), (LOOSE,))) == ""  # a label is as faint as all its levels together
     # a free curve over the slope takes all that grade explains, and grade is no curve over the payload
     slope = replace(STRUCTURE, covariate="slope_rad", times="speed_m_s")
     payload = replace(grade, candidates=[replace(c, covariate="payload_kg") for c in grade.candidates])

@@ -426,7 +426,6 @@ def test_a_rounded_topic_that_reads_the_same_again_was_refreshed() -> None:
     assert every - fresh[1] == set(range(1010, 1080, 10))
 
 
-
 def test_the_robot_sharpens_the_checks(tmp_path: Path) -> None:
     from missionsim.inputs import load_robot
 
