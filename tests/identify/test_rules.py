@@ -118,6 +118,9 @@ def test_an_effect_that_hardly_gains_has_rivals_and_a_clear_one_has_none() -> No
         constraints = Constraints.of(model.design.layout, found.library)
         number = int(constraints.effect[model.chosen[0]])
         assert bool(rivals(model, number, constraints, found.library, Settings())) is some
+        # what floors explain beside others is their own: noise of a covariate leaves nothing of it over
+        floors = replace(constraints, joint=np.ones_like(constraints.joint))
+        assert not rivals(model, number, floors, found.library, Settings())
 
 
 def test_two_effects_together_stand_in_the_place_of_one() -> None:
