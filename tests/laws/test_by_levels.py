@@ -8,9 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from missionsim.diagnose import Subject
-from missionsim.diagnose.diagnosis import diagnose
+from missionsim.diagnose.diagnosis import diagnose, examine
+from missionsim.diagnose.split import Split
 from missionsim.identify.findings import BatteryDiagnosis
+from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import load_robot
+from missionsim.laws.adapter import ground_of
+from missionsim.laws.factors import make_grammar
+from missionsim.laws.levels import by_levels
+from missionsim.laws.search import Search
 from missionsim.runs.run import Run
 from tests.diagnose.logs import drive
 
@@ -37,6 +43,31 @@ def test_each_floor_has_its_part_of_the_highest() -> None:
     for floor, part in parts.items():
         assert abs(part - FLOORS[floor] / 9.0) < 0.08
     assert abs(first.k / 9.0 - 1.0) < 0.15
+
+
+def searched(levels: dict[str, float], known: float) -> Search:
+    """A search beside a base that was fitted to fifteen short runs, and that knows what turning costs in the mean."""
+    logs = []
+    for seed in range(15):
+        floor = list(levels)[seed % len(levels)]
+        log = drive(seed, seconds=200.0, noise=0.05, surface=[floor] * 200)
+        turning = np.tanh(np.abs(log.columns["yaw_rate_rad_s"]) / 0.25)
+        power = 3.0 * log.power_w["robot"] + (levels[floor] - known) * turning
+        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={"robot": power}))
+    split = Split(tuple(logs), (), "none")
+    seen = examine(Subject.of(load_robot("pioneer3dx")), split, "robot", Settings())
+    ground = ground_of(seen.found, seen.features.covariates)
+    assert ground.model.squares is not None  # the base is far from right
+    return Search(ground, make_grammar(ground.covariates, set(), clocks=False))
+
+
+def test_what_floors_differ_by_need_not_show_in_what_they_have_in_common() -> None:
+    """The best law of one level is about something else."""
+    search = searched({"snow": 24.0, "carpet": 13.0, "sand": 24.0, "grass": 19.0, "tile": 0.0}, 16.0)
+    other = next(i for i, f in enumerate(search.grammar.factors) if f.variable == "speed_m_s" and not f.fine)
+    wider, done = by_levels(search, search.fit((other,))) or (search, None)
+    assert done is not None
+    assert set(wider.grammar.variables(done.best.form)) == {"yaw_rate_rad_s", "surface"}
 
 
 def test_floors_that_are_alike_have_no_levels() -> None:
