@@ -11,19 +11,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from missionsim.effects.timeline import integrate
 from missionsim.errors import InputError
 from missionsim.glossary import STILL_SPEED_M_S
-from missionsim.inputs.mission import reserve_of
+from missionsim.inputs.mission import MissionSpec, reserve_of
 from missionsim.physics import Array
 from missionsim.runs.motion import distances
-
-if TYPE_CHECKING:
-    from missionsim.inputs.mission import MissionSpec
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,6 @@ from missionsim.files import fields_of, write_text
 from missionsim.report.terminal import console, show_table, titled
 
 if TYPE_CHECKING:
-    from typing import Any
-
     from missionsim.published.figures import Item
 
 

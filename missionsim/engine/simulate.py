@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -32,9 +32,6 @@ from missionsim.plan.kinematics import group
 from missionsim.plan.legs import Leg, Plan, Step
 from missionsim.plan.routes import routes_of
 
-if TYPE_CHECKING:
-    from numpy.random import Generator
-
 MOST_ALARMS = 4
 MOST_RECHARGES = 500
 MOST_AUDIT_ERROR = 1e-9
@@ -54,7 +51,7 @@ def simulate(
     mission: MissionSpec,
     *,
     values: Mapping[str, float] | None = None,
-    rng: Generator | None = None,
+    rng: np.random.Generator | None = None,
     trace: bool = True,
     plan: Plan | None = None,
     model: PowerModel | None = None,
@@ -115,7 +112,7 @@ class RunSetup:
         self.model = model
         self.drawn = drawn
         self.numbers = cast("Mapping[str, float]", numbers)  # of many runs, arrays: see missionsim.plan.legs
-        self.again: Generator | None = None
+        self.again: np.random.Generator | None = None
         robot = mission.robot
         self.batteries = {
             name: build_battery(
