@@ -176,8 +176,7 @@ class PowerPredictor:
     def clocks(self, step_hz: float = TX2_STEP_HZ) -> Array:
         """Clocks from the lowest to the highest in steps, Hz; the highest is always among them."""
         cpu = self._cpu()
-        grid = np.arange(cpu["high_freq"], cpu["low_freq"] - 1.0, -step_hz)
-        return f64(grid[::-1])
+        return f64(np.arange(cpu["high_freq"], cpu["low_freq"] - 1.0, -step_hz)[::-1])
 
     def energy_per_metre(self, speeds_m_s: ArrayLike, freq_hz: ArrayLike, complexity: ArrayLike = 1.0) -> Array:
         """Eq. 7 of the rover paper, J/m."""

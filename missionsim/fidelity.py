@@ -107,8 +107,7 @@ class FidelityModel:
         """Mean and greatest interpolation error (%) over random settings."""
         rng = np.random.default_rng(seed)
         speed = rng.uniform(*self.range_m_s, samples)
-        clocks = self.predictor.clocks()
-        clock = rng.choice(clocks, samples)
+        clock = rng.choice(self.predictor.clocks(), samples)
         exact = self.predictor.energy_per_metre(speed, clock, self.complexity)
         miss = 100.0 * np.abs(self.energy(level, speed, clock) / exact - 1.0)
         return float(np.mean(miss)), float(np.max(miss))

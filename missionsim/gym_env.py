@@ -64,8 +64,7 @@ class RoverEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.accel_m_s2 = float(body.max_acceleration) if body.max_acceleration is not None else np.inf
         clocks = self.predictor.clocks()
         self.clock_range = (float(clocks[0]), float(clocks[-1]))
-        battery = self.predictor.spec.batteries[self.predictor.battery or ""]
-        self.capacity_j = battery.capacity_j
+        self.capacity_j = self.predictor.spec.batteries[self.predictor.battery or ""].capacity_j
         self.length_m, self.piece_m, self.step_s = length_m, piece_m, step_s
         self.missed_cost, self.time_cost, self.slope_rad = missed_cost, time_cost, slope_rad
         self.batch_rate = self.predictor.batch_rate
@@ -100,8 +99,7 @@ class RoverEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         clock = self.clock_range[0] + float(share[1]) * (self.clock_range[1] - self.clock_range[0])
         complexity, slope = self._piece(0)
         mean, accel = 0.5 * (speed + self._speed), (speed - self._speed) / self.step_s
-        watts = float(self.predictor.power(mean, clock, complexity, slope, accel_m_s2=accel))
-        energy = watts * self.step_s
+        energy = float(self.predictor.power(mean, clock, complexity, slope, accel_m_s2=accel)) * self.step_s
         done = float(self.predictor.throughput(mean, clock, complexity))
         missed = max(self.batch_rate - done, 0.0) * self.step_s
         self._position = min(self._position + mean * self.step_s, self.length_m)

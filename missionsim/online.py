@@ -187,8 +187,7 @@ class OnlinePredictor:
         name = battery or next(iter(mission.robot.batteries))
         expected = expected_run(mission, name)
         spec = mission.robot.batteries[name]
-        charge = mission.initial_charge.get(name, spec.initial_charge)
-        available = spec.capacity_j * float(charge)
+        available = spec.capacity_j * float(mission.initial_charge.get(name, spec.initial_charge))
         reserve = reserve_of(mission.policy.reserve, name) or spec.reserve
         return cls(expected, available, spec.capacity_j * float(reserve), **options)
 

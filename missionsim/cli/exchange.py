@@ -109,8 +109,7 @@ def rmf(config: Path, /, *logs: Path, robot: str, out: Path, battery: str = "", 
         show_table("Numbers", ["key", ">before", ">after"], rows)
         if found.errors:
             rows = [(e["formula"], f"{e['energy_error_pct']:+.2f} %", f"{e['power_rmse_w']:.3g}") for e in found.errors]
-            heads = ["formula", ">energy error", ">power RMSE W"]
-            show_table("On the logs", heads, rows)
+            show_table("On the logs", ["formula", ">energy error", ">power RMSE W"], rows)
         _tell("", found.remarks, out)
     return 0
 
@@ -177,8 +176,7 @@ def qgc(
             raise InputError.single("--origin is a latitude and a longitude", got=origin, allowed="47.05,8.3")
         where = (latitude, longitude)
     plan, remarks = plan_of(load_mission(mission, robot=robot), where)
-    title = f"plan of {len(plan['mission']['items'])} items"
-    return _mission(plan, title, remarks, out, to)
+    return _mission(plan, f"plan of {len(plan['mission']['items'])} items", remarks, out, to)
 
 
 def _mission(data: dict[str, Any], title: str, remarks: Sequence[str], out: Path, to: Output) -> int:

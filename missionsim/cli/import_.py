@@ -207,8 +207,7 @@ def _list(sources: Sequence[Path], to: Output) -> int:
             (field.name, field.count, field.range(), guesses[field.name].words() if field.name in guesses else "")
             for field in shown
         ]
-        columns = ["column or field", ">values", "range", "perhaps"]
-        show_table(f"{path}: what a map can read", columns, rows)
+        show_table(f"{path}: what a map can read", ["column or field", ">values", "range", "perhaps"], rows)
         for why in ("constant", "stamp or covariance", "empty"):
             hidden = [field for field in fields if folded(field) == why]
             names = ", ".join(f"{f.name} = {f.range()}" if why == "constant" else f.name for f in hidden[:12])

@@ -89,8 +89,7 @@ class Stages:
         still = {name: np.zeros(len(self.timeline)) for name in (*_SPEEDS, *_RATES, "moving", "starts")}
         known = self.timeline.columns
         columns = {**known, **{name: zero for name, zero in still.items() if name in known}}
-        rest = replace(self, timeline=replace(self.timeline, columns=columns, rates={}))
-        at_rest = rest.energy(members)
+        at_rest = replace(self, timeline=replace(self.timeline, columns=columns, rates={})).energy(members)
         return {name: energy[name] + at_rest[name] * seconds / float(duration.sum()) for name in self.batteries}
 
     def _lasting(self, factor: Array, stretch_rates: bool = True) -> Stages:

@@ -34,8 +34,7 @@ if TYPE_CHECKING:
 
 def simulated_energy(model: PowerModel, plan: Timeline, battery: str) -> Array:
     """Energy of a battery in each interval of a plan [J], shape (n,)."""
-    energies = integrate(model, plan)[battery]
-    return np.asarray(sum(energies.values(), start=np.zeros(len(plan))))
+    return np.asarray(sum(integrate(model, plan)[battery].values(), start=np.zeros(len(plan))))
 
 
 def mission_progress(series: Series, names: Sequence[str], plan: Timeline, segments: Sequence[str]) -> Array:

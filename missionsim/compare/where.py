@@ -124,8 +124,7 @@ class Accumulator:
         segment = next((cells for axis, cells in placed if axis.name == "segment"), None)
         weights: dict[str, Array] = {}
         for battery, measured in block.measured_w.items():
-            model = block.model_w[battery]
-            error = model - measured
+            error = block.model_w[battery] - measured
             gap = -error * block.dt_s
             square = -error * gap
             weights |= {f"{battery}:gap": gap, f"{battery}:square": square, f"{battery}:seconds": block.dt_s}

@@ -135,8 +135,7 @@ def motion_expression_terms(
     """
     used = tuple(name for name in parameters if name in formula.names)
     rest = tuple(name for name in parameters if name in formula.names | (standing.names if standing else frozenset()))
-    own = frozenset(parameters)
-    needs = _needs(formula, own)
+    needs = _needs(formula, frozenset(parameters))
 
     def at_rest(cov: Covariates, p: Parameters) -> Any:
         still = {**cov, **{name: 0.0 * np.asarray(cov[name]) for name in _MOTION if name in cov}}

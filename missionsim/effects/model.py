@@ -119,8 +119,7 @@ class PowerModel:
     """How far the meter of a battery is behind the motion in logs; none where the file says nothing."""
 
     def __post_init__(self) -> None:
-        ordered = tuple(sorted(self.terms, key=lambda term: term.effect.stage))
-        object.__setattr__(self, "terms", ordered)
+        object.__setattr__(self, "terms", tuple(sorted(self.terms, key=lambda term: term.effect.stage)))
 
     def meter(self, battery: str) -> Meter:
         """How far the meter of a battery is behind the motion; at once where the file says nothing."""

@@ -328,8 +328,7 @@ class World:
                         raise ChargerTooWeak(f"the charger at '{recharge.place}' gives less than the robot draws there")
                     recorder.changed = env.event()
                     wait = min(times.values(), default=min(left, 3600.0))
-                    soonest = min(left, wait)
-                    ring = env.timeout(soonest)
+                    ring = env.timeout(min(left, wait))
                     yield ring | recorder.changed
                     if ring.triggered and ring.processed and times and wait <= left:
                         reached = {name for name, seconds in times.items() if seconds <= wait}

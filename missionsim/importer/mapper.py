@@ -220,8 +220,7 @@ class Mapper:
             raise self._fault(("columns", name, "values"), told, ", ".join(unknown[:10]), allowed, hint)
         given = [table[word] for word in labels.names]
         if all(isinstance(item, (int, float)) for item in given) and not _is_text_column(name):
-            numbers = np.array([*(float(item) for item in given), np.nan])
-            return np.asarray(numbers[labels.codes])
+            return np.asarray(np.array([*(float(item) for item in given), np.nan])[labels.codes])
         words = Labels.of(str(item) for item in given)
         return Labels(np.array([*words.codes, -1], dtype=np.int64)[labels.codes], words.names)
 

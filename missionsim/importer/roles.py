@@ -137,8 +137,7 @@ class Field:
     def range(self) -> str:
         """Lowest and highest value, or the first words."""
         if isinstance(self.values, Labels):
-            names = self.values.names[:4]
-            return ", ".join(names)[:60] + (", …" if len(self.values.names) > 4 else "")
+            return ", ".join(self.values.names[:4])[:60] + (", …" if len(self.values.names) > 4 else "")
         known = self.values[np.isfinite(self.values)]
         if not len(known):
             return ""

@@ -208,8 +208,7 @@ def _merged(
             faults.append(missing_field(spec, alias, field, known, str(path)))
             continue
         topic, column = by_name[full]
-        values = topic.columns[column]
-        signals[alias] = Signal(topic.time_s, values, spec.signals[alias].fill, topic.name)
+        signals[alias] = Signal(topic.time_s, topic.columns[column], spec.signals[alias].fill, topic.name)
     if spec.timeline is not None and spec.timeline not in spec.signals:
         message = f"timeline '{spec.timeline}' is not a signal"
         allowed, hint = ", ".join(spec.signals), did_you_mean(spec.timeline, spec.signals)

@@ -76,8 +76,7 @@ def rate_of_change(values: Array, time_s: Array, over_s: float | None = None) ->
         return np.full(len(values), np.nan)
     t, v = time_s[known], values[known]
     if over_s is None:
-        slope = np.gradient(v, t)
-        return np.asarray(np.interp(time_s, t, slope))
+        return np.asarray(np.interp(time_s, t, np.gradient(v, t)))
     low, high = np.maximum(time_s - 0.5 * over_s, t[0]), np.minimum(time_s + 0.5 * over_s, t[-1])
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray((np.interp(high, t, v) - np.interp(low, t, v)) / (high - low))
@@ -161,8 +160,7 @@ def average_windows(
     inside = window < len(stop_s)
     inside[inside] &= time_s[inside] > start_s[window[inside]]
     # times before zero, so that the first row keeps its full weight
-    durations = row_durations(time_s - time_s[-1] - 1.0)
-    group, weight = window[inside], np.maximum(durations[inside], 1e-12)
+    group, weight = window[inside], np.maximum(row_durations(time_s - time_s[-1] - 1.0)[inside], 1e-12)
     last = np.full(len(stop_s), -1)
     last[group] = np.flatnonzero(inside)
     full = last >= 0

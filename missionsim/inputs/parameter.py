@@ -60,8 +60,7 @@ class Distribution:
                 return math.sqrt((a * a + b * b + c * c - a * b - a * c - b * c) / 18)
             case "truncated_normal":
                 return self._truncated_moments()[1]
-        mean = self.mean
-        return math.sqrt(float(np.dot((np.asarray(self.values) - mean) ** 2, self.weights)))
+        return math.sqrt(float(np.dot((np.asarray(self.values) - self.mean) ** 2, self.weights)))
 
     def quantile(self, probability: ArrayLike) -> Array:
         """Values at the probabilities (any shape, 0 to 1 exclusive for unbounded kinds); SI."""

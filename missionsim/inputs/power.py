@@ -165,8 +165,7 @@ def _components(robot: RobotSpec) -> Iterator[Term]:
     for name, component in robot.components.items():
         for load in component.loads:
             link = _link(robot, load)
-            place = _place(robot, (*load.where, "law", "power"))
-            effect, parameters = _load(name, component, load, place)
+            effect, parameters = _load(name, component, load, _place(robot, (*load.where, "law", "power")))
             names = {p: f"{name}.{p}" for p in parameters}
             yield Term(TermKey(load.battery, name, name), effect, parameters, names, scale=1.0 / link[1], link=link)
         startup = component.startup

@@ -73,8 +73,7 @@ def split(text: str) -> tuple[float, str] | None:
     match = _NUMBER.match(text)
     if match is None:
         return None
-    unit = " ".join(match.group(2).split())
-    return float(match.group(1)), unit
+    return float(match.group(1)), " ".join(match.group(2).split())
 
 
 def unit_factor(unit: str, dimension: str) -> tuple[float, float]:
@@ -140,8 +139,7 @@ def any_unit(unit: str) -> tuple[float, str]:
     factor = _compound(unit)
     if factor is not None and factor == 1.0:
         return 1.0, unit
-    allowed = "a unit such as W s/m"
-    quantity = _pint_unit(unit, allowed, _DIMENSION_OF)
+    quantity = _pint_unit(unit, "a unit such as W s/m", _DIMENSION_OF)
     try:
         base = quantity.to_base_units()
     except Exception:

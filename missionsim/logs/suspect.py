@@ -65,8 +65,7 @@ def check_magnitudes(rows: Rows, max_speed_m_s: float | None = None) -> None:
         found = column_of(name)
         if found is None:
             continue
-        sample = np.abs(data[:_SAMPLE])
-        large = float(np.quantile(sample, 0.95))
+        large = float(np.quantile(np.abs(data[:_SAMPLE]), 0.95))
         limit, perhaps = found[0].large, found[0].perhaps
         if name == "speed_m_s" and max_speed_m_s:
             limit, perhaps = 2.0 * max_speed_m_s, f"the robot drives {max_speed_m_s:g} m/s at most: km/h or mm/s"
@@ -337,8 +336,7 @@ _HUNG = 4.0
 
 
 def _hung(data: Array, time: Array) -> tuple[int, int, Bools] | None:
-    change = np.r_[True, data[1:] != data[:-1]]
-    starts = np.flatnonzero(change)
+    starts = np.flatnonzero(np.r_[True, data[1:] != data[:-1]])
     if len(starts) < 10:
         return None
     lengths = np.diff(np.r_[starts, len(data)])

@@ -240,8 +240,7 @@ def _times_of_day(texts: object) -> Array:
         dates = pd.to_datetime("2000-01-01 " + series, format="mixed", errors="coerce", utc=True)
         return _seconds(dates) - 946684800.0
     full = series.str.replace(",", ".").where(series.str.count(":") > 1, series + ":00")
-    delta = pd.to_timedelta(full, errors="coerce")
-    return np.asarray(delta.dt.total_seconds(), dtype=np.float64)
+    return np.asarray(pd.to_timedelta(full, errors="coerce").dt.total_seconds(), dtype=np.float64)
 
 
 def _dated(texts: object) -> tuple[str, str, Array]:

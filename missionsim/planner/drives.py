@@ -211,8 +211,7 @@ class Drives:
         after which the search ends. Gives target → drives, by weighted use, and the labels that this took; where those
         are more than `patience`, there may be more drives.
         """
-        road = self.road
-        resources = road.use.shape[1]
+        resources = self.road.use.shape[1]
         chosen = np.ones(resources) if weights is None else weights
         to_targets = self.distances(chosen, targets, back=True)
         start = to_targets[:, source]

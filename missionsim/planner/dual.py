@@ -99,9 +99,8 @@ def best_prices(tour: Tour, *, charging: bool = True) -> Prices:
     count = len(site.weights)
     chargers = [charger for charger in tour.chargers if charger is not None and charging]
     result = Prices(np.zeros(len(left)))
-    scale = unit(tour)
     # ten thousand times what a unit is worth: high enough for every price
-    highest = np.where(np.isfinite(left), 1e4 * scale, 0.0)
+    highest = np.where(np.isfinite(left), 1e4 * unit(tour), 0.0)
     room = np.where(np.isfinite(left), left, 0.0)
     prices = np.zeros(len(left))
     cuts: list[tuple[float, Array]] = []
@@ -175,8 +174,7 @@ def _lasts(tour: Tour, label: Label) -> bool:
 def prices_ahead(tour: Tour, prices: Array) -> list[Array]:
     """Prices on the charge until the next dock, on top of others: some that raise the bound at the start, most last.
     Each battery must last until that dock. Sought one battery after the other (coordinate ascent)."""
-    site = tour.site
-    most = site.usable_wh
+    most = tour.site.usable_wh
     room = most - tour.first[2 : 2 + len(most)]
     best, bound = np.zeros(len(prices)), -math.inf
     for steps in (unit(tour) * np.array([0.1, 0.5, 2.5]), np.array([0.5, 1.6])):

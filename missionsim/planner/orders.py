@@ -131,7 +131,6 @@ class Order:
     def left(self, values: Array) -> Array:
         """Value that may still be made from each state, shape (states,)."""
         if self.sequence is not None:
-            later = np.cumsum(values[list(self.sequence)][::-1])[::-1]
-            return np.append(later, 0.0)
+            return np.append(np.cumsum(values[list(self.sequence)][::-1])[::-1], 0.0)
         bits = np.arange(self.count)[:, None] >> np.arange(len(values)) & 1
         return np.asarray((1 - bits) @ values)

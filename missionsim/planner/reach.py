@@ -204,8 +204,7 @@ def _backwards(site: Site, legs: Sequence[PlanLeg]) -> list[PlanLeg] | None:
 
 def _part(legs: Sequence[PlanLeg], share: float, first: bool) -> list[PlanLeg]:
     """The first (or last) share of an edge."""
-    total = math.fsum(leg.distance_m for leg in legs)
-    wanted = share * total
+    wanted = share * math.fsum(leg.distance_m for leg in legs)
     made: list[PlanLeg] = []
     for leg in legs if first else reversed(legs):
         metres = min(leg.distance_m, wanted)

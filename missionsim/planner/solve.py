@@ -256,8 +256,7 @@ def charges_tried(tour: Tour) -> list[str]:
 
 def _steep(tour: Tour) -> list[Array]:
     """High prices on the charge of each battery: what they say where it is nearly too little."""
-    count = len(tour.site.physics.names)
-    rows = np.eye(len(tour.left))[1 : 1 + count]
+    rows = np.eye(len(tour.left))[1 : 1 + len(tour.site.physics.names)]
     return [share * unit(tour) * row for row in rows for share in (0.3, 1.0, 4.0)]
 
 

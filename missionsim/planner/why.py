@@ -287,8 +287,7 @@ def alternatives(answer: Answer) -> list[Json]:
         if not made.feasible:
             found.append({"kind": name, "feasible": False})
             continue
-        use = np.array([made.duration_s, *made.energy_wh.values()])
-        objective = float(use @ site.weights)
+        objective = float(np.array([made.duration_s, *made.energy_wh.values()]) @ site.weights)
         if objective <= answer.objective * (1 + 1e-9):
             continue
         found.append(

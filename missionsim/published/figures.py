@@ -79,8 +79,7 @@ class Figure:
     @property
     def last_digit(self) -> float:
         """Value of one unit in the last printed digit."""
-        exponent = Decimal(self.printed).as_tuple().exponent
-        return float(Decimal(1).scaleb(int(exponent)))
+        return float(Decimal(1).scaleb(int(Decimal(self.printed).as_tuple().exponent)))
 
     @property
     def tolerance(self) -> float:

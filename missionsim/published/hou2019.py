@@ -219,8 +219,7 @@ def mecanum_fit(figures: Mapping[str, Figure], *, profile: str = "linear", durat
 
     times, motion_measured = table_series(figures, "3", "measured")
     _, robot_measured = table_series(figures, "4", "measured")
-    top = figures["speed.max"].value
-    speed, accel = PROFILES[profile](times, speed_m_s=top, duration_s=duration_s)
+    speed, accel = PROFILES[profile](times, speed_m_s=figures["speed.max"].value, duration_s=duration_s)
     moving = (speed > 0.0).astype(float)
     speeding = ((times > 0.0) & (times <= duration_s + 1e-9)).astype(float)
 

@@ -124,8 +124,7 @@ def _table1(robot: Any) -> Iterator[tuple[str, Ours]]:
 
 
 def _ranges(rows: list[dict[str, float]]) -> Iterator[tuple[str, Ours]]:
-    configurations = load_table("jaiem2021_table4_rows")
-    named = list(zip(configurations, rows, strict=True))
+    named = list(zip(load_table("jaiem2021_table4_rows"), rows, strict=True))
     fm = [row for config, row in named if config["scheme"] == "forward_motion"]
     moving = [row for config, row in named if float(config["speed_m_s"]) > 0.0]
 

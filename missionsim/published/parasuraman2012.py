@@ -78,8 +78,7 @@ def identified_components(noise_w: float = 0.0, seed: int = 0) -> dict[str, floa
 
 
 def _inputs(robot: Any, figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]]:
-    battery = robot.batteries["robot"]
-    yield "capacity", Ours(float(battery.capacity_c) / 3.6, "charge of the robot file")
+    yield "capacity", Ours(float(robot.batteries["robot"].capacity_c) / 3.6, "charge of the robot file")
     yield "comp", Ours(identified_components()["korebot"], "found by the sequence of operations on the simulated robot")
     rate = figures["sampling.rate"].value
     yield "sampling.rate", Ours(rate, "rate of the simulated records")
@@ -90,8 +89,7 @@ def _inputs(robot: Any, figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]
     speeds = [1000.0 * float(lap.speed) for lap in laps]
     for key in ("speed.min", "speed.min.va"):
         yield key, Ours(min(speeds), "slowest lap of task B")
-    greatest = motion_power(float(robot.body.max_speed))
-    yield "table1.khepera.power", Ours(greatest)
+    yield "table1.khepera.power", Ours(motion_power(float(robot.body.max_speed)))
     named = figures["table1.khepera.power"].value
     yield (
         "table1.khepera.share",
@@ -121,8 +119,7 @@ def _savings(figures: dict[str, Figure]) -> Iterator[tuple[str, Ours]]:
         ),
     )
     yield "saving.no_radio", Ours(float(khepera.saving(slow_wh, crossing_energy(fast, None))))
-    table1 = figures["table1.khepera.power"].value
-    static = table1 * (100.0 / figures["table1.khepera.share"].value - 1.0)
+    static = figures["table1.khepera.power"].value * (100.0 / figures["table1.khepera.share"].value - 1.0)
 
     def moving_only(speed: float, static_w: float) -> float:
         return float(khepera.energy_needed(1.0, speed, static_w=static_w, motion_w=motion_power(speed)))

@@ -180,8 +180,7 @@ def uncertain_statistics(causes: Causes, draws: int, seed: int) -> dict[str, dic
     first = np.array([int(np.flatnonzero(plan.timeline.segment == i)[0]) for i in range(len(plan.segments))])
     cov = {name: column[first] for name, column in plan.timeline.columns.items()} | dict(plan.timeline.constants)
     driven = {**cov, "speed_m_s": np.asarray(cov["speed_m_s"]) * ratio}
-    planned_s = _durations(PLAN)
-    driven_s = planned_s * stretch / ratio
+    driven_s = _durations(PLAN) * stretch / ratio
     result: dict[str, dict[str, Array]] = {}
     for battery in plan.batteries:
         power = np.broadcast_to(np.asarray(model.total(driven, battery)), driven_s.shape)

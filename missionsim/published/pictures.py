@@ -113,8 +113,7 @@ def _patrol_velocity(figure: Figure) -> None:
         line = run(name).timeline
         speed = np.asarray(line.columns["speed_m_s"])
         edges = np.append(line.start_s, line.start_s[-1] + line.duration_s[-1])
-        colour = COLOURS[style == "--"]
-        axes.stairs(speed, edges, baseline=None, linestyle=style, label=label, color=colour)
+        axes.stairs(speed, edges, baseline=None, linestyle=style, label=label, color=COLOURS[style == "--"])
     _finish(axes, "time (s)", "velocity (m/s)")
 
 
@@ -222,8 +221,7 @@ def _complexities(figure: Figure) -> None:
 
 
 def _granularity(figure: Figure) -> None:
-    figures = load_figures("rover2025")
-    robot = rover2025.predictor(rover2025.kmh_values(figures))
+    robot = rover2025.predictor(rover2025.kmh_values(load_figures("rover2025")))
     tracks = rover2025.complexity_of_tracks()
     for axes, track, name in zip(_pair(figure), ("field", "slalom"), ("low", "high"), strict=True):
         for colour, step in zip(COLOURS, (3.0, 1.5, 0.5), strict=False):

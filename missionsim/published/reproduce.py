@@ -197,8 +197,7 @@ def optimal_velocities() -> Rows:
 
 def stretch_test() -> Rows:
     """Table 5: path stretch of each run, of the other two of its scheme, and the run predicted with the latter."""
-    figures = load_figures("jaiem2021")
-    runs = jaiem2021.runs_of_table5(figures)
+    runs = jaiem2021.runs_of_table5(load_figures("jaiem2021"))
     left_out = jaiem2021.stretch_left_out(runs)
     return [
         {

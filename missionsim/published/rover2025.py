@@ -113,8 +113,7 @@ def _optima(figures: Mapping[str, Figure]) -> Iterator[tuple[str, Ours]]:
     note = f"optimum {best.energy_j_m:.2f} J/m; the printed speed would need {needed:.1f} W of constant power"
     yield "joint.speed", Ours(best.speed_m_s, note)
     yield "joint.freq", Ours(best.freq_hz / 1e9, note)
-    other = predictor(kmh_values(figures))
-    found = other.best(speeds(16.0) * KMH, clocks, tracks["slalom"])
+    found = predictor(kmh_values(figures)).best(speeds(16.0) * KMH, clocks, tracks["slalom"])
     note = (
         f"{found.energy_j_m:.2f} J/m; drive constant {drive_constant(figures['mech.speed'].value * KMH):.2f} W; "
         "a hypothesis that the text does not support"

@@ -163,8 +163,7 @@ def site_figure(site: SiteMap) -> Figure:
     from matplotlib.colors import Normalize
 
     where, curves = layout(site.environment)
-    points = np.array(list(where.values()))
-    span = np.maximum(np.ptp(points, axis=0), 1e-9)
+    span = np.maximum(np.ptp(np.array(list(where.values())), axis=0), 1e-9)
     width, height = 11.0, float(np.clip(9.0 * span[1] / max(span[0], 1e-9), 4.0, 9.5)) + 1.4
     figure = new_figure(width, height)
     axes = figure.subplots()

@@ -111,8 +111,7 @@ class Others:
 
     def beside(self, number: int) -> Array:
         """Measured power less what model and others say [W], shape (n,)."""
-        one = self.runs[number]
-        return np.asarray(one.measured_w[self.battery] - self.said(number))
+        return np.asarray(self.runs[number].measured_w[self.battery] - self.said(number))
 
     def said(self, number: int) -> Array:
         """What model and others say of a run but for a constant [W], shape (n,)."""

@@ -179,8 +179,7 @@ class Driven:
 
     def row_w(self, battery: str) -> Array:
         """Modelled power of each row, not averaged over readings of the meter [W], shape (n,)."""
-        total = sum(self.terms[battery].values(), start=np.zeros(len(self.time_s)))
-        return np.asarray(total, dtype=float)
+        return np.asarray(sum(self.terms[battery].values(), start=np.zeros(len(self.time_s))), dtype=float)
 
     def shown_w(self, battery: str, row_w: Array, meter: Meter) -> Array:
         """A power of each row [W] as a meter shows it, shape (n,)."""

@@ -73,8 +73,7 @@ def middle_of(line: Timeline) -> Columns:
 
 def distances(line: Timeline) -> Array:
     """Way of each interval of a plan [m]."""
-    middle = middle_of(line)
-    return np.asarray(speed_of({"speed_m_s": np.zeros(len(line)), **middle}) * line.duration_s)
+    return np.asarray(speed_of({"speed_m_s": np.zeros(len(line)), **middle_of(line)}) * line.duration_s)
 
 
 def scheme_codes(columns: Covariates, count: int, *, ignore: bool) -> tuple[NDArray[np.int64], list[str]]:

@@ -198,8 +198,7 @@ def answer_batch(
             advance(count)
             firsts.append(first)
             if until is not None:
-                feasible = store.column("feasible", [first])
-                good, total = good + int(feasible.sum()), total + count
+                good, total = good + int(store.column("feasible", [first]).sum()), total + count
                 low, high = proportion_interval(good, total)
                 if high - low <= until:
                     break

@@ -75,8 +75,7 @@ class Streams:
 def run_generator(seed: int, name: str, run: int) -> Generator:
     """A generator of its own for one run, for what needs an unknown number of draws (arrivals, retries). Counter-based
     (Philox, Salmon et al. 2011), keyed by seed and name; 2^128 numbers lie between neighbouring runs."""
-    key = int.from_bytes(_digest(16, seed, name), "little")
-    return Generator(Philox(key=key, counter=[0, 0, run, 1]))
+    return Generator(Philox(key=int.from_bytes(_digest(16, seed, name), "little"), counter=[0, 0, run, 1]))
 
 
 Draws = dict[str, Array]

@@ -159,8 +159,7 @@ def _row(result: RunResult) -> dict[str, Any]:
         "distance_m": result.distance_m,
         "message": result.reason,
     }
-    starts = np.asarray(result.timeline.start_s)
-    ends = starts + np.asarray(result.timeline.duration_s)
+    ends = np.asarray(result.timeline.start_s) + np.asarray(result.timeline.duration_s)
     grid = np.arange(PROGRESS_POINTS) * (result.duration_s / (PROGRESS_POINTS - 1))
     grid[-1] = result.duration_s
     knots = np.concatenate([[0.0], ends])

@@ -129,8 +129,7 @@ class Layout:
 
 def _take(block: NDArray[np.uint8], offset: int, number: np.dtype[Any]) -> NDArray[Any]:
     """A column of the records in a block."""
-    piece = np.ascontiguousarray(block[:, offset : offset + number.itemsize])
-    return piece.view(number)[:, 0]
+    return np.ascontiguousarray(block[:, offset : offset + number.itemsize]).view(number)[:, 0]
 
 
 class Held:
