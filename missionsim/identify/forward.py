@@ -234,13 +234,22 @@ class _Search:
             if not tried:
                 break
             # watts that another meter measured come before anything whose size has to be found
-            known = [t for t in tried if self.candidates[t.candidate].effect.startswith(LOGGED)]
-            best = min(known or tried, key=lambda t: t.left.total)
-            chosen = self._kept((*chosen, *best.columns))
+            known = [t for t in tried if self._logged(t.columns)]
+            for best in sorted(known or tried, key=lambda t: t.left.total):
+                kept = self._kept((*chosen, *best.columns))
+                if self._logged(chosen) <= self._logged(kept):  # what makes them needless imitates them
+                    break
+            else:
+                break
+            chosen = kept
             # the newcomer itself is needless beside the others: it would come and go for ever
             if not set(best.columns) & set(chosen):
                 break
         return chosen
+
+    def _logged(self, columns: Sequence[int]) -> set[int]:
+        """Effects among them that pass on watts of another meter."""
+        return {n for n in map(self.effect_of, columns) if self.candidates[n].effect.startswith(LOGGED)}
 
     def _given(self, effects: Sequence[str]) -> tuple[int, ...]:
         """Columns of given effects: all levels of a label that act, of a grid the one that predicts best."""

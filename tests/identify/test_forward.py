@@ -85,6 +85,20 @@ def test_watts_that_are_logged_enter_before_what_goes_along_with_them() -> None:
     assert search.chosen(None) == (0, 1)
 
 
+def test_watts_that_are_logged_stay_though_something_makes_them_needless() -> None:
+    """Cold makes a heater run and goes along with a load that nobody logged: it would explain both."""
+    rng, folds = np.random.default_rng(5), []
+    for _ in range(8):
+        heater, load = rng.normal(size=(2, 600))
+        power = heater + 0.5 * load + 0.5 * rng.normal(size=600)
+        cold = heater + 0.5 * load + 0.05 * rng.normal(size=600)
+        folds.append(np.vstack([power, 10.0 * heater, cold, np.ones(600), 10.0 + power]))
+    search = searched(folds, ["logged_power:heater_w", "cold_friction"])
+    assert search.tried(1, [1], [0]).accepted
+    assert not search.tried(0, [0], [1]).accepted
+    assert search.chosen(None) == (0,)
+
+
 @pytest.mark.parametrize(("unlike", "rivals"), [(0.004, (1,)), (0.3, ()), (0.0, ())])
 def test_what_left_out_runs_do_not_tell_apart_are_rivals_and_a_multiple_is_none(
     unlike: float, rivals: tuple[int, ...]
