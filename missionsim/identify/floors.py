@@ -34,20 +34,18 @@ def with_levels(
         # a noise that had taken the floors for runs that differ may keep them: the fit begins anew
         model = fit_model(model.source, (*rest, *own))
         common = 0.5 * settings.recalibration_limit**2
-        every, unit = tuple(own), model.design.layout.unit
-        for _ in every:
+        every, asked, gone = tuple(own), 0, list[int]()
+        while len(own) > 1:
             shares = model.gram.coefficients(model.chosen)[0][len(rest) :]
             # the floor that costs least is that of the base, where recalibration takes what all floors have in common
-            least = min(zip(own, shares, strict=True), key=lambda one: one[1] * unit(one[0]))[0]
-            others = (*rest, *(k for k in every if k != least))
-            if shares.min() > 0.0 and (
-                len(own) < len(every) or model.gram.gain(model.chosen) - model.gram.gain(others) > common
-            ):
+            least = min(own, key=lambda k: shares[own.index(k)] * model.design.layout.unit(k))
+            lost = model.gram.gain(model.chosen) - model.gram.gain([k for k in model.chosen if k != least])
+            if shares.min() > 0.0 and (gone or lost > common):
                 break
-            own = [k for k in every if k != least]
-            model = fit_model(model.source, others, model, thorough=False)
-        if model.gram.coefficients(model.chosen)[0][len(rest) :].min() <= 0.0:
-            continue
+            # beside the others another one may cost less than it
+            gone, asked = [least] if asked == 1 else [*gone, least], asked + 1
+            own = [k for k in every if k not in gone]
+            model = fit_model(model.source, (*rest, *own), model, thorough=False)
         evidence = {}
         for k in own:
             seen = evidence_of(model, k, constraints, settings)

@@ -134,6 +134,13 @@ def test_scrub_by_floor_is_asked_over_runs_as_rolling_is() -> None:
     assert found.steps[-2].energy_error_pct < 0.2 * found.steps[1].energy_error_pct
 
 
+def test_floors_that_cost_less_than_the_base_knows_take_no_dear_one_with_them() -> None:
+    logs = on_floors((-3.0, 3.0, -1.0, -2.0, 3.5), 1)
+    (floor,) = diagnose_runs(Subject.of(load_robot("pioneer3dx")), logs, holdout="none").batteries["robot"].effects
+    assert floor.parameters.keys() == {"k_carpet", "k_grass"}
+    assert floor.indistinguishable_from == ()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_runs_that_differ_by_chance_do_not_differ_by_floor(seed: int) -> None:
     logs = on_floors((0.0,) * 5, seed, gain=0.06)
