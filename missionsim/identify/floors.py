@@ -16,7 +16,7 @@ from missionsim.identify.forward import Choice
 from missionsim.identify.gram import Constraints
 from missionsim.identify.model import fit_model, log_likelihood
 from missionsim.identify.rules import GATES, weigh
-from missionsim.identify.settings import UNUSUAL_GAIN, Settings
+from missionsim.identify.settings import LABEL_LEVEL, UNUSUAL_GAIN, Settings
 from missionsim.physics import Array
 
 
@@ -29,7 +29,7 @@ def with_levels(
         model = choice.model
         rest = tuple(k for k in model.chosen if k not in own)
         p_value = _between(choice, own, rest)
-        if not p_value < settings.alpha or set(own) <= set(model.chosen):
+        if not p_value < LABEL_LEVEL or set(own) <= set(model.chosen):
             continue
         # a noise that had taken the floors for runs that differ may keep them: the fit begins anew
         model = fit_model(model.source, (*rest, *own))
