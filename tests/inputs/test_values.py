@@ -96,8 +96,14 @@ def test_empirical_from_a_csv_column(tmp_path: Path) -> None:
         ({"value": "-1 W"}, [("impossible value", ("value",))]),
         ({"value": 1, "sd": -1}, [("standard deviation below zero", ("sd",))]),
         ({"value": 1, "sdd": 1}, [("unknown key 'sdd'", ("sdd",))]),
-        ({"value": "1 kg"}, [("wrong unit: kg is a unit of mass", ("value",))]),
-        ({"value": 1, "status": "guessed", "x": 1}, [("unknown key 'x'", ("x",)), ("unknown status", ("status",))]),
+        (
+            {"value": "1 kg", "status": "guessed", "x": 1},
+            [
+                ("unknown key 'x'", ("x",)),
+                ("unknown status", ("status",)),
+                ("wrong unit: kg is a unit of mass", ("value",)),
+            ],
+        ),
         ({"low": 3, "high": 2}, [("low above high", ("low",))]),
         ({"value": 5, "low": 1, "high": 2}, [("value outside its own low and high", ("value",))]),
         ({"sd": 1}, [("no value", ())]),
