@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.identify.design import Design
 from missionsim.identify.evidence import block_numbers, chance_of
 from missionsim.identify.findings import Structure
 from missionsim.identify.gram import project, random_effects
@@ -364,4 +365,17 @@ def runs_apart(model: Model) -> tuple[Structure | None, str]:
         "drives usually do: something that changes from run to run is missing; the same motion costs most in "
         f"{most} and least in {least}"
     )
+    if _each_floor_once(model.design):
+        words += "; each floor was driven in one run alone, so that it may be the floor: drive two of them once more"
     return Structure("run", 0.0, 0.0, size, words), ""
+
+
+def _each_floor_once(design: Design) -> bool:
+    """Whether every run has a floor, or another label, of its own."""
+    effects = [column.candidate for column in design.layout.columns]
+    for effect in set(effects):
+        levels = design.phi[[k for k, other in enumerate(effects) if other == effect]]
+        acts = np.array([np.any(levels[:, rows], axis=1) for rows in design.runs])
+        if len(acts) > 1 and np.all(acts.sum(axis=0) == 1) and np.all(acts.sum(axis=1) == 1):
+            return True
+    return False

@@ -141,6 +141,18 @@ def test_floors_that_cost_less_than_the_base_knows_take_no_dear_one_with_them() 
     assert floor.indistinguishable_from == ()
 
 
+@pytest.mark.parametrize("floors", [3, 6])
+def test_where_each_floor_was_driven_once_floor_and_run_are_one(floors: int) -> None:
+    logs = []
+    for i in range(6):
+        log = drive(i, seconds=200.0, surface=[f"floor {i % floors}"] * 200)
+        power = log.power_w["robot"] + 2.0 * (-1) ** (i // 2) * log.columns["speed_m_s"]
+        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={"robot": power}))
+    found = diagnose_runs(Subject.of(load_robot("pioneer3dx")), logs, holdout="none").batteries["robot"]
+    assert "what the same motion costs" in found.unexplained.shape
+    assert ("it may be the floor: drive two of them once more" in found.unexplained.shape) == (floors == 6)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_runs_that_differ_by_chance_do_not_differ_by_floor(seed: int) -> None:
     logs = on_floors((0.0,) * 5, seed, gain=0.06)
