@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from missionsim.effects.covariates import is_text
-from missionsim.laws.gates import left_out
+from missionsim.laws.gates import LEAST_BETTER, left_out
 from missionsim.laws.search import Fitted, Search, Searched
 from missionsim.physics import Array
 
-LEVELS_BETTER, LEAST_LEVEL = 0.97, 0.05
-"""Levels of a label's own lower the error of left-out runs to this part at least; less than this part of the highest is
-none."""
+LEAST_LEVEL = 0.05
+"""Less than this part of the highest level is none."""
 TRIED = 5
 """Quantities, best by least squares, whose levels are tried beside those of the best law."""
 
@@ -45,7 +44,7 @@ def by_levels(search: Search, fitted: Fitted) -> tuple[Search, Searched] | None:
             forms += [form for form in _differing(search, levels) if form != rest]
         found = [_with_levels(search, fitted, form, levels) for form in forms if len(form) < len(search.by_size)]
         best = min((one for one in found if one is not None), key=lambda one: one.error, default=None)
-        if best is None or best.error > LEVELS_BETTER * fitted.errors.with_law:
+        if best is None or best.error > LEAST_BETTER * fitted.errors.with_law:
             continue
         wider = Search(search.ground, search.grammar.with_levels(name, best.parts), search.memory)
         form = (*best.form, len(factors))

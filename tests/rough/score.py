@@ -96,7 +96,7 @@ def cases(seeds: range, halves: range, only: list[str]) -> Iterator[Case]:
 
     for name, mass, drive, truth in (
         ("i3_trips", "1270 kg", "ackermann", ("speeding up", "braking", "climb")),
-        ("husky_floors", "50 kg", "skid_steer", ("floors",)),
+        ("husky_floors", "50 kg", "skid_steer", ("floors", "turning by floor")),
     ):
         if (SHARED / name).is_dir() and wanted(name):
             split = choose_split(read_logs([SHARED / name / "train"]), [SHARED / name / "heldout"])
@@ -157,11 +157,11 @@ def errors(case: Case, powers: list[Array]) -> tuple[float, float]:
 
 def known(case: Case) -> list[str]:
     """The regressors of the truth, floors written out."""
-    every = sorted({name for run in case.split.train for name in regressors(run)})
-    floors = [
-        n for n in every if n.endswith(" v") and not n.startswith(("temp", "cpu", "memory", "wheel", "heat", "air"))
-    ]
-    return [n for name in case.truth for n in (floors if name == "floors" else [name])]
+    floors = sorted(
+        {text for run in case.split.train if "surface" in run.columns for text in run.columns["surface"].names}
+    )
+    by_floor = {"floors": [f"{text} v" for text in floors], "turning by floor": [f"{text} yaw" for text in floors]}
+    return [n for name in case.truth for n in by_floor.get(name, [name])]
 
 
 def stepwise(case: Case) -> list[str]:
