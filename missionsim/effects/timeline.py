@@ -351,5 +351,5 @@ def _quadrature(
                 target[index] = 0.0
             np.add.at(target, index[good], joules[good])
         again, start, piece = index[bad], offset[bad], half[bad]
-        index, offset = np.append(again, again), np.append(start, start + piece)
-        length, depth, varying = np.append(piece, piece), depth + 1, parts.keys()
+        index, offset = np.concatenate([again, again]), np.concatenate([start, start + piece])
+        length, depth, varying = np.concatenate([piece, piece]), depth + 1, parts.keys()
