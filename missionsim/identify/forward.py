@@ -312,7 +312,7 @@ class _Search:
         wald = float(shares @ np.linalg.solve(own_covariance + 1e-9 * size * np.eye(k), shares))
         p_value = float(fdtrc(k, folds - k, wald * (folds - k) / (k * (folds - 1)))) if folds > k else 1.0
         halved, runs = after.total < HALVED * before.total, int(squares.run.max()) + 1
-        logged = self.candidates[number].effect.startswith(LOGGED)
+        logged = bool(self._logged(own))
         effects = sum(self._of_family(n) for n in {column.candidate for column in layout.columns})
         part = (before.total - after.total) / max(before.total, 1e-300)
         family = FAMILY_LEVEL if folds == runs and part > LEAST_FALL else STRICT_LEVEL
@@ -361,7 +361,7 @@ class _Search:
     def rivals(self, trial: Trial, rest: Sequence[int], inside: set[int]) -> tuple[int, ...]:
         """Effects that predict left-out runs as well in the place of one; forms that hold it as a special case are
         none."""
-        if self.candidates[trial.candidate].effect.startswith(LOGGED):
+        if self._logged(trial.columns):
             return ()
         gain = self.squares.leave_out(rest).total - trial.left.total
         found: list[int] = []

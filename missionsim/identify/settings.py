@@ -333,7 +333,8 @@ FAMILY_LEVEL = 0.05
 STRICT_LEVEL = 0.01
 """The same where that error hardly falls, or where stretches of few runs, no draws of their own, are the sample."""
 LABEL_LEVEL = 0.01
-"""Level at which the levels of a label must predict left-out runs better than when dealt out among the runs anew."""
+"""Level of a label's one question: whether its levels predict left-out runs better than when dealt out among the runs
+anew, or, beside a base that is near, whether runs differ by them (F)."""
 HALVED, HALVED_LEVEL = 0.5, 0.05
 """An effect that leaves less than this part of the squared error on left-out runs is there at this level: its size may
 differ from run to run, so that the Wald test over few of them has no power."""

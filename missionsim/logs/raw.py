@@ -319,7 +319,8 @@ def refreshes(values: Array, time_s: Array) -> Refresh | None:
     starts = np.flatnonzero(change)
     if len(starts) < 5 or len(starts) > (1 - _SLOW_SHARE) * n:
         return None
-    lengths = np.diff(np.r_[starts, n])[1:-1]
+    every = np.diff(np.r_[starts, n])
+    lengths = every[1:-1]
     alive = values[starts][1:-1] != 0.0
     if alive.sum() < 4:
         return None
@@ -330,17 +331,13 @@ def refreshes(values: Array, time_s: Array) -> Refresh | None:
     regular = float(np.mean(np.abs(lengths - typical) <= max(1.0, 0.35 * typical)))
     if typical < 2 or typical * step_s > _SLOWEST_S or distinct < 0.25 or regular < 0.6:
         return None
-    rounded = float(np.median(np.abs(np.diff(values[starts])))) < _ROUNDED * _grain(values)
-    for start, length in zip(starts, np.diff(np.r_[starts, n]), strict=True) if rounded else ():
+    grain = float(np.min(np.diff(np.unique(values))))  # the least difference between two readings
+    rounded = float(np.median(np.abs(np.diff(values[starts])))) < _ROUNDED * grain
+    for start, length in zip(starts, every, strict=True) if rounded else ():
         if length * step_s < _SLOWEST_S:
             again = start + np.round(np.arange(1, round(length / typical)) * typical).astype(int)
             change[again] = True
     return Refresh(change, typical * step_s)
-
-
-def _grain(values: Array) -> float:
-    """The least difference between two readings."""
-    return float(np.min(np.diff(np.unique(values))))
 
 
 def power_from_energy(energy_wh: Array, time_s: Array) -> tuple[Array, Bools | None]:
