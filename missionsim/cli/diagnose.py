@@ -11,7 +11,7 @@ from missionsim import __version__
 from missionsim.cli.options import TERMINAL, OutFile, Output, RobotFile, Search, tell_left_out
 from missionsim.diagnose import diagnose_files, sentences, words
 from missionsim.diagnose.adopt import NotSignificant, adopt
-from missionsim.diagnose.diagnosis import examine
+from missionsim.diagnose.examine import examine
 from missionsim.diagnose.improve import Improved
 from missionsim.diagnose.improve import improve as run_improve
 from missionsim.diagnose.proposed import called, formula_of, proposed_laws, with_candidate

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from missionsim.diagnose.diagnosis import Examined, examine
+from missionsim.diagnose.examine import Examined, examine
 from missionsim.diagnose.heldout import KINDS, Models
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.subject import Subject

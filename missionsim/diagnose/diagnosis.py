@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from missionsim.diagnose.examine import Examined, examine
 from missionsim.diagnose.execution import ExecutionEffect, as_finding, execution_effects, seen_once, told_of
 from missionsim.diagnose.experiments import Bench, next_experiments
-from missionsim.diagnose.features import Features, at_size, make_features, steady_speed
 from missionsim.diagnose.heldout import KINDS, Models
 from missionsim.diagnose.leftover import leftover
 from missionsim.diagnose.manoeuvres import site_of
@@ -25,16 +25,27 @@ from missionsim.diagnose.proposed import (
     with_law,
     without_stand_ins,
 )
-from missionsim.diagnose.split import Split, choose_split, lacking, read_runs, stretches, with_same_causes
-from missionsim.diagnose.subject import Subject, priors_of
+from missionsim.diagnose.split import Split, choose_split, read_runs
+from missionsim.diagnose.subject import Subject
 from missionsim.diagnose.waterfall import noted
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
+from missionsim.fit.final import FinalFit
 from missionsim.identify.align import Clock
-from missionsim.identify.findings import BatteryDiagnosis, Diagnosis, HeldOut, Recalibrated, RunSeries, Structure, Where
-from missionsim.identify.identification import Identification, identify, refutes
+from missionsim.identify.findings import (
+    BatteryDiagnosis,
+    Diagnosis,
+    Finding,
+    HeldOut,
+    Judged,
+    Recalibrated,
+    RunSeries,
+    Structure,
+    Unexplained,
+    Where,
+)
 from missionsim.identify.proposed import Proposal
-from missionsim.identify.settings import ALPHA, LEAST_FREE_SD, MOST_PASSES, SAME_SIZE, Settings
+from missionsim.identify.settings import ALPHA, Settings
 from missionsim.identify.verdict import decide
 from missionsim.logs import describe
 from missionsim.runs.admit import unchanging
@@ -45,6 +56,8 @@ if TYPE_CHECKING:
 
 MOST_WHERE = 4
 WORTH_SAYING = 0.03
+MOST_SHIFTS = 4
+NOTHING_LEFT = "comes to nothing beside the others once all are fitted together"
 
 
 def diagnose_files(
@@ -162,94 +175,6 @@ def diagnose(
     return Diagnosis(subject.name, done, {name: " ".join(str(e).split()) for name, e in skipped.items()})
 
 
-@dataclass(frozen=True)
-class Examined:
-    """Features of the fitted runs, what the identification found in them, models to fit with it, held-out runs."""
-
-    features: Features
-    found: Identification
-    models: Models
-    held: tuple[Run, ...]
-
-
-MOST_SHIFTS = 4
-NOTHING_LEFT = "comes to nothing beside the others once all are fitted together"
-
-
-def examine(subject: Subject, split: Split, battery: str, settings: Settings, clock: Clock | None = None) -> Examined:
-    """Features and identification of one battery, before anything is said about it."""
-    own, batteries = subject.own.get(battery, ()), subject.model.batteries
-    measured = [log for log in split.train if battery in log.power_w]
-    train, left_out = with_same_causes(measured, batteries, own)
-    train, thinned = stretches(train)
-    features = _features(subject, [steady_speed(log) for log in train], battery)
-    features = replace(features, prior_sd=priors_of(subject, features, split.train))
-    if all(float(np.ptp(run.measured_w)) == 0.0 for run in features.runs):
-        raise InputError.single(
-            f"battery '{battery}': the measured power never changes in any run, so that nothing can be learned from it",
-            got=f"{features.runs[0].measured_w[0]:g} W in every row",
-            allowed="a meter that is not frozen",
-        )
-    try:
-        found = identify(features.runs, features.candidates, features.prior_sd, settings)
-        if found.base_doubtful(settings) and min(features.prior_sd.values(), default=np.inf) < LEAST_FREE_SD:
-            free = priors_of(subject.unknown(), features, split.train)
-            other = identify(features.runs, features.candidates, free, settings)
-            if refutes(other, found):  # held near the file, the base would leave its part to the effects
-                subject, found = subject.unknown(), other
-                features = replace(features, prior_sd=free, given_sd=features.prior_sd)
-        if sum(features.steady.get(one.parameter, 0.0) * one.shift for one in found.recalibration) < 0.0:
-            # a component that may be on draws something; where less is drawn than modelled, it is no reason
-            features = replace(features, steady={})
-            features = replace(features, prior_sd=priors_of(subject, features, split.train))
-            found = identify(features.runs, features.candidates, features.prior_sd, settings)
-        used: dict[str, float] = {}
-        for _ in range(MOST_PASSES):
-            sizes = _limited(found, features)
-            if all(abs(size / used.get(name, 1.0) - 1.0) < SAME_SIZE for name, size in sizes.items()):
-                break
-            features, used = at_size(features, sizes), sizes
-            found = identify(features.runs, features.candidates, features.prior_sd, settings)
-    except ValueError as error:
-        raise InputError.single(f"battery '{battery}': {error}") from error
-    remarks = [told for told in (left_out, thinned) if told]
-    needed = [features.effects[effect.effect] for effect in found.effects]
-    held = [_renamed(log, {t.run for t in train}) for log in split.heldout if battery in log.power_w]
-    untested = lacking(held, needed, batteries, train)
-    held = [log for log in held if log.run not in untested]
-    for run, columns in untested.items():
-        remarks.append(f"{run}: no {', '.join(columns)}, which an effect found depends on; not tested on it")
-    models = Models(subject.model, battery, features, tuple(train), clock or found.choice.model.clock, settings)
-    return Examined(replace(features, remarks=(*features.remarks, *remarks)), found, models, tuple(held))
-
-
-def _refuted(base: Sequence[Recalibrated]) -> Structure:
-    """What the file says of its base, against what the logs say."""
-    shifts = ", ".join(f"{one.parameter} {one.shift_pct:+.3g} %" for one in base[:MOST_SHIFTS])
-    told = f"the base of the robot file is far from right, in other units perhaps, and was fitted anew: {shifts}"
-    return Structure("", 0.0, 0.0, 0.0, told)
-
-
-def _features(subject: Subject, runs: Sequence[Run], battery: str) -> Features:
-    own, switchable = subject.own.get(battery, ()), subject.switchable.get(battery, ())
-    return make_features(subject.model, runs, battery, own, switchable=switchable)
-
-
-def _limited(found: Identification, features: Features) -> dict[str, float]:
-    """Sizes in the model of the effects whose power is limited by what the drive can give back, where that limit is not
-    proportional to the size (see `missionsim.physics.motion.relieved_part`)."""
-    model = found.choice.model
-    layout = model.design.layout
-    sizes: dict[str, float] = {}
-    for k in model.chosen:
-        column = layout.columns[k]
-        name = features.candidates[column.candidate].effect
-        size = found.choice.evidence[k].share * layout.unit(k)
-        if features.effects[name].recovers and not features.candidates[column.candidate].shape and size > 0.0:
-            sizes[name] = max(size, 1.0)
-    return sizes
-
-
 def diagnose_battery(
     subject: Subject,
     split: Split,
@@ -268,28 +193,8 @@ def diagnose_battery(
     `seen`: what `examine` gave. `laws`: whether to look for a law that the library does not hold.
     """
     seen = seen or examine(subject, split, battery, settings, clock)
-    features, found, models = seen.features, seen.found, seen.models
-    held = seen.held
-    proposed: tuple[Proposal, ...] = ()
-    if laws and found.factor is None:
-        proposed = proposed_laws(found, features.covariates, models, held)
-        if features.unlogged:
-            proposed = tuple(law for law in proposed if of_motion(law))
-        if found.choice.forward is not None and found.effects:
-            # where the base is far from right, effects that predict come first, unless a law predicts far better
-            proposed = tuple(law for law in proposed if law.far_better)
-    effects, candidates = without_stand_ins(proposed, found.effects, found.candidates)
-    if found.choice.forward is not None and effects and proposed:
-        made = as_law(proposed[0])
-        effects = with_law(models, made.effect, made.effect).needed_beside(made, effects)
-    effects = models.of_all_braking(effects)
-    # a base that is known from these logs alone may take all of an effect
-    effects, fitted = models.certain(effects, 0 if features.given_sd else 1, settings.min_share)
-    kept = {effect.effect for effect in effects}
-    candidates = tuple(
-        c if c.effect in kept or not c.accepted else replace(c, accepted=False, open=True, reason=NOTHING_LEFT)
-        for c in candidates
-    )
+    features, found, models, held = seen.features, seen.found, seen.models, seen.held
+    effects, candidates, proposed, fitted = _named(seen, settings, laws)
     fits = {"recalibrated": models.fit(()), "with_effects": fitted}
     powers = {"nominal": subject.model, **{kind: fit.model for kind, fit in fits.items()}}
     heldout: HeldOut | None = None
@@ -304,19 +209,7 @@ def diagnose_battery(
     if timeline is not None and all("speed_m_s" in log.columns for log in logs):
         driven = execution_effects(timeline, logs, battery, settings.alpha)
     execution = tuple(as_finding(one) for one in driven if one.found)
-    left, averages = found.unexplained, found.averages
-    more = [_refuted(models.recalibrated(fitted))] if features.given_sd else []
-    if found.factor is None and not averages and (over := leftover(found, features.covariates)) is not None:
-        structure = over.structure(found.mean_power_w)
-        more += [structure] if structure.covariate not in left.depends_on else []
-    if more:
-        averages = (*averages, *more)
-        left = replace(
-            left,
-            depends_on=(*left.depends_on, *(s.covariate for s in more if s.covariate)),
-            shape="; ".join(filter(None, (left.shape, *(s.shape for s in more)))),
-            structures=(*left.structures, *more),
-        )
+    left, averages = _remaining(seen, fitted)
     untestable = dict(features.untestable)
     if timeline is not None:
         untestable = {name: needs for name, needs in untestable.items() if "mission" not in needs}
@@ -360,16 +253,60 @@ def diagnose_battery(
     )
 
 
+def _named(
+    seen: Examined, settings: Settings, laws: bool
+) -> tuple[tuple[Finding, ...], tuple[Judged, ...], tuple[Proposal, ...], FinalFit]:
+    """The effects that stay beside the laws that are proposed, what became of all others, and the model with them."""
+    features, found, models, held = seen.features, seen.found, seen.models, seen.held
+    proposed: tuple[Proposal, ...] = ()
+    if laws and found.factor is None:
+        proposed = proposed_laws(found, features.covariates, models, held)
+        if features.unlogged:
+            proposed = tuple(law for law in proposed if of_motion(law))
+        if found.choice.forward is not None and found.effects:
+            # where the base is far from right, effects that predict come first, unless a law predicts far better
+            proposed = tuple(law for law in proposed if law.far_better)
+    effects, candidates = without_stand_ins(proposed, found.effects, found.candidates)
+    if found.choice.forward is not None and effects and proposed:
+        made = as_law(proposed[0])
+        effects = with_law(models, made.effect, made.effect).needed_beside(made, effects)
+    effects = models.of_all_braking(effects)
+    # a base that is known from these logs alone may take all of an effect
+    effects, fitted = models.certain(effects, 0 if features.given_sd else 1, settings.min_share)
+    kept = {effect.effect for effect in effects}
+    candidates = tuple(
+        c if c.effect in kept or not c.accepted else replace(c, accepted=False, open=True, reason=NOTHING_LEFT)
+        for c in candidates
+    )
+    return effects, candidates, proposed, fitted
+
+
+def _remaining(seen: Examined, fitted: FinalFit) -> tuple[Unexplained, tuple[Structure, ...]]:
+    """What remains with all that was named, and which parts of it are averages that say nothing of their own."""
+    features, found = seen.features, seen.found
+    left, averages = found.unexplained, found.averages
+    more = [_refuted(seen.models.recalibrated(fitted))] if features.given_sd else []
+    if found.factor is None and not averages and (over := leftover(found, features.covariates)) is not None:
+        structure = over.structure(found.mean_power_w)
+        more += [structure] if structure.covariate not in left.depends_on else []
+    depends = (*left.depends_on, *(s.covariate for s in more if s.covariate))
+    shape = "; ".join(filter(None, (left.shape, *(s.shape for s in more))))
+    return replace(left, depends_on=depends, shape=shape, structures=(*left.structures, *more)), (*averages, *more)
+
+
+def _refuted(base: Sequence[Recalibrated]) -> Structure:
+    """What the file says of its base, against what the logs say."""
+    shifts = ", ".join(f"{one.parameter} {one.shift_pct:+.3g} %" for one in base[:MOST_SHIFTS])
+    told = f"the base of the robot file is far from right, in other units perhaps, and was fitted anew: {shifts}"
+    return Structure("", 0.0, 0.0, 0.0, told)
+
+
 def _within_rows(models: Models, power: PowerModel, series: Sequence[RunSeries]) -> float:
     """Error that the means of the analysis do not show, since it averages out within them [W]."""
     count = sum(len(run.time_s) for run in series)
     square = sum(float(np.sum((run.fitted_w - run.measured_w) ** 2)) for run in series) / max(count, 1)
     rows = models.errors(power, models.runs).power_rmse_w
     return float(np.sqrt(max(rows**2 - square, 0.0)))
-
-
-def _renamed(log: Run, taken: set[str]) -> Run:
-    return replace(log, run=f"held-out {log.run}") if log.run in taken else log
 
 
 def _where(subject: Subject, split: Split, battery: str) -> tuple[Where, ...]:

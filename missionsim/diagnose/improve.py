@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from missionsim.diagnose.adopt import write
-from missionsim.diagnose.diagnosis import diagnose_battery, examine
+from missionsim.diagnose.diagnosis import diagnose_battery
+from missionsim.diagnose.examine import examine
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.proposed import as_finding, with_candidate, with_law
 from missionsim.diagnose.sentences import base_note

@@ -211,38 +211,13 @@ def estimated(
         if candidate.effect in unnamed:
             continue
         own = [k for k in model.chosen if constraints.effect[k] == number]
-        parameters: dict[str, Estimate] = {}
-        remark = ""
-        share_sd: list[float] = []
-        for k in own:
-            e = choice.evidence[k]
-            column = model.design.layout.columns[k]
-            unit = model.design.layout.unit(k)
-            form = abs(sizes[k]) * _form_error(model, k, on_ramps[k], settings)
-            share_sd.append(float(np.linalg.norm([e.share_sd, e.shape_sd, form])))
-            half = Z95 * float(np.linalg.norm([e.share_sd, sizes[k] * e.unit_shape_sd, form])) * unit
-            level = candidate.levels[column.position] if candidate.levels else ""
-            name = f"{candidate.coefficient}_{level}" if level else candidate.coefficient
-            size = sizes[k] * unit
-            parameters[name] = Estimate(size, size - half, size + half, candidate.unit)
-            if size > candidate.plausible:
-                remark = (
-                    f"{size:.2g} times what the robot's mass asks for; either that mass is wrong or something else acts"
-                )
+        parameters, reach = _sized(choice, candidate, own, sizes, on_ramps, settings)
+        largest = max(p.value for p in parameters.values())
+        much = f"{largest:.2g} times what the robot's mass asks for; either that mass is wrong or something else acts"
         parameters |= _shape_estimates(shapes.get(candidate.effect, {}))
         evidence = [choice.evidence[k] for k in own]
-        share, reach = sum(sizes[k] for k in own), Z95 * float(np.linalg.norm(share_sd))
-        if choice.forward is None:
-            similar = rivals(model, number, constraints, candidates, settings)
-        else:
-            similar = tuple(candidates[o].effect for o in choice.forward.rivals.get(number, ()))
-        loads, watts = candidate.unlogged
-        size_w = sum(abs(sizes[k]) for k in own) * model.design.layout.mean_power_w
-        if size_w <= watts:
-            similar = (*similar, *(name for name in loads if name != candidate.effect))
-        similar = (*similar, *(name for name in candidate.may_be(size_w) if name not in (*similar, candidate.effect)))
-        if not similar and evidence[0].p_runs > BESIDE_RUN_LEVEL and cause_is_constant(model, own[0], candidates):
-            similar = _larger(number, model, constraints, candidates, sizes)
+        share = sum(sizes[k] for k in own)
+        similar = _similar(choice, number, constraints, candidates, settings, sizes)
         leads = {p.b: p.separation_nats for p in alike if p.a == candidate.effect}
         # where rivals are told, the lead over them is what is asked
         among = [leads[name] for name in similar if name in leads] or list(leads.values())
@@ -260,10 +235,60 @@ def estimated(
                 indistinguishable_from=similar,
                 separation_nats=min(among, default=float("nan")),
                 absorbed=float(absorbed[own].min()),
-                remark=remark,
+                remark=much if largest > candidate.plausible else "",
             )
         )
     return tuple(sorted(out, key=lambda f: -f.gain_nats))
+
+
+def _sized(
+    choice: Choice,
+    candidate: Candidate,
+    own: Sequence[int],
+    sizes: Mapping[int, float],
+    on_ramps: Mapping[int, float],
+    settings: Settings,
+) -> tuple[dict[str, Estimate], float]:
+    """Coefficients of an effect's columns with their intervals, and the half interval of its share of the energy."""
+    layout = choice.model.design.layout
+    parameters: dict[str, Estimate] = {}
+    share_sd: list[float] = []
+    for k in own:
+        e, unit = choice.evidence[k], layout.unit(k)
+        form = abs(sizes[k]) * _form_error(choice.model, k, on_ramps[k], settings)
+        share_sd.append(float(np.linalg.norm([e.share_sd, e.shape_sd, form])))
+        half = Z95 * float(np.linalg.norm([e.share_sd, sizes[k] * e.unit_shape_sd, form])) * unit
+        level = candidate.levels[layout.columns[k].position] if candidate.levels else ""
+        name = f"{candidate.coefficient}_{level}" if level else candidate.coefficient
+        size = sizes[k] * unit
+        parameters[name] = Estimate(size, size - half, size + half, candidate.unit)
+    return parameters, Z95 * float(np.linalg.norm(share_sd))
+
+
+def _similar(
+    choice: Choice,
+    number: int,
+    constraints: Constraints,
+    candidates: Sequence[Candidate],
+    settings: Settings,
+    sizes: Mapping[int, float],
+) -> tuple[str, ...]:
+    """Effects that these data cannot tell from one in the model."""
+    model, candidate = choice.model, candidates[number]
+    own = [k for k in model.chosen if constraints.effect[k] == number]
+    if choice.forward is None:
+        similar = rivals(model, number, constraints, candidates, settings)
+    else:
+        similar = tuple(candidates[o].effect for o in choice.forward.rivals.get(number, ()))
+    loads, watts = candidate.unlogged
+    size_w = sum(abs(sizes[k]) for k in own) * model.design.layout.mean_power_w
+    if size_w <= watts:
+        similar = (*similar, *(name for name in loads if name != candidate.effect))
+    similar = (*similar, *(name for name in candidate.may_be(size_w) if name not in (*similar, candidate.effect)))
+    evidence = choice.evidence[own[0]]
+    if not similar and evidence.p_runs > BESIDE_RUN_LEVEL and cause_is_constant(model, own[0], candidates):
+        return _larger(number, model, constraints, candidates, sizes)
+    return similar
 
 
 def _larger(

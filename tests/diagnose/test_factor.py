@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from missionsim.diagnose import Subject, diagnose, words
-from missionsim.diagnose.diagnosis import examine
+from missionsim.diagnose.examine import examine
 from missionsim.diagnose.split import Split
 from missionsim.identify.design import Source
 from missionsim.identify.settings import Settings

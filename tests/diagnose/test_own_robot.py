@@ -12,7 +12,8 @@ import pytest
 
 from missionsim.compare import compare_files
 from missionsim.diagnose.adopt import adopt
-from missionsim.diagnose.diagnosis import diagnose_battery, examine
+from missionsim.diagnose.diagnosis import diagnose_battery
+from missionsim.diagnose.examine import examine
 from missionsim.diagnose.improve import improve
 from missionsim.diagnose.sentences import sure
 from missionsim.diagnose.split import Split

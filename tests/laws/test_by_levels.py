@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from missionsim.diagnose import Subject
-from missionsim.diagnose.diagnosis import diagnose, examine
+from missionsim.diagnose.diagnosis import diagnose
+from missionsim.diagnose.examine import examine
 from missionsim.diagnose.split import Split
 from missionsim.identify.findings import BatteryDiagnosis
 from missionsim.identify.settings import Settings
