@@ -7,9 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from missionsim.diagnose.diagnosis import examine
 from missionsim.diagnose.features import Features, make_features, steady_speed
+from missionsim.diagnose.split import Split
+from missionsim.diagnose.subject import Subject
 from missionsim.effects.model import PowerModel
 from missionsim.errors import InputError
+from missionsim.identify.settings import Settings
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import LogTable
@@ -148,3 +152,20 @@ def test_speed_in_traffic_is_signal(seed: int) -> None:
     speed = 12.0 + np.cumsum(pedal - np.linspace(pedal[0], pedal[-1], 420)) * 0.3
     run = drive(1, speed_m_s=speed)
     np.testing.assert_array_equal(steady_speed(run).number("speed_m_s"), speed)
+
+
+def test_a_grade_is_fitted_at_the_size_that_is_found() -> None:
+    """A drive of 5/8 efficiency: at the limit of a lossless one, and at that of the first size found, heat in the
+    windings stands in for what steep descents do not give back."""
+
+    def hilly(seed: int) -> LogTable:
+        log, rng = drive(seed, seconds=200.0), np.random.default_rng(100 + seed)
+        speed = log.columns["speed_m_s"]
+        slope = np.repeat(rng.choice([-0.15, 0.0, 0.15], 10), 20)
+        lifting = 1.6 * 25.0 * 9.81 * speed * np.sin(slope)
+        power = log.power_w["robot"] + np.maximum(lifting, -(6.25 * speed**2 + 9.79 * speed))
+        return replace(log, columns={**log.columns, "slope_rad": slope}, power_w={"robot": power})
+
+    seen = examine(Subject.of(load_robot("pioneer3dx")), Split((hilly(0), hilly(1)), (), ""), "robot", Settings())
+    assert [e.effect for e in seen.found.effects] == ["grade"]
+    assert seen.found.effects[0].parameters["k"].value == pytest.approx(1.6, abs=0.02)
