@@ -256,13 +256,14 @@ class Models:
 
 def _with_values(effect: Finding, fitted: FinalFit) -> Finding:
     parameters = dict(effect.parameters)
-    before = sum(e.value for name, e in parameters.items() if f"{effect.effect}.{name}" in fitted.values)
+    sizes = [n for n in parameters if n != "regeneration" and f"{effect.effect}.{n}" in fitted.values]
+    before = sum(parameters[name].value for name in sizes)
     for name, old in effect.parameters.items():
         new = fitted.values.get(f"{effect.effect}.{name}")
         if new is not None:
             half = max(0.5 * (old.high - old.low), Z95 * new.sd)
             parameters[name] = Estimate(new.value, new.value - half, new.value + half, old.unit)
-    after = sum(e.value for name, e in parameters.items() if f"{effect.effect}.{name}" in fitted.values)
+    after = sum(parameters[name].value for name in sizes)
     times = after / before if before else 1.0
     reach = 0.5 * (effect.share_high - effect.share_low) * max(1.0, abs(times))
     share = effect.energy_share * times
