@@ -11,9 +11,10 @@ import pytest
 
 from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.improve import MOST_ROUNDS, Rounds, State
+from missionsim.fit.final import FinalFit, Value
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate
-from missionsim.identify.findings import Finding
+from missionsim.identify.findings import Estimate, Finding
 from tests.diagnose.test_words import BATTERY, GRADE
 
 AT_FIRST = Clock(0.2, 0.3, (0.0, 0.0))
@@ -149,3 +150,11 @@ def test_levels_that_sum_to_nothing_stay_where_other_runs_need_them(without: flo
     none = {"share_low": -0.1, "share_high": 0.3}
     told, _ = models.certain([grade, replace(floor, **none), replace(drag, **none)])  # type: ignore[misc]
     assert tuple(effect.effect for effect in told) == kept
+
+
+def test_an_effect_keeps_its_share_where_it_gives_nothing_back() -> None:
+    """The robot brakes in full where descents relieve the drive already: inertia costs as much as before."""
+    back = replace(GRADE, parameters={**GRADE.parameters, "regeneration": Estimate(0.8, 0.7, 0.9)})
+    fitted = FinalFit(None, {"grade.k": Value(0.49, 0.01), "grade.regeneration": Value(0.0, 0.1)})  # type: ignore[arg-type]
+    (told,) = Models.told(Fitted({}), [back], fitted)  # type: ignore[arg-type]
+    assert told.energy_share == pytest.approx(0.5 * GRADE.energy_share)
