@@ -22,7 +22,7 @@ Columns = dict[str, Any]
 """The same, made for one use."""
 WIDTHS_S = (0.5, 1.0, 1.5, 2.0)
 """Widths over which a speed may be smoothed before it is differentiated [s], three rows at least."""
-BORNE_OUT = 2.0
+BORNE_OUT = 3.0
 """Standard deviations of their difference within which a slope bears out another."""
 FEWEST_REFRESHES, EVEN = 10, 0.2
 """A speed is held where so many steps come at multiples of one time, but for this part of it and of them."""
@@ -164,6 +164,9 @@ def between_refreshes(speed_m_s: Array, time_s: Array) -> Array:
 
 
 def speed_noise(speed_m_s: Array) -> float:
-    """Standard deviation of the noise of a speed [m/s], from second differences: a robot's own changes do not reach
-    their median."""
-    return float(np.median(np.abs(np.diff(speed_m_s, 2)))) / (0.6745 * np.sqrt(6.0)) if len(speed_m_s) >= 50 else 0.0
+    """Standard deviation of the noise of a speed [m/s], from the smaller half of its second differences, which a
+    robot's own changes do not reach: their mean, since the median of a rounded speed is one of its steps."""
+    if len(speed_m_s) < 50:
+        return 0.0
+    size = np.sort(np.abs(np.diff(speed_m_s, 2)))
+    return float(np.mean(size[: len(size) // 2])) / (0.3246 * np.sqrt(6.0))

@@ -53,9 +53,19 @@ def test_noisier_logs_of_one_robot_keep_the_size_of_a_jolt() -> None:
     assert np.ptp(sizes) < 0.05 * np.mean(sizes)
 
 
-def test_the_noise_is_that_of_the_speed_and_not_of_its_changes() -> None:
+@pytest.mark.parametrize("step_m_s", [1e-6, 0.1 / 3.6])
+def test_the_noise_is_that_of_the_speed_and_not_of_its_changes(step_m_s: float) -> None:
     _, speed, _ = ride(2, 0.02)
-    assert speed_noise(speed) == pytest.approx(0.02, rel=0.1)
+    rounded = np.round(speed / step_m_s) * step_m_s  # a logger's tenths of a km/h
+    assert speed_noise(rounded) == pytest.approx(np.hypot(0.02, step_m_s / np.sqrt(12.0)), rel=0.1)
+
+
+def test_slow_changes_of_a_rounded_speed_are_smoothed() -> None:
+    """A wheel that speeds up and slows down for half a minute: rarely is a line over 2 s refuted by chance."""
+    time_s = np.arange(0.0, 900.0, STEP_S)
+    speed = 5.0 - 2.0 * np.cos(0.07 * time_s) + np.random.default_rng(3).normal(0.0, 0.02, len(time_s))
+    found = acceleration(np.round(speed * 36.0) / 36.0, time_s) - 0.14 * np.sin(0.07 * time_s)
+    assert np.sqrt(np.mean(found**2)) < 0.02
 
 
 @pytest.mark.parametrize("rows", [2, 5])
