@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -104,12 +105,18 @@ def test_the_command_says_it_first_and_exits_with_one(
     assert run_command(["add-effect", "--effect", "grade", *arguments, "--out", str(tmp_path / "r.yaml")]) == 1
     assert capsys.readouterr().err.startswith("LEFT OUT run_01: power_robot_w is")
     assert run_command(["compare", *arguments[:-1]]) == 1
-    said = capsys.readouterr().out
-    assert said.startswith("LEFT OUT run_01: power_robot_w is")
-    assert "5 runs" in said
+    out = capsys.readouterr().out
+    assert out.startswith("LEFT OUT run_01: power_robot_w is")
+    assert "5 runs" in out
     with pytest.warns(UserWarning, match="left out run_01: power_robot_w is"):
         fitted = missionsim.calibrate("pioneer3dx", logs)
     assert "run_01" not in fitted.to_json()["batteries"]["robot"]["runs"]
+    # a new robot has no model yet, and is held against that of all its runs
+    new = ["calibrate", "--new", "own", "--base", "c2*v**2 + c3*v + c4", str(logs), "--out", str(tmp_path / "own.yaml")]
+    assert run_command([*new, "--json", str(tmp_path / "own.json")]) == 1
+    said = json.loads((tmp_path / "own.json").read_text(encoding="utf-8"))
+    assert [line.split(" is ")[0] for line in said["left_out"]] == ["run_01: power_robot_w"]
+    assert "run_01" not in said["batteries"]["robot"]["runs"]
 
 
 def test_an_offset_of_one_meter_is_named_in_watts(runs: list[Run]) -> None:
