@@ -169,4 +169,4 @@ def speed_noise(speed_m_s: Array) -> float:
     if len(speed_m_s) < 50:
         return 0.0
     size = np.sort(np.abs(np.diff(speed_m_s, 2)))
-    return float(np.mean(size[: len(size) // 2])) / (0.3246 * np.sqrt(6.0))
+    return float(np.mean(size[: len(size) // 2]) / (0.3246 * np.sqrt(6.0)))
