@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from missionsim.diagnose.diagnosis import examine
+from missionsim.diagnose.examine import examine
 from missionsim.diagnose.features import Features, make_features, steady_speed
 from missionsim.diagnose.split import Split
 from missionsim.diagnose.subject import Subject

@@ -271,3 +271,19 @@ def test_noise_that_grows_with_the_power_leaves_a_small_load_seen_at_rest():
         gradient = {**run.gradient, "c4": run.gradient["c4"] + drive}
         runs.append(replace(run, measured_w=power, base_w=run.base_w + drive, gradient=gradient))
     assert _names(identify(runs, library(), {})) == ["component_power:camera"]
+
+
+def test_a_stretch_of_a_curve_that_only_ramps_support_says_nothing():
+    """Sills that a robot meets as it brakes or starts, each with a jolt: the slope that they show is no form."""
+    runs = []
+    for run in make_runs(1, hidden := _strength("grade", 0.03)):
+        speed, slope = run.covariates["speed_m_s"], run.covariates["slope_rad"].copy()
+        sills = np.flatnonzero((np.abs(np.gradient(speed)) > 0.12) & (speed > 0.1))[:20]
+        slope[sills] = 0.2
+        grade = 20.0 * 9.81 * speed * np.sin(slope)
+        power = run.measured_w + hidden["grade"] * (grade - run.columns["grade"])
+        power[sills] += 8.0
+        columns, covariates = {**run.columns, "grade": grade}, {**run.covariates, "slope_rad": slope}
+        runs.append(replace(run, measured_w=power, columns=columns, covariates=covariates))
+    found = identify(runs, library(), {})
+    assert (_names(found), found.unexplained.depends_on) == (["grade"], ())
