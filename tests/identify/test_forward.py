@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from missionsim.identify.data import Candidate, Column, Layout
+from missionsim.identify.align import Clock
+from missionsim.identify.data import Candidate, Column, Layout, RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.forward import _Search, far_from_right
 from missionsim.identify.predictive import LeastSquares, sober_clock
@@ -99,15 +100,24 @@ def test_watts_that_are_logged_stay_though_something_makes_them_needless() -> No
     assert search.chosen(None) == (0,)
 
 
-@pytest.mark.parametrize(("unlike", "rivals"), [(0.004, (1,)), (0.3, ()), (0.0, ())])
+@pytest.mark.parametrize(
+    ("unlike", "first", "rivals"),
+    [
+        (0.004, 1.0, (1,)),
+        (0.001, 1.0, ()),  # a multiple of the effect, but for its rounding, is the effect itself
+        (0.05, 1.0, ()),  # the effect hardly passes its gates beside it, and predicts every run better
+        (0.2, 6.0, ()),  # one large run decides, so that runs do not tell; beside it the effect is there
+    ],
+)
 def test_what_left_out_runs_do_not_tell_apart_are_rivals_and_a_multiple_is_none(
-    unlike: float, rivals: tuple[int, ...]
+    unlike: float, first: float, rivals: tuple[int, ...]
 ) -> None:
     rng, folds = np.random.default_rng(9), []
-    for _ in range(8):
-        drag = rng.normal(size=600)
+    for size in (first, *7 * [1.0]):
+        drag = size * rng.normal(size=600)
         power = drag + 0.5 * rng.normal(size=600)
-        folds.append(np.vstack([power, drag, 2.0 * drag + unlike * rng.normal(size=600), np.ones(600), 10.0 + power]))
+        friction = 2.0 * drag + unlike * size * rng.normal(size=600)
+        folds.append(np.vstack([power, drag, friction, np.ones(600), 10.0 + power]))
     search = searched(folds, ["aerodynamic_drag", "viscous_friction"])
     assert search.rivals(search.tried(0, [0], ()), (), {0}) == rivals
 
@@ -162,13 +172,35 @@ def test_the_twin_of_a_base_parameter_is_more_than_recalibration_and_no_more_tha
     assert trial.passed["beyond recalibration"] is beyond
 
 
+def clock_of(runs: list[RunData]) -> Clock:
+    return sober_clock(make_source(runs, library(), {}, Settings(align=False)), (0,))
+
+
 @pytest.mark.parametrize("late_s", [0.0, 0.5, -0.5])
 def test_the_clock_of_a_base_that_is_far_off_is_the_one_that_predicts_left_out_runs(late_s: float) -> None:
-    source = make_source(make_runs(3, {"grade": 0.3}, delay_s=late_s), library(), {}, Settings(align=False))
-    clock = sober_clock(source, (0,))
-    assert clock.delay_s + clock.lag_s == pytest.approx(late_s, abs=0.15)
-    assert clock.lag_s >= 0.0
-    assert (clock.delay_s, clock.lag_s) == (0.0, 0.0) or late_s
+    """Half a row late is a lag, or some of each; a meter ahead of the motion has no lag that smooths it besides."""
+    clock = clock_of(make_runs(3, {"grade": 0.3}, delay_s=late_s))
+    assert clock.delay_s + clock.lag_s == pytest.approx(late_s, abs=0.05)
+    assert clock.lag_s == 0.0 or late_s > 0.0
+
+
+def test_a_meter_that_is_late_and_sluggish_is_both() -> None:
+    runs = []
+    for run in make_runs(3, {"grade": 0.3}, delay_s=1.0):
+        power = run.measured_w.copy()
+        for i in range(1, len(power)):
+            power[i] = power[i - 1] + (1.0 - np.exp(-1.0)) * (power[i] - power[i - 1])
+        runs.append(replace(run, measured_w=power))
+    clock = clock_of(runs)
+    assert clock.delay_s > 0.3
+    assert clock.lag_s > 0.8
+
+
+def test_two_late_runs_of_six_are_no_clock_of_all() -> None:
+    """The error of all together falls most where a lag of 1.1 s stands between theirs and that of the others."""
+    late = make_runs(3, {"grade": 0.3}, delay_s=3.0)[:2]
+    clock = clock_of([*late, *make_runs(3, {"grade": 0.3})[2:]])
+    assert (clock.delay_s, clock.lag_s) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(("part", "far"), [(0.02, False), (0.4, True)])
