@@ -287,3 +287,15 @@ def test_a_stretch_of_a_curve_that_only_ramps_support_says_nothing():
         runs.append(replace(run, measured_w=power, columns=columns, covariates=covariates))
     found = identify(runs, library(), {})
     assert (_names(found), found.unexplained.depends_on) == (["grade"], ())
+
+
+def test_one_steep_stretch_does_not_hide_what_the_others_show():
+    """One drive whose steepest half minute holds most of the information: degrees of freedom are left without it."""
+    hidden = _strength("grade", 0.02)
+    run = make_runs(1, hidden, count=1)[0]
+    steeper = np.where((run.time_s > 100.0) & (run.time_s < 130.0), 4.0, 1.0)
+    grade, slope = (steeper * x for x in (run.columns["grade"], run.covariates["slope_rad"]))
+    power = run.measured_w + hidden["grade"] * (grade - run.columns["grade"])
+    columns, covariates = {**run.columns, "grade": grade}, {**run.covariates, "slope_rad": slope}
+    run = replace(run, measured_w=power, columns=columns, covariates=covariates)
+    assert _names(identify([run], library(), {})) == ["grade"]

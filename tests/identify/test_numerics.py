@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from missionsim.identify import model
 from missionsim.identify.align import RunColumns, make_bins
 from missionsim.identify.data import RunData
 from missionsim.identify.design import make_source, switch_jumps
@@ -197,6 +198,17 @@ def test_some_of_the_runs_are_those_of_the_whole(source):
     first, _ = whole.of_runs(numbers, 20)
     assert [run.stop - run.start for run in first.runs] == [20, 20]
     assert np.array_equal(first.y[:20], whole.y[whole.runs[2]][:20])
+
+
+def test_the_noise_of_many_rows_is_fitted_to_runs_spread_over_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    source = make_source(make_runs(1, count=45), library(), {}, Settings(align=False))
+    design, rows = source.design(source.clock), []
+    fit = model.fit_noise
+    monkeypatch.setattr(model, "fit_noise", lambda d, *more: rows.append(len(d.y)) or fit(d, *more))
+    some = model.fitted_noise(design, ())
+    assert rows == [39 * 410]
+    assert some.sigma_w == pytest.approx(fit(design, ()).sigma_w, rel=0.02)
+    assert len(some.weight) == 45 * 420
 
 
 def test_the_robust_error_is_that_of_the_fits_that_leave_a_cluster_out() -> None:
