@@ -36,6 +36,7 @@ from missionsim.identify.settings import (
     ROUGH,
     SEVERAL_RUNS,
     STRICT_LEVEL,
+    SWALLOWED,
     UNCLEAR,
     WORSE_ENERGY_LEVEL,
     Settings,
@@ -88,24 +89,27 @@ class Forward:
         """What speaks for a column, in the words of the gates."""
         trial = next(t for t in self.trials.values() if column in t.columns)
         place = trial.columns.index(column)
-        rest = [k for k in self.chosen if k not in trial.columns]
-        without = self.squares.leave_out(rest)
-        count = float(self.squares.seconds.sum()) / INDEPENDENT_S
-        gain = 0.5 * count * float(np.log(without.total / max(trial.left.total, 1e-300)))
-        sd = float(np.sqrt(trial.covariance[place, place]))
+        without = self.squares.leave_out([k for k in self.chosen if k not in trial.columns])
+        ratio = without.total / max(trial.left.total, 1e-300)
         return Evidence(
             column=column,
-            gain=gain,
+            gain=0.5 * float(self.squares.seconds.sum()) / INDEPENDENT_S * float(np.log(ratio)),
             share=float(trial.shares[place]),
-            share_sd=sd,
+            share_sd=float(np.sqrt(trial.covariance[place, place])),
             p_robust=trial.p_value,
             p_runs=trial.p_value if int(self.squares.run.max()) else np.nan,  # parts of one run are no runs
             passed=dict(trial.passed),
         )
 
-    def part_of(self, chosen: Sequence[int]) -> float:
-        """Squared error of left-out runs as a part of that of another set."""
-        return self.squares.leave_out(self.chosen).total / self.squares.leave_out(chosen).total
+    def stands(self, model: Model, settings: Settings) -> bool:
+        """Whether it stands against a model of the finer search: left-out runs err far less than all do with that one,
+        or it holds the same effects and others, all at the level of that search."""
+        squares = LeastSquares.of(model.design)
+        fitted = squares.errors(squares.index(model.chosen), model.estimate(model.chosen)[0]).total
+        p_values = {number: t.p_value for number, t in self.trials.items() if set(t.columns) <= set(self.chosen)}
+        more = {model.source.layout.columns[k].candidate for k in model.chosen} < set(p_values)
+        sure = more and max(p_values.values()) < settings.alpha / len(self.trials)
+        return sure or self.squares.leave_out(self.chosen).total < SWALLOWED * fitted
 
     def smallest_detectable(self, columns: int, settings: Settings) -> Array:
         """Share of energy of each column that four of five sets of runs would show, from the cluster jackknife."""

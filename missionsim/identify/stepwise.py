@@ -26,9 +26,8 @@ from missionsim.identify.settings import (
     JOINT_NATS,
     PROMISING,
     SEVERAL_RUNS,
-    SWALLOWED,
     TRIED,
-    UNUSUAL_GAIN,
+    USUAL_GAIN,
     Settings,
 )
 
@@ -49,11 +48,11 @@ def choose(source: Source, candidates: Sequence[Candidate], settings: Settings) 
         found, source = step, step.model.source
     found = with_levels(found, candidates, constraints, settings)
     found = with_what_runs_differ_by(found, candidates, constraints, settings)
-    offset = found.model.noise.offset_w > UNUSUAL_GAIN * source.layout.mean_power_w
+    offset = found.model.noise.offset_w > USUAL_GAIN * source.layout.mean_power_w
     if len(source.runs) > SEVERAL_RUNS and (offset or low_frequency_noise(found.model) is not None):
         # of a column that is noisy or late, offsets of runs and a noise as slow as it is take what it says
         selected = forward(source, candidates, settings, near=True)
-        if selected is not None and selected.part_of(found.model.chosen) < SWALLOWED:
+        if selected is not None and selected.stands(found.model, settings):
             return _by_prediction(source, selected)
     return found
 

@@ -224,7 +224,7 @@ def loaded(rng: np.random.Generator, name: str, idle: bool, watts: float) -> Run
     return RunData(name, np.arange(300) + 0.5, ones, measured, 7.5 * ones, {"c4": 7.5 * ones}, columns, dict(columns))
 
 
-@pytest.mark.parametrize(("watts", "names"), [(1.6, ["cpu_load"]), (0.0, [])])
+@pytest.mark.parametrize(("watts", "names"), [(1.6, ["cpu_load"]), (0.5, ["cpu_load"]), (0.0, [])])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_noisy_load_is_seen_between_the_runs(seed: int, watts: float, names: list[str]) -> None:
     """Within runs its coefficient is a fraction, and offsets of the runs would take the rest."""
@@ -234,15 +234,18 @@ def test_a_noisy_load_is_seen_between_the_runs(seed: int, watts: float, names: l
     assert [effect.effect for effect in identify(runs, effects, {"c4": 1.0}).effects] == names
 
 
+@pytest.mark.parametrize("unlogged", [0.0, 6.0])
 @pytest.mark.parametrize(("watts", "names"), [(5.0, ["cpu_load"]), (0.0, [])])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_load_logged_late_is_no_noise(seed: int, watts: float, names: list[str]) -> None:
-    """Load in steps of 8 to 30 s that the log tells 2 s later: a noise of 25 s takes all but the differences."""
+def test_a_load_logged_late_is_no_noise(seed: int, watts: float, names: list[str], unlogged: float) -> None:
+    """Load in steps of 8 to 30 s that the log tells 2 s later: a noise of 25 s takes all but the differences. Alone, or
+    beside another one that no column shows."""
     rng = np.random.default_rng(seed)
     ones, runs = np.ones(200), []
     for i in range(12):
         load = np.repeat(rng.choice([0.05, 0.5, 1.0], 30), rng.integers(8, 30, 30))[:202]
         measured = 12.0 + watts * load[2:] + 0.4 * rng.standard_normal(200)
+        measured += unlogged * np.repeat(rng.random(25) < 0.4, 8)
         columns = {"cpu_load": load[:-2], "grade": np.where(rng.random(200) < 0.1, 1.0, 0.0)}
         base = 14.0 * ones
         runs.append(RunData(f"{i}", np.arange(200) + 0.5, ones, measured, base, {"c4": base}, columns, dict(columns)))
