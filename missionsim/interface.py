@@ -229,10 +229,18 @@ def diagnose(
     """
     from missionsim.diagnose.diagnosis import diagnose_files
 
-    where = None if mission is None else Path(mission)
+    left_out: list[str] = []
     found = diagnose_files(
-        str(robot), _paths(logs), holdout=holdout, mission=where, battery=battery, alpha=alpha, align=align
+        str(robot),
+        _paths(logs),
+        holdout=holdout,
+        mission=None if mission is None else Path(mission),
+        battery=battery,
+        alpha=alpha,
+        align=align,
+        on_left_out=left_out.extend,
     )
+    _warn(left_out)
     data = found.to_json()["batteries"]
     told = [f"{n}: {b['verdict']} {' '.join(e['effect'] for e in b['effects'])}".strip() for n, b in data.items()]
 
@@ -289,9 +297,15 @@ def improve(
 
 def calibrate(robot: PathLike, logs: Logs, *, battery: str | None = None) -> Answer[Refit]:
     """Refit a robot's parameters; see ``missionsim calibrate --robot``."""
+    from missionsim.diagnose.split import read_runs
     from missionsim.fit.refit import refit_robot
+    from missionsim.inputs.loading import load_robot
+    from missionsim.inputs.power import build_power_model
 
-    done = refit_robot(str(robot), _runs(robot, logs)[1], battery)
+    spec = load_robot(robot)
+    runs, left_out = read_runs(spec, build_power_model(spec), _paths(logs))
+    _warn(left_out)
+    done = refit_robot(str(robot), runs, battery)
 
     def rows() -> list[dict[str, Any]]:
         keys = ("name", "value", "sd", "before", "unit")
@@ -346,18 +360,6 @@ def import_site(path: PathLike, options: SiteOptions | None = None) -> Answer[Si
     return Answer(site, line, rows, site.summary, ("to", "length"), site.environment_text())
 
 
-def _runs(robot: PathLike, logs: Logs) -> tuple[RobotSpec, list[Run]]:
-    """The robot, and the runs that it may learn from; of the others a warning tells, as the commands do."""
-    from missionsim.diagnose.split import read_runs
-    from missionsim.inputs.loading import load_robot
-    from missionsim.inputs.power import build_power_model
-
-    spec = load_robot(robot)
-    runs, left_out = read_runs(spec, build_power_model(spec), _paths(logs))
-    _warn(left_out, stacklevel=5)
-    return spec, runs
-
-
 def _warn(left_out: Sequence[str], stacklevel: int = 3) -> None:
     """Tell of runs that were left out, as the commands do."""
     for line in left_out:
@@ -365,10 +367,13 @@ def _warn(left_out: Sequence[str], stacklevel: int = 3) -> None:
 
 
 def _split(robot: PathLike, logs: Logs, holdout: str | Sequence[str | Path] | None) -> tuple[RobotSpec, Split]:
-    from missionsim.diagnose.split import choose_split
+    from missionsim.diagnose.split import read_split
+    from missionsim.inputs.loading import load_robot
 
-    spec, runs = _runs(robot, logs)
-    return spec, choose_split(runs, holdout)
+    spec = load_robot(robot)
+    split, _, left_out = read_split(spec, _paths(logs), holdout)
+    _warn(left_out, stacklevel=4)
+    return spec, split
 
 
 def _pairs(values: Values | None) -> tuple[tuple[str, str], ...]:

@@ -176,18 +176,17 @@ class Search:
 
     def read(self, logs: Sequence[Path], to: Output) -> tuple[RobotSpec, Split, list[LogTable], list[str]]:
         """Robot, runs to fit and to test on, all of them, and those left out; says what the checks found."""
-        from missionsim.diagnose.split import choose_split, read_runs
+        from missionsim.diagnose.split import read_split
         from missionsim.inputs.loading import load_robot
-        from missionsim.inputs.power import build_power_model
         from missionsim.logs import describe
         from missionsim.runs.admit import unchanging
 
         spec = load_robot(self.robot)
-        tables, left_out = read_runs(spec, build_power_model(spec), logs)
+        split, tables, left_out = read_split(spec, logs, self.holdout)
         tell_left_out(left_out, to)
         for line in [] if to.quiet else [*describe(tables), *unchanging(tables)]:
             print(visible(line), file=sys.stderr)
-        return spec, choose_split(tables, self.holdout), tables, left_out
+        return spec, split, tables, left_out
 
 
 SHARED = (Output, Changes, Search)

@@ -25,7 +25,7 @@ from missionsim.diagnose.proposed import (
     with_law,
     without_stand_ins,
 )
-from missionsim.diagnose.split import Split, choose_split, read_runs
+from missionsim.diagnose.split import Split, choose_split, read_split
 from missionsim.diagnose.subject import Subject
 from missionsim.diagnose.waterfall import noted
 from missionsim.effects.model import PowerModel
@@ -112,15 +112,14 @@ def diagnose_files(
         run = simulate(load_mission(mission, robot=spec))
         timeline, segments = run.timeline, tuple(segment.name for segment in run.segments)
     subject = Subject.of(spec)
-    tables, left_out = read_runs(spec, subject.model, logs)
+    split, tables, left_out = read_split(spec, logs, holdout)
     if on_left_out is not None:
         on_left_out(left_out)
     if on_remark is not None:
         on_remark(unchanging(tables))
     return diagnose(
         subject,
-        tables,
-        holdout=holdout,
+        split,
         timeline=timeline,
         segments=segments,
         battery=battery,
@@ -130,7 +129,7 @@ def diagnose_files(
 
 def diagnose(
     subject: Subject,
-    logs: Sequence[Run],
+    logs: Sequence[Run] | Split,
     *,
     holdout: str | Sequence[str | Path] | None = None,
     timeline: Timeline | None = None,
@@ -143,9 +142,10 @@ def diagnose(
     Parameters
     ----------
     subject : Subject
-    logs : sequence of Run
+    logs : sequence of Run, or Split
+        Runs, or what is fitted and what is held out of them.
     holdout, battery
-        As for `diagnose_files`.
+        As for `diagnose_files`; of a split nothing else is held out.
     timeline : Timeline, optional
         The simulated mission.
     segments : sequence of str
@@ -153,7 +153,7 @@ def diagnose(
     settings : Settings, optional
     """
     settings = settings or Settings()
-    split = choose_split(logs, holdout)
+    split = logs if isinstance(logs, Split) else choose_split(logs, holdout, subject.model)
     measured = list(dict.fromkeys(name for log in split.train for name in log.power_w))
     if battery is not None and battery not in measured:
         raise InputError.single(f"no log measures the battery '{battery}'", got=battery, allowed=", ".join(measured))

@@ -16,7 +16,7 @@ from missionsim.effects.library import all_effects
 from missionsim.errors import InputError, did_you_mean
 from missionsim.expressions import compile_expression
 from missionsim.identify.settings import LEARNT_SECONDS, MANY_SECONDS, STRETCH_S
-from missionsim.runs.admit import admit
+from missionsim.runs.admit import admit, admit_to_test
 from missionsim.runs.covariates import is_switch, logged_name
 from missionsim.runs.drive import filled
 from missionsim.runs.run import Bounded, Run
@@ -39,6 +39,20 @@ class Split:
     """How the held-out runs were chosen, in words; says why where there are none."""
     shifted: bool = False
     """Whether they were chosen by a condition, so that they differ in kind."""
+    left_out: tuple[str, ...] = ()
+    """Runs of other files that were to be held out and test nothing, one line each."""
+
+
+def read_split(
+    robot: RobotSpec, logs: Sequence[str | Path], holdout: str | Sequence[str | Path] | None = None
+) -> tuple[Split, list[Run], list[str]]:
+    """Runs of some logs to fit and to test on, those among which they were chosen, and in words what was left out."""
+    from missionsim.inputs.power import build_power_model
+
+    model = build_power_model(robot)
+    runs, left_out = read_runs(robot, model, logs)
+    split = choose_split(runs, holdout, model)
+    return split, runs, [*left_out, *split.left_out]
 
 
 def read_runs(robot: RobotSpec, model: PowerModel, logs: Sequence[str | Path]) -> tuple[list[Run], list[str]]:
@@ -55,13 +69,16 @@ def read_runs(robot: RobotSpec, model: PowerModel, logs: Sequence[str | Path]) -
     return runs, [*left_out, *refused]
 
 
-def choose_split(logs: Sequence[Run], holdout: str | Sequence[str | Path] | None = None) -> Split:
+def choose_split(
+    logs: Sequence[Run], holdout: str | Sequence[str | Path] | None = None, model: PowerModel | None = None
+) -> Split:
     """Split runs into those that are fitted and those that are held out.
 
     `holdout`: a fraction (``"0.25"``, ``"25 %"``; ``"0"`` or ``"none"`` for none), names of runs (``"run_06,run_07"``),
     a condition over columns (``"surface == 'carpet'"``: runs in which it holds at least half of the time), or files and
-    folders of other logs. By default the last quarter of four or more runs. Raises InputError: for a value that is none
-    of these, a condition that no run or every run meets, unknown runs.
+    folders of other logs. By default the last quarter of four or more runs. `model`: of the robot, against which it is
+    seen that another log is in other units. Raises InputError: for a value that is none of these, a condition that no
+    run or every run meets, unknown runs, other logs of which none can be tested on.
     """
     logs = tuple(logs)
     if holdout is None:
@@ -75,7 +92,7 @@ def choose_split(logs: Sequence[Run], holdout: str | Sequence[str | Path] | None
         return _last(logs, 0.25)
     parts = [str(holdout)] if isinstance(holdout, (str, Path)) else [str(item) for item in holdout]
     if all(Path(part).exists() for part in parts):
-        return _files(logs, parts)
+        return _files(logs, parts, model)
     text = ",".join(parts)
     fraction = _fraction(text)
     if fraction is not None:
@@ -107,16 +124,19 @@ def _last(logs: tuple[Run, ...], fraction: float) -> Split:
     return Split(logs[:-count], logs[-count:], f"the last {what} of {len(logs)}")
 
 
-def _files(logs: tuple[Run, ...], parts: list[str]) -> Split:
+def _files(logs: tuple[Run, ...], parts: list[str], model: PowerModel | None) -> Split:
     from missionsim.logs import read_logs
 
     bounded = Bounded()
-    held = tuple(bounded.all(read_logs(parts, each=bounded))[0])
+    refused: list[str] = []
+    held = tuple(bounded.all(read_logs(parts, each=bounded, left_out=refused))[0])
     same = {log.sha256 for log in held if log.sha256} & {log.sha256 for log in logs}
     train = tuple(log for log in logs if not (log.sha256 and log.sha256 in same))
     if not train:
         raise InputError.single("every run is held out; nothing is left to fit", got=", ".join(parts))
-    return Split(train, held, f"{len(held)} run{'s' * (len(held) != 1)} from {', '.join(Path(p).name for p in parts)}")
+    kept, left_out = admit_to_test(held, train, model)
+    how = f"{len(kept)} run{'s' * (len(kept) != 1)} from {', '.join(Path(p).name for p in parts)}"
+    return Split(train, tuple(kept), how, left_out=(*left_out, *refused))
 
 
 def _named(logs: tuple[Run, ...], text: str) -> Split:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -39,9 +40,12 @@ STEEP_RAD, STEEPER = 0.3, 12.0
 """Slope that no robot climbs for long, and how many times that of the other runs it must be to be another unit."""
 
 
-def odd_runs(runs: Sequence[Run], model: PowerModel) -> dict[str, str]:
+def odd_runs(runs: Sequence[Run], model: PowerModel, *, units_only: bool = False) -> dict[str, str]:
     """Runs that are not as the others, and why, in words; none where most are, for then it is the model that is odd.
-    Power that has nothing to do with the motion, or does long after it, is told of any number of runs."""
+    Power that has nothing to do with the motion, or does long after it, is told of any number of runs.
+
+    `units_only`: only what no robot does, whatever the model lacks.
+    """
     found, apart = _units(runs), dict[str, str]()
     for battery in model.batteries:
         own = [run for run in runs if battery in run.power_w and run.run not in found]
@@ -54,6 +58,8 @@ def odd_runs(runs: Sequence[Run], model: PowerModel) -> dict[str, str]:
             continue
         other_units, doubtful = _factors(own, driven, model, battery)
         found |= other_units
+        if units_only:
+            continue
         left = [one for one in driven if one.run.run not in {*found, *doubtful, *apart}]
         if len(left) >= FEWEST_LEVELS:
             others = Others(left, battery)
@@ -231,6 +237,32 @@ def admit(runs: Sequence[Run], model: PowerModel | None = None) -> tuple[list[Ru
         if faults and not kept:
             raise InputError(faults)
     return kept, told
+
+
+def admit_to_test(
+    held: Sequence[Run], fitted: Sequence[Run], model: PowerModel | None = None
+) -> tuple[list[Run], list[str]]:
+    """Held-out runs to test on, and what was left out and why: what `validate` refuses, copies, wrong units.
+
+    One that the model predicts badly stays, since that is what it is there for. Raises InputError: where none is left.
+    """
+    sound, told = admit(held)
+    named = [replace(run, run=f"held-out {run.run}") for run in sound]
+    twins = copies([*fitted, *named])
+    wrong = {
+        named[i - len(fitted)].run: f"a copy of {fitted[j].run} but for noise, which is fitted: it tests nothing"
+        for i, j in twins.items()
+        if i >= len(fitted) > j
+    }
+    if model is not None:
+        size = max(1, len(fitted) - 1)  # fewer than those that they are held against
+        for at in range(0, len(named), size):
+            wrong = odd_runs([*fitted, *named[at : at + size]], model, units_only=True) | wrong
+    odd = [run for run in named if run.run in wrong]
+    if odd and len(odd) == len(named):
+        raise InputError(Fault(run.source, 0, 0, wrong[run.run]) for run in odd)
+    kept = [run for run, other in zip(sound, named, strict=True) if other.run not in wrong]
+    return kept, [*(f"{run.run}: {wrong[run.run]}" for run in odd), *told]
 
 
 def _errors(run: Run) -> list[Remark]:

@@ -16,7 +16,7 @@ from missionsim.fit.newrobot import NewRobot, calibrate_new
 from missionsim.inputs.loading import load_robot
 from missionsim.inputs.power import build_power_model
 from missionsim.logs import Remark, read_logs
-from missionsim.runs.admit import admit, copies, unchanging
+from missionsim.runs.admit import admit, admit_to_test, copies, unchanging
 from missionsim.runs.run import Run
 from tests.diagnose.logs import drive
 from tests.rough import regimes
@@ -111,12 +111,38 @@ def test_the_command_says_it_first_and_exits_with_one(
     with pytest.warns(UserWarning, match="left out run_01: power_robot_w is"):
         fitted = missionsim.calibrate("pioneer3dx", logs)
     assert "run_01" not in fitted.to_json()["batteries"]["robot"]["runs"]
+    later = tmp_path / "later"
+    later.mkdir()
+    for name in ("run_00.csv", "run_01.csv", "run_02.csv"):
+        (logs / name).rename(later / name)
+    words = ["diagnose", *arguments, "--holdout", str(later)]
+    assert run_command(words) == 1
+    assert capsys.readouterr().err.startswith("LEFT OUT held-out run_01: power_robot_w is")
+    with pytest.warns(UserWarning, match="left out held-out run_01: power_robot_w is"):
+        missionsim.diagnose("pioneer3dx", logs, holdout=str(later))
+    for path in later.iterdir():
+        path.rename(logs / path.name)
     # a new robot has no model yet, and is held against that of all its runs
     new = ["calibrate", "--new", "own", "--base", "c2*v**2 + c3*v + c4", str(logs), "--out", str(tmp_path / "own.yaml")]
     assert run_command([*new, "--json", str(tmp_path / "own.json")]) == 1
     said = json.loads((tmp_path / "own.json").read_text(encoding="utf-8"))
     assert [line.split(" is ")[0] for line in said["left_out"]] == ["run_01: power_robot_w"]
     assert "run_01" not in said["batteries"]["robot"]["runs"]
+
+
+def test_held_out_runs_that_test_nothing_are_named_and_bad_predictions_stay(runs: list[Run]) -> None:
+    """Their names may be those of fitted runs; more of them than fitted ones may be in another unit."""
+    model = build_power_model(load_robot("pioneer3dx"))
+    dear = replace(runs[3], power_w={"robot": 1.8 * runs[3].power_w["robot"]})
+    cut = runs[1].rows_where(slice(40, -30))
+    others = [drive(seed, seconds=200.0) for seed in range(4, 7)]
+    milli = [replace(run, power_w={"robot": 1000.0 * run.power_w["robot"]}) for run in others]
+    kept, lines = admit_to_test([dear, cut, *milli], runs[:3], model)
+    assert [run.run for run in kept] == ["run_03"]
+    assert lines[0] == "held-out run_01: a copy of run_01 but for noise, which is fitted: it tests nothing"
+    assert [" times the other runs against the model: another unit?" in line for line in lines[1:]] == [True] * 3
+    with pytest.raises(InputError, match="it tests nothing"):
+        admit_to_test([cut], runs[:3], model)
 
 
 def test_an_offset_of_one_meter_is_named_in_watts(runs: list[Run]) -> None:
