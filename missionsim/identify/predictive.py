@@ -18,15 +18,7 @@ from numpy.typing import NDArray
 
 from missionsim.identify.align import Clock
 from missionsim.identify.design import Design, Source
-from missionsim.identify.settings import (
-    ADVANCE_LEVEL,
-    CLOCK_FALL,
-    DELAY_LEVEL,
-    FEWEST_FOLDS,
-    INDEPENDENT_S,
-    SEVERAL_RUNS,
-    SHORTEST_FOLD_S,
-)
+from missionsim.identify.settings import DELAY_LEVEL, FEWEST_FOLDS, INDEPENDENT_S, SEVERAL_RUNS, SHORTEST_FOLD_S
 from missionsim.physics import Array
 
 RIDGE = 1e-9
@@ -246,7 +238,7 @@ def _folds(design: Design) -> list[tuple[slice, int]]:
 
 
 def sober_clock(source: Source, chosen: Sequence[int]) -> Clock:
-    """Delay or lag of the meter, zero unless left-out runs are predicted better with it, clearly and in most of them.
+    """Delay or lag of the meter, zero unless left-out runs are predicted better with it, most of them.
 
     Delay and lag together only where they predict better than the best of each alone: opposite ones are a filter
     that smooths the motion, not a meter.
@@ -268,7 +260,7 @@ def sober_clock(source: Source, chosen: Sequence[int]) -> Clock:
     together = [(float(d), float(t)) for d in delays for t in lags]
     for points in (alone, together):
         top = _finer(left, min(points, key=lambda p: left(*p).total), 0.1 * reach, points is together)
-        if _clearly_better(left(*top), left(*best), ADVANCE_LEVEL if top[0] < min(best[0], 0.0) else DELAY_LEVEL):
+        if _better(left(*top), left(*best)):
             best = top
     return still if best == (0.0, 0.0) else replace(still, delay_s=best[0], lag_s=best[1])
 
@@ -283,12 +275,10 @@ def _finer(
     return min([point, *around], key=lambda p: left(*p).total)
 
 
-def _clearly_better(new: Left, old: Left, level: float) -> bool:
+def _better(new: Left, old: Left) -> bool:
+    """Whether a clock predicts most folds better: a large gain in a few is no clock of the meter."""
     from scipy.special import stdtr
 
     ratio = np.log(np.maximum(new.square, 1e-300) / np.maximum(old.square, 1e-300))
-    count = len(ratio)
-    if count < 2 or new.total > (1.0 - CLOCK_FALL) * old.total:
-        return False
-    sd = float(np.std(ratio, ddof=1)) / np.sqrt(count)
-    return float(stdtr(count - 1, float(ratio.mean()) / max(sd, 1e-300))) < level
+    sd = float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio)) if len(ratio) > 1 else 0.0
+    return sd > 0.0 and float(stdtr(len(ratio) - 1, float(ratio.mean()) / sd)) < DELAY_LEVEL

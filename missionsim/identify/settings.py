@@ -353,9 +353,5 @@ NESTED = 1e-6
 """Columns with no more than this part outside the span of others are a special case of them, and no rival."""
 DELAY_LEVEL = 0.01
 """Level of the paired test over runs at which a delay or lag of the meter is taken."""
-ADVANCE_LEVEL = 0.001
-"""The same for a meter ahead of the motion: against physics, though clocks of two computers can do it."""
-CLOCK_FALL = 0.03
-"""Part of the squared error on left-out runs that a clock must take away."""
 SLOW_LEFT = 0.01
 """Part of a bounded noise that may be slow: hardly any, since that is where a missing effect hides."""
