@@ -29,7 +29,6 @@ from missionsim.identify.settings import (
     LINE_RATIO,
     LONG_BLOCK_S,
     ODDS_NATS,
-    ONE_SPEED,
     PERIODIC_LEVEL,
     RAMP,
     RAMP_FORM_RATIO,
@@ -104,19 +103,6 @@ def hats(values: Array, knots: Array) -> Array:
     return out
 
 
-def varies(model: Model, covariate: str) -> bool:
-    """Whether the speed took several values away from ramps; at one cruise speed no form can be judged."""
-    if covariate != SPEED:
-        return True
-    raw = [np.abs(np.nan_to_num(run.covariates[covariate]))[None, :] for run in model.source.runs]
-    speed = model.source.averaged(raw, model.clock)[0][~ramps(model)]
-    speed = speed[speed > 0.2 * np.max(speed, initial=0.0)]
-    if len(speed) < 20:
-        return False
-    low, middle, high = np.quantile(speed, [0.05, 0.5, 0.95])
-    return bool(high - low > ONE_SPEED * middle)
-
-
 def curve_rows(model: Model, covariate: str, times: str = "") -> tuple[Array, Array]:
     """Basis of a free curve over a covariate at the analysis rate (k, n), and its knots."""
     runs = model.source.runs
@@ -185,7 +171,7 @@ def dependences(model: Model, settings: Settings, chosen: Sequence[int]) -> list
     out: dict[str, Structure] = {}
     for name, times in tests:
         rows, knots = curve_rows(model, name, times)
-        if not varies(model, name) or (len(knots) > 3 and rows.shape[0] < FEWEST_HATS):
+        if len(knots) > 3 and rows.shape[0] < FEWEST_HATS:
             continue
         best: tuple[float, float, Array, float] | None = None
         for judge, least, level in ((flat, CURVE_NATS, CURVE_LEVEL), (model, CURVE_NATS_ON_RAMPS, 0.1 * CURVE_LEVEL)):
@@ -293,7 +279,7 @@ def wrong_form(model: Model, column: int, covariate: str, settings: Settings) ->
     rest = [k for k in model.chosen if k != column]
     times = SPEED if known(covariate).multiplies_speed and SPEED in model.source.covariates else ""
     rows, knots = curve_rows(model, covariate, times)
-    if rows.shape[0] < 2 or not varies(model, covariate):
+    if rows.shape[0] < 2:
         return None  # too few values of the covariate to judge a form
     judges = [(model, RAMP_FORM_RATIO)]
     if not known(covariate).ramps:

@@ -229,8 +229,6 @@ FREER = 3.0
 """In tests of form base parameters are freer than their priors by this factor: no shift may look like a form."""
 SUPPORT_S = 8.0
 """A knot that less time away from ramps supports says nothing of the curve [s]."""
-ONE_SPEED = 0.25
-"""Speeds within this part of their median are one cruise speed, over which no form can be judged."""
 FEWEST_HATS = 3
 """Fewer supported knots than this are no curve."""
 FORM_LEVEL = 1e-3
