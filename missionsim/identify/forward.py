@@ -32,7 +32,6 @@ from missionsim.identify.settings import (
     OFTEN_PART,
     PASS_THROUGH_FALL,
     POWER_Z,
-    RIVAL_PART,
     ROUGH,
     SEVERAL_RUNS,
     STRICT_LEVEL,
@@ -367,7 +366,6 @@ class _Search:
         none."""
         if self._logged(trial.columns):
             return ()
-        gain = self.squares.leave_out(rest).total - trial.left.total
         found: list[int] = []
         for number, options in self.options():
             # the twin of a base parameter was recalibrated already: it is no other explanation
@@ -379,8 +377,7 @@ class _Search:
                     continue
                 behind = other.left.square - trial.left.square
                 error = float(np.std(behind, ddof=1)) * np.sqrt(len(behind))
-                near = behind.sum() < UNCLEAR * error and behind.sum() < (1.0 - RIVAL_PART) * gain
-                if near and not self._encompasses(trial, [*rest, *option]):
+                if behind.sum() < UNCLEAR * error and not self._encompasses(trial, [*rest, *option]):
                     found.append(number)
                     break
         return tuple(found)

@@ -199,6 +199,8 @@ SAME_COLUMN = 0.995
 """Columns this much alike away from ramps are one: what then prefers one of them is noise."""
 NOISY_SLOPE = 1.5
 """A slope from an inertial sensor has noise and a bias of its own, which weakens a slope effect more than others."""
+RIVAL_PART = 0.5
+"""Beside what leaves a label more than this part of its gain, it is no question of either-or."""
 EXTRA_EFFECT_NATS = 4.0
 """Price of an explanation that needs one effect more (its choice among some fifty columns)."""
 
@@ -345,8 +347,6 @@ SWALLOWED = 0.6
 the offsets or the slow noise of the other had taken what a noisy or late column says."""
 UNCLEAR = 2.0
 """Standard errors of a paired difference between two effects below which runs do not tell them apart."""
-RIVAL_PART = 0.5
-"""A rival must explain at least this part of what the effect explains."""
 NESTED = 1e-6
 """Columns with no more than this part outside the span of others are a special case of them, and no rival."""
 DELAY_LEVEL = 0.01
