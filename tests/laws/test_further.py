@@ -61,6 +61,14 @@ def test_what_a_part_draws_may_be_a_cause(name: str) -> None:
     assert name in {factor.variable for factor in make_grammar([run]).factors}
 
 
+@pytest.mark.parametrize(("lowest", "powers"), [(0.0, False), (-0.5, True), (-5.0, False)])
+def test_noise_about_nought_is_no_sign(lowest: float, powers: bool) -> None:
+    run = drives()[0] | {"arm_torque": np.linspace(lowest, 9.0, 300)}
+    read = {factor.text for factor in make_grammar([run]).factors}
+    assert ("max(arm_torque, 0)**2" in read) is powers
+    assert ("abs(arm_torque)" in read) is (lowest < -1.0)
+
+
 @pytest.mark.parametrize(
     "name",
     [
