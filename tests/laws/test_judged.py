@@ -30,6 +30,26 @@ def test_a_best_form_whose_sign_is_wrong_among_the_others_does_not_stand_first(
     assert kept[0].form == chosen.form == seen == first
 
 
+@pytest.mark.parametrize(("error", "best"), [(1.004, (1,)), (1.006, (0,))])
+def test_of_two_forms_that_predict_alike_the_likelier_is_best(error: float, best: tuple[int, ...]) -> None:
+    fits = [SimpleNamespace(form=(i,), errors=SimpleNamespace(with_law=e)) for i, e in enumerate((1.0, error))]
+    screened = [Scored(fit.form, 50.0, 0.1, 45.0) for fit in fits]
+    ground = SimpleNamespace(usual=lambda: None, plain=lambda _: None, model=SimpleNamespace(noise=None))
+    search = SimpleNamespace(
+        grammar=SimpleNamespace(factors=(0, 1)),
+        ground=ground,
+        screen=lambda *_: screened,
+        sized=lambda forms: forms,
+        near=lambda *_: screened[::-1],
+        fit=lambda form, **_: fits[form[0]],
+        tried=2,
+        _apart=lambda forms: forms,
+        _promising=list,
+        _plainest=lambda top: top,
+    )
+    assert Search.best(search).best.form == best
+
+
 @pytest.mark.parametrize(
     ("other", "errors", "first", "kept"),
     [
