@@ -21,7 +21,7 @@ ROBOT = "pioneer3dx"
 
 
 def left_over(
-    here_w: float, *, runs: int = 4, part: float = 0.09, noise_w: float = 1.0, flip: bool = False
+    here_w: float, *, runs: int = 4, part: float = 0.09, noise_w: float = 1.0, flip: bool = False, uneven: float = 0.0
 ) -> Leftover | None:
     """The judgement on noise with a mean error in some rows of each run."""
     rng = np.random.default_rng(5)
@@ -29,9 +29,9 @@ def left_over(
     run = np.repeat(np.arange(runs), 500)
     here = np.arange(count) % 500 < 500 * part
     sign = np.where(flip & (run % 2 == 1), -1.0, 1.0)
-    error_w = rng.normal(0.0, noise_w, count) + here * here_w * sign
+    error_w = rng.normal(0.0, noise_w, count) + here * here_w * sign * (1.0 + uneven * (1.5 - run))
     rows = np.zeros((len(MOTIONS), count), dtype=bool)
-    rows[SLOWING], rows[1] = here, ~here
+    rows[SLOWING], rows[[0, 1], :] = here, ~here & (np.arange(count) % 2 == [[0], [1]])
     return standing_out(error_w, np.ones(count), run, rows, noise_w)
 
 
@@ -46,13 +46,17 @@ def test_most_of_the_error_in_little_time_is_told() -> None:
     low = left_over(-12.0)
     assert low is not None
     assert "model 12 W too low" in low.told
+    assert left_over(12.0, uneven=0.1) is not None
 
 
 @pytest.mark.parametrize(
     "noise",
     [
         {"here_w": 0.0},
-        {"here_w": 2.0},
+        {"here_w": 2.6},  # less than half of the squared error
+        {"here_w": 1.9, "part": 0.24},  # less than two standard deviations of a row's noise
+        {"here_w": 60.0, "part": 0.008},  # four seconds of each run
+        {"here_w": 12.0, "uneven": 0.6},  # from 1.2 to 23 W: t = 2.6
         {"here_w": 12.0, "part": 0.3},
         {"here_w": 12.0, "flip": True},
         {"here_w": 12.0, "runs": 2},
