@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from missionsim.diagnose import experiments
 from missionsim.diagnose.experiments import imagined_run, power_of
 from missionsim.diagnose.features import make_features
 from missionsim.diagnose.manoeuvres import Part, library, script, site_of
@@ -101,3 +104,38 @@ def test_power_of_a_lead_grows_from_nothing_to_certainty() -> None:
     # by simulation: the log-likelihood ratio is normal with mean D and variance 2 D
     draws = np.random.default_rng(1).normal(10.0, np.sqrt(20.0), 200_000)
     assert power_of(10.0) == pytest.approx(float(np.mean(draws > np.log(19.0))), abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("leads", "told"),
+    [
+        ((13.0, 30.0, 4.0), ["hill", "hill with payload"]),  # both will do: first the one that varies a single cause
+        ((1.5, 1.2, 1.8), []),  # a nat at least beyond what is known
+        ((4.0, 1.2, 1.2), ["hill; 4 times as long"]),
+        ((1.2, 7.0, 1.2), ["hill with payload; 2 times as long"]),
+    ],
+)
+def test_the_manoeuvre_that_is_proposed(monkeypatch: pytest.MonkeyPatch, leads: list[float], told: list[str]) -> None:
+    """For a grade that may be payload; a lead of one nat is in the logs."""
+    causes = {"hill": {"slope_rad"}, "hill with payload": {"slope_rad", "payload_kg"}, "long hill": {"slope_rad"}}
+    manoeuvres = [
+        SimpleNamespace(do=do, varies=varied, lead=lead, duration_s=60.0, parts=())
+        for (do, varied), lead in zip(causes.items(), leads, strict=True)
+    ]
+    bench = SimpleNamespace(
+        site=None,
+        imagined=lambda manoeuvre: manoeuvre.lead,
+        model=SimpleNamespace(gram=1.0, design=SimpleNamespace(layout=None)),
+        features=SimpleNamespace(
+            candidates=[SimpleNamespace(effect=n, covariate=c) for n, c in (("a", "slope_rad"), ("b", "payload_kg"))]
+        ),
+    )
+    for name, stub in {
+        "library": lambda _: manoeuvres,
+        "shortened": lambda one, times: SimpleNamespace(**{**vars(one), "lead": times * one.lead}),
+        "worst_lead": lambda _bench, _constraints, gram, _names: gram,
+        "_columns": lambda *_: [0],
+        "Constraints": SimpleNamespace(of=lambda *_: None),
+    }.items():
+        monkeypatch.setattr(experiments, name, stub)
+    assert [one.do for one in experiments.propose(bench, ["a", "b"])] == told
