@@ -14,7 +14,7 @@ from missionsim.identify.data import Candidate
 from missionsim.identify.evidence import cause_is_constant, evidence_of
 from missionsim.identify.forward import Choice
 from missionsim.identify.gram import Constraints
-from missionsim.identify.model import fit_model, log_likelihood
+from missionsim.identify.model import fit_model, log_likelihood, prediction
 from missionsim.identify.rules import GATES, weigh
 from missionsim.identify.settings import LABEL_LEVEL, UNUSUAL_GAIN, Settings
 from missionsim.physics import Array
@@ -79,8 +79,7 @@ def _between(choice: Choice, own: Sequence[int], rest: Sequence[int]) -> float:
 
     model = choice.model
     design = model.design
-    values = model.gram.coefficients(rest)[0]
-    left = design.residual - values @ design.phi[list(rest)] if rest else design.residual
+    left = design.y - prediction(model, rest, design)  # a base that is off differs from run to run by how they drive
     acts = np.array([[np.abs(design.phi[k, rows]).sum() for k in own] for rows in design.runs])
     if np.any(np.sum(acts > 0.0, axis=1) > 1):
         return 1.0  # a label that changes in runs is asked there

@@ -134,6 +134,18 @@ def test_scrub_by_floor_is_asked_over_runs_as_rolling_is() -> None:
     assert found.steps[-2].energy_error_pct < 0.2 * found.steps[1].energy_error_pct
 
 
+@pytest.mark.parametrize(("newtons", "gain", "names"), [((0.0, 2.0, 1.0, 3.0, 0.5), 0.0, 2), ((0.0,) * 5, 0.06, 1)])
+@pytest.mark.parametrize("seed", range(2))
+def test_floors_are_compared_beside_the_base_as_it_is_with_what_was_found(
+    newtons: Sequence[float], gain: float, names: int, seed: int
+) -> None:
+    """A base that was fitted without scrub took part of it for rolling, in each run as much as it turned."""
+    logs = on_floors(newtons, seed, gain, scrub_w_s_rad=(4.0,) * 5)
+    made = calibrate_new(NewRobot("own", "c2*v**2 + c3*v + c4", mass="9 kg"), logs)
+    found = diagnose_runs(Subject.of(robot_from_text(made.text)), logs, holdout="none").batteries["robot"]
+    assert [effect.effect for effect in found.effects] == ["turning_scrub", "surface_rolling_resistance"][:names]
+
+
 def test_floors_that_cost_less_than_the_base_knows_take_no_dear_one_with_them() -> None:
     logs = on_floors((-3.0, 3.0, -1.0, -2.0, 3.5), 1)
     (floor,) = diagnose_runs(Subject.of(load_robot("pioneer3dx")), logs, holdout="none").batteries["robot"].effects
