@@ -191,8 +191,8 @@ def _told(
 def _remains(model: Model, candidates: Sequence[Candidate], constraints: Constraints, settings: Settings) -> Remains:
     forms = {}
     for column in model.chosen:
-        covariate = candidates[int(constraints.effect[column])].covariate
-        wrong = wrong_form(model, column, covariate, settings)
+        own = candidates[int(constraints.effect[column])]
+        wrong = wrong_form(model, column, own.covariate, settings, own.prior or "")
         if wrong is not None:
             forms[column] = wrong
     # a wrong form is told once, not as a dependence on its covariate too

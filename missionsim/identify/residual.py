@@ -24,6 +24,7 @@ from missionsim.identify.settings import (
     FORM_SURE,
     FREER,
     GROSS,
+    HELD,
     KNOTS,
     LARGEST_GAIN,
     LINE_RATIO,
@@ -272,8 +273,21 @@ def low_frequency_noise(model: Model) -> Structure | None:
     return Structure("time_s", 0.0, 0.0, size, words)
 
 
-def wrong_form(model: Model, column: int, covariate: str, settings: Settings) -> Structure | None:
-    """Whether a free curve over an effect's covariate explains so much more that the effect's form is not right."""
+def _held(model: Model, parameter: str) -> Model:
+    """The same model with a base parameter held, where it has one of that name."""
+    layout = model.design.layout
+    if parameter not in layout.parameters:
+        return model
+    sd = layout.prior_sd.copy()
+    sd[layout.parameters.index(parameter)] *= HELD
+    return replace(model, design=replace(model.design, layout=replace(layout, prior_sd=sd)))
+
+
+def wrong_form(model: Model, column: int, covariate: str, settings: Settings, twin: str = "") -> Structure | None:
+    """Whether a free curve over an effect's covariate explains so much more that the effect's form is not right.
+
+    What the base parameter that is the `twin` of an effect takes of it is explained by the same form.
+    """
     if covariate not in model.source.covariates:
         return None
     rest = [k for k in model.chosen if k != column]
@@ -292,6 +306,7 @@ def wrong_form(model: Model, column: int, covariate: str, settings: Settings) ->
         if faint or (p_value > FORM_FAINT and not loud):
             continue
         # both against the model without the effect, so that they compare
+        judge = _held(judge, twin)
         own, _, _ = test_curve(judge, model.design.phi[[column]], rest)
         free, _, _ = test_curve(judge, np.vstack([rows, model.design.phi[column]]), rest)
         # five free values follow slow noise by some 10 nats; a small effect is not unnamed by that

@@ -229,6 +229,8 @@ RAMP_WEIGHT = 0.002
 """Weight of such rows in tests of form: next to none, but enough to keep the matrices regular."""
 FREER = 3.0
 """In tests of form base parameters are freer than their priors by this factor: no shift may look like a form."""
+HELD = 0.01
+"""Part of its prior standard deviation that a base parameter is held to where an effect is its twin."""
 SUPPORT_S = 8.0
 """A knot that less time away from ramps supports says nothing of the curve [s]."""
 FEWEST_HATS = 3

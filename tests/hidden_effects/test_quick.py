@@ -67,6 +67,10 @@ def test_a_payload_that_the_noise_took_for_runs_that_differ_is_named_beside_what
     assert row("two-start_surge-payload", 1010)["all_named"]
 
 
+def test_what_recalibration_takes_of_an_effect_is_no_other_form_of_it():
+    assert row("two-rolling_friction-turning_scrub", 1010)["all_named"]
+
+
 @pytest.mark.study
 def test_two_effects_are_both_named():
     result = row("two-turning_scrub-surface_rolling_resistance")
