@@ -56,6 +56,7 @@ def runs(folder: Path, meter_sd: float, motion_sd: float) -> list[Path]:
     return paths
 
 
+@pytest.mark.filterwarnings("ignore:left out run00")
 @pytest.mark.parametrize(
     ("meter_sd", "motion_sd", "verdict"), [(0.04, 0.0, "nothing_missing"), (0.0, 0.09, "unexplained_structure")]
 )
