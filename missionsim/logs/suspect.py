@@ -194,16 +194,16 @@ def check_dead_meter(rows: Rows, battery: str, power_w: Array) -> None:
         rows.remark("frozen", f"power_{battery}_w", told, action, "warning", int(np.argmax(dead)), count)
 
 
-_CEILING, _OFTEN = 5, 3
-"""Rows at the greatest power, and how many times as many as at any other value, from which the meter is cut off there
-(assumed)."""
+_CEILING, _OFTEN, _TWICE = 5, 3, 0.1
+"""Rows at the greatest power, and how many times as many as at any other value, from which the meter is cut off there;
+part of the rows in which another value may come twice running, as that of a rounded meter does (assumed)."""
 
 
 def check_ceiling(rows: Rows, battery: str, power_w: Array) -> None:
     """Tell a meter that shows its greatest value again and again, and hardly any other twice running."""
     most, below = float(np.max(power_w)), power_w[power_w < np.max(power_w)]
     count = len(power_w) - len(below)
-    if count < _CEILING or np.count_nonzero(np.diff(below) == 0.0) > 0.02 * len(power_w):
+    if count < _CEILING or np.count_nonzero(np.diff(below) == 0.0) > _TWICE * len(power_w):
         return
     if count > _OFTEN * int(np.unique(below, return_counts=True)[1].max(initial=0)):
         told = f"{count} of {len(power_w)} rows ({100 * count / len(power_w):.0f} %) are at {most:.6g} W exactly"
