@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from missionsim.diagnose.heldout import Models
 from missionsim.diagnose.split import choose_split, stretches
 from missionsim.effects.covariates import derive
 from missionsim.errors import InputError
@@ -102,3 +105,25 @@ def test_of_very_long_runs_stretches_are_learnt_from() -> None:
             assert np.array_equal(again[name], memory[name][at]), name
     # runs are not all cut at the same times
     assert len({round(float(run.time_s[0])) for run in kept}) == 3
+
+
+@pytest.mark.parametrize(
+    ("payload_kg", "left_out"),
+    [
+        ((1.0, 1.3, 1.0, 1.0), ["1"]),  # beyond all others
+        ((0.1, 1.0, 1.1, 0.1), ["2"]),  # more than they in the mean
+        ((0.9, 1.0, 1.1, 1.0), None),
+        ((1.0, 3.0, 1.0), None),  # too few for a fit to the others and a test
+    ],
+)
+def test_the_runs_with_most_of_what_an_effect_is_about_are_predicted_from_the_others(
+    payload_kg: tuple[float, ...], left_out: list[str] | None
+) -> None:
+    runs = [
+        SimpleNamespace(run=f"{i}", dt_s=np.ones(5), covariates={"payload_kg": np.full(5, kg)})
+        for i, kg in enumerate(payload_kg)
+    ]
+    effect = SimpleNamespace(effect="payload", covariate="payload_kg")
+    features = SimpleNamespace(runs=runs, candidates=[effect], covariates=[run.covariates for run in runs])
+    models = SimpleNamespace(features=features, left_out=lambda _effects, names, _how: names)
+    assert Models.shifted(models, [effect]) == left_out
