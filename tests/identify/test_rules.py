@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from missionsim.identify import stepwise
+from missionsim.identify import estimates, stepwise
 from missionsim.identify.align import Clock
 from missionsim.identify.data import Candidate
 from missionsim.identify.estimates import rivals
@@ -132,6 +132,23 @@ def test_two_effects_together_stand_in_the_place_of_one() -> None:
         runs.append(replace(run, columns=run.columns | {"both": both}, measured_w=run.measured_w + both))
     found = fit_effects(runs, [Candidate("both", ("both",)), *library()], ["both"], {})
     assert found.effects[0].indistinguishable_from == ("turning_scrub",)  # the larger of the two
+
+
+@pytest.mark.parametrize(
+    ("number", "p_runs", "constant", "may_be"),
+    [(0, 0.01, True, ("turning_scrub",)), (0, 0.002, True, ()), (0, 0.01, False, ()), (1, 0.01, True, ())],
+)
+def test_what_runs_hardly_repeat_may_be_a_misfit_of_the_larger_effect(
+    monkeypatch: pytest.MonkeyPatch, number: int, p_runs: float, constant: bool, may_be: tuple[str, ...]
+) -> None:
+    """Oil that cools while the robot stands made a temperature effect of 2 % at p = 0.01; true ones are surer."""
+    monkeypatch.setattr(estimates, "cause_is_constant", lambda *_: constant)
+    model = SimpleNamespace(chosen=(0, 1), design=SimpleNamespace(layout=SimpleNamespace(mean_power_w=10.0)))
+    evidence = SimpleNamespace(p_runs=p_runs)
+    choice = SimpleNamespace(model=model, forward=SimpleNamespace(rivals={}), evidence={0: evidence, 1: evidence})
+    effects = [Candidate("temperature_friction", ("cold",)), Candidate("turning_scrub", ("turns",))]
+    constraints = SimpleNamespace(effect=np.array([0, 1]))
+    assert estimates._similar(choice, number, constraints, effects, Settings(), {0: 0.02, 1: 0.2}) == may_be
 
 
 @pytest.mark.parametrize(("covariate", "rivals"), [("slope_rad", ("other",)), ("payload_kg", ())])
