@@ -151,6 +151,11 @@ def test_what_runs_hardly_repeat_may_be_a_misfit_of_the_larger_effect(
     assert estimates._similar(choice, number, constraints, effects, Settings(), {0: 0.02, 1: 0.2}) == may_be
 
 
+def test_a_load_that_its_log_says_was_never_on_may_be_most_of_itself_or_all() -> None:
+    effect = Candidate("standby_load", ("on",), never_on={"laser": 2.0})
+    assert [effect.may_be(watts) for watts in (0.5, 1.0, 2.0, 2.1)] == [(), ("laser",), ("laser",), ()]
+
+
 @pytest.mark.parametrize(("covariate", "rivals"), [("slope_rad", ("other",)), ("payload_kg", ())])
 def test_a_slope_is_a_rival_further_behind_than_other_covariates(covariate: str, rivals: tuple[str, ...]) -> None:
     """Its sensor has noise of its own, which takes from what it explains."""
