@@ -9,10 +9,12 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from missionsim.effects.model import PowerModel
 from missionsim.errors import Fault, InputError
 from missionsim.labels import Labels
+from missionsim.physics import Array
 from missionsim.runs.beside import FEWEST, FEWEST_LEVELS, LOADS, Others, correlation, offsets, runs_beside
 from missionsim.runs.covariates import is_switch, may_be_cause
 from missionsim.runs.drive import Driven, drive
@@ -36,6 +38,9 @@ BEYOND = 0.25
 """Distance of a run's usual value from all of the others, in parts of their range, from which they cannot say what is
 usual there (assumed)."""
 _MOTION = ("speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad", "heading_rad", "time_s")
+DOWNWARDS, MOST_RUNS, APART_S = -6.0, 0.75, 20.0
+"""Robust t below which going up costs less than going down, the part of the runs that must show it by themselves, and
+the length of the blocks of time that count as independent (assumed)."""
 STEEP_RAD, STEEPER = 0.3, 12.0
 """Slope that no robot climbs for long, and how many times that of the other runs it must be to be another unit."""
 
@@ -49,6 +54,7 @@ def odd_runs(runs: Sequence[Run], model: PowerModel, *, units_only: bool = False
     found, apart = _units(runs), dict[str, str]()
     for battery in model.batteries:
         own = [run for run in runs if battery in run.power_w and run.run not in found]
+        apart |= dict.fromkeys((run.run for run in own), why) if (why := _downwards(own, battery)) else {}
         try:
             driven = [drive(model, run, battery) for run in own]
         except InputError:
@@ -91,6 +97,46 @@ def _of_another_time(runs: Sequence[Driven], battery: str) -> dict[str, str]:
         why = "rows in another order, another robot's power?"
         return {one.run.run: f"power_{battery}_w has nothing to do with what the robot does: {why}" for one in runs}
     return found if len(found) > 0.5 * len(runs) else {}
+
+
+def _downwards(runs: Sequence[Run], battery: str) -> str:
+    """What is wrong with a slope on which going up costs less than going down, in most runs; empty where nothing is."""
+    if len(runs) < FEWEST or not all({"slope_rad", "speed_m_s"} <= set(run.columns) for run in runs):
+        return ""
+    for sign, why in (
+        (1.0, "going up costs less than going down: is downhill positive, as in the pitch of ROS? A map turns it"),
+        (-1.0, "going up backwards costs less than going down: the pitch of the body? A map takes pitch * sign(speed)"),
+    ):
+        parts = [part for run in runs if (part := _lifting(run, battery, sign)) is not None]
+        if len(parts) < FEWEST:
+            continue
+        lift = np.concatenate([lift for lift, _, _ in parts])
+        power = np.concatenate([power for _, power, _ in parts])
+        size = float(lift @ lift)
+        cost = float(lift @ power) / size
+        blocks = np.cumsum([0, *(number[-1] + 1 for _, _, number in parts)])
+        block = np.concatenate([number + first for (_, _, number), first in zip(parts, blocks[:-1], strict=True)])
+        error = float(np.linalg.norm(np.bincount(block, lift * (power - cost * lift)))) / size
+        shown = sum(float(one @ watts) < 0.0 for one, watts, _ in parts)
+        if cost < DOWNWARDS * error and shown >= MOST_RUNS * len(parts):
+            return f"slope_rad: {why}"
+    return ""
+
+
+def _lifting(run: Run, battery: str, sign: float) -> tuple[Array, Array, NDArray[np.intp]] | None:
+    """Of the rows of one direction of travel: speed times slope and power, both without what goes with speed and yaw
+    rate, and the number of the block of time; None where there is no slope to tell by."""
+    speed, slope, power = run.number("speed_m_s"), run.number("slope_rad"), run.power_w[battery]
+    yaw = np.abs(run.number("yaw_rate_rad_s")) if "yaw_rate_rad_s" in run.columns else 0.0 * speed
+    keep = (sign * speed > 0.0) & np.isfinite(slope + power + yaw)
+    if np.count_nonzero(keep) < ROWS_TO_TELL or not np.ptp(slope[keep]):
+        return None
+    v = np.abs(speed[keep])
+    rest = np.stack([np.ones_like(v), v, v**2, yaw[keep]], axis=1)
+    both = np.stack([v * slope[keep], power[keep]], axis=1)
+    lift, watts = (both - rest @ np.linalg.lstsq(rest, both, rcond=None)[0]).T
+    number = np.unique(((run.time_s[keep] - run.time_s[0]) // APART_S).astype(np.intp), return_inverse=True)[1]
+    return lift, watts, number
 
 
 def _units(runs: Sequence[Run]) -> dict[str, str]:

@@ -76,6 +76,22 @@ def test_power_that_no_run_has_in_common_with_its_motion_is_told_of_all(runs: li
         told(others)
 
 
+def test_a_slope_with_its_sign_turned_is_told_and_of_a_body_that_reverses_its_pitch(root: Path) -> None:
+    ramps = read_logs([root / "docs/examples/ramp_runs"])
+    model = build_power_model(load_robot("pioneer3dx"))
+
+    def turned(run: Run, speed: float, slope: float) -> Run:
+        logged = {"speed_m_s": speed * run.number("speed_m_s"), "slope_rad": slope * run.number("slope_rad")}
+        return replace(run, columns={**run.columns, **logged})
+
+    assert admit(ramps, model)[1] == []
+    assert admit([turned(run, -1.0, 1.0) if i % 2 else run for i, run in enumerate(ramps)], model)[1] == []
+    with pytest.raises(InputError, match="is downhill positive, as in the pitch of ROS"):
+        admit([turned(run, 1.0, -1.0) for run in ramps], model)
+    with pytest.raises(InputError, match="the pitch of the body"):
+        admit([turned(run, -1.0, -1.0) if i % 2 else run for i, run in enumerate(ramps)], model)
+
+
 def test_near_copies_count_once(runs: list[Run]) -> None:
     noise = np.random.default_rng(0).normal(0.0, 0.01, len(runs[0]))
     copy = replace(runs[0], run="again", power_w={"robot": runs[0].power_w["robot"] + noise})
