@@ -227,6 +227,8 @@ RAMP_TAIL_ROWS = 2
 """Rows behind a ramp that still count as such: the meter's lag."""
 RAMP_WEIGHT = 0.002
 """Weight of such rows in tests of form: next to none, but enough to keep the matrices regular."""
+STEADY_PART = 0.05
+"""Part of an effect's gain that must come from other rows, for its form to be judged by them."""
 FREER = 3.0
 """In tests of form base parameters are freer than their priors by this factor: no shift may look like a form."""
 HELD = 0.01

@@ -63,6 +63,10 @@ def test_surges_that_the_clock_without_them_had_smeared_are_named():
     assert row("start_surge-2pct", 1010)["named"] == "start_surge"
 
 
+def test_a_surge_acts_on_ramps_and_its_form_is_judged_with_them():
+    assert row("start_surge-5pct", 1013)["named"] == "start_surge"
+
+
 def test_a_payload_that_the_noise_took_for_runs_that_differ_is_named_beside_what_was_louder():
     assert row("two-start_surge-payload", 1010)["all_named"]
 
