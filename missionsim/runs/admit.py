@@ -38,9 +38,11 @@ BEYOND = 0.25
 """Distance of a run's usual value from all of the others, in parts of their range, from which they cannot say what is
 usual there (assumed)."""
 _MOTION = ("speed_m_s", "lateral_speed_m_s", "yaw_rate_rad_s", "accel_m_s2", "slope_rad", "heading_rad", "time_s")
-DOWNWARDS, MOST_RUNS, APART_S = -6.0, 0.75, 20.0
+DOWNWARDS, MOST_RUNS, PART_OF_POWER = -6.0, 0.75, 0.05
 """Robust t below which going up costs less than going down, the part of the runs that must show it by themselves, and
-the length of the blocks of time that count as independent (assumed)."""
+the part of the variance of the power that must go with it (assumed)."""
+APART_S, UNDER_WAY_M_S = 20.0, 0.05
+"""Length of the blocks of time that count as independent; speed that is none of a robot that stands (assumed)."""
 STEEP_RAD, STEEPER = 0.3, 12.0
 """Slope that no robot climbs for long, and how many times that of the other runs it must be to be another unit."""
 
@@ -118,7 +120,8 @@ def _downwards(runs: Sequence[Run], battery: str) -> str:
         block = np.concatenate([number + first for (_, _, number), first in zip(parts, blocks[:-1], strict=True)])
         error = float(np.linalg.norm(np.bincount(block, lift * (power - cost * lift)))) / size
         shown = sum(float(one @ watts) < 0.0 for one, watts, _ in parts)
-        if cost < DOWNWARDS * error and shown >= MOST_RUNS * len(parts):
+        clear = cost * float(lift @ power) > PART_OF_POWER * float(power @ power)
+        if clear and cost < DOWNWARDS * error and shown >= MOST_RUNS * len(parts):
             return f"slope_rad: {why}"
     return ""
 
@@ -128,7 +131,7 @@ def _lifting(run: Run, battery: str, sign: float) -> tuple[Array, Array, NDArray
     rate, and the number of the block of time; None where there is no slope to tell by."""
     speed, slope, power = run.number("speed_m_s"), run.number("slope_rad"), run.power_w[battery]
     yaw = np.abs(run.number("yaw_rate_rad_s")) if "yaw_rate_rad_s" in run.columns else 0.0 * speed
-    keep = (sign * speed > 0.0) & np.isfinite(slope + power + yaw)
+    keep = (sign * speed > UNDER_WAY_M_S) & np.isfinite(slope + power + yaw)
     if np.count_nonzero(keep) < ROWS_TO_TELL or not np.ptp(slope[keep]):
         return None
     v = np.abs(speed[keep])

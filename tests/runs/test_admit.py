@@ -92,6 +92,21 @@ def test_a_slope_with_its_sign_turned_is_told_and_of_a_body_that_reverses_its_pi
         admit([turned(run, -1.0, -1.0) if i % 2 else run for i, run in enumerate(ramps)], model)
 
 
+def test_a_noisy_speed_of_a_robot_that_stands_says_nothing_of_its_slope() -> None:
+    """It draws more where it stands downhill, for another reason; half of its speeds are backwards there, by noise."""
+    rng = np.random.default_rng(5)
+    standing = []
+    for run in (drive(seed, seconds=800.0) for seed in range(5)):
+        stands = run.time_s > 400.0
+        slope = np.where(stands, np.where(run.time_s // 40.0 % 2, -0.05, 0.05), 0.0)
+        rest = run.power_w["robot"][run.number("speed_m_s") == 0.0].mean() - 10.0 * slope
+        power = np.where(stands, rest, run.power_w["robot"]) + rng.normal(0.0, 0.05, len(run))
+        speed = np.where(stands, rng.normal(0.0, 0.01, len(run)), run.number("speed_m_s"))
+        columns = {"time_s": run.time_s, "speed_m_s": speed, "slope_rad": slope}
+        standing.append(replace(run, columns=columns, power_w={"robot": power}))
+    assert told(standing) == []
+
+
 def test_near_copies_count_once(runs: list[Run]) -> None:
     noise = np.random.default_rng(0).normal(0.0, 0.01, len(runs[0]))
     copy = replace(runs[0], run="again", power_w={"robot": runs[0].power_w["robot"] + noise})
