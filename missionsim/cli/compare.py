@@ -146,6 +146,7 @@ def calibrate(
     refused: list[str] = []
     tables, left_out = admit(read_logs(list(logs), left_out=refused), given)
     left_out += refused
+    tell_left_out(left_out, to)
     fits: list[ModelFit]
     remarks: list[str]
     if new is not None and base is not None:
@@ -156,12 +157,12 @@ def calibrate(
         # what is odd is seen against a model, of a new robot against that of all its runs
         tables, odd = admit(tables, made.fit.model)
         if odd:
-            made, left_out = calibrate_new(wanted, tables), [*odd, *left_out]
+            tell_left_out(odd, to)
+            made, left_out = calibrate_new(wanted, tables), [*left_out, *odd]
         text, fits, remarks = made.text, [made.fit], list(made.remarks)
     else:
         again = refit_robot(str(robot), tables, battery)
         text, fits, remarks = again.text, list(again.fits), list(again.remarks)
-    tell_left_out(left_out, to)
     remarks = [*describe(tables), *remarks]
     write_text(out, text)
     to.emit(

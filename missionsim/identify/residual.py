@@ -296,11 +296,12 @@ def wrong_form(model: Model, column: int, covariate: str, settings: Settings, tw
     rows, knots = curve_rows(model, covariate, times)
     if rows.shape[0] < 2:
         return None  # too few values of the covariate to judge a form
-    judges, slow = [(model, RAMP_FORM_RATIO)], steady(model)
-    in_all, beside_ramps = (test_curve(m, model.design.phi[[column]], rest)[0] for m in (model, slow))
-    # a surge at each start acts on ramps alone
-    if not known(covariate).ramps and beside_ramps > STEADY_PART * in_all:
-        judges.insert(0, (slow, settings.form_ratio))
+    judges = [(model, RAMP_FORM_RATIO)]
+    if not known(covariate).ramps:
+        away = steady(model)
+        gain, gain_away = (test_curve(m, model.design.phi[[column]], rest)[0] for m in (model, away))
+        if gain_away > STEADY_PART * gain:  # a surge at each start acts on ramps alone
+            judges.insert(0, (away, settings.form_ratio))
     for judge, ratio in judges:
         beyond, p_value, values = test_curve(judge, rows, model.chosen)
         # blocks that differ much among themselves hide a misfit from the sandwich, but not one as loud as this
