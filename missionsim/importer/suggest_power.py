@@ -47,6 +47,14 @@ def suggest(draft: Draft) -> None:
         draft.columns["power_robot_w"] = ("POWER", Guess("power", "", "", 0.0, message, "not found"))
         return
     _rows(draft, sources)
+    other = [
+        v.field for v in draft.best("voltage", 0.7) if any(_beside(draft, v, i) for i in draft.best("current", 0.7))
+    ]
+    if other and pair is not None and not draft.direct:
+        told = ", ".join(name.rpartition(".")[0] for name in other)
+        draft.remarks.append(
+            f"a battery too, perhaps: {told}; voltage_<its name>_v and current_<its name>_a would take it"
+        )
 
 
 def _in_milli(draft: Draft, amps: Guess, volts: Guess) -> Guess:

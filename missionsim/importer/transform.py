@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from missionsim.errors import InputError
 from missionsim.labels import Labels
 from missionsim.logs.raw import ColumnData, RawTable, Remark
 from missionsim.physics import Array
@@ -229,7 +230,10 @@ def merge_signals(signals: dict[str, Signal], timeline: str | None, file: str) -
     last = min(ends, key=lambda name: float(ends[name]))
     keep = (time >= signals[first].time_s[0]) & (time <= ends[last])
     if not keep.any():
-        keep[:] = True
+        between = [signals[name].topic for name in (first, last, leader)]
+        message = f"no message of {between[2]} lies between the first of {between[0]} and the last of {between[1]}"
+        hint = "`stamp: bag`, where headers have another clock; or another timeline"
+        raise InputError.single(message, file=file, allowed="signals of one run", hint=hint)
     for side, by in ((time < signals[first].time_s[0], first), (time > ends[last], last)):
         if keep.all() or not (cut := int((side & ~keep).sum())):
             continue

@@ -240,11 +240,14 @@ def _freeze(
     for name, data in rows.columns.items():
         if isinstance(data, Labels):
             rows.columns[name] = data.compact()
+    driven = ~suspect.charged_at_rest(rows, power)
     log = Run(run, rows.columns, rows.dt, power, fresh, kinds, rows.raw.file, tuple(rows.remarks))
     if own is not None:
-        inside = np.flatnonzero((rows.row >= own[0]) & (rows.row < own[1]))
+        driven &= (rows.row >= own[0]) & (rows.row < own[1])
+    if not driven.all():
+        inside = np.flatnonzero(driven)
         together = len(inside) and inside[-1] - inside[0] == len(inside) - 1
-        log = log.rows_where(slice(inside[0], inside[-1] + 1) if together else np.isin(np.arange(log.rows), inside))
+        log = log.rows_where(slice(inside[0], inside[-1] + 1) if together else driven)
     return log
 
 

@@ -194,6 +194,44 @@ def check_dead_meter(rows: Rows, battery: str, power_w: Array) -> None:
         rows.remark("frozen", f"power_{battery}_w", told, action, "warning", int(np.argmax(dead)), count)
 
 
+_CHARGE_S = 10.0
+"""Shorter than this a battery may take back what the drive gives up in stopping, filters included."""
+
+
+def charged_at_rest(rows: Rows, power_w: Mapping[str, Array]) -> Bools:
+    """Rows in which a robot stands at a charger, which is told: from where a battery that delivers while the robot
+    drives is charged, until it drives again (with what it feeds, the charger then feeds the robot as well)."""
+    result = np.zeros(len(rows.row), dtype=bool)
+    speed, yaw = rows.columns.get("speed_m_s"), rows.columns.get("yaw_rate_rad_s")
+    if speed is None or isinstance(speed, Labels) or isinstance(yaw, Labels):
+        return result
+    slow = np.abs(speed) < _REST_BAND * STILL_SPEED_M_S
+    if yaw is not None:
+        slow &= np.abs(yaw) < _REST_BAND * STILL_YAW_RATE_RAD_S
+    for battery, power in power_w.items():
+        if slow.all() or not np.median(power[~slow]) > 0.0:
+            continue
+        taken, count = 0.0, 0
+        for first, last in _stretches(slow & (power < 0.0)):
+            if rows.time[last - 1] - rows.time[first] >= _CHARGE_S and last - first >= _STRETCH:
+                end = last + int(np.argmin(np.r_[slow[last:], False]))
+                # the row at the contact holds a part of both
+                chosen = slice(max(first - int(first > 0 and slow[first - 1]), 0), end)
+                taken, count = taken - float(power[first:last].sum()), count + last - first
+                result[chosen] = True
+        if count:
+            told = f"charged with {taken / count:.4g} W on average while the robot stands, {count} rows"
+            action = "left out until it drives again: they say nothing of what it needs"
+            rows.remark("charging", f"power_{battery}_w", told, action, "warning", int(np.argmax(result)), count)
+    return result
+
+
+def _stretches(chosen: Bools) -> list[tuple[int, int]]:
+    """First row of each stretch of chosen rows, and the row behind its last."""
+    edges = np.flatnonzero(np.diff(np.r_[False, chosen, False])).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
 _CEILING, _OFTEN, _TWICE = 5, 3, 0.1
 """Rows at the greatest power, and how many times as many as at any other value, from which the meter is cut off there;
 part of the rows in which another value may come twice running, as that of a rounded meter does (assumed)."""
@@ -274,8 +312,7 @@ def _rest_of_power(speed: Array, turning: Array, power_w: Array) -> Bools:
         return none
     low, high = float(np.quantile(power_w[slow], 0.25)), float(np.nanquantile(power_w, 0.95))
     rest = slow & (np.abs(power_w - low) < _LEVEL * (high - low))
-    edges = np.flatnonzero(np.diff(np.r_[False, rest, False]))
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
+    for start, end in _stretches(rest):
         if end - start < _STRETCH:
             rest[start:end] = False
     v, p = speed[rest], power_w[rest]
@@ -304,7 +341,9 @@ def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools
     value, for columns that repeat or hang.
     """
     result: dict[str, Bools] = {}
-    time = rows.time
+    time, none = rows.time, np.zeros(len(rows.time), dtype=bool)
+    speed = rows.columns.get("speed_m_s")
+    parked = none if speed is None or isinstance(speed, Labels) else np.abs(speed) < STILL_SPEED_M_S
     for name, data in rows.columns.items():
         found = column_of(name)
         if isinstance(data, Labels) or found is None or found[0].kind != "number" or fresh_of(name) or len(data) < 20:
@@ -321,7 +360,7 @@ def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools
             rows.remark("repeated", name, told, "kept; each refresh counts once", "note", None, count)
             result[name] = slow.fresh
             continue
-        hung = _hung(data, time)
+        hung = _hung(data, parked if name in _PLACES else none, time)
         if hung is not None:
             first, last, fresh = hung
             told = f"stands at {data[first]:.6g} for {time[last] - time[first]:.3g} s from {time[first]:.6g} s"
@@ -331,22 +370,26 @@ def check_frozen(rows: Rows, fresh_of: Callable[[str], bool]) -> dict[str, Bools
     return result
 
 
+_PLACES = ("x_m", "y_m", "heading_rad")
+"""Columns that stay where the robot stays."""
 _HUNG = 4.0
 """A sensor that hangs stands so many times longer than ever else; a coarse one stands often."""
 
 
-def _hung(data: Array, time: Array) -> tuple[int, int, Bools] | None:
+def _hung(data: Array, parked: Bools, time: Array) -> tuple[int, int, Bools] | None:
     starts = np.flatnonzero(np.r_[True, data[1:] != data[:-1]])
     if len(starts) < 10:
         return None
     lengths = np.diff(np.r_[starts, len(data)])
     if 2 * np.count_nonzero(lengths > 1) >= len(lengths):
         return None
-    longest = int(np.argmax(np.where(data[starts] == 0.0, 0, lengths)))
+    stay = np.add.reduceat(parked, starts, dtype=np.int64) > 0.8 * lengths
+    counted = np.where(stay, 1, lengths)
+    longest = int(np.argmax(np.where(data[starts] == 0.0, 0, counted)))
     first = int(starts[longest])
     last = first + int(lengths[longest]) - 1
-    second = int(np.max(np.delete(lengths, np.argmax(lengths))))  # partial sorts of like numbers are slow
-    if lengths[longest] < max(20, _HUNG * second) or time[last] - time[first] < 5.0 or data[first] == 0.0:
+    second = int(np.max(np.delete(counted, np.argmax(counted))))  # partial sorts of like numbers are slow
+    if counted[longest] < max(20, _HUNG * second) or time[last] - time[first] < 5.0 or data[first] == 0.0:
         return None
     fresh = np.ones(len(data), dtype=bool)
     fresh[first + 1 : last + 1] = False

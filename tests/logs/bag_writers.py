@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -46,11 +46,20 @@ def _header(types: Any, t: float, **more: int) -> Any:
 
 
 def write_bag(
-    path: Path, kind: str, duration_s: float = 30.0, *, often: int = 1, picture_bytes: int = 0, drive: Drive = DRIVE
+    path: Path,
+    kind: str,
+    duration_s: float = 30.0,
+    *,
+    often: int = 1,
+    picture_bytes: int = 0,
+    drive: Drive = DRIVE,
+    off_s: float = 0.0,
+    batteries: Sequence[str] = ("/battery",),
 ) -> Path:
     """A ROS 1 bag (`kind` ros1), ROS 2 bag (sqlite3 or mcap): /battery at 2 Hz, /odom at 10 Hz, /imu at 20 Hz.
 
-    `often` times as many of each, and /camera/compressed at 10 Hz where a picture has a size.
+    `often` times as many of each, and /camera/compressed at 10 Hz where a picture has a size. `off_s`: how far the
+    clock of the battery's headers is ahead.
     """
     from rosbags.typesys import Stores, get_typestore
 
@@ -66,7 +75,7 @@ def write_bag(
 
     def battery(t: float):  # type: ignore[no-untyped-def]
         return types["sensor_msgs/msg/BatteryState"](
-            header=header(t),
+            header=header(t + off_s),
             voltage=battery_volts(t),
             current=-drive["amps"](t),
             charge=1.0,
@@ -114,7 +123,7 @@ def write_bag(
         return types["sensor_msgs/msg/CompressedImage"](header=header(t), format="jpeg", data=pixels)
 
     topics = [
-        ("/battery", "sensor_msgs/msg/BatteryState", battery, 0.5 / often),
+        *((topic, "sensor_msgs/msg/BatteryState", battery, 0.5 / often) for topic in batteries),
         ("/odom", "nav_msgs/msg/Odometry", odometry, STEP_S / often),
         ("/imu", "sensor_msgs/msg/Imu", imu, 0.05 / often),
         *([("/camera/compressed", "sensor_msgs/msg/CompressedImage", picture, 0.1)] if picture_bytes else []),

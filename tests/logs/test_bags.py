@@ -17,7 +17,7 @@ from missionsim.importer.roles import fields_of
 from missionsim.importer.transform import Signal, merge_signals
 from missionsim.inputs.loading import load_map
 from missionsim.logs import LogTable
-from tests.logs.bag_writers import amps, battery_volts, speed, write_ardupilot, write_bag, write_ulog
+from tests.logs.bag_writers import START_S, amps, battery_volts, speed, write_ardupilot, write_bag, write_ulog
 
 pytest.importorskip("rosbags", reason="the extra 'logs' is not installed")
 pytest.importorskip("pyulog", reason="the extra 'logs' is not installed")
@@ -70,6 +70,20 @@ def test_every_kind_of_bag(tmp_path: Path, kind: str) -> None:
     assert np.flatnonzero(fresh).tolist() == list(range(0, 300, 5))
     assert set(log.number("cell_v").round(3)) == {4.2}
     assert log.columns["frame"].names == ("base",)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(("off_s", "late"), [(1.0, 10), (-START_S, 0)])
+def test_headers_of_another_clock_are_told(tmp_path: Path, off_s: float, late: int) -> None:
+    """Of a second, they are read on; of a clock that counts from the start of a board, no row would meet another's."""
+    bag = write_bag(tmp_path / "run", "mcap", off_s=off_s)
+    log = run(tmp_path, bag, BAG_MAP)
+    seen = np.floor((log.time_s) / 0.5 + 1e-6) * 0.5
+    np.testing.assert_allclose(
+        log.power_w["robot"][: 280 - late], (battery_volts(seen) * amps(seen))[: 280 - late], rtol=1e-6
+    )
+    (told,) = [str(remark) for remark in log.remarks if remark.kind == "clock" and "headers" in remark.message]
+    assert f"{off_s:+.4g} s in /battery" in told
+    assert ("were taken" in told) == (late == 0)
 
 
 def test_lone_mcap_and_file_inside_a_bag(tmp_path: Path) -> None:
@@ -291,6 +305,15 @@ def test_signals_out_of_order_silent_and_late() -> None:
         ("gap", "q"),
         ("time_backwards", "p"),
     ]
+
+
+def test_signals_that_do_not_meet_are_refused() -> None:
+    time = np.arange(100) * 0.1
+    signals = {"v": Signal(time, time, None, "/odom"), "p": Signal(time + 1e9, time, None, "/battery")}
+    with pytest.raises(
+        InputError, match="no message of /odom lies between the first of /battery and the last of /odom"
+    ):
+        merge_signals(signals, "v", "x")
 
 
 def test_unwrap_keeps_missing_values() -> None:

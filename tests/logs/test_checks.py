@@ -213,7 +213,10 @@ def test_a_meter_that_is_cut_off_is_told(tmp_path: Path, step_w: float) -> None:
 def test_a_robot_that_stands_is_not_frozen(tmp_path: Path) -> None:
     columns = motion()
     columns["speed_m_s"][100:200] = 0.0
+    columns["x_m"] = 0.5 * np.cumsum(columns["speed_m_s"])
     assert not [r for r in read(tmp_path, columns).remarks if r.kind == "frozen"]
+    columns["x_m"][220:300] = columns["x_m"][220]
+    assert found(read(tmp_path, columns), "frozen").column == "x_m"
 
 
 def test_meter_off_while_driving(tmp_path: Path) -> None:
@@ -308,6 +311,28 @@ def test_charging_sign(tmp_path: Path) -> None:
     remark = found(read(tmp_path, columns), "sign")
     assert remark.severity == "error"
     assert "what it delivers is positive" in remark.message
+
+
+def test_what_a_robot_takes_at_the_dock_is_left_out(tmp_path: Path) -> None:
+    columns = motion()
+    rest = (columns["time_s"] > 120) & (columns["time_s"] < 170)
+    for name in ("speed_m_s", "yaw_rate_rad_s"):
+        columns[name] = np.where(rest, 0.0, columns[name])
+    noise = 0.05 * np.random.default_rng(4).normal(size=400)
+    columns["power_robot_w"] = np.where(rest, 4.0 + noise, columns["power_robot_w"])
+    assert read(tmp_path, columns).remarks == ()
+    # a while on the ground, then at the dock, whose charger feeds the robot once the battery is full
+    columns["power_robot_w"] = np.where(rest & (columns["time_s"] > 130), -60.0, columns["power_robot_w"])
+    columns["power_robot_w"] = np.where(rest & (columns["time_s"] > 160), 0.0, columns["power_robot_w"])
+    log = read(tmp_path, columns)
+    remark = found(log, "charging", "power_robot_w")
+    assert "charged with 60 W on average" in remark.message
+    there = np.isin(columns["time_s"], log.time_s)
+    assert np.flatnonzero(~there).tolist() == list(range(259, 341))  # and a row of both at the contact and as it leaves
+    assert log.energy_wh("robot") == pytest.approx(float(columns["power_robot_w"][there].sum()) * 0.5 / 3600.0)
+    # what a drive gives back in stopping takes no ten seconds, and a descent is no rest
+    columns["power_robot_w"] = np.where(rest & (columns["time_s"] > 138), 4.0 + noise, columns["power_robot_w"])
+    assert read(tmp_path, columns).rows == 400
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,13 @@ def test_bags(tmp_path: Path, kind: str) -> None:
     near(log, "slope_rad", np.full(log.rows, 0.05), 1e-6)
 
 
+def test_a_second_battery_is_told(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "run", "mcap", batteries=("/drive/battery", "/logic/battery"))
+    assert main(["import", str(bag), "--suggest", "--out", str(tmp_path / "m.yaml")]) == 0
+    (told,) = [line for line in (tmp_path / "m.yaml").read_text().splitlines() if "a battery too" in line]
+    assert "perhaps: /logic/battery;" in told
+
+
 def test_a_battery_that_speaks_in_diagnostics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag = write_diagnostics_bag(tmp_path / "run")
     (log,) = suggested(tmp_path, bag, exit_code=1, change=("RADIUS", "0.1"))
