@@ -82,13 +82,15 @@ _SMOOTHINGS_S = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Time constants tried for a meter that smooths [s]."""
 
 
+_MOTION = ("speed_m_s", "yaw_rate_rad_s", "slope_rad")
+
+
 def check_clock(rows: Rows, power: dict[str, Array]) -> None:
     """Tell where power follows the motion late, or smoothed."""
     part = slice(0, 200_000)
-    yaw = rows.columns.get("yaw_rate_rad_s")
+    motion = {n: np.asarray(data)[part] for n in _MOTION if (data := rows.columns.get(n)) is not None}
     for battery, watt in power.items():
-        turned = None if yaw is None else np.asarray(yaw)[part]
-        found = clock_delay(rows.time[part], watt[part], np.asarray(rows.columns["speed_m_s"])[part], turned)
+        found = clock_delay(rows.time[part], watt[part], **motion)
         if found is None:
             continue
         gain = found.correlation**2 - found.correlation_at_zero**2
@@ -130,24 +132,24 @@ class ClockEstimate:
 
 
 def clock_delay(
-    time_s: Array, power_w: Array, speed_m_s: Array, yaw_rate_rad_s: Array | None = None
+    time_s: Array, power_w: Array, speed_m_s: Array, yaw_rate_rad_s: Array | None = None, slope_rad: Array | None = None
 ) -> ClockEstimate | None:
     """Delay between power and motion: the lag at which their changes agree best.
 
-    `time_s`, `power_w`, `speed_m_s`, `yaw_rate_rad_s` (shape (n,)): one run [s, W, m/s, rad/s]. Gives None where the
-    log is too short, hardly moves, or the two do not go together (correlation under 0.2).
+    `time_s`, `power_w`, `speed_m_s`, `yaw_rate_rad_s`, `slope_rad` (shape (n,)): one run, in SI units. Gives None where
+    the log is too short, hardly moves, or the two do not go together (correlation under 0.2).
 
     A simple check: all series on an even grid, differenced (so that slow drifts do not matter); changes of power are
-    regressed on those of speed, its square, what speeding up takes (v·a) and turning, at every lag within ±3 s. Without
-    v·a the power of a heavy vehicle, which leads its speed, looks like a clock that is wrong. The diagnosis aligns the
-    clocks by likelihood.
+    regressed on those of speed, its square, what speeding up takes (v·a), turning and climbing, at every lag within
+    ±3 s. Without v·a the power of a heavy vehicle, which leads its speed, looks like a clock that is wrong, and without
+    the slope that of a robot among hills as if it were smoothed. The diagnosis aligns the clocks by likelihood.
     """
     step = max(float(np.median(np.diff(time_s))), 0.05)
     grid = np.arange(time_s[0], time_s[-1], step)[:_MOST_SAMPLES]
     if len(grid) < _LEAST_SAMPLES:
         return None
     power = np.diff(np.interp(grid, time_s, power_w))
-    causes = _causes(grid, step, time_s, speed_m_s, yaw_rate_rad_s)
+    causes = _causes(grid, step, time_s, speed_m_s, yaw_rate_rad_s, slope_rad)
     most = round(_LONGEST_S / step)
     explained = _explained(power, np.diff(causes, axis=1), most)
     if explained is None:
@@ -173,8 +175,10 @@ def clock_delay(
     )
 
 
-def _causes(grid: Array, step: float, time_s: Array, speed_m_s: Array, yaw_rate_rad_s: Array | None) -> Array:
-    """What power follows, shape (k, n): speed, its square, what speeding up takes, turning."""
+def _causes(
+    grid: Array, step: float, time_s: Array, speed_m_s: Array, yaw_rate_rad_s: Array | None, slope_rad: Array | None
+) -> Array:
+    """What power follows, shape (k, n): speed, its square, what speeding up takes, turning, climbing."""
     speed = np.interp(grid, time_s, speed_m_s)
     # averaged over half a second: the rate of a noisy speed is noise
     width = max(1, round(0.5 / step))
@@ -183,6 +187,8 @@ def _causes(grid: Array, step: float, time_s: Array, speed_m_s: Array, yaw_rate_
     rows = [np.abs(speed), speed**2, speed * rate]
     if yaw_rate_rad_s is not None:
         rows.append(np.abs(np.interp(grid, time_s, yaw_rate_rad_s)))
+    if slope_rad is not None:
+        rows.append(np.abs(speed) * np.sin(np.interp(grid, time_s, slope_rad)))
     return np.array(rows)
 
 

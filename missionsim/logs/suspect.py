@@ -194,8 +194,9 @@ def check_dead_meter(rows: Rows, battery: str, power_w: Array) -> None:
         rows.remark("frozen", f"power_{battery}_w", told, action, "warning", int(np.argmax(dead)), count)
 
 
-_CHARGE_S = 10.0
-"""Shorter than this a battery may take back what the drive gives up in stopping, filters included."""
+_CHARGE_S, _CHARGE = 10.0, 0.1
+"""Shorter than this a battery may take back what the drive gives up in stopping, filters included; less, as a part of
+the usual power under way, may be the offset of a meter (both assumed)."""
 
 
 def charged_at_rest(rows: Rows, power_w: Mapping[str, Array]) -> Bools:
@@ -209,11 +210,10 @@ def charged_at_rest(rows: Rows, power_w: Mapping[str, Array]) -> Bools:
     if yaw is not None:
         slow &= np.abs(yaw) < _REST_BAND * STILL_YAW_RATE_RAD_S
     for battery, power in power_w.items():
-        if slow.all() or not np.median(power[~slow]) > 0.0:
-            continue
-        taken, count = 0.0, 0
+        usual, taken, count = 0.0 if slow.all() else float(np.median(power[~slow])), 0.0, 0
         for first, last in _stretches(slow & (power < 0.0)):
-            if rows.time[last - 1] - rows.time[first] >= _CHARGE_S and last - first >= _STRETCH:
+            long = rows.time[last - 1] - rows.time[first] >= _CHARGE_S and last - first >= _STRETCH
+            if long and -power[first:last].mean() > _CHARGE * usual > 0.0:
                 end = last + int(np.argmin(np.r_[slow[last:], False]))
                 # the row at the contact holds a part of both
                 chosen = slice(max(first - int(first > 0 and slow[first - 1]), 0), end)

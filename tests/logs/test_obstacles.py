@@ -54,6 +54,20 @@ def test_a_meter_that_smooths(tmp_path: Path) -> None:
     assert "smoothed over about 2 s" in obstacles(tmp_path, {**columns, "power_robot_w": power})["power_robot_w"]
 
 
+def test_hills_are_no_meter_that_smooths(tmp_path: Path) -> None:
+    """The faster a robot drives the steeper it climbs, metres later."""
+    rng = np.random.default_rng(0)
+    time_s = np.arange(0.125, 300.0, 0.25)
+    speed = np.repeat(rng.choice([0.4, 0.5, 0.6], 60), rng.integers(24, 60, 60))[: len(time_s)]
+    slope = np.zeros(len(time_s))
+    for row in range(1, len(slope)):
+        slope[row] = 0.94 * slope[row - 1] + 0.06 * 1.2 * (speed[row] - 0.5)
+    power = 19.0 + 10.0 * speed + 300.0 * speed * np.sin(slope) + rng.normal(0.0, 0.1, len(time_s))
+    columns = {"time_s": time_s, "power_robot_w": power, "speed_m_s": speed}
+    assert "smoothed" in obstacles(tmp_path, columns)["power_robot_w"]
+    assert obstacles(tmp_path, {**columns, "slope_rad": slope}) == {}
+
+
 def test_a_speed_from_gnss(tmp_path: Path) -> None:
     columns = motion(1200, 0.1)
     columns["speed_m_s"] = np.repeat(columns["speed_m_s"][::10], 10)
