@@ -242,16 +242,24 @@ def merge_signals(signals: dict[str, Signal], timeline: str | None, file: str) -
         remarks.append(Remark("gap", "", message, "these rows were left out", "note", 0, cut))
     time = time[keep]
     columns: dict[str, ColumnData] = {"time_s": time - time[0]}
+    told: set[str] = set()
     for name, signal in signals.items():
         fill = signal.fill or _fill(signal, time)
         columns[name] = _onto(signal, time, fill)
         silent = _longest_gap(signal.time_s, time)
         usual = usual_step(signal.time_s)
+        even = _even(signal.time_s, usual)
         long = silent > max(1.0, 10.0 * usual)
-        if long or (silent > 2.5 * usual and _even(signal.time_s, usual)):
-            action = {"hold": "the value before was held", "linear": "interpolated"}.get(fill, "averaged")
-            message = f"no message of {signal.topic} for {silent:.3g} s"
-            remarks.append(Remark("gap", name, message, action, "warning" if long else "note"))
+        if long or (silent > 2.5 * usual and even):
+            action = "interpolated" if fill == "linear" else "the value before was held"
+            if long and even and not isinstance(signal.values, Labels):
+                unknown = _unknown(signal, time, max(1.0, 10.0 * usual), 2.5 * usual)
+                columns[name] = np.where(unknown, np.nan, columns[name])
+                action = "missing there" if unknown.any() else action
+            if signal.topic not in told:
+                message = f"no message of {signal.topic} for {silent:.3g} s"
+                remarks.append(Remark("gap", name, message, action, "warning" if long else "note"))
+            told.add(signal.topic)
     return RawTable(file, columns, remarks=remarks)
 
 
@@ -285,6 +293,15 @@ def _onto(signal: Signal, time: Array, fill: str) -> ColumnData:
 def _even(time: Array, usual: float) -> bool:
     """Whether messages come at an even pace, so that a hole of a few is one."""
     return len(time) > 20 and float(np.mean(np.abs(np.diff(time) - usual) < 0.2 * usual)) > 0.9
+
+
+def _unknown(signal: Signal, time: Array, long_s: float, near_s: float) -> NDArray[np.bool_]:
+    """Rows in a long silence of a topic that tells something all the time, and then tells something else; what was
+    nought or comes back as it was may have stayed so."""
+    at, values = signal.time_s, np.asarray(signal.values)
+    index = np.clip(np.searchsorted(at, time, side="right") - 1, 0, len(at) - 2)
+    silent = (at[index + 1] - at[index] > long_s) & (time - at[index] > near_s) & (at[index + 1] - time > near_s)
+    return np.asarray(silent & (values[index] != 0.0) & (values[index + 1] != values[index]))
 
 
 def usual_step(time: Array) -> float:

@@ -307,6 +307,31 @@ def test_signals_out_of_order_silent_and_late() -> None:
     ]
 
 
+@pytest.mark.parametrize("fill", ["hold", "linear", "mean", None])
+def test_a_topic_that_falls_silent_says_nothing_meanwhile(fill: str | None) -> None:
+    """Odometry that stops while the robot drives, a command that stays nought, a weight that stays."""
+    time = np.arange(1000) * 0.1
+    there = (time < 40) | (time > 70)
+    speed = 0.5 + 0.3 * np.sin(time)
+    signals = {
+        "p": Signal(time[::5], speed[::5], None, "/power"),
+        "v": Signal(time[there], speed[there], fill, "/odom"),
+        "x": Signal(time[there], time[there], fill, "/odom"),
+        "command": Signal(time[there], np.where(time < 39, speed, 0.0)[there], fill, "/cmd_vel"),
+        "kg": Signal(time[there], np.full(there.sum(), 5.0), fill, "/payload"),
+    }
+    raw = merge_signals(signals, "p", "x")
+    silent = (raw.columns["time_s"] > 40.5) & (raw.columns["time_s"] < 69.5)
+    for name in ("v", "x"):
+        assert np.isnan(raw.columns[name])[silent].all(), name
+        assert np.isfinite(raw.columns[name])[(raw.columns["time_s"] < 40) | (raw.columns["time_s"] > 70.1)].all(), name
+    assert set(np.asarray(raw.columns["command"])[silent]) == {0.0}
+    assert set(np.asarray(raw.columns["kg"])) == {5.0}
+    assert [(r.message, r.action) for r in raw.remarks if "/odom" in r.message] == [
+        ("no message of /odom for 30.2 s", "missing there")
+    ]
+
+
 def test_signals_that_do_not_meet_are_refused() -> None:
     time = np.arange(100) * 0.1
     signals = {"v": Signal(time, time, None, "/odom"), "p": Signal(time + 1e9, time, None, "/battery")}
