@@ -19,6 +19,7 @@ from missionsim.identify.settings import (
     ONE_RUN_PART,
     POWER_Z,
     SEVERAL_RUNS,
+    WORSE_ENERGY,
     Settings,
 )
 from missionsim.physics import Array
@@ -187,12 +188,12 @@ def predicts_left_out(model: Model, columns: Sequence[int]) -> tuple[bool, float
     bool
         Whether their squared power error is smaller.
     float
-        One-sided p-value, over runs, of "their energy error is not larger".
+        One-sided p-value, over runs, of "their energy error is hardly larger".
     """
     squares = LeastSquares.of(model.design)
     rest = [c for c in model.chosen if c not in columns]
     with_it, without = squares.leave_out(model.chosen), squares.leave_out(rest)
-    return with_it.total < without.total, squares.energy_no_worse(rest, without, model.chosen, with_it)
+    return with_it.total < without.total, squares.energy_no_worse(rest, without, model.chosen, with_it, WORSE_ENERGY)
 
 
 def cause_is_constant(model: Model, column: int, candidates: Sequence[Candidate]) -> bool:

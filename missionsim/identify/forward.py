@@ -37,6 +37,7 @@ from missionsim.identify.settings import (
     STRICT_LEVEL,
     SWALLOWED,
     UNCLEAR,
+    WORSE_ENERGY,
     WORSE_ENERGY_LEVEL,
     Settings,
 )
@@ -324,7 +325,7 @@ class _Search:
             "runs": part > (PASS_THROUGH_FALL if logged else LEAST_FALL)
             or (part > ENERGY_FALL and squares.energy_no_worse(chosen, after, beside, before) < WORSE_ENERGY_LEVEL),
             "robust": p_value < max(family, self.settings.alpha) / effects or (halved and p_value < HALVED_LEVEL),
-            "energy": squares.energy_no_worse(beside, before, chosen, after) > WORSE_ENERGY_LEVEL,
+            "energy": squares.energy_no_worse(beside, before, chosen, after, WORSE_ENERGY) > WORSE_ENERGY_LEVEL,
             "clock": not self.candidates[number].by_clock or runs > SEVERAL_RUNS or (runs > 1 and halved),
             "practical": float(np.abs(shares).sum()) > self.settings.min_share,
             "beyond recalibration": self._beyond_recalibration(number, own[0], float(shares[0])),

@@ -153,14 +153,18 @@ class LeastSquares:
         size = np.maximum(np.sum(ahead * step, axis=1), 1e-300)
         return self.errors(index, left.coefficients + step * (missing / size)[:, None]).energy
 
-    def energy_no_worse(self, few: Sequence[int], before: Left, more: Sequence[int], after: Left) -> float:
-        """One-sided p-value, over folds, of "more columns predict the energy of left-out folds as well as few"."""
+    def energy_no_worse(
+        self, few: Sequence[int], before: Left, more: Sequence[int], after: Left, slack: float = 0.0
+    ) -> float:
+        """One-sided p-value, over folds, of "more columns predict the energy of left-out folds as well as few", or
+        worse by a part `slack` of it at most."""
         from scipy.special import stdtr
 
         count = len(self.sums)
         if count < SEVERAL_RUNS:
             return 1.0
         rise = np.abs(self.energy_left_out(more, after)) - np.abs(self.energy_left_out(few, before))
+        rise -= slack * np.abs(self.sums[:, -2, -1])
         error = float(np.std(rise, ddof=1)) / np.sqrt(count)
         return float(stdtr(count - 1, -float(np.mean(rise)) / max(error, 1e-300)))
 

@@ -252,9 +252,9 @@ def merge_signals(signals: dict[str, Signal], timeline: str | None, file: str) -
         long = silent > max(1.0, 10.0 * usual)
         if long or (silent > 2.5 * usual and even):
             action = "interpolated" if fill == "linear" else "the value before was held"
-            if long and even and not isinstance(signal.values, Labels):
+            if long and even and not isinstance(onto := columns[name], Labels):
                 unknown = _unknown(signal, time, max(1.0, 10.0 * usual), 2.5 * usual)
-                columns[name] = np.where(unknown, np.nan, columns[name])
+                columns[name] = np.where(unknown, np.nan, onto)
                 action = "missing there" if unknown.any() else action
             if signal.topic not in told:
                 message = f"no message of {signal.topic} for {silent:.3g} s"

@@ -1,16 +1,18 @@
-"""What stands in the way of a diagnosis although nothing is wrong with the file: gauges, wraps, slow speeds."""
+"""What stands in the way of a diagnosis although nothing is wrong with the file: gauges, wraps, slow speeds, docks."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from missionsim.glossary import column_of
+from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
 from missionsim.logs.raw import refreshes
+from missionsim.logs.suspect import REST_BAND, STRETCH, Bools, stretches
 from missionsim.physics import Array
 from missionsim.physics.lag import Meter, metered
 
@@ -80,6 +82,40 @@ _MOST_SAMPLES = 40_000
 _LEAST_SAMPLES = 60
 _SMOOTHINGS_S = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Time constants tried for a meter that smooths [s]."""
+
+
+_CHARGE_S, _CHARGE = 10.0, 0.1
+"""Shorter than this a battery may take back what the drive gives up in stopping, filters included; less, as a part of
+the usual power under way, may be the offset of a meter (both assumed)."""
+_SUN = re.compile(r"(?<![a-z])(solar|sun|pv|irradianc\w*|photovolt\w*)(?![a-z])", re.IGNORECASE)
+"""What feeds a battery on the way as well is in the log where a column is called so, and may be learnt."""
+
+
+def charged_at_rest(rows: Rows, power_w: Mapping[str, Array]) -> Bools:
+    """Rows in which a robot stands at a charger, which is told: from where a battery that delivers while the robot
+    drives is charged, until it drives again (with what it feeds, the charger then feeds the robot as well)."""
+    result = np.zeros(len(rows.row), dtype=bool)
+    speed, yaw = rows.columns.get("speed_m_s"), rows.columns.get("yaw_rate_rad_s")
+    if speed is None or isinstance(speed, Labels) or isinstance(yaw, Labels) or any(map(_SUN.search, rows.columns)):
+        return result
+    slow = np.abs(speed) < REST_BAND * STILL_SPEED_M_S
+    if yaw is not None:
+        slow &= np.abs(yaw) < REST_BAND * STILL_YAW_RATE_RAD_S
+    for battery, power in power_w.items():
+        usual, taken, count = 0.0 if slow.all() else float(np.median(power[~slow])), 0.0, 0
+        for first, last in stretches(slow & (power < 0.0)):
+            long = rows.time[last - 1] - rows.time[first] >= _CHARGE_S and last - first >= STRETCH
+            if long and -power[first:last].mean() > _CHARGE * usual > 0.0:
+                end = last + int(np.argmin(np.r_[slow[last:], False]))
+                # the row at the contact holds a part of both
+                chosen = slice(max(first - int(first > 0 and slow[first - 1]), 0), end)
+                taken, count = taken - float(power[first:last].sum()), count + last - first
+                result[chosen] = True
+        if count:
+            told = f"charged with {taken / count:.4g} W on average while the robot stands, {count} rows"
+            action = "left out until it drives again: they say nothing of what it needs"
+            rows.remark("charging", f"power_{battery}_w", told, action, "warning", int(np.argmax(result)), count)
+    return result
 
 
 _MOTION = ("speed_m_s", "yaw_rate_rad_s", "slope_rad")

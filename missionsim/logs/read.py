@@ -17,7 +17,7 @@ from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs import suspect
 from missionsim.logs.clean import Rows, fill_missing, order_time
-from missionsim.logs.obstacles import check_clock, check_obstacles
+from missionsim.logs.obstacles import charged_at_rest, check_clock, check_obstacles
 from missionsim.logs.raw import RawTable, Remark, battery_power, measured_batteries, merge, missing_columns
 from missionsim.logs.readers import Options, log_suffixes, not_there, table_reader
 from missionsim.logs.times import TimeAxis
@@ -240,7 +240,7 @@ def _freeze(
     for name, data in rows.columns.items():
         if isinstance(data, Labels):
             rows.columns[name] = data.compact()
-    driven = ~suspect.charged_at_rest(rows, power)
+    driven = ~charged_at_rest(rows, power)
     log = Run(run, rows.columns, rows.dt, power, fresh, kinds, rows.raw.file, tuple(rows.remarks))
     if own is not None:
         driven &= (rows.row >= own[0]) & (rows.row < own[1])

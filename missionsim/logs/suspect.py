@@ -22,7 +22,7 @@ Bools = NDArray[np.bool_]
 _SAMPLE = 100_000
 """Rows that the statistical checks look at: one stretch from the start of the table."""
 _LEFT = "left as it is; a map converts it"
-_REST_BAND = 5.0
+REST_BAND = 5.0
 """Rows within so many times the limits of standing still are at rest if they hop over the limits again and again."""
 
 _SLOW_STEP_S = 60.0
@@ -175,10 +175,24 @@ def _sign(
     watt, name = (power, f"power_{battery}_w") if power is not None else (product, f"current_{battery}_a")
     if watt is not None and float(np.median(watt)) < 0 and _mean(watt) < 0:
         told = f"the battery seems to be charged all the time (mean {_mean(watt):.4g} W); what it delivers is positive"
-        rows.remark("sign", name, told, _LEFT, "error")
+        if _rises(rows, watt):
+            told += ", and driving takes more: does the sun feed it? Log what does"
+        rows.remark("sign", name, told, _LEFT, "warning" if _rises(rows, watt) else "error")
     if watt is None and energy is not None and energy[-1] < energy[0]:
         told = "the energy falls: it should be what was delivered so far, not what is left"
         rows.remark("sign", f"energy_{battery}_wh", told, _LEFT, "error")
+
+
+def _rises(rows: Rows, power_w: Array) -> bool:
+    """Whether power goes up with the speed, as it does not where its sign is wrong."""
+    speed = rows.columns.get("speed_m_s")
+    if speed is None or isinstance(speed, Labels) or not (np.ptp(speed) > 0.0 and np.ptp(power_w) > 0.0):
+        return False
+    return bool(np.corrcoef(np.abs(speed[: len(power_w)]), power_w)[0, 1] > _GOES_ALONG)
+
+
+_GOES_ALONG = 0.2
+"""Correlation of power and speed from which on one goes with the other (assumed)."""
 
 
 def check_dead_meter(rows: Rows, battery: str, power_w: Array) -> None:
@@ -194,39 +208,7 @@ def check_dead_meter(rows: Rows, battery: str, power_w: Array) -> None:
         rows.remark("frozen", f"power_{battery}_w", told, action, "warning", int(np.argmax(dead)), count)
 
 
-_CHARGE_S, _CHARGE = 10.0, 0.1
-"""Shorter than this a battery may take back what the drive gives up in stopping, filters included; less, as a part of
-the usual power under way, may be the offset of a meter (both assumed)."""
-
-
-def charged_at_rest(rows: Rows, power_w: Mapping[str, Array]) -> Bools:
-    """Rows in which a robot stands at a charger, which is told: from where a battery that delivers while the robot
-    drives is charged, until it drives again (with what it feeds, the charger then feeds the robot as well)."""
-    result = np.zeros(len(rows.row), dtype=bool)
-    speed, yaw = rows.columns.get("speed_m_s"), rows.columns.get("yaw_rate_rad_s")
-    if speed is None or isinstance(speed, Labels) or isinstance(yaw, Labels):
-        return result
-    slow = np.abs(speed) < _REST_BAND * STILL_SPEED_M_S
-    if yaw is not None:
-        slow &= np.abs(yaw) < _REST_BAND * STILL_YAW_RATE_RAD_S
-    for battery, power in power_w.items():
-        usual, taken, count = 0.0 if slow.all() else float(np.median(power[~slow])), 0.0, 0
-        for first, last in _stretches(slow & (power < 0.0)):
-            long = rows.time[last - 1] - rows.time[first] >= _CHARGE_S and last - first >= _STRETCH
-            if long and -power[first:last].mean() > _CHARGE * usual > 0.0:
-                end = last + int(np.argmin(np.r_[slow[last:], False]))
-                # the row at the contact holds a part of both
-                chosen = slice(max(first - int(first > 0 and slow[first - 1]), 0), end)
-                taken, count = taken - float(power[first:last].sum()), count + last - first
-                result[chosen] = True
-        if count:
-            told = f"charged with {taken / count:.4g} W on average while the robot stands, {count} rows"
-            action = "left out until it drives again: they say nothing of what it needs"
-            rows.remark("charging", f"power_{battery}_w", told, action, "warning", int(np.argmax(result)), count)
-    return result
-
-
-def _stretches(chosen: Bools) -> list[tuple[int, int]]:
+def stretches(chosen: Bools) -> list[tuple[int, int]]:
     """First row of each stretch of chosen rows, and the row behind its last."""
     edges = np.flatnonzero(np.diff(np.r_[False, chosen, False])).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))
@@ -275,7 +257,7 @@ def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
     if speed is None:
         return
     turning = np.zeros_like(speed) if yaw is None else yaw
-    slow = (speed < _REST_BAND * STILL_SPEED_M_S) & (turning < _REST_BAND * STILL_YAW_RATE_RAD_S)
+    slow = (speed < REST_BAND * STILL_SPEED_M_S) & (turning < REST_BAND * STILL_YAW_RATE_RAD_S)
     still = (speed < STILL_SPEED_M_S) & (turning < STILL_YAW_RATE_RAD_S)
     changes = int(np.count_nonzero(slow[1:] & slow[:-1] & (still[1:] != still[:-1])))
     count, beyond = int(slow.sum()), int((slow & ~still).sum())
@@ -298,7 +280,7 @@ def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
 
 _SLOW, _LEVEL = 0.25, 0.1
 """Parts of the fastest speed, and of the range of the power, within which a stretch may be one of rest (assumed)."""
-_STRETCH = 5
+STRETCH = 5
 """Rows that a stretch of rest lasts at least."""
 
 
@@ -312,8 +294,8 @@ def _rest_of_power(speed: Array, turning: Array, power_w: Array) -> Bools:
         return none
     low, high = float(np.quantile(power_w[slow], 0.25)), float(np.nanquantile(power_w, 0.95))
     rest = slow & (np.abs(power_w - low) < _LEVEL * (high - low))
-    for start, end in _stretches(rest):
-        if end - start < _STRETCH:
+    for start, end in stretches(rest):
+        if end - start < STRETCH:
             rest[start:end] = False
     v, p = speed[rest], power_w[rest]
     if len(v) < 20 or np.std(v) < 0.4 * np.mean(v):

@@ -12,7 +12,7 @@ from missionsim.identify.data import Candidate, Column, Layout, RunData
 from missionsim.identify.design import make_source
 from missionsim.identify.forward import _Search, far_from_right
 from missionsim.identify.predictive import LeastSquares, sober_clock
-from missionsim.identify.settings import Settings
+from missionsim.identify.settings import WORSE_ENERGY, WORSE_ENERGY_LEVEL, Settings
 
 from .world import library, make_runs
 
@@ -273,3 +273,21 @@ def test_the_level_is_stricter_where_the_error_hardly_falls_or_runs_are_cut(
     trial = _Search(squares, layout, effects, Settings()).measured(0, [0], ())
     assert 0.001 < trial.p_value < 0.005
     assert trial.passed["robust"] is passes
+
+
+@pytest.mark.parametrize(("worse_w", "refused"), [(0.03, False), (0.3, True)])
+def test_energy_that_gets_worse_by_next_to_nothing_is_no_ground(worse_w: float, refused: bool) -> None:
+    """Power that swings about 30 W, explained by an effect that leaves each run's energy `worse_w` further off."""
+    rng = np.random.default_rng(5)
+    swing = 3.0 * np.sin(np.arange(400) / 5.0)
+    folds = []
+    for j in range(10):
+        side = (-1.0) ** j
+        column = swing - swing.mean() - side * worse_w * rng.uniform(0.9, 1.1)
+        rows = [column + side * (0.1 + worse_w), np.full(400, 30.0), column, np.ones(400), 30.0 + swing]
+        folds.append(np.array(rows))
+    squares = LeastSquares(np.array([f @ f.T for f in folds]), np.full(10, 400.0), np.array([0.03]), np.arange(10))
+    without, beside = squares.leave_out([]), squares.leave_out([0])
+    assert beside.total < 0.1 * without.total
+    assert squares.energy_no_worse([], without, [0], beside) < WORSE_ENERGY_LEVEL
+    assert (squares.energy_no_worse([], without, [0], beside, WORSE_ENERGY) < WORSE_ENERGY_LEVEL) is refused

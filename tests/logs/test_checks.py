@@ -311,6 +311,10 @@ def test_charging_sign(tmp_path: Path) -> None:
     remark = found(read(tmp_path, columns), "sign")
     assert remark.severity == "error"
     assert "what it delivers is positive" in remark.message
+    columns["power_robot_w"] = -columns["power_robot_w"] - 60.0  # under a sun that gives more than the robot needs
+    remark = found(read(tmp_path, columns), "sign")
+    assert remark.severity == "warning"
+    assert "does the sun feed it?" in remark.message
 
 
 def test_what_a_robot_takes_at_the_dock_is_left_out(tmp_path: Path) -> None:
@@ -330,6 +334,7 @@ def test_what_a_robot_takes_at_the_dock_is_left_out(tmp_path: Path) -> None:
     there = np.isin(columns["time_s"], log.time_s)
     assert np.flatnonzero(~there).tolist() == list(range(259, 341))  # and a row of both at the contact and as it leaves
     assert log.energy_wh("robot") == pytest.approx(float(columns["power_robot_w"][there].sum()) * 0.5 / 3600.0)
+    assert read(tmp_path, {**columns, "solar_w": np.where(rest, 70.0, 10.0)}).rows == 400  # what feeds it is known
     # what a drive gives back in stopping takes no ten seconds, and a descent is no rest
     columns["power_robot_w"] = np.where(rest & (columns["time_s"] > 138), 4.0 + noise, columns["power_robot_w"])
     assert read(tmp_path, columns).rows == 400
