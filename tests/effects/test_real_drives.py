@@ -148,7 +148,7 @@ def stop_and_go(seed: int, back: float, **more: object) -> Run:
     goal = np.repeat(rng.choice([0.0, 0.5, 1.0, 1.5], count // 10 + 1), 10)[:count]
     speed = np.zeros(count)
     for i in range(1, count):
-        speed[i] = speed[i - 1] + np.clip(goal[i] - speed[i - 1], -0.5, 0.4)
+        speed[i] = speed[i - 1] + min(max(goal[i] - speed[i - 1], -0.5), 0.4)
     accel = np.gradient(speed)
     slope = np.repeat(rng.choice([-0.15, -0.05, 0.0, 0.1], count // 40 + 1), 40)[:count]
     kinetic, lifting = 1.4 * MASS_KG * accel * speed, 1.4 * MASS_KG * G * speed * np.sin(slope)

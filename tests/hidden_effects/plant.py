@@ -164,11 +164,14 @@ def planted(
         drift = 1.0 + 0.003 * wander(len(t), 100.0, rng)
         return lambda k: k * drift
     if name == "component_power":
-        return lambda k: k * smooth(motion.on[part], 0.4)
+        on = smooth(motion.on[part], 0.4)
+        return lambda k: k * on
     if name == "component_warmup":
-        return lambda k: k * _since_on(motion.on[part], world.warm_s)
+        fading = _since_on(motion.on[part], world.warm_s)
+        return lambda k: k * fading
     if name == "cpu_load":
-        return lambda k: k * smooth(motion.cpu, 0.3) ** 0.95
+        busy = smooth(motion.cpu, 0.3) ** 0.95
+        return lambda k: k * busy
     if name == "cpu_frequency":
         f = motion.freq_hz / 2e9
         return lambda k: k * motion.cpu * f * (0.25 + 0.75 * f) ** 2.4

@@ -29,10 +29,10 @@ def diagnosed(levels: dict[str, float]) -> BatteryDiagnosis:
     logs: list[Run] = []
     for seed in range(9):
         floor = list(levels)[seed % len(levels)]
-        log = drive(seed, noise=0.02, surface=[floor] * 420)
+        log = drive(seed, noise=0.02, seconds=300.0, surface=[floor] * 300)
         power = log.power_w["robot"] + levels[floor] * np.tanh(np.abs(log.columns["yaw_rate_rad_s"]) / 0.25)
         logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={"robot": power}))
-    logs.append(drive(9, surface=["ice"] * 420, yaw_rate_rad_s=np.zeros(420)))
+    logs.append(drive(9, seconds=300.0, surface=["ice"] * 300, yaw_rate_rad_s=np.zeros(300)))
     return diagnose(Subject.of(load_robot("pioneer3dx")), logs, holdout="none").batteries["robot"]
 
 

@@ -33,7 +33,7 @@ def write_world(folder: Path, load: str, tau_s: float, size: float) -> None:
         speed, heat = np.zeros(len(asked)), np.zeros(len(asked))
         heat[0] = busy[0] if load == "processor" else 0.0
         for i in range(1, len(asked)):
-            speed[i] = speed[i - 1] + np.clip(asked[i] - speed[i - 1], -0.5 * STEP_S, 0.5 * STEP_S)
+            speed[i] = speed[i - 1] + min(max(asked[i] - speed[i - 1], -0.5 * STEP_S), 0.5 * STEP_S)
             cause = busy[i - 1] if load == "processor" else 0.5 * (speed[i] + speed[i - 1])
             heat[i] = heat[i - 1] + STEP_S / tau_s * (cause - heat[i - 1])
         power = 12.0 * speed**2 + 30.0 * speed + 9.0

@@ -124,7 +124,7 @@ def motion(rng: np.random.Generator, robot: Robot, seconds: float, run: int) -> 
     v = np.empty(n)
     v[0] = 0.0
     for i in range(1, n):
-        v[i] = v[i - 1] + np.clip(asked[i] - v[i - 1], -rate * STEP, rate * STEP)
+        v[i] = v[i - 1] + min(max(asked[i] - v[i - 1], -rate * STEP), rate * STEP)
     way = np.cumsum(v) * STEP / robot.top_m_s  # in seconds at top speed
     corner = (way % 23.0 < 2.0) & (v > 0)
     pivot = (v < 0.02 * robot.top_m_s) & (_held(rng, n, [0, 0, 0, 1], 3, 9) > 0)

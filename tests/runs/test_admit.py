@@ -126,7 +126,7 @@ def test_the_command_says_it_first_and_exits_with_one(
     logs = tmp_path / "logs"
     logs.mkdir()
     for path in sorted((root / "docs/examples/ramp_runs").glob("*.csv"))[:6]:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8").splitlines()[:200]
         if path.stem == "run_01":
             at = lines[0].split(",").index("power_robot_w")
             rows = [line.split(",") for line in lines[1:]]

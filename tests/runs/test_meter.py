@@ -64,8 +64,8 @@ def drives(folder: Path, count: int) -> list[Path]:
         wanted = np.repeat(rng.choice([0.0, 0.5, 1.0], 60), 500)
         speed = np.empty(len(time_s))
         v = 0.0
-        for i, w in enumerate(wanted):
-            v += float(np.clip(w - v, -0.006, 0.006))
+        for i, w in enumerate(wanted.tolist()):
+            v += min(max(w - v, -0.006), 0.006)
             speed[i] = v
         accel = np.gradient(speed, fine_s)
         power = 14.0 + (speed > 0.0) * (6.0 + 20.0 * speed) + np.maximum(1.3 * 60.0 * accel * speed, -26.0 * speed)

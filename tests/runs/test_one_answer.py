@@ -35,12 +35,11 @@ def run(*arguments: object) -> int:
     return run_command([str(argument) for argument in arguments])
 
 
-def skid_logs(folder: Path, runs: int = 8) -> None:
+def skid_logs(folder: Path, runs: int = 8, count: int = 500) -> None:
     """Eight drives of a skid-steered robot that scrubs in turns; formulas written here, nothing of the library."""
     folder.mkdir()
     for number in range(runs):
         rng = np.random.default_rng(100 + number)
-        count = 500
         piece = np.arange(count) // 12
         speed = rng.choice([0.0, 0.3, 0.6, 0.9, 1.1], piece[-1] + 1)[piece]
         yaw = rng.choice([0.0, 0.0, 0.4, -0.7, 1.0], piece[-1] + 1)[np.roll(piece, 5)]
@@ -127,7 +126,7 @@ def test_all_agree_on_what_a_log_may_lack(tmp_path: Path) -> None:
         "{effect: cpu_load, battery: robot, parameters: {k: {value: 3, sd: 0.3}}}]\n"
     )
     (tmp_path / "hilly.yaml").write_text(robot, encoding="utf-8")
-    skid_logs(tmp_path / "logs", 4)
+    skid_logs(tmp_path / "logs", 4, 200)
     arguments = ("--robot", tmp_path / "hilly.yaml", tmp_path / "logs", "--quiet")
     assert run("compare", *arguments) == 0
     assert run("diagnose", *arguments) == 0
@@ -137,7 +136,7 @@ def test_all_agree_on_what_a_log_may_lack(tmp_path: Path) -> None:
 
 def test_one_log_of_a_few_rows_among_good_ones(tmp_path: Path) -> None:
     (tmp_path / "skid.yaml").write_text(BASE, encoding="utf-8")
-    skid_logs(tmp_path / "logs", 5)
+    skid_logs(tmp_path / "logs", 5, 200)
     short = (tmp_path / "logs" / "run_02.csv").read_text(encoding="utf-8").splitlines()[:6]
     (tmp_path / "logs" / "run_02.csv").write_text("\n".join(short) + "\n", encoding="utf-8")
     arguments = ("--robot", tmp_path / "skid.yaml", tmp_path / "logs", "--quiet")
