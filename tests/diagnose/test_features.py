@@ -143,6 +143,9 @@ def test_noise_of_a_cruising_speed_is_averaged_out_and_steps_stay() -> None:
     left = steady_speed(drive(1, speed_m_s=noisy)).number("speed_m_s") - true
     assert np.sqrt(np.mean(left**2)) < 0.0035  # 10 rows on either side where none is beyond a step
     assert np.max(np.abs(left)) < 0.02
+    swell = 0.5 + 0.1 * np.sin(np.arange(420) / 32.0)  # fewer seconds leave the noise of a slow swell, more flatten it
+    left = steady_speed(drive(1, speed_m_s=swell + rng.normal(0.0, 0.02, 420))).number("speed_m_s") - swell
+    assert np.sqrt(np.mean(left**2)) < 0.0066
     fast = drive(1, seconds=42.0, step_s=0.1, speed_m_s=noisy)  # averaged within a second anyway
     erratic = drive(1, speed_m_s=true + 5.0 * (noisy - true))  # a tenth of the speed from row to row is no noise
     assert steady_speed(fast) is fast

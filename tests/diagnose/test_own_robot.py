@@ -238,7 +238,7 @@ def test_scrub_that_differs_by_floor_is_added_after_scrub() -> None:
     logs = []
     for seed in range(10):
         carpet = seed % 2 == 0
-        log = drive(seed, seconds=300.0, scrub_w_s_rad=16.0 if carpet else 8.0)
+        log = drive(seed, seconds=200.0, scrub_w_s_rad=16.0 if carpet else 8.0)
         logs.append(
             replace(log, columns={**log.columns, "surface": Labels.of(["carpet" if carpet else "tile"] * log.rows)})
         )
@@ -337,7 +337,7 @@ def test_the_base_alone_is_fitted_anew_where_held_out_runs_are_predicted_better_
 def test_what_a_law_had_hidden_is_added_and_the_law_is_looked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
     logs = []
     for seed in range(5):
-        log = with_payload(drive(seed, seconds=300.0), 2.0 * (seed % 2))
+        log = with_payload(drive(seed, seconds=200.0), 2.0 * (seed % 2))
         power = log.power_w[BATTERY] + 14.0 * np.maximum(np.abs(log.columns["yaw_rate_rad_s"]) - 0.5, 0.0)
         logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
     text, split = robot_text("pioneer3dx"), Split(tuple(logs[:4]), (logs[4],), "the last")

@@ -123,15 +123,20 @@ def test_an_effect_that_hardly_gains_has_rivals_and_a_clear_one_has_none() -> No
         assert not rivals(model, number, floors, found.library, Settings())
 
 
-def test_two_effects_together_stand_in_the_place_of_one() -> None:
-    """Turns alone look little like what needs power on slopes too."""
-    sizes = strength("grade", 0.05) | strength("turning_scrub", 0.05)
-    runs = []
-    for run in make_runs(8):
-        both = np.sum([size * run.columns[name] for name, size in sizes.items()], axis=0)
-        runs.append(replace(run, columns=run.columns | {"both": both}, measured_w=run.measured_w + both))
-    found = fit_effects(runs, [Candidate("both", ("both",)), *library()], ["both"], {})
-    assert found.effects[0].indistinguishable_from == ("turning_scrub",)  # the larger of the two
+@pytest.mark.parametrize(("turn", "behind", "rivals"), [(45.0, 0.0, {1, 2}), (30.0, 0.0, {1}), (45.0, 2.0, set())])
+def test_two_effects_together_stand_in_the_place_of_one_at_a_price(
+    turn: float, behind: float, rivals: set[int]
+) -> None:
+    """Two columns explain 25 nats but for a part, each alone far less; the smaller by far is an aid, no explanation."""
+    own, angle = np.sqrt(1.0 - behind / 25.0), np.radians(turn)
+    sides = np.array([[own, 0.0, np.sqrt(1.0 - own**2)], [0.0, 1.0, 0.0]])
+    turned = [[np.cos(angle), np.sin(angle)], [np.sin(angle), -np.cos(angle)]] @ sides
+    columns = np.sqrt(20_000.0) * np.vstack([[1.0, 0.0, 0.0], turned])
+    rows = np.vstack([0.05 * columns[0], columns])
+    constraints = Constraints(np.zeros(3, dtype=int), np.arange(3), np.zeros(3, dtype=bool))
+    candidates = [Candidate(name, (name,), covariate=name) for name in "abc"]
+    one, gram = SimpleNamespace(chosen=(0,)), Gram(rows @ rows.T[None], np.zeros(0))
+    assert estimates._close_ones(gram, one, 0, constraints, candidates, Settings()).keys() == rivals
 
 
 @pytest.mark.parametrize(

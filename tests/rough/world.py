@@ -83,10 +83,8 @@ def _traffic(rng: np.random.Generator, rows: int, top: float, pull: float) -> np
         if hold <= 0:
             aim = 0.0 if aim > 0 and rng.random() < 0.35 else top * rng.uniform(0.25, 1.0)
             hold = int(rng.uniform(8, 60))
-        gap = aim - speed[i - 1]
-        speed[i] = max(
-            0.0, speed[i - 1] + min(max(0.35 * gap, -1.3 * pull), pull) + 0.05 * pull * rng.standard_normal()
-        )
+        change = min(max(0.35 * (aim - speed[i - 1]), -1.3 * pull), pull)
+        speed[i] = max(0.0, speed[i - 1] + change + 0.05 * pull * rng.standard_normal())
         if aim == 0.0 and speed[i] < 0.3 * pull:
             speed[i] = 0.0
         hold -= 1
