@@ -139,6 +139,21 @@ def test_two_effects_together_stand_in_the_place_of_one_at_a_price(
     assert estimates._close_ones(gram, one, 0, constraints, candidates, Settings()).keys() == rivals
 
 
+@pytest.mark.parametrize(("tile", "told"), [(0.0, {"k_carpet"}), (0.0015, {"k_carpet", "k_tile"})])
+def test_a_floor_that_gains_no_more_than_by_chance_gets_no_level(tile: float, told: set[str]) -> None:
+    runs = []
+    for run in make_runs(2):
+        floors = {"surface|tile": np.roll(run.columns["surface|carpet"], 210)}
+        runs.append(replace(run, columns=run.columns | floors))
+    for name, share in (("surface|carpet", 0.05), ("surface|tile", tile)):
+        size = coefficient(runs, name, share)
+        runs = [replace(run, measured_w=run.measured_w + size * run.columns[name]) for run in runs]
+    floor, levels = "surface_rolling_resistance", ("carpet", "tile")
+    both = Candidate(floor, ("surface|carpet", "surface|tile"), covariate="carpet", levels=levels, unit="N")
+    found = fit_effects(runs, [both, *(one for one in library() if one.effect != floor)], [floor], {})
+    assert found.effects[0].parameters.keys() == told
+
+
 @pytest.mark.parametrize(
     ("number", "p_runs", "constant", "may_be"),
     [(0, 0.01, True, ("turning_scrub",)), (0, 0.002, True, ()), (0, 0.01, False, ()), (1, 0.01, True, ())],
