@@ -17,6 +17,7 @@ from missionsim.identify.residual import ramps
 from missionsim.identify.settings import (
     BESIDE_RUN_LEVEL,
     EXTRA_EFFECT_NATS,
+    NEEDLESS,
     NOISY_SLOPE,
     ODDS_NATS,
     RAMP_SYSTEMATIC,
@@ -87,6 +88,12 @@ def _close_ones(
     gain = gram.gain(model.chosen) - base
     gain -= float(constraints.grid_nats[own[0]])
     found: dict[int, float] = {}
+    columns: dict[int, int] = {}
+    together = gram.gain(model.chosen)
+
+    def needless(other: int, behind: float) -> bool:
+        # a rival that is the cause, seen with noise, has a part of its own beside the effect (Davidson, MacKinnon 1981)
+        return other in columns and gram.gain([*model.chosen, columns[other]]) - together < NEEDLESS * behind
 
     def own_beside(others: Sequence[int]) -> bool:
         # what floors explain beside others is their own (Davidson and MacKinnon 1981); noisy covariates leave some over
@@ -97,7 +104,7 @@ def _close_ones(
         other = int(constraints.effect[k])
         better = other != effect and np.isfinite(value) and value > found.get(other, 0.0)
         if better and not own_beside([*rest, k]):
-            found[other] = float(value)
+            found[other], columns[other] = float(value), k
     # triples of columns are the most that are searched in full
     if len(own) == 1 and len(rest) <= 1:
         for other, value in _pairs_without(gram, constraints, rest, effect, settings, own_beside).items():
@@ -108,7 +115,7 @@ def _close_ones(
         loss = (settings.rival_loss if same else settings.noisy_rival_loss) * gain
         if candidates[other].covariate == "slope_rad" and not same:
             loss *= NOISY_SLOPE
-        if gain - value < max(ODDS_NATS, loss):
+        if gain - value < max(ODDS_NATS, 0.0 if not same and needless(other, gain - value) else loss):
             close[other] = gain - value
     return close
 

@@ -227,12 +227,13 @@ def _filled(rows: Rows, name: str, data: Array, known: Bools, sparse: bool) -> A
 
 
 def _leave_out(rows: Rows, held: dict[str, Bools]) -> None:
-    """Drop columns that are missing too long too often, then the rows that still have holes."""
+    """Drop columns that are missing too long too often, then the rows that still have holes. Without a speed a run says
+    hardly anything: while half of it is there, the rows go."""
     n = len(rows.row)
     measured = {name for name in rows.columns if name.startswith(("power_", "voltage_", "current_", "energy_"))}
     for name in [name for name, data in rows.columns.items() if not isinstance(data, Labels) and name not in measured]:
         holes = int(np.isnan(np.asarray(rows.columns[name])).sum())
-        if holes > 0.2 * n:
+        if holes > (_SPARSE if name == "speed_m_s" else 0.2) * n:
             told = f"{holes} of {n} rows have no value near"
             rows.remark("missing", name, told, "the column was left out", count=holes)
             del rows.columns[name]

@@ -265,6 +265,10 @@ def admit(runs: Sequence[Run], model: PowerModel | None = None) -> tuple[list[Ru
     # a unit that is wrong in most runs is wrong in those too whose values happen to be small
     wrong = {name for name in refused if len(runs) > 2 and refused.count(name) >= 0.5 * len(runs)}
     good = [run for run in runs if not _errors(run) and not wrong & {*run.columns}]
+    still = [run for run in good if "speed_m_s" not in run.columns]
+    if still and len(still) < 0.5 * len(good):
+        told += [f"{run.run}: it has no speed_m_s, which most runs have: it cannot be driven" for run in still]
+        good = [run for run in good if "speed_m_s" in run.columns]
     twins = copies(good)
     for run in runs:
         if errors := _errors(run):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from missionsim.diagnose import experiments
+from missionsim.diagnose import diagnose_files, experiments
 from missionsim.diagnose.experiments import imagined_run, power_of
 from missionsim.diagnose.features import make_features
 from missionsim.diagnose.manoeuvres import Part, library, script, site_of
@@ -139,3 +141,56 @@ def test_the_manoeuvre_that_is_proposed(monkeypatch: pytest.MonkeyPatch, leads: 
     }.items():
         monkeypatch.setattr(experiments, name, stub)
     assert [one.do for one in experiments.propose(bench, ["a", "b"])] == told
+
+
+OWN = """kind: robot
+name: own
+body: {mass: 40 kg, drive: differential, max_speed: 1 m/s}
+batteries: {robot: {capacity: 200 Wh}}
+motion:
+  battery: robot
+  model: expression
+  power: "c2*v**2 + c3*v + c4"
+  standing: s0
+  parameters: {c2: 10, c3: 20, c4: 23, s0: 18}
+"""
+
+
+def recorded(path: Path, rng: np.random.Generator, speed: np.ndarray, kg: np.ndarray, carpet: np.ndarray) -> None:
+    """A run at 2 Hz in which carpet costs 8 N, and payload nothing."""
+    noise = np.zeros(len(speed))
+    for i in range(1, len(speed)):
+        noise[i] = 0.85 * noise[i - 1] + rng.normal(0.0, 0.25)
+    power = np.where(speed > 0, 23 + 20 * speed + 10 * speed**2, 18) + 8 * speed * carpet + noise
+    columns = {"time_s": 0.5 * np.arange(len(speed)), "power_robot_w": power, "speed_m_s": speed, "payload_kg": kg}
+    table = pd.DataFrame(columns | {"yaw_rate_rad_s": 0.0, "surface": np.where(carpet > 0, "carpet", "tile")})
+    table.round(3).to_csv(path, index=False)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_drive_that_is_proposed_resolves_what_it_promises_to(tmp_path: Path, seed: int) -> None:
+    """Loads were carried on the carpet alone; the drive goes as its parts say, and the verdict names what it costs."""
+    rng = np.random.default_rng(seed)
+    (tmp_path / "own.yaml").write_text(OWN)
+    (tmp_path / "logs").mkdir()
+    for run in range(8):
+        speed = np.repeat(rng.choice([0.0, 0.3, 0.6, 0.9], 40), 8)
+        carpet = np.repeat(rng.choice([0.0, 1.0], 8), 40)
+        recorded(tmp_path / "logs" / f"run_{run}.csv", rng, speed, 12.0 * carpet, carpet)
+    first = diagnose_files(tmp_path / "own.yaml", [tmp_path / "logs"], holdout="none").batteries["robot"]
+    assert first.verdict == "ambiguous"
+    proposed = first.next_experiments[0]
+    assert proposed.expected_power > 0.95
+    parts = [(round(2 * part["seconds"]), part) for part in proposed.manoeuvre]
+    speed, kg, carpet = (
+        np.concatenate([np.full(rows, value(part)) for rows, part in parts])
+        for value in (
+            lambda part: part["speeds_m_s"][0],
+            lambda part: part["payload_kg"],
+            lambda part: float(part["surface"] == "carpet"),
+        )
+    )
+    recorded(tmp_path / "logs" / "proposed.csv", rng, speed, kg, carpet)
+    second = diagnose_files(tmp_path / "own.yaml", [tmp_path / "logs"], holdout="none").batteries["robot"]
+    assert second.verdict == "effects_found"
+    assert [effect.effect for effect in second.effects] == ["surface_rolling_resistance"]

@@ -125,6 +125,10 @@ def test_an_optional_column_missing_too_long_is_left_out(tmp_path: Path) -> None
     assert "slope_rad" not in log.columns
     assert log.rows == 400
     assert any(r.column == "slope_rad" and r.action == "the column was left out" for r in log.remarks)
+    # a run without a speed says hardly anything: odometry that was silent for a third of it takes its rows along
+    columns = motion()
+    columns["speed_m_s"] = np.where((np.arange(400) < 120) | (np.arange(400) > 250), columns["speed_m_s"], np.nan)
+    assert read(tmp_path, columns).rows == 400 - 131
 
 
 def test_temperature_is_held(tmp_path: Path) -> None:

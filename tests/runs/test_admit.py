@@ -38,6 +38,12 @@ def test_good_runs_are_all_learnt_from(runs: list[Run]) -> None:
     assert told(runs) == []
 
 
+def test_a_run_without_a_speed_stops_nobody(runs: list[Run]) -> None:
+    still = replace(runs[2], columns={n: data for n, data in runs[2].columns.items() if n != "speed_m_s"})
+    (line,) = told([*runs[:2], still, *runs[3:]])
+    assert line == "run_02: it has no speed_m_s, which most runs have: it cannot be driven"
+
+
 def test_a_run_in_milliwatts_is_named_with_its_factor(runs: list[Run]) -> None:
     odd = replace(runs[2], power_w={"robot": 1000.0 * runs[2].power_w["robot"]})
     (line,) = told([*runs[:2], odd, *runs[3:]])
