@@ -15,9 +15,9 @@ from missionsim.identify.gram import Constraints, Gram, all_sets, set_gains, sin
 from missionsim.identify.model import Model
 from missionsim.identify.residual import ramps
 from missionsim.identify.settings import (
+    APART,
     BESIDE_RUN_LEVEL,
     EXTRA_EFFECT_NATS,
-    NEEDLESS,
     NOISY_SLOPE,
     ODDS_NATS,
     RAMP_SYSTEMATIC,
@@ -89,11 +89,6 @@ def _close_ones(
     gain -= float(constraints.grid_nats[own[0]])
     found: dict[int, float] = {}
     columns: dict[int, int] = {}
-    together = gram.gain(model.chosen)
-
-    def needless(other: int, behind: float) -> bool:
-        # a rival that is the cause, seen with noise, has a part of its own beside the effect (Davidson, MacKinnon 1981)
-        return other in columns and gram.gain([*model.chosen, columns[other]]) - together < NEEDLESS * behind
 
     def own_beside(others: Sequence[int]) -> bool:
         # what floors explain beside others is their own (Davidson and MacKinnon 1981); noisy covariates leave some over
@@ -115,9 +110,30 @@ def _close_ones(
         loss = (settings.rival_loss if same else settings.noisy_rival_loss) * gain
         if candidates[other].covariate == "slope_rad" and not same:
             loss *= NOISY_SLOPE
-        if gain - value < max(ODDS_NATS, 0.0 if not same and needless(other, gain - value) else loss):
+        if len(own) == 1 and other in columns and not same and _lead_where_apart(gram, rest, own[0], columns[other]):
+            loss = 0.0
+        if gain - value < max(ODDS_NATS, loss):
             close[other] = gain - value
     return close
+
+
+def _lead_where_apart(gram: Gram, rest: Sequence[int], own: int, other: int) -> bool:
+    """Whether an effect leads a rival in the runs in which their powers differ, each at its size in all runs. Noise of
+    a cause takes from it everywhere, and where the two differ the cause leads nevertheless."""
+    rows = np.r_[0, 1 + gram.q + np.array([own, other])]
+    beside = np.r_[1 : 1 + gram.q, 1 + gram.q + np.asarray(rest, dtype=np.intp)]
+    total = gram.per_run.sum(axis=0)
+    inner = total[np.ix_(beside, beside)] + np.diag(np.r_[gram.prior_precision, np.zeros(len(rest))])
+    left = np.zeros((total.shape[0], 3))
+    left[rows, range(3)] = 1.0
+    left[beside] -= np.linalg.solve(inner + 1e-12 * np.diag(np.diag(inner)), total[np.ix_(beside, rows)])
+    runs = left.T @ gram.per_run @ left
+    whole = runs.sum(axis=0)
+    size = whole[0, 1:] / np.maximum(np.diag(whole)[1:], 1e-300)
+    powers = size * size * np.diagonal(runs, axis1=1, axis2=2)[:, 1:]
+    lead = (size * runs[:, 0, 1:] - 0.5 * powers) @ [1.0, -1.0]
+    differ = powers.sum(axis=1) - 2.0 * size[0] * size[1] * runs[:, 1, 2] > APART * powers.max(axis=1)
+    return bool(lead[differ].sum() > ODDS_NATS)
 
 
 def _pairs_without(

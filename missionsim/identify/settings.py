@@ -202,9 +202,8 @@ SAME_COLUMN = 0.995
 """Columns this much alike away from ramps are one: what then prefers one of them is noise."""
 NOISY_SLOPE = 1.5
 """A slope from an inertial sensor has noise and a bias of its own, which weakens a slope effect more than others."""
-NEEDLESS = 0.05
-"""A rival of another covariate that adds less than this part of its distance beside the effect is told apart by that
-distance: what noise takes from a cause and gives to an imitation, the cause would bring back."""
+APART = 0.5
+"""Two powers of which no more than this part is the same in a run differ there by more than noise of a cause."""
 RIVAL_PART = 0.5
 """Beside what leaves a label more than this part of its gain, it is no question of either-or."""
 EXTRA_EFFECT_NATS = 4.0
