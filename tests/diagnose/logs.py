@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -58,3 +59,8 @@ def drive(
         {"robot": None},
         {"robot": "power"},
     )
+
+
+def drawing(log: LogTable, power_w: Any, **more: Any) -> LogTable:
+    """The log of the same drive with another power, and more columns."""
+    return replace(log, columns={**log.columns, "power_robot_w": power_w, **more}, power_w={"robot": power_w})

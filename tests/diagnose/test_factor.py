@@ -16,14 +16,13 @@ from missionsim.identify.simpler import common_factor, instead_of_effects, level
 from missionsim.inputs.loading import load_robot
 from missionsim.logs import LogTable
 
-from .logs import drive
+from .logs import drawing, drive
 
 ROBOT = "pioneer3dx"
 
 
 def scaled(log: LogTable, factor: float) -> LogTable:
-    power = factor * log.power_w["robot"]
-    return replace(log, columns={**log.columns, "power_robot_w": power}, power_w={"robot": power})
+    return drawing(log, factor * log.power_w["robot"])
 
 
 def test_one_factor_on_everything_names_no_effect() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,7 @@ from missionsim.logs import LogTable
 from missionsim.report.diagnosis_page import diagnosis_page
 from missionsim.runs.motion import MOTIONS
 
-from .logs import drive
+from .logs import drawing, drive
 
 SLOWING = MOTIONS.index("slowing down")
 ROBOT = "pioneer3dx"
@@ -70,8 +68,7 @@ def test_noise_and_what_runs_disagree_on_is_not(noise: dict[str, float]) -> None
 def braking(log: LogTable, less_w: float) -> LogTable:
     """The log of a robot that draws less while its speed falls."""
     falls = np.gradient(log.columns["speed_m_s"], log.columns["time_s"]) < -0.05
-    power = log.power_w["robot"] - less_w * falls
-    return replace(log, columns={**log.columns, "power_robot_w": power}, power_w={"robot": power})
+    return drawing(log, log.power_w["robot"] - less_w * falls)
 
 
 def test_a_diagnosis_does_not_call_it_nothing() -> None:

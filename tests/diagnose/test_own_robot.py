@@ -36,7 +36,7 @@ from tests.hidden_effects.study import ALL_CASES
 from tests.hidden_effects.world import make
 from tests.hidden_effects.world import write as write_world
 
-from .logs import drive
+from .logs import drawing, drive
 from .test_commands import write
 
 BASE = "c2*v**2 + c3*v + c4"
@@ -46,8 +46,7 @@ BATTERY = "robot"
 def with_payload(log: LogTable, payload_kg: float) -> LogTable:
     """The log of the same drive with a load that costs 8 W per kg and m/s."""
     power = log.power_w[BATTERY] + 8.0 * payload_kg * log.columns["speed_m_s"]
-    columns = {**log.columns, "power_robot_w": power, "payload_kg": np.full(log.rows, payload_kg)}
-    return replace(log, columns=columns, power_w={BATTERY: power})
+    return drawing(log, power, payload_kg=np.full(log.rows, payload_kg))
 
 
 def test_a_poor_fit_to_these_very_logs_hides_nothing_and_names_nothing() -> None:
@@ -179,8 +178,7 @@ def test_a_robot_whose_wheels_spin_in_snow_does_not_stand() -> None:
         assert stuck.sum() > 10
         wheels = np.where(stuck, 0.3, log.columns["speed_m_s"])
         power = log.power_w[BATTERY] + np.where(stuck, 3.66 - 2.67, 0.0)  # what moving draws at no speed
-        columns = {**log.columns, "left_wheel_speed_m_s": wheels, "power_robot_w": power}
-        logs.append(replace(log, columns=columns, power_w={BATTERY: power}))
+        logs.append(drawing(log, power, left_wheel_speed_m_s=wheels))
     blind = [replace(o, columns={n: x for n, x in o.columns.items() if "wheel" not in n}) for o in logs]
     found = [calibrate_new(NewRobot("own", BASE), some).fit.parameters["standing"].value for some in (logs, blind)]
     assert found[0] == pytest.approx(2.67 + 2.34, abs=0.1)
@@ -192,8 +190,7 @@ def test_inertia_that_a_base_lacks_is_no_advance_of_its_meter() -> None:
     for seed in range(6):
         log = drive(seed, seconds=300.0)
         speed = log.columns["speed_m_s"]
-        power = log.power_w[BATTERY] + 900.0 * speed * np.gradient(speed, log.time_s)  # both ways
-        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
+        logs.append(drawing(log, log.power_w[BATTERY] + 900.0 * speed * np.gradient(speed, log.time_s)))  # both ways
     fit = calibrate_new(NewRobot("own", BASE), logs).fit
     assert (fit.delay_s, fit.lag_s) == (0.0, 0.0)
 
@@ -208,8 +205,7 @@ def test_warming_up_is_named_where_several_runs_show_it_or_a_few_clearly(
     for seed in range(runs):
         log = drive(seed, seconds=400.0, scrub_w_s_rad=16.0)
         moved = np.cumsum(log.columns["speed_m_s"] > 0.0) * log.dt_s
-        power = log.power_w[BATTERY] + newtons * log.columns["speed_m_s"] * np.exp(-moved / 80.0)
-        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
+        logs.append(drawing(log, log.power_w[BATTERY] + newtons * log.columns["speed_m_s"] * np.exp(-moved / 80.0)))
     made = calibrate_new(NewRobot("own", BASE), logs)
     done = improve(made.text, Split(tuple(logs), (), ""), BATTERY, Settings(), lambda *_: True)
     assert ("cold_friction" in done.added) is named
@@ -223,7 +219,7 @@ def test_what_is_seventy_times_its_inertia_is_doubted() -> None:
         log = drive(seed, seconds=300.0)
         speed = log.columns["speed_m_s"]
         power = log.power_w[BATTERY] + 630.0 * np.maximum(speed * np.gradient(speed, log.time_s), 0.0)
-        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
+        logs.append(drawing(log, power))
     split = Split(tuple(logs), (), "")
     for mass, doubted in (("9 kg", True), ("500 kg", False)):
         made = calibrate_new(NewRobot("own", BASE, mass=mass), logs)
@@ -257,7 +253,7 @@ def test_a_base_that_its_logs_refute_leaves_nothing_of_its_energy_to_an_effect()
         log = drive(seed, seconds=300.0)
         speed = log.columns["speed_m_s"]
         power = 2.0 * log.power_w[BATTERY] + 160.0 * np.maximum(speed * np.gradient(speed, log.time_s), 0.0)
-        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
+        logs.append(drawing(log, power))
     done = improve(text, Split(tuple(logs[:2]), (logs[2],), "the last"), BATTERY, Settings(), lambda *_: True)
     assert done.added == ("acceleration",)
     (found,) = done.first.effects
@@ -273,8 +269,7 @@ def test_what_cannot_be_named_is_left_to_a_free_base(monkeypatch: pytest.MonkeyP
     logs = []
     for seed in range(5):
         log = drive(seed, seconds=240.0)
-        power = log.power_w[BATTERY] + 20.0 * log.columns["speed_m_s"] ** 3
-        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
+        logs.append(drawing(log, log.power_w[BATTERY] + 20.0 * log.columns["speed_m_s"] ** 3))
     split = Split(tuple(logs[:4]), (logs[4],), "the last")
 
     def unsure(*args: Any, **named: Any) -> BatteryDiagnosis:
@@ -339,7 +334,7 @@ def test_what_a_law_had_hidden_is_added_and_the_law_is_looked_for_again(monkeypa
     for seed in range(5):
         log = with_payload(drive(seed, seconds=200.0), 2.0 * (seed % 2))
         power = log.power_w[BATTERY] + 14.0 * np.maximum(np.abs(log.columns["yaw_rate_rad_s"]) - 0.5, 0.0)
-        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
+        logs.append(drawing(log, power))
     text, split = robot_text("pioneer3dx"), Split(tuple(logs[:4]), (logs[4],), "the last")
 
     def hidden(*args: Any, **named: Any) -> BatteryDiagnosis:
@@ -378,8 +373,7 @@ def test_what_comes_to_nothing_in_the_last_fit_is_written_as_nothing() -> None:
     logs = []
     for seed in range(4):
         log = drive(seed, seconds=300.0, scrub_w_s_rad=10.0)
-        power = log.power_w[BATTERY] - 0.012 * log.power_w[BATTERY] ** 2
-        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={BATTERY: power}))
+        logs.append(drawing(log, log.power_w[BATTERY] - 0.012 * log.power_w[BATTERY] ** 2))
     model = Subject.of(robot_from_text(calibrate_new(NewRobot("own", BASE), logs).text)).model
     terms = []
     for name, start, unit in (("turning_scrub", 6.0, "W s/rad"), ("conversion_loss", 0.02, "1/W")):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from missionsim.interface import diagnose
 from missionsim.labels import Labels
 from missionsim.logs import LogTable
 
-from .logs import drive
+from .logs import drawing, drive
 
 ROBOT = """kind: robot
 name: own
@@ -90,8 +89,7 @@ def on_floors(
         more = newtons[i % 5] * speed + scrub_w_s_rad[i % 5] * np.abs(log.columns["yaw_rate_rad_s"])
         more = more + gain * rng.normal() * (log.power_w["robot"] - 5.0) * (speed > 0.0)
         power = log.power_w["robot"] + more
-        columns = {**log.columns, "surface": Labels.of([FLOORS[i % 5]] * log.rows), "power_robot_w": power}
-        logs.append(replace(log, columns=columns, power_w={"robot": power}))
+        logs.append(drawing(log, power, surface=Labels.of([FLOORS[i % 5]] * log.rows)))
     return logs
 
 
@@ -159,8 +157,7 @@ def test_where_each_floor_was_driven_once_floor_and_run_are_one(floors: int) -> 
     logs = []
     for i in range(6):
         log = drive(i, seconds=200.0, surface=[f"floor {i % floors}"] * 200)
-        power = log.power_w["robot"] + 2.0 * (-1) ** (i // 2) * log.columns["speed_m_s"]
-        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={"robot": power}))
+        logs.append(drawing(log, log.power_w["robot"] + 2.0 * (-1) ** (i // 2) * log.columns["speed_m_s"]))
     found = diagnose_runs(Subject.of(load_robot("pioneer3dx")), logs, holdout="none").batteries["robot"]
     assert "what the same motion costs" in found.unexplained.shape
     assert ("it may be the floor: drive two of them once more" in found.unexplained.shape) == (floors == 6)

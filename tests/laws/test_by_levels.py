@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from missionsim.laws.factors import make_grammar
 from missionsim.laws.levels import by_levels
 from missionsim.laws.search import Search
 from missionsim.runs.run import Run
-from tests.diagnose.logs import drive
+from tests.diagnose.logs import drawing, drive
 
 FLOORS = {"snow": 9.0, "carpet": 5.0, "tile": 1.5}
 
@@ -31,7 +30,7 @@ def diagnosed(levels: dict[str, float]) -> BatteryDiagnosis:
         floor = list(levels)[seed % len(levels)]
         log = drive(seed, noise=0.02, seconds=300.0, surface=[floor] * 300)
         power = log.power_w["robot"] + levels[floor] * np.tanh(np.abs(log.columns["yaw_rate_rad_s"]) / 0.25)
-        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={"robot": power}))
+        logs.append(drawing(log, power))
     logs.append(drive(9, seconds=300.0, surface=["ice"] * 300, yaw_rate_rad_s=np.zeros(300)))
     return diagnose(Subject.of(load_robot("pioneer3dx")), logs, holdout="none").batteries["robot"]
 
@@ -53,8 +52,7 @@ def searched(levels: dict[str, float], known: float) -> Search:
         floor = list(levels)[seed % len(levels)]
         log = drive(seed, seconds=200.0, noise=0.05, surface=[floor] * 200)
         turning = np.tanh(np.abs(log.columns["yaw_rate_rad_s"]) / 0.25)
-        power = 3.0 * log.power_w["robot"] + (levels[floor] - known) * turning
-        logs.append(replace(log, columns={**log.columns, "power_robot_w": power}, power_w={"robot": power}))
+        logs.append(drawing(log, 3.0 * log.power_w["robot"] + (levels[floor] - known) * turning))
     split = Split(tuple(logs), (), "none")
     seen = examine(Subject.of(load_robot("pioneer3dx")), split, "robot", Settings())
     ground = ground_of(seen.found, seen.features.covariates)
