@@ -136,7 +136,7 @@ def _files(logs: tuple[Run, ...], parts: list[str], model: PowerModel | None) ->
         raise InputError.single("every run is held out; nothing is left to fit", got=", ".join(parts))
     kept, left_out = admit_to_test(held, train, model)
     how = f"{len(kept)} run{'s' * (len(kept) != 1)} from {', '.join(Path(p).name for p in parts)}"
-    return Split(train, tuple(kept), how, left_out=(*left_out, *refused))
+    return Split(train, tuple(kept), how, left_out=(*left_out, *(f"held-out {told}" for told in refused)))
 
 
 def _named(logs: tuple[Run, ...], text: str) -> Split:
