@@ -167,8 +167,6 @@ ONE_RUN_NATS = 3.0
 """What must be left of an effect's gain without the run that shows it best: one in twenty by likelihood."""
 ONE_RUN_PART = 0.05
 """The same in parts of its gain: a run that says 95 % of it is a single observation of what is constant in runs."""
-LEADING_BLOCK = 0.3
-"""A block with this part of the information leaves too few degrees of freedom for a test with it."""
 RUN_LEVEL = 0.05
 """Level at which an effect counts as repeated across runs in words."""
 BESIDE_RUN_LEVEL = 0.005

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from missionsim.identify import model
 from missionsim.identify.align import RunColumns, make_bins
@@ -220,3 +221,22 @@ def test_the_robust_error_is_that_of_the_fits_that_leave_a_cluster_out() -> None
     without = [float(x[cluster != g] @ y[cluster != g] / (x[cluster != g] @ x[cluster != g])) for g in range(5)]
     sd, _ = _clustered(x, y - share * x, cluster, share, float(x @ x), 0.0)
     assert sd == pytest.approx(np.sqrt(np.sum((np.array(without) - share) ** 2)))
+
+
+@pytest.mark.parametrize("weights", [[1, 1, 1], [9, 1, 1, 1, 1, 1], [5, 3, 2, *[0.02] * 50]])
+def test_false_alarms_of_the_robust_error_keep_to_their_level(weights: list[float]) -> None:
+    """Of 20,000 shares of nothing 200 are to be found at a level of 1 %, however few clusters lead."""
+    rng = np.random.default_rng(len(weights))
+    x, cluster = np.sqrt(weights), np.arange(len(weights))
+    found = 0
+    for y in rng.normal(0.0, 1.0, (20_000, len(weights))):
+        share = float(x @ y / (x @ x))
+        found += _clustered(x, y - share * x, cluster, share, float(x @ x), 0.0)[1] < 0.01
+    assert 150 < found < 250
+
+
+def test_p_values_of_clusters_of_equal_weight_are_those_of_the_t_distribution() -> None:
+    x, e = np.ones(4), np.array([0.02, -0.01, 0.01, -0.02])
+    sd, p = _clustered(x, e, np.arange(4), 0.3, 4.0, 0.0)
+    assert sd == pytest.approx(np.sqrt(np.sum(e**2)) / 3.0)
+    assert p == pytest.approx(2.0 * stats.t.sf(0.3 / np.sqrt(np.sum(e**2) / 12.0), 3), rel=1e-9)
