@@ -139,7 +139,7 @@ MUTANTS = [
             "np.where((constraints.sign == 0) | beside, 1.0, 1.0)",
         ),
         ("/ np.sqrt(number)", ""),
-        ("score / (1 - leverage)", "score"),
+        ("inflation @ score**2", "np.ones_like(score) @ score**2"),
     ),
     *_of(
         "verdict",
