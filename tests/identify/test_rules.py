@@ -123,8 +123,19 @@ def test_an_effect_that_hardly_gains_has_rivals_and_a_clear_one_has_none() -> No
         assert not rivals(model, number, floors, found.library, Settings())
 
 
+def test_two_effects_together_stand_in_the_place_of_one() -> None:
+    """Turns alone look little like what needs power on slopes too."""
+    sizes = strength("grade", 0.05) | strength("turning_scrub", 0.05)
+    runs = []
+    for run in make_runs(8):
+        both = np.sum([size * run.columns[name] for name, size in sizes.items()], axis=0)
+        runs.append(replace(run, columns=run.columns | {"both": both}, measured_w=run.measured_w + both))
+    found = fit_effects(runs, [Candidate("both", ("both",)), *library()], ["both"], {})
+    assert found.effects[0].indistinguishable_from == ("turning_scrub",)  # the larger of the two
+
+
 @pytest.mark.parametrize(("turn", "behind", "rivals"), [(45.0, 0.0, {1, 2}), (30.0, 0.0, {1}), (45.0, 2.0, set())])
-def test_two_effects_together_stand_in_the_place_of_one_at_a_price(
+def test_two_effects_in_the_place_of_one_have_a_price(
     turn: float, behind: float, rivals: set[int]
 ) -> None:
     """Two columns explain 25 nats but for a part, each alone far less; the smaller by far is an aid, no explanation."""
