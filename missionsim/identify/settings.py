@@ -23,7 +23,8 @@ class Settings:
     alpha : family-wise false alarm rate of an effect that enters the model
     period_s : analysis period [s]; slower logs keep their own
     min_share : effects below this share of the energy are called negligible: rows of one second and noisy covariates
-        alone make up to 0.5 % of, say, turning scrub (twelve of twelve null cases, mean 0.14 %)
+        alone make up to 0.5 % of, say, turning scrub (twelve of twelve null cases, mean 0.14 %; at 0.65 % none in 76
+        more)
     max_effects : most effects that enter
     recalibration_limit : shifts of a base parameter up to this many prior sd are recalibration (four: one in 16,000)
     block_s : length of the blocks of the robust standard errors [s], several correlation times of a meter's noise
@@ -39,7 +40,7 @@ class Settings:
 
     alpha: float = ALPHA
     period_s: float = 1.0
-    min_share: float = 0.008
+    min_share: float = 0.0065
     max_effects: int = 6
     recalibration_limit: float = 4.0
     block_s: float = 20.0

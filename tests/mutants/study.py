@@ -109,7 +109,7 @@ MUTANTS = [
         "rules",
         "identify/settings.py",
         ("ALPHA = 0.002", "ALPHA = 0.2"),
-        ("min_share: float = 0.008", "min_share: float = 0.0001"),
+        ("min_share: float = 0.0065", "min_share: float = 0.0001"),
         ("recalibration_limit: float = 4.0", "recalibration_limit: float = 400.0"),
         ("ONE_RUN_PART = 0.05", "ONE_RUN_PART = -100.0"),
         ("WORSE_ENERGY_LEVEL = 0.01", "WORSE_ENERGY_LEVEL = 1.1"),
