@@ -135,9 +135,7 @@ def test_two_effects_together_stand_in_the_place_of_one() -> None:
 
 
 @pytest.mark.parametrize(("turn", "behind", "rivals"), [(45.0, 0.0, {1, 2}), (30.0, 0.0, {1}), (45.0, 2.0, set())])
-def test_two_effects_in_the_place_of_one_have_a_price(
-    turn: float, behind: float, rivals: set[int]
-) -> None:
+def test_two_effects_in_the_place_of_one_have_a_price(turn: float, behind: float, rivals: set[int]) -> None:
     """Two columns explain 25 nats but for a part, each alone far less; the smaller by far is an aid, no explanation."""
     own, angle = np.sqrt(1.0 - behind / 25.0), np.radians(turn)
     sides = np.array([[own, 0.0, np.sqrt(1.0 - own**2)], [0.0, 1.0, 0.0]])
