@@ -130,6 +130,8 @@ def _robust(model: Model, column: int, others: Sequence[int], settings: Settings
     The priors' pseudo-rows enter as known variance, not as jackknife blocks: left out one at a time they would count
     as if the prior could be wrong by all of itself.
     """
+    from scipy.special import stdtr
+
     design = model.design
     rows = np.vstack([design.residual, design.phi[column]])
     p = project(design, model.noise, rows, others)
@@ -142,23 +144,26 @@ def _robust(model: Model, column: int, others: Sequence[int], settings: Settings
     known = float(x_pseudo @ x_pseudo)
     # slow logs need longer blocks: ten rows at least, else neighbours are not independent
     blocks = block_numbers(model, max(settings.block_s, 10.0 * design.layout.step_s))
-    block_sd, block_p = _clustered(x, e, blocks, share, info, known)
+    block_sd, leverage, inflation = _jackknife(x, e, blocks, info, known)
+    block_p = _chance_of_jackknife(share / max(block_sd, 1e-300), leverage, inflation, known / info)
     run_p = float("nan")
     if len(design.runs) >= SEVERAL_RUNS:
-        _, run_p = _clustered(x, e, design.run_index(), share, info, known)
+        # runs differ by more than noise, the leading one perhaps by most: Satterthwaite's t hardly ever alarms there
+        run_sd, leverage, _ = _jackknife(x, e, design.run_index(), info, known)
+        freedom = max(1.5, float(leverage.sum() ** 2 / (leverage @ leverage)) - 1.0)
+        run_p = float(2.0 * stdtr(freedom, -abs(share) / max(run_sd, 1e-300)))
     # never surer than the noise model itself: few blocks can scatter little by chance
     return share, max(block_sd, float(np.sqrt(1.0 / info))), block_p, run_p
 
 
-def _clustered(x: Array, e: Array, cluster: Numbers, share: float, info: float, known: float) -> tuple[float, float]:
-    """Standard error of the jackknife over clusters (CRV3), and the p-value of a share with it."""
+def _jackknife(x: Array, e: Array, cluster: Numbers, info: float, known: float) -> tuple[float, Array, Array]:
+    """Standard error of the jackknife over clusters (CRV3); parts of the information of each, and what its score
+    counts for."""
     score = np.bincount(cluster, weights=x * e)
     leverage = np.bincount(cluster, weights=x * x) / info
     # one cluster that holds all would divide by nothing
     inflation = (1.0 - np.minimum(leverage, 0.95)) ** -2
-    variance = float(inflation @ score**2) + known
-    sd = float(np.sqrt(variance)) / info
-    return sd, _chance_of_jackknife(share / max(sd, 1e-300), leverage, inflation, known / info)
+    return float(np.sqrt(inflation @ score**2 + known)) / info, leverage, inflation
 
 
 def _chance_of_jackknife(t: float, leverage: Array, inflation: Array, known: float) -> float:

@@ -12,7 +12,7 @@ from missionsim.identify import model
 from missionsim.identify.align import RunColumns, make_bins
 from missionsim.identify.data import RunData
 from missionsim.identify.design import make_source, switch_jumps
-from missionsim.identify.evidence import _clustered
+from missionsim.identify.evidence import _chance_of_jackknife, _jackknife
 from missionsim.identify.gram import Constraints, all_sets, make_gram, project, set_gains
 from missionsim.identify.noise import arma_of, packed, start_noise
 from missionsim.identify.residual import hats, knots_of
@@ -219,7 +219,7 @@ def test_the_robust_error_is_that_of_the_fits_that_leave_a_cluster_out() -> None
     cluster = np.repeat(np.arange(5), 8)
     share = float(x @ y / (x @ x))
     without = [float(x[cluster != g] @ y[cluster != g] / (x[cluster != g] @ x[cluster != g])) for g in range(5)]
-    sd, _ = _clustered(x, y - share * x, cluster, share, float(x @ x), 0.0)
+    sd, *_ = _jackknife(x, y - share * x, cluster, float(x @ x), 0.0)
     assert sd == pytest.approx(np.sqrt(np.sum((np.array(without) - share) ** 2)))
 
 
@@ -231,12 +231,15 @@ def test_false_alarms_of_the_robust_error_keep_to_their_level(weights: list[floa
     found = 0
     for y in rng.normal(0.0, 1.0, (20_000, len(weights))):
         share = float(x @ y / (x @ x))
-        found += _clustered(x, y - share * x, cluster, share, float(x @ x), 0.0)[1] < 0.01
+        sd, *parts = _jackknife(x, y - share * x, cluster, float(x @ x), 0.0)
+        found += _chance_of_jackknife(share / sd, *parts, 0.0) < 0.01
     assert 150 < found < 250
 
 
 def test_p_values_of_clusters_of_equal_weight_are_those_of_the_t_distribution() -> None:
     x, e = np.ones(4), np.array([0.02, -0.01, 0.01, -0.02])
-    sd, p = _clustered(x, e, np.arange(4), 0.3, 4.0, 0.0)
+    sd, *parts = _jackknife(x, e, np.arange(4), 4.0, 0.0)
     assert sd == pytest.approx(np.sqrt(np.sum(e**2)) / 3.0)
-    assert p == pytest.approx(2.0 * stats.t.sf(0.3 / np.sqrt(np.sum(e**2) / 12.0), 3), rel=1e-9)
+    assert _chance_of_jackknife(0.3 / sd, *parts, 0.0) == pytest.approx(
+        2.0 * stats.t.sf(0.3 / np.sqrt(np.sum(e**2) / 12.0), 3), rel=1e-9
+    )
