@@ -58,7 +58,7 @@ def test_a_clear_effect_passes_every_gate(grade: Question) -> None:
 
 
 @pytest.mark.parametrize(
-    ("gate", "change"), [("likelihood", {"gain": 5.0}), ("robust", {"p_robust": 1e-3}), ("practical", {"share": 0.007})]
+    ("gate", "change"), [("likelihood", {"gain": 5.0}), ("robust", {"p_robust": 1e-3}), ("practical", {"share": 0.006})]
 )
 def test_each_gate_alone_keeps_an_effect_out(grade: Question, gate: str, change: dict[str, float]) -> None:
     answers = passed(replace(grade, evidence=replace(grade.evidence, **change)))
