@@ -23,8 +23,8 @@ class Settings:
     alpha : family-wise false alarm rate of an effect that enters the model
     period_s : analysis period [s]; slower logs keep their own
     min_share : effects below this share of the energy are called negligible: rows of one second and noisy covariates
-        alone make up to 0.5 % of, say, turning scrub (twelve of twelve null cases, mean 0.14 %; at 0.65 % none in 76
-        more)
+        alone make up to 0.5 % of, say, turning scrub (twelve of twelve null cases, mean 0.14 %; from 0.65 % on
+        none is named in 76 more)
     max_effects : most effects that enter
     recalibration_limit : shifts of a base parameter up to this many prior sd are recalibration (four: one in 16,000)
     block_s : length of the blocks of the robust standard errors [s], several correlation times of a meter's noise
@@ -179,7 +179,7 @@ POWER_Z = 0.84
 WORSE_ENERGY_LEVEL = 0.01
 """Level, one-sided over left-out runs, at which an effect that makes their energy worse goes again."""
 WORSE_ENERGY = 0.002
-"""By no more than this part of the energy, a quarter of the least share, nothing is made worse that matters, however
+"""By no more than this part of the energy, a third of the least share, nothing is made worse that matters, however
 surely: of an inertia the runs of a slow meter show 0.1 % each."""
 BETWEEN_PART = 0.1
 """A covariate with less than this part of its variance within runs is one observation a run."""

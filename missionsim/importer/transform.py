@@ -249,11 +249,12 @@ def merge_signals(signals: dict[str, Signal], timeline: str | None, file: str) -
         silent = _longest_gap(signal.time_s, time)
         usual = usual_step(signal.time_s)
         even = _even(signal.time_s, usual)
-        long = silent > max(1.0, 10.0 * usual)
-        if long or (silent > 2.5 * usual and even):
+        long_s, near_s = max(1.0, 10.0 * usual), 2.5 * usual
+        long = silent > long_s
+        if long or (silent > near_s and even):
             action = "interpolated" if fill == "linear" else "the value before was held"
             if long and even and not isinstance(onto := columns[name], Labels):
-                unknown = _unknown(signal, time, max(1.0, 10.0 * usual), 2.5 * usual)
+                unknown = _unknown(signal, time, long_s, near_s)
                 columns[name] = np.where(unknown, np.nan, onto)
                 action = "missing there" if unknown.any() else action
             if signal.topic not in told:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from missionsim.glossary import STILL_SPEED_M_S, STILL_YAW_RATE_RAD_S, column_of
+from missionsim.glossary import column_of
 from missionsim.labels import Labels
 from missionsim.logs.clean import Rows
 from missionsim.logs.raw import refreshes
-from missionsim.logs.suspect import REST_BAND, STRETCH, Bools, stretches
+from missionsim.logs.suspect import STRETCH, Bools, hardly_moves, stretches
 from missionsim.physics import Array
 from missionsim.physics.lag import Meter, metered
 
@@ -98,9 +98,7 @@ def charged_at_rest(rows: Rows, power_w: Mapping[str, Array]) -> Bools:
     speed, yaw = rows.columns.get("speed_m_s"), rows.columns.get("yaw_rate_rad_s")
     if speed is None or isinstance(speed, Labels) or isinstance(yaw, Labels) or any(map(_SUN.search, rows.columns)):
         return result
-    slow = np.abs(speed) < REST_BAND * STILL_SPEED_M_S
-    if yaw is not None:
-        slow &= np.abs(yaw) < REST_BAND * STILL_YAW_RATE_RAD_S
+    slow = hardly_moves(np.abs(speed), np.zeros_like(speed) if yaw is None else np.abs(yaw))
     for battery, power in power_w.items():
         usual, taken, count = 0.0 if slow.all() else float(np.median(power[~slow])), 0.0, 0
         for first, last in stretches(slow & (power < 0.0)):

@@ -22,7 +22,7 @@ Bools = NDArray[np.bool_]
 _SAMPLE = 100_000
 """Rows that the statistical checks look at: one stretch from the start of the table."""
 _LEFT = "left as it is; a map converts it"
-REST_BAND = 5.0
+_REST_BAND = 5.0
 """Rows within so many times the limits of standing still are at rest if they hop over the limits again and again."""
 
 _SLOW_STEP_S = 60.0
@@ -175,9 +175,10 @@ def _sign(
     watt, name = (power, f"power_{battery}_w") if power is not None else (product, f"current_{battery}_a")
     if watt is not None and float(np.median(watt)) < 0 and _mean(watt) < 0:
         told = f"the battery seems to be charged all the time (mean {_mean(watt):.4g} W); what it delivers is positive"
+        severity = "error"
         if _rises(rows, watt):
-            told += ", and driving takes more: does the sun feed it? Log what does"
-        rows.remark("sign", name, told, _LEFT, "warning" if _rises(rows, watt) else "error")
+            severity, told = "warning", f"{told}, and driving takes more: does the sun feed it? Log what does"
+        rows.remark("sign", name, told, _LEFT, severity)
     if watt is None and energy is not None and energy[-1] < energy[0]:
         told = "the energy falls: it should be what was delivered so far, not what is left"
         rows.remark("sign", f"energy_{battery}_wh", told, _LEFT, "error")
@@ -206,6 +207,11 @@ def check_dead_meter(rows: Rows, battery: str, power_w: Array) -> None:
         told = f"exactly zero in {count} rows in which the robot drives: was the meter on?"
         action = "kept; a map with 'keep' leaves such rows out"
         rows.remark("frozen", f"power_{battery}_w", told, action, "warning", int(np.argmax(dead)), count)
+
+
+def hardly_moves(speed: Array, turning: Array) -> Bools:
+    """Rows near standing still, of magnitudes [m/s, rad/s]."""
+    return np.asarray((speed < _REST_BAND * STILL_SPEED_M_S) & (turning < _REST_BAND * STILL_YAW_RATE_RAD_S))
 
 
 def stretches(chosen: Bools) -> list[tuple[int, int]]:
@@ -257,7 +263,7 @@ def check_standstill(rows: Rows, power_w: Array | None = None) -> None:
     if speed is None:
         return
     turning = np.zeros_like(speed) if yaw is None else yaw
-    slow = (speed < REST_BAND * STILL_SPEED_M_S) & (turning < REST_BAND * STILL_YAW_RATE_RAD_S)
+    slow = hardly_moves(speed, turning)
     still = (speed < STILL_SPEED_M_S) & (turning < STILL_YAW_RATE_RAD_S)
     changes = int(np.count_nonzero(slow[1:] & slow[:-1] & (still[1:] != still[:-1])))
     count, beyond = int(slow.sum()), int((slow & ~still).sum())

@@ -299,8 +299,7 @@ def admit_to_test(
 
     One that the model predicts badly stays, since that is what it is there for. Raises InputError: where none is left.
     """
-    every = [replace(run, run=f"held-out {run.run}") for run in held]
-    named, told = admit(every)
+    named, told = admit([replace(run, run=f"held-out {run.run}") for run in held])
     twins = copies([*fitted, *named])
     wrong = {
         named[i - len(fitted)].run: f"a copy of {fitted[j].run} but for noise, which is fitted: it tests nothing"
@@ -314,8 +313,7 @@ def admit_to_test(
     odd = [run for run in named if run.run in wrong]
     if odd and len(odd) == len(named):
         raise InputError(Fault(run.source, 0, 0, wrong[run.run]) for run in odd)
-    left = {run.run for run in named} - {*wrong}
-    kept = [run for run, other in zip(held, every, strict=True) if other.run in left]
+    kept = [replace(run, run=run.run.removeprefix("held-out ")) for run in named if run.run not in wrong]
     return kept, [*(f"{run.run}: {wrong[run.run]}" for run in odd), *told]
 
 
