@@ -84,9 +84,10 @@ _SMOOTHINGS_S = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Time constants tried for a meter that smooths [s]."""
 
 
-_CHARGE_S, _CHARGE = 10.0, 0.1
-"""Shorter than this a battery may take back what the drive gives up in stopping, filters included; less, as a part of
-the usual power under way, may be the offset of a meter (both assumed)."""
+_CHARGE_S, _BRIEF_S, _CHARGE, _NOISY = 10.0, 1.0, 0.1, 3.0
+"""Shorter than this a battery may take back what the drive gives up in stopping, filters included, unless the robot has
+stood for `_LONGEST_S` before; shorter than the second no charger is told from that; less, as a part of the usual power
+under way or as a multiple of the median change from row to row, may be an offset or noise of a meter (all assumed)."""
 _SUN = re.compile(r"(?<![a-z])(solar|sun|pv|irradianc\w*|photovolt\w*)(?![a-z])", re.IGNORECASE)
 """What feeds a battery on the way as well is in the log where a column is called so, and may be learnt."""
 
@@ -101,9 +102,13 @@ def charged_at_rest(rows: Rows, power_w: Mapping[str, Array]) -> Bools:
     slow = hardly_moves(np.abs(speed), np.zeros_like(speed) if yaw is None else np.abs(yaw))
     for battery, power in power_w.items():
         usual, taken, count = 0.0 if slow.all() else float(np.median(power[~slow])), 0.0, 0
+        noise = float(np.median(np.abs(np.diff(power[slow])))) if slow.sum() > 1 else 0.0
         for first, last in stretches(slow & (power < 0.0)):
-            long = rows.time[last - 1] - rows.time[first] >= _CHARGE_S and last - first >= STRETCH
-            if long and -power[first:last].mean() > _CHARGE * usual > 0.0:
+            stopped = first - int(np.argmin(np.r_[slow[:first][::-1], False]))
+            stood = rows.time[first] - rows.time[stopped] >= _LONGEST_S
+            long = rows.time[last - 1] - rows.time[first] >= (_BRIEF_S if stood else _CHARGE_S)
+            least = max(_CHARGE * usual, _NOISY * noise)
+            if usual > 0.0 and long and last - first >= STRETCH and -power[first:last].mean() > least:
                 end = last + int(np.argmin(np.r_[slow[last:], False]))
                 # the row at the contact holds a part of both
                 chosen = slice(max(first - int(first > 0 and slow[first - 1]), 0), end)

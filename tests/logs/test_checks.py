@@ -339,8 +339,13 @@ def test_what_a_robot_takes_at_the_dock_is_left_out(tmp_path: Path) -> None:
     assert np.flatnonzero(~there).tolist() == list(range(259, 341))  # and a row of both at the contact and as it leaves
     assert log.energy_wh("robot") == pytest.approx(float(columns["power_robot_w"][there].sum()) * 0.5 / 3600.0)
     assert read(tmp_path, {**columns, "solar_w": np.where(rest, 70.0, 10.0)}).rows == 400  # what feeds it is known
-    # what a drive gives back in stopping takes no ten seconds, and a descent is no rest
-    columns["power_robot_w"] = np.where(rest & (columns["time_s"] > 138), 4.0 + noise, columns["power_robot_w"])
+    # a short visit to the dock; what a drive gives back in stopping takes no ten seconds, and a descent is no rest
+    for begin, kept in ((130, 318), (121, 400)):
+        there = rest & (columns["time_s"] > begin) & (columns["time_s"] < begin + 7)
+        columns["power_robot_w"] = np.where(rest, np.where(there, -60.0, 4.0 + noise), columns["power_robot_w"])
+        assert read(tmp_path, columns).rows == kept
+    # noise about nought is no charger
+    columns["power_robot_w"] = np.where(rest, 40.0 * noise, columns["power_robot_w"])
     assert read(tmp_path, columns).rows == 400
 
 
