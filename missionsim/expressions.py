@@ -213,8 +213,9 @@ def _compile(node: ast.AST, allowed: frozenset[str] | None, found: set[str], fau
         case ast.Name(id=name):
             return _name(node, name, allowed, found, fault)
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            if isinstance(op, ast.Pow) and isinstance(right, ast.Constant) and _too_high(right.value):
-                fault("exponent is too large", right, str(right.value), f"at most {_MAX_POWER:g}")
+            high = getattr(right, "value", None)
+            if isinstance(op, ast.Pow) and isinstance(high, (int, float)) and abs(high) > _MAX_POWER:
+                fault("exponent is too large", right, str(high), f"at most {_MAX_POWER:g}")
             a, b, operation = recurse(left), recurse(right), _BINARY[type(op)]
             return lambda v: operation(a(v), b(v))
         case ast.UnaryOp(op=ast.USub(), operand=operand):
@@ -231,7 +232,7 @@ def _compile(node: ast.AST, allowed: frozenset[str] | None, found: set[str], fau
             return lambda v: 1.0 * functools.reduce(both, [part(v) for part in parts])
         case ast.Compare(left=left, ops=ops, comparators=comparators) if all(type(op) in _COMPARE for op in ops):
             words = all(isinstance(op, (ast.Eq, ast.NotEq)) for op in ops)
-            sides = [_word(side) if words and _is_word(side) else recurse(side) for side in (left, *comparators)]
+            sides = [(_word(side) if words else None) or recurse(side) for side in (left, *comparators)]
             tests = [_COMPARE[type(op)] for op in ops]
             return lambda v: (
                 1.0
@@ -294,17 +295,10 @@ def _call(
     return lambda v: function(*(part(v) for part in parts))
 
 
-def _is_word(node: ast.AST) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, str)
-
-
-def _word(node: ast.AST) -> _Node:
-    word = getattr(node, "value", "")
-    return lambda _: word
-
-
-def _too_high(value: object) -> bool:
-    return isinstance(value, (int, float)) and abs(value) > _MAX_POWER
+def _word(node: ast.AST) -> _Node | None:
+    """What a quoted word means in a comparison; None for all else."""
+    word = getattr(node, "value", None)
+    return (lambda _: word) if isinstance(word, str) else None
 
 
 def _equal(a: Any, b: Any) -> Any:

@@ -164,10 +164,7 @@ class OnlinePredictor:
         self._clock = np.concatenate([[0.0], np.cumsum(expected.duration_s)])
         self._index, self._share = 0, 0.0
         self._time: float | None = None
-        self._power = 0.0
-        self._speed = 0.0
-        self._drawn = 0.0
-        self._first = 0.0
+        self._power = self._speed = self._drawn = self._first = 0.0
         self._find_runs()
 
     @classmethod
@@ -269,23 +266,19 @@ class OnlinePredictor:
 
     def forecast(self) -> Forecast:
         """What is known now."""
-        last = len(self._durations)
-        index, share = self._index, self._share
-        energy = self.expected.energy_j
-        behind = float(self._behind[index]) + (share * float(energy[index]) if index < last else 0.0)
+        behind, home_now = self._here(self._behind), self._here(self.expected.return_j)
         total = float(self._behind[-1])
         rest = total - behind
-        home = self.expected.return_j
-        home_now = float(home[index]) + (share * float(home[index + 1] - home[index]) if index < last else 0.0)
+        home_j = float(self.expected.return_j[-1])
         factor, factor_sd = self._correction(behind)
         left = self.available_j - self._drawn
         left_sd = self.meter_sd * self._drawn
         finish_sd, return_sd = (self._spread(amount, factor_sd) for amount in (rest, home_now))
-        need = factor * (rest + float(home[-1]))
-        need_sd = math.hypot(self._spread(rest + float(home[-1]), factor_sd), left_sd)
+        need = factor * (rest + home_j)
+        need_sd = math.hypot(self._spread(rest + home_j, factor_sd), left_sd)
         slack = left - self.reserve_j - need
         can_finish = slack >= self.confidence * need_sd
-        wait = None if can_finish else self._until_turning(index, share, behind, left, left_sd, factor, factor_sd)
+        wait = None if can_finish else self._until_turning(behind, home_now, left, left_sd, factor, factor_sd)
         now = self._time or 0.0
         return Forecast(
             now,
@@ -323,19 +316,18 @@ class OnlinePredictor:
         noise = self.noise_sd * math.sqrt(max(2.0 * self.correlation_s * mean_w * energy_j, 0.0))
         return math.hypot(factor_sd * energy_j, noise)
 
+    def _here(self, knots: Array) -> float:
+        """Where the robot is, what is known where intervals begin and end."""
+        low = float(knots[self._index])
+        return low + self._share * (float(knots[self._index + 1]) - low) if self._share else low
+
     def _until_turning(
-        self, index: int, share: float, behind: float, left: float, left_sd: float, factor: float, factor_sd: float
+        self, behind: float, home_j: float, left: float, left_sd: float, factor: float, factor_sd: float
     ) -> float:
         """Expected seconds until what is left only just brings the robot home with the asked confidence; 0 is now."""
-        points = np.concatenate([[behind], self._behind[index + 1 :]])
-        first = self.expected.return_j[index : index + 2]
-        here = first[0] + share * (first[-1] - first[0])
-        homes = np.concatenate([[here], self.expected.return_j[index + 1 :]])
-        if index < len(self._durations):
-            now_s = float(self._clock[index]) + share * self._durations[index]
-        else:
-            now_s = float(self._clock[-1])
-        times = np.concatenate([[now_s], self._clock[index + 1 :]])
+        after, now_s = slice(self._index + 1, None), self._here(self._clock)
+        points, homes = np.append(behind, self._behind[after]), np.append(home_j, self.expected.return_j[after])
+        times = np.append(now_s, self._clock[after])
         ahead = points - behind + homes
         safe_sd = np.hypot(factor_sd * ahead, left_sd)
         margin = left - self.reserve_j - factor * ahead - self.confidence * safe_sd

@@ -236,11 +236,9 @@ def _scheme_gap(
     for run in driven:
         done.add(run)
     way, speed = done.distance_m / runs, ratio(done.distance_m, done.driving_s)
-    steps = [stages.energy(members)]
     stretched = stages.stretched(members, way)
-    steps.append(stretched.energy(members))
     tracked = stretched.at_speed(members, speed)
-    steps.append(tracked.energy(members))
+    steps = [stage.energy(members) for stage in (stages, stretched, tracked)]
     steps.append(tracked.standing_for(members, done.standing_s / runs))
     wh: dict[str, dict[str, float]] = {}
     for battery in stages.batteries:

@@ -32,11 +32,6 @@ if TYPE_CHECKING:
     from missionsim.inputs.robot import RobotSpec
 
 
-def simulated_energy(model: PowerModel, plan: Timeline, battery: str) -> Array:
-    """Energy of a battery in each interval of a plan [J], shape (n,)."""
-    return np.asarray(sum(integrate(model, plan)[battery].values(), start=np.zeros(len(plan))))
-
-
 def mission_progress(series: Series, names: Sequence[str], plan: Timeline, segments: Sequence[str]) -> Array:
     """Progress of a run along a plan at the end of each bucket, 0 to 1, shape (n,).
 
@@ -97,10 +92,10 @@ def compare(
     columns along which the error is looked at. `on_run`: called with the name of each run when it is done. Raises
     InputError: faults of the logs, or nothing to compare.
     """
+    by = tuple(by)
     sums = Accumulator(by, still=None if plan is None else still_of(plan))
     notes: dict[Any, tuple[str, list[str]]] = {}
     sources: list[tuple[str, str]] = []
-    wanted = tuple(by)
     items = [logs] if isinstance(logs, (str, os.PathLike)) else list(logs)
     refused: list[str] = []
     given = _runs(items, robot, refused)
@@ -115,7 +110,9 @@ def compare(
         first = next(blocks, None)
         if first is None:
             raise InputError.single("the log has no rows", file=source)
-        _check_by(wanted, first)
+        for name in by:
+            if name not in first.columns:
+                raise InputError.unknown(f"the log has no column '{name}'", name, first.columns, file=first.source)
         replay = assume(model, first.columns, first.batteries, source=source or run)
         for note in replay.notes:
             notes.setdefault(note, (note, []))[1].append(run)
@@ -213,9 +210,7 @@ def _runs(
     large = [path for path in files if path.stat().st_size >= LARGE_FILE_BYTES]
     small = [file for path, twins in files.items() if path not in large for file in (path, *twins)]
     read = [*tables, *(read_logs(small, robot=robot, left_out=refused) if small else [])]
-    found: list[tuple[str, Run, Callable[[], Iterator[Run]]]] = []
-    for table in read:
-        found.append((table.source, table, partial(iter, [table])))
+    found: list[tuple[str, Run, Callable[[], Iterator[Run]]]] = [(t.source, t, partial(iter, [t])) for t in read]
     for path in large:
         twins = files[path]
 
@@ -244,12 +239,6 @@ def _noting(blocks: Iterable[Run], remarks: list[Remark]) -> Iterator[Run]:
     for block in blocks:
         remarks[:] = merge([*remarks, *block.remarks])
         yield block
-
-
-def _check_by(by: Sequence[str], log: Run) -> None:
-    for name in by:
-        if name not in log.columns:
-            raise InputError.unknown(f"the log has no column '{name}'", name, log.columns, file=log.source)
 
 
 def _told(note: str, runs: list[str], all_runs: int) -> str:
@@ -313,7 +302,7 @@ def _mission(
 ) -> MissionGap:
     driven = [sums.motion[run] for run in found]
     schemes = split_behaviour(model, plan, driven, batteries)
-    simulated = simulated_energy(model, plan, battery)
+    simulated = sum(integrate(model, plan)[battery].values(), start=np.zeros(len(plan)))
     grid, names = progress_grid(), sums.segment_names()
     spent = np.cumsum(plan.duration_s)
     measured, predicted = np.zeros(len(grid)), np.zeros(len(grid))

@@ -120,7 +120,11 @@ class Accumulator:
     def add(self, run: str, block: Driven) -> None:
         """Add the rows of a block of `run`."""
         self.rows += len(block.time_s)
-        placed = list(self._cells(run, block))
+        placed: list[tuple[Axis, NDArray[np.int64]]] = []
+        for name, column, fresh in _axis_columns(run, block, self._by):
+            axis = self.axes.setdefault(name, fresh)
+            if (cells := axis.place(column)) is not None:
+                placed.append((axis, cells))
         segment = next((cells for axis, cells in placed if axis.name == "segment"), None)
         weights: dict[str, Array] = {}
         for battery, measured in block.measured_w.items():
@@ -155,35 +159,19 @@ class Accumulator:
             joules = dot(power, seconds) if np.ndim(power) else float(power) * error.seconds
             sums.terms[key] = sums.terms.get(key, 0.0) + joules
 
-    def _cells(self, run: str, block: Driven) -> Iterable[tuple[Axis, NDArray[np.int64]]]:
-        cov = block.covariates
-        for name, column, fresh in _axis_columns(run, block, self._by):
-            axis = self.axes.setdefault(name, fresh)
-            cells = axis.place(column)
-            if cells is not None:
-                yield axis, cells
-        if "speed_m_s" in cov:
-            motion = Labels(kinds_of_motion(cov), MOTIONS)
-            axis = self.axes.setdefault("motion", LabelAxis("motion", "kind of motion"))
-            cells = axis.place(motion)
-            assert cells is not None
-            yield axis, cells
-
 
 def _axis_columns(run: str, block: Driven, by: tuple[str, ...]) -> Iterable[tuple[str, Any, Axis]]:
     """Name, column and a new axis of everything in a block along which the error is looked at."""
     cov = {name: column for name, column in block.covariates.items() if name not in block.assumed}
-    for name, known in COVARIATES.items():
-        if name in cov and known.shown:
-            yield name, cov[name], _axis(name, cov[name])
-    for name in sorted(cov):
-        if name in block.run.columns and name not in (*COVARIATES, "time_s") and may_be_cause(name):
-            yield name, cov[name], _axis(name, cov[name])
-    for name in by:
+    others = sorted(name for name in block.run.columns if name not in (*COVARIATES, "time_s") and may_be_cause(name))
+    for name in [*(name for name, known in COVARIATES.items() if known.shown), *others, *by]:
         if name in cov:
             yield name, cov[name], _axis(name, cov[name])
     yield "time_since_start_s", block.time_s, NumberAxis("time_since_start_s", "time since start", "s")
     yield "run", Labels(np.zeros(len(block.time_s), dtype=np.int64), (run,)), LabelAxis("run", "run")
+    if "speed_m_s" in block.covariates:
+        motion = Labels(kinds_of_motion(block.covariates), MOTIONS)
+        yield "motion", motion, LabelAxis("motion", "kind of motion")
 
 
 def _axis(name: str, column: Any) -> Axis:

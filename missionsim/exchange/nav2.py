@@ -255,12 +255,9 @@ def _edit(properties: Value, cost: float, share: float, edits: list[tuple[int, i
     metadata = properties.node.children.get("metadata") if isinstance(properties.node.children, dict) else None
     if metadata is not None and isinstance(metadata.children, dict):
         _put(metadata, "speed_limit", _number(share), edits)
-        _put(properties.node, "cost", _number(cost), edits)
     elif metadata is not None:
         edits.append((metadata.start, metadata.end, f"{{ {limit} }}"))
-        _put(properties.node, "cost", _number(cost), edits)
-    else:
-        _put(properties.node, "cost", _number(cost), edits, f'"metadata": {{ {limit} }}')
+    _put(properties.node, "cost", _number(cost), edits, *([f'"metadata": {{ {limit} }}'] if metadata is None else []))
 
 
 def _put(parent: Node, key: str, value: str, edits: list[tuple[int, int, str]], *more: str) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -141,16 +141,15 @@ def read_fleet(path: str | Path) -> Fleet:
 
 
 def _number(fleet: Value, wanted: Number) -> float:
-    parent: Value | None = fleet
+    parent = fleet
     for key in wanted.path:
-        before = parent
-        parent = before.get(key) if before and isinstance(before.data, dict) else None
-        if parent is None:
-            if wanted.default is None and before is not None:
-                before.fault(f"'{key}' is missing", f"{'.'.join(wanted.path)}: a number")
+        found = parent.get(key)
+        if found is None:
+            if wanted.default is None:
+                parent.fault(f"'{key}' is missing", f"{'.'.join(wanted.path)}: a number")
             return wanted.default or 0.0
-    found = parent.number(wanted.low, wanted.high) if parent else None
-    return found if found is not None else (wanted.default or 0.0)
+        parent = found
+    return parent.number(wanted.low, wanted.high) or wanted.default or 0.0
 
 
 @dataclass(frozen=True)
@@ -193,12 +192,11 @@ def export_fleet(path: str | Path, robot: RobotSpec, logs: Sequence[Path] = (), 
         new["tool"] = tool.loads[0].power.value
     if others := [name for name in robot.batteries if name != battery]:
         remarks.append(f"a fleet config knows one battery: {battery}; left out: {', '.join(others)}")
-    before = Fleet(fleet.file, fleet.name, dict(fleet.numbers), fleet.limits, fleet.robots)
-    after = Fleet(fleet.file, fleet.name, new, fleet.limits, fleet.robots)
+    after = replace(fleet, numbers=new)
     errors: list[dict[str, Any]] = []
     if logs:
         _fit_to_logs(after, logs, battery, remarks)
-        errors = _errors(robot, before, after, logs, battery)
+        errors = _errors(robot, fleet, after, logs, battery)
     else:
         _fit_to_model(after, robot, battery, remarks)
     changed = {

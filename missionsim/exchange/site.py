@@ -17,7 +17,7 @@ import numpy as np
 from missionsim.errors import InputError
 from missionsim.exchange.source import Value
 from missionsim.files import atomic_write, fields_of
-from missionsim.inputs.loading import load_environment, load_mission
+from missionsim.inputs.loading import load_environment, load_mission, load_robot
 from missionsim.inputs.robot import RobotSpec
 from missionsim.physics import Array
 
@@ -135,14 +135,10 @@ class SiteOptions:
     @property
     def charger(self) -> dict[str, object]:
         """The charger of a place that a file marks as one."""
-        powers = (
-            [b.max_charge_power.value for b in self.robot.batteries.values() if b.max_charge_power]
-            if self.robot
-            else []
-        )
-        if powers:
-            return {"power": {"value": f"{max(powers):g} W", "status": "assumed", "note": "what the robot takes"}}
-        return {"power": {"value": f"{CHARGER_W:g} W", "status": "assumed", "note": "the map does not tell"}}
+        batteries = self.robot.batteries.values() if self.robot else ()
+        powers = [battery.max_charge_power.value for battery in batteries if battery.max_charge_power]
+        watts, note = (max(powers), "what the robot takes") if powers else (CHARGER_W, "the map does not tell")
+        return {"power": {"value": f"{watts:g} W", "status": "assumed", "note": note}}
 
 
 @dataclass
@@ -274,24 +270,23 @@ class Site:
 
     def environment_text(self) -> str:
         """The environment file."""
-        head = [("kind", "environment"), ("name", self.name), ("title", self.title)]
-        lines = [f"# from {Path(self.file).name} ({self.format}) by missionsim import-site"]
-        lines += [f"{key}: {scalar(value)}" for key, value in head if value]
-        if self.notes:
-            lines.append(f"notes: {scalar('; '.join(self.notes))}")
-        lines += ["places:", *(f"  {scalar(name)}: {flow(place)}" for name, place in self.places.items())]
+        head = {"kind": "environment", "name": self.name, "title": self.title, "notes": "; ".join(self.notes)}
+        lines = ["places:", *(f"  {scalar(name)}: {flow(place)}" for name, place in self.places.items())]
         lines += ["edges:" if self.edges else "edges: []", *(f"  - {flow(edge)}" for edge in self.edges)]
-        return "\n".join(lines) + "\n"
+        return self._text(head, lines)
 
     def mission_text(self, robot: str, environment: str, scheme: str = "") -> str:
         """The mission file, for a robot's name or path and the path of the environment file."""
         head = {"kind": "mission", "name": self.name, "robot": robot, "environment": environment, "start": self.start}
-        lines = [f"# from {Path(self.file).name} ({self.format}) by missionsim import-site"]
-        lines += [f"{key}: {scalar(value)}" for key, value in head.items() if value]
-        defaults = {"speed": self.speed, "scheme": scheme}
-        lines.append(f"defaults: {flow({key: value for key, value in defaults.items() if value})}")
-        lines += ["segments:", *(f"  - {flow(segment)}" for segment in self.segments)]
-        return "\n".join(lines) + "\n"
+        defaults = {key: value for key, value in (("speed", self.speed), ("scheme", scheme)) if value}
+        lines = [f"defaults: {flow(defaults)}", "segments:", *(f"  - {flow(segment)}" for segment in self.segments)]
+        return self._text(head, lines)
+
+    def _text(self, head: Mapping[str, str], lines: Iterable[str]) -> str:
+        told = [f"{key}: {scalar(value)}" for key, value in head.items() if value]
+        return "\n".join(
+            [f"# from {Path(self.file).name} ({self.format}) by missionsim import-site", *told, *lines, ""]
+        )
 
 
 def write_site(site: Site, out: str | Path, mission: str | Path | None = None, robot: str = "") -> None:
@@ -311,8 +306,6 @@ def write_site(site: Site, out: str | Path, mission: str | Path | None = None, r
         draft = stack.enter_context(atomic_write(mission))
         folder = Path(mission).resolve().parent
         shown = os.path.relpath(Path(robot).resolve(), folder) if Path(robot).is_file() else robot
-        from missionsim.inputs.loading import load_robot
-
         loaded = load_robot(robot)
         scheme = next((name for name, spec in loaded.schemes.items() if spec.motion), "")
         if scheme:
